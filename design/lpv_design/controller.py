@@ -1,0 +1,210 @@
+"""Integral tracking: LMI (67) on the paper's box, and on the exact polytope with a cost bound."""
+
+from dataclasses import dataclass
+
+import cvxpy as cp
+import numpy as np
+
+from lpv_core.arm import G_1, G_2
+from lpv_core.polytope import exact_state_space, exact_vertices, sinc_box
+from lpv_core.state_space import vertex_matrices
+from lpv_design.lmi import integral_feedback, largest_eigenvalue
+from lpv_design.solve import solve, symmetric_below
+
+PUBLISHED_M1 = np.array([[-4426.747411, -0.001668, -420.832109, -0.000786],
+                         [0.003075, -1440.412948, -0.000361, -145.310838]])
+"""M1 of section 5 of the paper."""
+PUBLISHED_M2 = np.array([[13268.9910017, -0.0171864], [-0.0312571, 3932.6833916]])
+"""M2 of section 5 of the paper."""
+
+
+@dataclass(frozen=True)
+class ControllerRequirement:
+    """What the tracking loop must fulfil.
+
+    Attributes
+    ----------
+    alpha : float
+        Decay rate of LMI (67) [1/s].
+    fastest : float
+        Fastest allowed closed-loop pole [1/s]: one sample of delay must not matter.
+    state_weight : tuple of float
+        Guaranteed-cost weights of theta, theta', eps (same for both axes).
+    torque_weight : float
+        Weight of torque, relative to gravity torque.
+    """
+
+    alpha: float = 2.0
+    fastest: float = 60.0
+    state_weight: tuple = (10.0, 1.0, 30.0)
+    torque_weight: float = 1.0
+
+
+def augment(a, b):
+    """Augmented vertices of eq. (64) with eps' = w - theta.
+
+    Parameters
+    ----------
+    a, b : ndarray, shapes (h, 4, 4) and (h, 4, 2)
+        Vertices.
+
+    Returns
+    -------
+    tuple of ndarray
+        A_c (h, 6, 6) and B_c (h, 6, 2).
+    """
+    h = len(a)
+    a_c, b_c = np.zeros((h, 6, 6)), np.zeros((h, 6, 2))
+    a_c[:, :4, :4] = a
+    a_c[:, 4:, :2] = -np.eye(2)
+    b_c[:, :4] = b
+    return a_c, b_c
+
+
+def paper_loop(arm, sinc_min=-0.2):
+    """A_c and B_c at the paper's eight vertices.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    sinc_min : float, optional
+        Lower end of phi2, phi3; -0.2 as published.
+
+    Returns
+    -------
+    tuple of ndarray
+        A_c (8, 6, 6), B_c (8, 6, 2).
+    """
+    return augment(*vertex_matrices(sinc_box(sinc_min), arm.constants(coriolis=False)))
+
+
+def exact_loop(arm):
+    """A_c and B_c at the 16 vertices of the exact polytope.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm and its region.
+
+    Returns
+    -------
+    tuple of ndarray
+        A_c (16, 6, 6), B_c (16, 6, 2).
+    """
+    pairs = [exact_state_space(v, arm.constants()) for v in exact_vertices(arm)]
+    return augment(np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]))
+
+
+def check_loop(loop, m, q, alpha):
+    """Largest eigenvalue of LMI (67) rebuilt in NumPy for gains M and a common Q.
+
+    Parameters
+    ----------
+    loop : tuple of ndarray
+        A_c, B_c.
+    m : ndarray, shape (2, 6)
+        [M1 M2].
+    q : ndarray, shape (6, 6)
+        Q = P^-1.
+    alpha : float
+        Decay rate [1/s].
+
+    Returns
+    -------
+    float
+        Negative if Q > 0 and the inequality holds at every vertex.
+    """
+    margins = [largest_eigenvalue(-q)]
+    # Q spans many decades; a congruence with its own factor makes the margins comparable.
+    factor = np.linalg.inv(np.linalg.cholesky(q)) if margins[0] < 0 else np.eye(6)
+    for a, b in zip(*loop):
+        matrix = integral_feedback(q, m @ q, a, b, alpha)
+        margins.append(largest_eigenvalue(factor @ matrix @ factor.T))
+    return max(margins)
+
+
+def common_lyapunov(loop, m, alpha):
+    """Find Q for given gains: is there a common Lyapunov matrix with decay alpha?
+
+    Parameters
+    ----------
+    loop : tuple of ndarray
+        A_c, B_c.
+    m : ndarray, shape (2, 6)
+        [M1 M2].
+    alpha : float
+        Decay rate [1/s].
+
+    Returns
+    -------
+    ndarray or None
+        Q (6, 6), to be judged by `check_loop`.
+    """
+    # Published gains have poles from -5 to -204; modal coordinates of one vertex balance them.
+    closed = [a + b @ m for a, b in zip(*loop)]
+    _, vectors = np.linalg.eig(closed[0])
+    gram = np.real(vectors @ vectors.conj().T)
+    basis = np.linalg.cholesky(gram)
+    inverse = np.linalg.inv(basis)
+    q = cp.Variable((6, 6), symmetric=True)
+    t = cp.Variable()
+    constraints = [q >> np.eye(6), q << 1e4 * np.eye(6), t <= 1.0]
+    for a in closed:
+        scaled = inverse @ a @ basis
+        constraints.append(symmetric_below(scaled @ q + q @ scaled.T + 2 * alpha * q + t * np.eye(6)))
+    solve(-t, constraints)
+    return None if q.value is None else basis @ q.value @ basis.T
+
+
+def solve_loop(arm, loop, requirement):
+    """Guaranteed-cost state feedback with integral action that satisfies LMI (67).
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Scales torques by gravity.
+    loop : tuple of ndarray
+        A_c, B_c.
+    requirement : ControllerRequirement
+        Decay, pole and cost requirements.
+
+    Returns
+    -------
+    tuple
+        ``(m, q, status)``: [M1 M2] (2, 6) and Q (6, 6), or None where no point was found.
+    """
+    unit = np.diag(_torque_unit(arm))
+    a_c, b_c = loop
+    q = cp.Variable((6, 6), symmetric=True)
+    x = cp.Variable((2, 6))
+    w = cp.Variable((6, 6), symmetric=True)
+    root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
+    effort = np.sqrt(requirement.torque_weight)
+    center = 0.5 * (requirement.alpha + requirement.fastest)
+    radius = 0.5 * (requirement.fastest - requirement.alpha)
+    constraints = []
+    for a, b in zip(a_c, b_c):
+        b = b @ unit
+        closed = a @ q + b @ x
+        cost = cp.bmat([
+            [closed + closed.T, q @ root, effort * x.T],
+            [root @ q, -np.eye(6), np.zeros((6, 2))],
+            [effort * x, np.zeros((2, 6)), -np.eye(2)],
+        ])
+        shifted = center * q + closed
+        constraints += [
+            symmetric_below(cost, 1e-7),
+            symmetric_below(integral_feedback(q, x, a, b, requirement.alpha), 1e-7),
+            symmetric_below(cp.bmat([[-radius * q, shifted], [shifted.T, -radius * q]]), 1e-7),
+        ]
+    constraints.append(cp.bmat([[w, np.eye(6)], [np.eye(6), q]]) >> 0)
+    status = solve(cp.trace(w), constraints)
+    if q.value is None:
+        return None, None, status
+    return unit @ x.value @ np.linalg.inv(q.value), q.value, status
+
+
+def _torque_unit(arm):
+    constants = arm.constants()
+    return constants[[G_1, G_2]]

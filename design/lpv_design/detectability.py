@@ -1,0 +1,70 @@
+"""Which faults can be told from states, before any LMI is solved."""
+
+import numpy as np
+
+from lpv_core.polytope import paper_weights
+
+
+def lost_mode(a, c, tolerance=1e-9):
+    """Popov-Belevitch-Hautus test on one augmented model.
+
+    Parameters
+    ----------
+    a : ndarray, shape (6, 6)
+        T1 A~ at one point of the polytope.
+    c : ndarray, shape (4, 6)
+        C~.
+    tolerance : float, optional
+        Relative size of the smallest singular value that counts as zero.
+
+    Returns
+    -------
+    tuple or None
+        ``(eigenvalue, vector)`` of an undetectable mode (real part not negative), else None.
+    """
+    for eigenvalue in np.linalg.eigvals(a):
+        if eigenvalue.real < -tolerance:
+            continue
+        pencil = np.vstack([a - eigenvalue * np.eye(len(a)), c])
+        _, singular, vectors = np.linalg.svd(pencil)
+        if singular[-1] < tolerance * max(1.0, singular[0]):
+            return eigenvalue, vectors[-1].conj()
+    return None
+
+
+def undetectable_point(problem):
+    """Search a box of phi1, phi2, phi3 for a point without detectability.
+
+    Gravity enters through phi2 and phi3 alone; a point is lost exactly where one of them is zero,
+    so that zero, where the box contains it, is tried besides the corners.
+
+    Parameters
+    ----------
+    problem : PaperProblem
+        Box and decoupling.
+
+    Returns
+    -------
+    tuple or None
+        ``(phi, eigenvalue, vector)``, or None if every tried point is detectable.
+    """
+    d = problem.descriptor
+    low, high = problem.box[:, 0], problem.box[:, 1]
+    for s_2 in _candidates(low[1], high[1]):
+        for s_3 in _candidates(low[2], high[2]):
+            for phi_1 in (low[0], 0.0, high[0]):
+                phi = np.array([phi_1, s_2, s_3])
+                mode = lost_mode(problem.t1 @ _interpolate(d.a, problem.box, phi), d.c)
+                if mode is not None:
+                    return (phi, *mode)
+    return None
+
+
+def _candidates(low, high):
+    return sorted({low, high, min(max(0.0, low), high)})
+
+
+def _interpolate(vertices, box, phi):
+    rho = np.zeros(8)
+    paper_weights(phi[0], phi[1], phi[2], np.ascontiguousarray(box), rho)
+    return np.tensordot(rho, vertices, 1)

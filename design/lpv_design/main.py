@@ -1,0 +1,78 @@
+"""``lpv design``: gains for an arm, written to a ROS 2 parameter file."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from lpv_core.arm import load_arm
+from lpv_core.errors import LpvError
+from lpv_core.gains import save_gains
+from lpv_design.pipeline import NotDetectableError, design
+from lpv_design.requirement import load_requirement
+from lpv_design.solve import InfeasibleError
+
+EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('--arm', required=True, metavar='ARM.yaml', help='arm file')
+    parser.add_argument('--requirement', metavar='NAME|FILE', required=True,
+                        help='shipped name (paper, paper_literal, real_arm) or a file')
+    parser.add_argument('--out', required=True, metavar='GAINS.yaml',
+                        help='parameter file to write')
+
+
+def run(arguments):
+    """Design, report, write.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0; 1 without feasible gains; 2 for bad input; 3 where faults are not detectable.
+    """
+    try:
+        arm = load_arm(arguments.arm)
+        requirement = load_requirement(arguments.requirement)
+        result = design(arm, requirement)
+    except NotDetectableError as error:
+        print(f'lpv design: not detectable: {error}', file=sys.stderr)
+        return EXIT_NOT_DETECTABLE
+    except InfeasibleError as error:
+        print(f'lpv design: infeasible: {error}', file=sys.stderr)
+        return EXIT_INFEASIBLE
+    except LpvError as error:
+        print(f'lpv design: {error}', file=sys.stderr)
+        return EXIT_BAD_INPUT
+    comment = '\n'.join([f'Gains for arm {arm.name!r}, written by lpv design.',
+                         f'Requirement: {Path(requirement.source).name}', *result.lines])
+    try:
+        save_gains(result.gains, arguments.out, comment)
+    except OSError as error:
+        print(f'lpv design: cannot write {arguments.out}: {error}', file=sys.stderr)
+        return EXIT_BAD_INPUT
+    print('\n'.join(result.lines))
+    print(f'gains written to {arguments.out}')
+    return 0
+
+
+def main(argv=None):
+    """Entry point of ``ros2 run lpv_design design``."""
+    parser = argparse.ArgumentParser(prog='design', description=__doc__)
+    add_arguments(parser)
+    return run(parser.parse_args(argv))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""Method ``paper``: the observer LMIs (54) and (55) on the box of phi1, phi2, phi3."""
+
+from dataclasses import dataclass
+
+import cvxpy as cp
+import numpy as np
+
+from lpv_core.polytope import sinc_box
+from lpv_core.state_space import Descriptor, vertex_matrices
+from lpv_core.uio import decoupling
+from lpv_design.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
+from lpv_design.solve import solve, symmetric_below
+
+
+@dataclass(frozen=True)
+class PaperProblem:
+    """The data of LMIs (54), (55) for one box.
+
+    Attributes
+    ----------
+    descriptor : Descriptor
+        Augmented vertices, eqs. (36), (37).
+    t1, t2 : ndarray
+        From the pseudo-inverse, eq. (49).
+    q, r : float
+        Disc of eq. (55) [1/s].
+    box : ndarray, shape (3, 2)
+        Ranges of phi1, phi2, phi3.
+    """
+
+    descriptor: Descriptor
+    t1: np.ndarray
+    t2: np.ndarray
+    q: float
+    r: float
+    box: np.ndarray
+
+
+def paper_problem(arm, s_min, q=20.0, r=15.0, s_max=1.0):
+    """Set up the LMIs for phi2, phi3 in [s_min, s_max].
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    s_min, s_max : float
+        Range of the sincs; the published one is [-0.2, 1].
+    q, r : float, optional
+        Disc; defaults as published.
+
+    Returns
+    -------
+    PaperProblem
+        Ready for `solve_paper` and `check_paper`.
+    """
+    box = sinc_box(s_min, s_max)
+    a, b = vertex_matrices(box, arm.constants(coriolis=False))
+    descriptor = Descriptor(a, b, arm)
+    t1, t2 = decoupling(descriptor.e, descriptor.c)
+    return PaperProblem(descriptor, t1, t2, q, r, box)
+
+
+def _inequalities(problem, p, y, gamma_squared, lmi, block=np.block):
+    d = problem.descriptor
+    pbd, pbf = p @ (problem.t1 @ d.bd), p @ (problem.t1 @ d.bf)
+    matrices = []
+    for a_i, y_i in zip(d.a, y):
+        pn = p @ (problem.t1 @ a_i) + y_i @ d.c
+        if lmi == '55':
+            matrices.append(bounded_real_disc(p, pn, pbd, pbf, gamma_squared,
+                                              problem.q, problem.r, block))
+        else:
+            matrices.append(bounded_real(p, pn, pbd, pbf, gamma_squared, block))
+            matrices.append(disc(p, pn, problem.q, problem.r, block))
+    return matrices
+
+
+def solve_paper(problem, lmi='55', gamma=None):
+    """Solve LMI (55), or (54) with the disc apart, for P and K_i.
+
+    Parameters
+    ----------
+    problem : PaperProblem
+        From `paper_problem`.
+    lmi : {'55', '54+disc'}
+        Literal (55), or (54) and the disc as separate inequalities with the same P.
+    gamma : float, optional
+        Attenuation level to be met; minimised if not given.
+
+    Returns
+    -------
+    tuple
+        ``(k, p, gamma, status)``: K_i (8, 6, 4) or None if no point was found, P (6, 6),
+        gamma, and the solver's status.
+    """
+    p = cp.Variable((6, 6), symmetric=True)
+    y = [cp.Variable((6, 4)) for _ in problem.descriptor.a]
+    gamma_squared = cp.Variable(nonneg=True) if gamma is None else cp.Constant(gamma**2)
+    constraints = [p >> 1e-6 * np.eye(6)]
+    constraints += [symmetric_below(m, 1e-8)
+                    for m in _inequalities(problem, p, y, gamma_squared, lmi, cp.bmat)]
+    status = solve(gamma_squared if gamma is None else 0, constraints)
+    if p.value is None:
+        return None, None, np.inf, status
+    try:
+        k = np.array([np.linalg.solve(p.value, y_i.value) for y_i in y])
+    except np.linalg.LinAlgError:
+        return None, None, np.inf, status
+    return k, p.value, float(np.sqrt(max(gamma_squared.value, 0.0))), status
+
+
+def check_paper(problem, k, p, gamma, lmi='55'):
+    """Largest eigenvalue over all inequalities, rebuilt in NumPy from gains and P.
+
+    Parameters
+    ----------
+    problem : PaperProblem
+        From `paper_problem`.
+    k : ndarray, shape (8, 6, 4)
+        K_i.
+    p : ndarray, shape (6, 6)
+        P.
+    gamma : float
+        Attenuation level.
+    lmi : {'55', '54+disc'}
+        Which set.
+
+    Returns
+    -------
+    float
+        Negative if P > 0 and every inequality holds.
+    """
+    matrices = _inequalities(problem, p, [p @ k_i for k_i in k], gamma**2, lmi)
+    return max(largest_eigenvalue(-p), *(largest_eigenvalue(m) for m in matrices))

@@ -1,0 +1,125 @@
+"""Requirement files: what a design must fulfil."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lpv_core.config import Section, read_yaml
+from lpv_core.errors import ConfigError
+from lpv_design.controller import ControllerRequirement
+from lpv_design.exact_observer import ExactRequirement
+
+SHIPPED = Path(__file__).parent / 'requirements'
+
+
+@dataclass(frozen=True)
+class PaperRequirement:
+    """Requirements of the literal observer design.
+
+    Attributes
+    ----------
+    lmi : {'55', '54+disc'}
+        Literal (55), or (54) and the disc as separate inequalities.
+    sinc_min : float
+        Lower end of the box of phi2 and phi3.
+    gamma : float
+        Attenuation level.
+    q, r : float
+        Disc [1/s].
+    """
+
+    lmi: str = '55'
+    sinc_min: float = 0.96
+    gamma: float = 1.0
+    q: float = 20.0
+    r: float = 15.0
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A whole requirement file.
+
+    Attributes
+    ----------
+    observer : ExactRequirement or PaperRequirement
+        Observer part; its type tells the method.
+    controller : ControllerRequirement
+        Controller part.
+    controller_method : {'paper', 'exact'}
+        Controller method.
+    controller_sinc_min : float
+        Box of the controller's method ``paper``.
+    source : str
+        File name.
+    """
+
+    observer: object
+    controller: ControllerRequirement
+    controller_method: str
+    controller_sinc_min: float
+    source: str
+
+
+def load_requirement(name):
+    """Read a requirement file.
+
+    Parameters
+    ----------
+    name : str or pathlib.Path
+        Path, or the bare name of a shipped one (``paper``, ``paper_literal``, ``real_arm``).
+
+    Returns
+    -------
+    Requirement
+        Validated.
+
+    Raises
+    ------
+    ConfigError
+        Naming the offending field.
+    """
+    path = Path(name)
+    if path.suffix not in ('.yaml', '.yml'):
+        path = SHIPPED / f'{name}.yaml'
+        if not path.exists():
+            known = ', '.join(sorted(p.stem for p in SHIPPED.glob('*.yaml')))
+            raise ConfigError('requirement', f'{name!r} is not shipped; there are {known}')
+    top = Section(read_yaml(path), str(path))
+    observer, controller = top.section('observer'), top.section('controller')
+    requirement = Requirement(
+        observer=_observer(observer), controller=_controller(controller),
+        controller_method=controller.text('method', choices=('paper', 'exact')),
+        controller_sinc_min=controller.number('sinc_min', -0.2, -0.3, 0.99), source=str(path))
+    for section in (observer, controller, top):
+        section.finish()
+    return requirement
+
+
+def _observer(section):
+    if section.text('method', choices=('paper', 'exact')) == 'paper':
+        requirement = PaperRequirement(
+            lmi=section.text('lmi', '55', ('55', '54+disc')),
+            sinc_min=section.number('sinc_min', 0.96, -0.3, 0.999),
+            gamma=section.number('gamma', 1.0, above=0.0),
+            q=section.number('q', 20.0, above=0.0), r=section.number('r', 15.0, above=0.0))
+        if not requirement.r < requirement.q:
+            raise section.error('r', 'must be below q, or the disc reaches unstable poles')
+        return requirement
+    return ExactRequirement(
+        decay=section.number('decay', above=0.0), fastest=_fastest(section, 'decay'),
+        acceleration_noise=section.pair('acceleration_noise', above=0.0),
+        rate_noise=section.number('rate_noise', above=0.0),
+        velocity_weight=section.number('velocity_weight', 0.02, above=0.0))
+
+
+def _controller(section):
+    return ControllerRequirement(
+        alpha=section.number('alpha', above=0.0), fastest=_fastest(section, 'alpha'),
+        state_weight=tuple(section.vector('state_weight', 3, above=0.0)),
+        torque_weight=section.number('torque_weight', above=0.0))
+
+
+def _fastest(section, slowest):
+    fastest = section.number('fastest', above=0.0)
+    if not fastest > section.number(slowest):
+        raise section.error('fastest', f'must be greater than {slowest}')
+    return fastest

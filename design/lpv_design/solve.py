@@ -1,0 +1,46 @@
+"""One way to call the SDP solver."""
+
+import warnings
+
+import cvxpy as cp
+import numpy as np
+
+SOLVER = 'CLARABEL'
+
+
+class InfeasibleError(RuntimeError):
+    """No gains satisfy the inequalities, as rebuilt in NumPy."""
+
+
+def solve(objective, constraints):
+    """Minimise with Clarabel and say what it said.
+
+    The default of cvxpy for SDPs, SCS, calls points optimal that violate their inequalities by
+    1e-2; Clarabel often says ``optimal_inaccurate`` on points that satisfy all.  Callers rebuild
+    the inequalities; the returned word is for the record.
+
+    Parameters
+    ----------
+    objective : cvxpy.Expression
+        Scalar to be minimised (0 for feasibility).
+    constraints : list
+        Constraints.
+
+    Returns
+    -------
+    str
+        Status; the variables then hold values if the solver found a point.
+    """
+    problem = cp.Problem(cp.Minimize(objective), constraints)
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # "may be inaccurate": decided by the rebuilt matrices
+        try:
+            problem.solve(solver=SOLVER)
+        except cp.error.SolverError:
+            return 'solver_error'
+    return problem.status
+
+
+def symmetric_below(matrix, margin=0.0):
+    """Constraint M <= -margin I for an expression that is symmetric by construction."""
+    return 0.5 * (matrix + matrix.T) << -margin * np.eye(matrix.shape[0])

@@ -1,0 +1,303 @@
+"""The observer as nodes and replay use it: joint-space samples in, estimates out.
+
+All bad input ends here, in a stated degraded mode: see :meth:`UnknownInputObserver.update`.
+"""
+
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from lpv_core.errors import SampleError
+from lpv_core.joints import JointMap
+from lpv_core.polytope import inverse_inertia_quadrangle, slope_range
+from lpv_core.state_space import Descriptor, output_matrices, vertex_matrices
+from lpv_core.uio import exact_step, paper_step
+
+NANOSECONDS = 1_000_000_000
+
+
+class Mode(IntEnum):
+    """What the last estimate rests on; values as in lpv_msgs/StateEstimate."""
+
+    OBSERVING = 0
+    HOLDING = 1
+    INITIALISING = 2
+    STALE = 3
+
+
+@dataclass
+class Counters:
+    """How many samples were not usable as they came.
+
+    Attributes
+    ----------
+    duplicates, out_of_order, restarts, not_finite, gaps, late_steps : int
+        Samples with an old stamp; clock set back; NaN or infinite values; intervals longer than
+        the limit; intervals of several sample times (lost samples) that were bridged.
+    """
+
+    duplicates: int = 0
+    out_of_order: int = 0
+    restarts: int = 0
+    not_finite: int = 0
+    gaps: int = 0
+    late_steps: int = 0
+
+
+@dataclass
+class Estimate:
+    """One estimate.
+
+    Attributes
+    ----------
+    stamp : int
+        Time of the measurement [ns].
+    position, velocity : ndarray, shape (2,)
+        Estimated joint positions and rates, ROS joint coordinates [rad], [rad/s].
+    measured_position, measured_velocity : ndarray, shape (2,)
+        The measurement it belongs to, joint coordinates.
+    fault : ndarray, shape (2,)
+        f^ of the physical position sensors [rad].
+    absolute_position : ndarray, shape (2,)
+        Estimated absolute angles theta^ [rad].
+    sensor_position : ndarray, shape (2,)
+        Readings of the physical position sensors [rad].
+    held : ndarray of bool, shape (2,)
+        Links whose configuration carries no gravity information: dead reckoning.
+    missing : ndarray of bool, shape (2,)
+        Position sensors that delivered no finite value; their fault estimate is held.
+    interval : float
+        Time since the previous estimate [s].
+    mode : Mode
+        Summary.
+    """
+
+    stamp: int
+    position: np.ndarray
+    velocity: np.ndarray
+    measured_position: np.ndarray
+    measured_velocity: np.ndarray
+    fault: np.ndarray
+    absolute_position: np.ndarray
+    sensor_position: np.ndarray
+    held: np.ndarray
+    missing: np.ndarray
+    interval: float
+    mode: Mode = field(default=Mode.OBSERVING)
+
+
+class UnknownInputObserver:
+    """Sampled unknown-input observer, eqs. (38)-(53).
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm; its hash must match the gains.
+    gains : Gains
+        Designed gains.
+    initial_samples : int, optional
+        Samples at rest or in motion over which the start value is averaged; the observer assumes
+        no fault before the first sample, because a constant bias is only learnt at the certified
+        decay rate.
+    max_gap : float, optional
+        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
+        encoder's increment and hold the fault estimate.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+
+    def __init__(self, arm, gains, initial_samples=1, max_gap=0.1):
+        gains.check_arm(arm)
+        self.arm = arm
+        self.joints = JointMap(arm)
+        self.counters = Counters()
+        self.method = gains.observer.method
+        self._max_gap = max_gap
+        self._initial_samples = max(1, int(initial_samples))
+        self._s = np.ascontiguousarray(self.joints.sensor_matrix)
+        self._s_inv = np.ascontiguousarray(np.linalg.inv(self._s))
+        c, df = output_matrices(arm)
+        self._c = np.ascontiguousarray(np.hstack([c, df]))
+        self._t1 = np.ascontiguousarray(gains.observer.t1)
+        self._t2 = np.ascontiguousarray(gains.observer.t2)
+        self._k = np.ascontiguousarray(gains.observer.k)
+        self._constants = arm.constants()
+        self._low, self._high = slope_range(arm)
+        # The hull of slopes starts at |cos| = 1; no rounding of the cosine may leave it.
+        self._low = np.where(self._low <= -1.0, -1.0 - 1e-9, self._low)
+        self._high = np.where(self._high >= 1.0, 1.0 + 1e-9, self._high)
+        self._corners = inverse_inertia_quadrangle(self._constants)
+        self._box = np.ascontiguousarray(gains.observer.box)
+        if self.method == 'paper':
+            a, b = vertex_matrices(self._box, arm.constants(coriolis=False))
+            descriptor = Descriptor(a, b, arm)
+            self._a_vertices, self._b_vertices = descriptor.a, descriptor.b
+        self._allocate()
+        self.reset()
+
+    def _allocate(self):
+        self._z, self._x = np.zeros(6), np.zeros(6)
+        self._scratch = np.zeros((5, 6))
+        self._k_now, self._a_now, self._b_now = np.zeros((6, 4)), np.zeros((6, 6)), np.zeros((6, 2))
+        self._rho = np.zeros(16 if self.method == 'exact' else 8)
+        self._held = np.zeros(2, dtype=bool)
+        self._y = np.zeros(4)
+        self._torque = np.zeros(2)
+
+    def reset(self):
+        """Forget everything but the counters; the next sample starts anew."""
+        self._stamp = None
+        self._started = 0
+        self._held[:] = False
+
+    @property
+    def stamp(self):
+        """Stamp of the last accepted sample [ns], or None."""
+        return self._stamp
+
+    def update(self, stamp, position, velocity, effort):
+        """Take one measurement and return the estimate at its time.
+
+        Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s
+        back means that time restarted, and so does the observer; a position that is not finite
+        is bridged with the last fault estimate of that sensor (the state estimate does not need
+        it); a velocity or effort that is not finite drops the sample; an interval above
+        ``max_gap`` re-anchors the estimate.
+
+        Parameters
+        ----------
+        stamp : int
+            Time of measurement [ns].
+        position, velocity : sequence of two floats
+            Joint positions [rad] and rates [rad/s] as in ``sensor_msgs/JointState``, in the
+            order of the arm file.
+        effort : sequence of two floats
+            Joint torques that acted over the interval that ends at ``stamp`` [N m].
+
+        Returns
+        -------
+        Estimate or None
+            None if the sample was dropped.
+
+        Raises
+        ------
+        SampleError
+            If a vector has not two elements.
+        """
+        position, velocity, effort = (_two(position, 'position'), _two(velocity, 'velocity'),
+                                      _two(effort, 'effort'))
+        if not (np.isfinite(velocity).all() and np.isfinite(effort).all()):
+            self.counters.not_finite += 1
+            return None
+        interval = self._interval(stamp)
+        if interval is None:
+            return None
+        y, missing = self._outputs(position, velocity)
+        if self._stamp is None:
+            if missing.any():
+                return None  # a start value needs both sensors
+            self._start(y)
+        elif interval > self._max_gap:
+            self._bridge(y)
+        else:
+            self._advance(y, self.joints.absolute_torque(effort), interval)
+        if not np.isfinite(self._x).all():
+            # Can only follow from absurd input (1e300 rad/s); never let it out.
+            self.counters.not_finite += 1
+            self.reset()
+            return None
+        self._stamp = stamp
+        self._y[:] = y
+        self._started += 1
+        return self._result(stamp, y, missing, interval)
+
+    def _interval(self, stamp):
+        if self._stamp is None:
+            return 0.0
+        delta = stamp - self._stamp
+        if delta > 0:
+            return delta / NANOSECONDS
+        if delta < -NANOSECONDS:
+            self.counters.restarts += 1
+            self.reset()
+            return 0.0
+        if delta == 0:
+            self.counters.duplicates += 1
+        else:
+            self.counters.out_of_order += 1
+        return None
+
+    def _outputs(self, position, velocity):
+        y = np.empty(4)
+        y[:2] = self.joints.sensor_position(position)
+        y[2:] = self.joints.sensor_velocity(velocity)
+        missing = ~np.isfinite(y[:2])
+        if missing.any():
+            self.counters.not_finite += 1
+            if self._stamp is not None:
+                # S theta^ + f^ is what the sensor would say if its fault stayed as it is.
+                ahead = self._s @ self._x[:2] + self._x[4:]
+                y[:2] = np.where(missing, ahead, y[:2])
+        return y, missing
+
+    def _start(self, y):
+        theta = self._s_inv @ y[:2]
+        self._x[:] = np.concatenate([theta, self._s_inv @ y[2:], np.zeros(2)])
+        self._z[:] = self._x - self._t2 @ y
+        self._y[:] = y
+        self._started = 0
+
+    def _bridge(self, y):
+        """Re-anchor after a gap: the encoder's increment is all that is known of it."""
+        self.counters.gaps += 1
+        theta = self._s_inv @ (y[:2] - self._x[4:])
+        self._x[:2], self._x[2:4] = theta, self._s_inv @ y[2:]
+        self._z[:] = self._x - self._t2 @ y
+
+    def _advance(self, y, torque, interval):
+        steps = max(1, math.ceil(interval / (1.5 * self.arm.sample_time)))
+        if steps > 1:
+            self.counters.late_steps += 1
+        self._torque[:] = torque
+        before = self._y.copy()
+        dt = interval / steps
+        for i in range(1, steps + 1):
+            after = y if i == steps else before + (y - self._y) / steps
+            self._step(before, after, dt)
+            before = after
+
+    def _step(self, y_old, y_new, dt):
+        if self.method == 'exact':
+            exact_step(self._z, y_old, y_new, self._torque, dt, self._k, self._t1, self._t2,
+                       self._c, self._s, self._s_inv, self._constants, self._low, self._high,
+                       self._corners, self._held, self._x, self._scratch, self._k_now, self._rho)
+        else:
+            paper_step(self._z, y_old, y_new, self._torque, dt, self._k, self._t1, self._t2,
+                       self._c, self._a_vertices, self._b_vertices, self._box, self._x,
+                       self._scratch, self._k_now, self._a_now, self._b_now, self._rho)
+
+    def _result(self, stamp, y, missing, interval):
+        if self._started <= self._initial_samples:
+            mode = Mode.INITIALISING
+        else:
+            mode = Mode.HOLDING if self._held.any() else Mode.OBSERVING
+        x = self._x
+        return Estimate(
+            stamp=stamp, position=self.joints.joint_position(x[:2]),
+            velocity=self.joints.joint_velocity(x[2:4]),
+            measured_position=self.joints.joint_from_sensor(y[:2]),
+            measured_velocity=self.joints.joint_velocity_from_sensor(y[2:]),
+            fault=x[4:].copy(), absolute_position=x[:2].copy(), sensor_position=y[:2].copy(),
+            held=self._held.copy(), missing=missing, interval=interval, mode=mode)
+
+
+def _two(values, name):
+    array = np.asarray(values, dtype=float)
+    if array.shape != (2,):
+        raise SampleError(f'{name} must have 2 values, one a joint, got shape {array.shape}')
+    return array

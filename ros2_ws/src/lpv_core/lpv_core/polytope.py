@@ -1,0 +1,283 @@
+"""Polytopic descriptions of the arm: the paper's box and an exact polytope.
+
+**Paper** (eqs. (6), (9)-(20)): three scheduling variables phi1 = cos(theta1 - theta2),
+phi2 = sinc(theta1), phi3 = sinc(theta2) in a box of 2^3 = 8 vertices.  Interpolating
+A_i = pi_i^-1 [...] over that box does not reproduce Xi(theta)^-1: at phi1 = 0 the interpolated
+input matrix of the paper's arm is 1.83 times the true one.
+
+**Exact**: the pair (x, y) = (1/det Xi, Xi12/det Xi) gives Xi^-1 = [[Xi22 x, -y], [-y, Xi11 x]]
+linearly.  It runs on a convex arc, which a quadrangle of two end points and two tangent
+intersections contains.  With the two slopes of gravity, cos(xi_1) and cos(xi_2) in the mean-value
+form sin(theta) - sin(thetahat) = cos(xi) (theta - thetahat), A and B are multi-affine, and
+4 x 2 x 2 = 16 vertices contain the arm and its error dynamics exactly.
+"""
+
+import math
+from itertools import product
+
+import numpy as np
+
+from lpv_core.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.jit import njit
+
+PHI_1_RANGE = (-1.0, 1.0)
+PUBLISHED_SINC_RANGE = (-0.2, 1.0)
+"""Box of phi2 and phi3 in eq. (9): sinc falls to -0.2172 at 4.49 rad, -0.2 is the paper's figure."""
+
+# ------------------------------------------------------------------ the paper's box
+
+
+@njit
+def sinc(angle):
+    """sin(angle)/angle with its limit 1 at 0, eq. (9)."""
+    if abs(angle) < 1e-4:
+        return 1.0 - angle * angle / 6.0
+    return math.sin(angle) / angle
+
+
+@njit
+def paper_scheduling(theta_1, theta_2):
+    """Scheduling variables (phi1, phi2, phi3) of eqs. (6) and (9).
+
+    Parameters
+    ----------
+    theta_1, theta_2 : float
+        Absolute angles [rad].
+
+    Returns
+    -------
+    tuple of float
+        phi1, phi2, phi3.
+    """
+    return math.cos(theta_1 - theta_2), sinc(theta_1), sinc(theta_2)
+
+
+@njit
+def paper_weights(phi_1, phi_2, phi_3, box, out):
+    """Vertex weights rho_1..rho_8 of eqs. (11)-(12), written to ``out``.
+
+    Variables outside the box are clipped to it: weights stay in [0, 1] and sum to one.
+
+    Parameters
+    ----------
+    phi_1, phi_2, phi_3 : float
+        Scheduling variables.
+    box : ndarray, shape (3, 2)
+        Minimum and maximum of each variable.
+    out : ndarray, shape (8,)
+        Receives the weights; vertex 1 is (min, min, min), vertex 8 (max, max, max).
+    """
+    a1 = min(max((box[0, 1] - phi_1) / (box[0, 1] - box[0, 0]), 0.0), 1.0)
+    a2 = min(max((box[1, 1] - phi_2) / (box[1, 1] - box[1, 0]), 0.0), 1.0)
+    a3 = min(max((box[2, 1] - phi_3) / (box[2, 1] - box[2, 0]), 0.0), 1.0)
+    out[0] = a1 * a2 * a3
+    out[1] = a1 * a2 * (1.0 - a3)
+    out[2] = a1 * (1.0 - a2) * a3
+    out[3] = a1 * (1.0 - a2) * (1.0 - a3)
+    out[4] = (1.0 - a1) * a2 * a3
+    out[5] = (1.0 - a1) * a2 * (1.0 - a3)
+    out[6] = (1.0 - a1) * (1.0 - a2) * a3
+    out[7] = (1.0 - a1) * (1.0 - a2) * (1.0 - a3)
+
+
+def paper_vertices(box):
+    """Vertices omega_i of eq. (10) in the order of the weights (11).
+
+    The paper lists the gravity matrices (17)-(20) with phi2 and phi3 exchanged in vertices 2, 3,
+    6, 7; the order here is the one that the weights (11) imply.
+
+    Parameters
+    ----------
+    box : array_like, shape (3, 2)
+        Minimum and maximum of phi1, phi2, phi3.
+
+    Returns
+    -------
+    ndarray, shape (8, 3)
+        One vertex a row.
+    """
+    return np.array(list(product(*np.asarray(box, float))))
+
+
+def sinc_box(s_min, s_max=1.0):
+    """Return the box with phi2, phi3 in [s_min, s_max] and phi1 in [-1, 1].
+
+    Parameters
+    ----------
+    s_min, s_max : float
+        Range of the two sincs.
+
+    Returns
+    -------
+    ndarray, shape (3, 2)
+        The box.
+    """
+    return np.array([PHI_1_RANGE, (s_min, s_max), (s_min, s_max)])
+
+
+# ------------------------------------------------------------------ the exact polytope
+
+
+def inverse_inertia_quadrangle(c):
+    """Quadrangle that contains (1/det Xi, Xi12/det Xi) for every configuration.
+
+    Parameters
+    ----------
+    c : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    ndarray, shape (4, 2)
+        Corners in circular order: end of the arc, two tangent intersections, other end.
+    """
+    low, high = c[O_12] - c[B_12], c[O_12] + c[B_12]
+    middle = 0.5 * (low + high)
+
+    def point(s):
+        det = c[A_11] * c[C_22] - s * s
+        return np.array([1.0 / det, s / det])
+
+    def tangent(s):
+        det = c[A_11] * c[C_22] - s * s
+        return np.array([2.0 * s / det**2, (det + 2.0 * s * s) / det**2])
+
+    def intersection(s, r):
+        p, q = point(s), point(r)
+        step = np.linalg.solve(np.column_stack([tangent(s), -tangent(r)]), q - p)
+        return p + step[0] * tangent(s)
+
+    return np.array([point(low), intersection(low, middle), intersection(middle, high),
+                     point(high)])
+
+
+@njit
+def _area(p0, p1, q0, q1, r0, r1):
+    return abs((q0 - p0) * (r1 - p1) - (r0 - p0) * (q1 - p1))
+
+
+@njit
+def quadrangle_weights(x, y, corners, out):
+    """Generalised barycentric (Wachspress) coordinates of a point in a convex quadrangle.
+
+    Parameters
+    ----------
+    x, y : float
+        The point, inside or on the border.
+    corners : ndarray, shape (4, 2)
+        Corners in circular order.
+    out : ndarray, shape (4,)
+        Receives the weights: not negative, sum one, reproduce the point.
+    """
+    total = 0.0
+    for i in range(4):
+        before, after, opposite = (i + 3) % 4, (i + 1) % 4, (i + 2) % 4
+        corner = _area(corners[before, 0], corners[before, 1], corners[i, 0], corners[i, 1],
+                       corners[after, 0], corners[after, 1])
+        edge_1 = _area(x, y, corners[after, 0], corners[after, 1],
+                       corners[opposite, 0], corners[opposite, 1])
+        edge_2 = _area(x, y, corners[opposite, 0], corners[opposite, 1],
+                       corners[before, 0], corners[before, 1])
+        out[i] = corner * edge_1 * edge_2
+        total += out[i]
+    for i in range(4):
+        out[i] /= total
+
+
+@njit
+def exact_weights(theta_1, theta_2, slope_low, slope_high, corners, c, work, out):
+    """Weights of the 16 vertices of the exact polytope, written to ``out``.
+
+    Slopes outside their range are clipped to it; the caller decides what that means
+    (see :func:`lpv_core.uio.exact_step`).
+
+    Parameters
+    ----------
+    theta_1, theta_2 : float
+        Absolute angles [rad].
+    slope_low, slope_high : ndarray, shape (2,)
+        Range of cos(theta_i) in the region.
+    corners : ndarray, shape (4, 2)
+        From :func:`inverse_inertia_quadrangle`.
+    c : ndarray, shape (12,)
+        Constants of the arm.
+    work : ndarray, shape (4,)
+        Scratch.
+    out : ndarray, shape (16,)
+        Receives the weights in the order of :func:`exact_vertices`.
+    """
+    off = c[O_12] + c[B_12] * math.cos(theta_1 - theta_2)
+    det = c[A_11] * c[C_22] - off * off
+    quadrangle_weights(1.0 / det, off / det, corners, work)
+    a1 = (math.cos(theta_1) - slope_low[0]) / (slope_high[0] - slope_low[0])
+    a2 = (math.cos(theta_2) - slope_low[1]) / (slope_high[1] - slope_low[1])
+    a1 = min(max(a1, 0.0), 1.0)
+    a2 = min(max(a2, 0.0), 1.0)
+    for i in range(4):
+        out[4 * i] = work[i] * (1.0 - a1) * (1.0 - a2)
+        out[4 * i + 1] = work[i] * (1.0 - a1) * a2
+        out[4 * i + 2] = work[i] * a1 * (1.0 - a2)
+        out[4 * i + 3] = work[i] * a1 * a2
+
+
+def slope_range(arm):
+    """Range of the gravity slopes cos(theta_i) in the arm's operating region.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its ``orientation`` and ``cos_min``.
+
+    Returns
+    -------
+    tuple of ndarray
+        Lower and upper ends, shape (2,) each.
+    """
+    near = np.array(arm.cos_min)
+    if arm.orientation == 'upright':
+        return near, np.ones(2)
+    return -np.ones(2), -near
+
+
+def exact_vertices(arm):
+    """Vertices of the exact polytope.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm and its region.
+
+    Returns
+    -------
+    ndarray, shape (16, 4)
+        Rows (x, y, cos1, cos2) in the order of :func:`exact_weights`.
+    """
+    low, high = slope_range(arm)
+    corners = inverse_inertia_quadrangle(arm.constants())
+    return np.array([[x, y, c1, c2] for x, y in corners
+                     for c1 in (low[0], high[0]) for c2 in (low[1], high[1])])
+
+
+def exact_state_space(vertex, c):
+    """State matrices of the error dynamics at one vertex of the exact polytope.
+
+    Parameters
+    ----------
+    vertex : sequence of four floats
+        (1/det Xi, Xi12/det Xi, cos xi_1, cos xi_2).
+    c : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of ndarray
+        A, shape (4, 4), and B, shape (4, 2); cf. eqs. (27), (28).
+    """
+    x, y, cos_1, cos_2 = vertex
+    inverse = np.array([[c[C_22] * x, -y], [-y, c[A_11] * x]])
+    a = np.zeros((4, 4))
+    a[:2, 2:] = np.eye(2)
+    a[2:, :2] = inverse @ np.diag([c[G_1] * cos_1, c[G_2] * cos_2])
+    b = np.zeros((4, 2))
+    b[2:] = inverse
+    return a, b

@@ -1,0 +1,173 @@
+"""What happens in a simulated run: path, faults, noise, disturbance, plant; from one YAML file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lpv_core.config import Section, read_yaml
+from lpv_core.faults import KINDS, Fault
+from lpv_core.kinematics import ELBOWS
+from lpv_core.path import CartesianPath, Obstacle
+
+PLANTS = ('nonlinear', 'nonlinear_without_coriolis', 'lpv')
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A simulated run.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    duration : float
+        Length [s].
+    seed : int
+        Seed of all randomness.
+    plant : str
+        One of `PLANTS`: the true arm, the arm of eq. (4), or the paper's LPV plant (25).
+    sinc_min : float
+        Lower end of the box of phi2, phi3 of the LPV plant.
+    mass_factors, inertia_factors : tuple of float
+        Model error: true over nominal, per link.
+    payload : float
+        Point mass at the tip that no model knows [kg].
+    noise, disturbance : bool
+        Whether sensors are noisy and d acts.
+    times : tuple of float
+        Waypoint times [s].
+    points : tuple
+        Waypoints (x, y) [m].
+    elbow : str
+        Branch.
+    obstacle : Obstacle or None
+        Obstacle of the path.
+    faults : tuple of Fault
+        Scheduled faults.
+    """
+
+    name: str
+    duration: float
+    seed: int
+    plant: str
+    sinc_min: float
+    mass_factors: tuple
+    inertia_factors: tuple
+    payload: float
+    noise: bool
+    disturbance: bool
+    times: tuple
+    points: tuple
+    elbow: str
+    obstacle: Obstacle
+    faults: tuple
+
+    def path(self, arm):
+        """Build the Cartesian path for an arm.
+
+        Parameters
+        ----------
+        arm : ArmParameters
+            The arm.
+
+        Returns
+        -------
+        CartesianPath
+            The path.
+        """
+        return CartesianPath(arm, self.times, np.array(self.points), self.elbow, self.obstacle)
+
+    def true_arm(self, arm):
+        """The plant's arm: nominal parameters with model error and payload.
+
+        Parameters
+        ----------
+        arm : ArmParameters
+            Nominal arm.
+
+        Returns
+        -------
+        ArmParameters
+            What is simulated.
+        """
+        scaled = arm.scaled(self.mass_factors, self.inertia_factors)
+        return scaled.with_payload(self.payload) if self.payload else scaled
+
+
+def load_scenario(path):
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        YAML file; see ``docs/scenario-file.md``.
+
+    Returns
+    -------
+    Scenario
+        Validated.
+
+    Raises
+    ------
+    ConfigError
+        Naming the offending field.
+    """
+    return parse_scenario(read_yaml(path), str(Path(path)))
+
+
+def parse_scenario(data, source='scenario'):
+    """Build a scenario from the mapping of a scenario file.
+
+    Parameters
+    ----------
+    data : dict
+        Content.
+    source : str, optional
+        Name for error messages.
+
+    Returns
+    -------
+    Scenario
+        Validated.
+
+    Raises
+    ------
+    ConfigError
+        As `load_scenario`.
+    """
+    top = Section(data, source)
+    path = top.section('path')
+    waypoints = path.sections('waypoints')
+    times = tuple(w.number('t', low=0.0) for w in waypoints)
+    points = tuple((w.number('x'), w.number('y')) for w in waypoints)
+    obstacle = None
+    if 'obstacle' in path:
+        section = path.section('obstacle')
+        obstacle = Obstacle(section.pair('center'), section.number('radius', above=0.0))
+        section.finish()
+    elbow = path.text('elbow', 'positive', tuple(ELBOWS))
+    for section in (*waypoints, path):
+        section.finish()
+    plant = top.section('plant', required=False)
+    scenario = Scenario(
+        name=top.text('name'), duration=top.number('duration', above=0.0, high=1e6),
+        seed=top.integer('seed', 1, low=0), plant=plant.text('model', 'nonlinear', PLANTS),
+        sinc_min=plant.number('sinc_min', -0.2, -0.3, 0.99),
+        mass_factors=plant.pair('mass_factors', 1.0, above=0.0),
+        inertia_factors=plant.pair('inertia_factors', 1.0, above=0.0),
+        payload=plant.number('payload', 0.0, low=0.0), noise=top.flag('noise', True),
+        disturbance=top.flag('disturbance', True), times=times, points=points, elbow=elbow,
+        obstacle=obstacle, faults=tuple(_fault(s) for s in top.sections('faults', [])))
+    plant.finish()
+    top.finish()
+    return scenario
+
+
+def _fault(section):
+    fault = Fault(
+        sensor=section.text('sensor'), kind=section.text('kind', choices=KINDS),
+        onset=section.number('onset', low=0.0), duration=section.number('duration', 0.0, low=0.0),
+        size=section.number('size', 0.0), rate=section.number('rate', 0.0))
+    section.finish()
+    return fault
