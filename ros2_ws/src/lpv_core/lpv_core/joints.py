@@ -22,6 +22,20 @@ J = np.array([[1.0, 0.0], [-1.0, 1.0]])
 J_INVERSE = np.array([[1.0, 0.0], [1.0, 1.0]])
 
 
+
+def _apply(matrix, values):
+    """matrix @ values over the last axis, leaving zero coefficients out.
+
+    A sensor that delivers NaN must not spoil readings that do not depend on it: 0*NaN is NaN.
+    """
+    values = np.asarray(values, float)
+    rows = []
+    for row in matrix:
+        terms = [c * values[..., j] for j, c in enumerate(row) if c != 0.0]
+        rows.append(sum(terms[1:], terms[0]))
+    return np.stack(rows, axis=-1)
+
+
 class JointMap:
     """Conversions for one arm; every method takes and returns arrays of shape (..., 2).
 
@@ -39,44 +53,45 @@ class JointMap:
     def __init__(self, arm):
         self._zero = np.array([arm.zero_angle, 0.0])
         self.sensor_matrix = np.eye(2) if arm.arrangement == 'absolute' else J.copy()
-        self._sensor_inverse = np.linalg.inv(self.sensor_matrix)
+        self._from_joint = self.sensor_matrix @ J_INVERSE
+        self._to_joint = J @ np.linalg.inv(self.sensor_matrix)
 
     def absolute_position(self, joint):
         """Absolute angles [rad] from joint positions [rad]."""
-        return (np.asarray(joint, float) + self._zero) @ J_INVERSE.T
+        return _apply(J_INVERSE, np.asarray(joint, float) + self._zero)
 
     def joint_position(self, absolute):
         """Joint positions [rad] from absolute angles [rad]."""
-        return np.asarray(absolute, float) @ J.T - self._zero
+        return _apply(J, absolute) - self._zero
 
     def absolute_velocity(self, joint):
         """Absolute rates from joint rates; also accelerations [rad/s], [rad/s2]."""
-        return np.asarray(joint, float) @ J_INVERSE.T
+        return _apply(J_INVERSE, joint)
 
     def joint_velocity(self, absolute):
         """Joint rates from absolute rates; also accelerations [rad/s], [rad/s2]."""
-        return np.asarray(absolute, float) @ J.T
+        return _apply(J, absolute)
 
     def absolute_torque(self, joint):
         """Generalised torques Q of the absolute angles from joint torques tau [N m]."""
-        return np.asarray(joint, float) @ J
+        return _apply(J.T, joint)
 
     def joint_torque(self, absolute):
         """Joint torques tau from generalised torques Q of the absolute angles [N m]."""
-        return np.asarray(absolute, float) @ J_INVERSE
+        return _apply(J_INVERSE.T, absolute)
 
     def sensor_position(self, joint):
         """Readings S theta of the physical sensors [rad] from joint positions [rad]."""
-        return self.absolute_position(joint) @ self.sensor_matrix.T
+        return _apply(self._from_joint, np.asarray(joint, float) + self._zero)
 
     def joint_from_sensor(self, sensor):
         """Joint positions [rad] from readings of the physical sensors [rad]."""
-        return self.joint_position(np.asarray(sensor, float) @ self._sensor_inverse.T)
+        return _apply(self._to_joint, sensor) - self._zero
 
     def sensor_velocity(self, joint):
         """Rates S theta' [rad/s] from joint rates [rad/s]."""
-        return self.absolute_velocity(joint) @ self.sensor_matrix.T
+        return _apply(self._from_joint, joint)
 
     def joint_velocity_from_sensor(self, sensor):
         """Joint rates [rad/s] from rates S theta' [rad/s]."""
-        return self.joint_velocity(np.asarray(sensor, float) @ self._sensor_inverse.T)
+        return _apply(self._to_joint, sensor)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.dynamics import rk4_step
+from lpv_core.dynamics import inverse_dynamics, rk4_step
 from lpv_core.faults import FaultInjector
 from lpv_core.joints import JointMap
 from lpv_core.polytope import sinc_box
@@ -120,6 +120,19 @@ class ArmSimulator:
             self._disturbance = (self.arm.disturbance_mean + np.sqrt(self.arm.disturbance_variance)
                                  * self._push.standard_normal())
         self._integrate()
+        self.step_count += 1
+        self._reading = None
+
+    def hold(self):
+        """Let one sample time pass with the brakes engaged: no motion, no disturbance felt.
+
+        Drives brake until the first command and after a safe stop; the torque sensors then read
+        what holds the arm.
+        """
+        self._state[2:] = 0.0
+        holding = inverse_dynamics(*self._state, 0.0, 0.0, self._constants)
+        self._torque = self.joints.joint_torque(np.array(holding))
+        self._disturbance = 0.0
         self.step_count += 1
         self._reading = None
 

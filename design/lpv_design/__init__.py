@@ -1,0 +1,1 @@
+"""Design of observer and controller gains by linear matrix inequalities."""

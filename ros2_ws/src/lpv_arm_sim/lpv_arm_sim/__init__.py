@@ -1,0 +1,1 @@
+"""Simulated two-link arm with faulty joint sensors."""

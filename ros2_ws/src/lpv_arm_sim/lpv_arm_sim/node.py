@@ -1,0 +1,191 @@
+"""Simulator node: publishes faulty joint measurements of a simulated arm."""
+
+import sys
+from dataclasses import replace
+
+from builtin_interfaces.msg import Time
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+
+from lpv_arm_sim.services import FaultServices
+from lpv_core.arm import load_arm
+from lpv_core.scenario import load_scenario
+from lpv_core.simulation import ArmSimulator
+from lpv_msgs.msg import GroundTruth, TorqueCommand
+from lpv_node.managed import ManagedNode, run_node
+from lpv_node.parameters import Spec, required_text
+from lpv_node.qos import stream
+from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds
+
+SPECS = (
+    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
+    Spec('scenario_file', '', 'scenario file (YAML)', read_only=True),
+    Spec('seed', -1, 'seed of noise and disturbance; -1 takes the scenario\'s', -1, 2**31 - 1,
+         read_only=True),
+    Spec('substeps', 2, 'Runge-Kutta steps per sample', 1, 100, read_only=True),
+    Spec('shutdown_at_end', False, 'exit with code 0 after the scenario\'s duration; otherwise '
+         'the arm goes on at the end of its path', read_only=True),
+    Spec('command_timeout', 0.2, 'real time only: brake when no torque command came for so long '
+         '[s]', 0.01, 60.0, read_only=True),
+    Spec('start_time', 1.0, 'lockstep only: stamp of the first sample [s]; zero means "not set" '
+         'in ROS', 0.001, 1e9, read_only=True),
+)
+
+_CATCH_UP = 5
+"""Most samples made up for in one late tick; beyond, the arm's time slips and is counted."""
+
+
+class SimulatorNode(ManagedNode):
+    """Simulated arm in real time, or in lockstep with /clock.
+
+    Topics: publishes ``joint_states`` (sensor_msgs/JointState), ``ground_truth``
+    (lpv_msgs/GroundTruth, for recording only) and, in lockstep, ``/clock``; subscribes
+    ``torque_command``.  Services: ``~/inject_fault``, ``~/clear_faults``.
+
+    Until the first command, after a safe stop, and in real time when commands stay away, the
+    drives brake and hold the arm where it is.
+    """
+
+    def __init__(self):
+        super().__init__('arm_sim', SPECS)
+        self._command_in = self._ticker = None
+        self._command = None
+        self._waiting = None
+        self._slips = 0
+
+    def setup(self):
+        """Read arm and scenario, create publishers and services."""
+        self._arm = load_arm(required_text(self, 'arm_file'))
+        scenario = load_scenario(required_text(self, 'scenario_file'))
+        seed = self.get_parameter('seed').value
+        if seed >= 0:
+            scenario = _with_seed(scenario, seed)
+        self._scenario = scenario
+        self._plant = ArmSimulator(self._arm, scenario, self.get_parameter('substeps').value)
+        self._period = round(self._arm.sample_time * NANOSECONDS)
+        self._last = round(scenario.duration / self._arm.sample_time)
+        qos = stream(self.lockstep)
+        self._joint_states_out = self.create_publisher(JointState, 'joint_states', qos)
+        self._truth_out = self.create_publisher(GroundTruth, 'ground_truth', qos)
+        self._clock_out = self.create_publisher(ClockMessage, '/clock', qos) if self.lockstep else None
+        self._faults = FaultServices(self, self._plant)
+        self._state_message = JointState(name=list(self._arm.joint_names))
+        self._state_message.header.frame_id = 'base_link'
+        self._truth_message = GroundTruth()
+        self._truth_message.header.frame_id = self._arm.name
+
+    def outputs(self):
+        """Publishers to be matched before the first sample."""
+        return [self._joint_states_out]
+
+    def begin(self):
+        """Start stepping."""
+        self._command_in = self.create_subscription(
+            TorqueCommand, 'torque_command', self._on_command, stream(self.lockstep))
+        if self.lockstep:
+            self._start = round(self.get_parameter('start_time').value * NANOSECONDS)
+            self.get_logger().info(f'lockstep, {self._last} steps of {self._arm.sample_time} s')
+            self._publish()
+        else:
+            self._start = self.get_clock().now().nanoseconds
+            self.get_logger().info(f'real time, {1.0 / self._arm.sample_time:.0f} Hz')
+            self._ticker = self.steady_timer(self._arm.sample_time, self._tick)
+
+    def end(self):
+        """Stop stepping."""
+        for item, destroy in ((self._command_in, self.destroy_subscription),
+                              (self._ticker, self.destroy_timer)):
+            if item is not None:
+                destroy(item)
+        self._command_in = self._ticker = None
+
+    @property
+    def _stamp(self):
+        return self._start + self._plant.step_count * self._period
+
+    def _on_command(self, message):
+        """Lockstep: the answer to the present sample makes the next step. Real time: store it."""
+        if self.lockstep and to_nanoseconds(message.header.stamp) != self._waiting:
+            return  # a command for an older sample, e.g. of a tracker that was restarted
+        self._command = message
+        self._command_step = self._plant.step_count
+        if self.lockstep:
+            self._advance()
+            self._publish()
+
+    def _tick(self):
+        behind = (self.get_clock().now().nanoseconds - self._stamp) // self._period
+        if behind > _CATCH_UP:
+            slip = behind - 1
+            self._start += slip * self._period
+            self._slips += slip
+            behind = 1
+        for _ in range(max(0, behind)):
+            self._advance()
+            self._publish()
+            if self.finished:
+                return
+
+    def _advance(self):
+        command = self._command
+        if command is None or command.safe_stop or self._expired():
+            self._plant.hold()
+            return
+        try:
+            self._plant.step(command.torque)
+        except ValueError as error:
+            self.get_logger().error(f'{error}: braking', throttle_duration_sec=1.0)
+            self._plant.hold()
+
+    def _expired(self):
+        if self.lockstep:
+            return False
+        age = (self._plant.step_count - self._command_step) * self._arm.sample_time
+        return age > self.get_parameter('command_timeout').value
+
+    def _publish(self):
+        measurement, truth = self._plant.sense()
+        stamp = self._stamp
+        self._waiting = stamp
+        if self._clock_out is not None:
+            clock = ClockMessage(clock=Time())
+            set_stamp(clock.clock, stamp)
+            self._clock_out.publish(clock)
+        self._publish_truth(stamp, truth, measurement)
+        message = self._state_message
+        set_stamp(message.header.stamp, stamp)
+        message.position = measurement.position.tolist()
+        message.velocity = measurement.velocity.tolist()
+        message.effort = measurement.effort.tolist()
+        self._joint_states_out.publish(message)
+        self._report_progress()
+
+    def _publish_truth(self, stamp, truth, measurement):
+        message = self._truth_message
+        set_stamp(message.header.stamp, stamp)
+        message.position, message.velocity = truth.position, truth.velocity
+        message.torque, message.fault = measurement.effort, truth.fault
+        message.disturbance = float(truth.disturbance)
+        self._truth_out.publish(message)
+
+    def _report_progress(self):
+        step = self._plant.step_count
+        if step % max(1, round(1.0 / self._arm.sample_time)) == 0 and step <= self._last:
+            slipped = f', {self._slips} samples slipped' if self._slips else ''
+            self.get_logger().info(
+                f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{slipped}')
+        if step == self._last and self.get_parameter('shutdown_at_end').value:
+            self.finish()
+
+
+def _with_seed(scenario, seed):
+    return replace(scenario, seed=seed)
+
+
+def main(argv=None):
+    """Entry point of ``ros2 run lpv_arm_sim simulator``."""
+    sys.exit(run_node(SimulatorNode, argv))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,70 @@
+"""Services that inject and clear faults on the running simulator."""
+
+from lpv_core.errors import LpvError
+from lpv_core.faults import Fault
+from lpv_msgs.srv import ClearFaults, InjectFault
+
+
+class FaultServices:
+    """``~/inject_fault`` and ``~/clear_faults``.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Owns the services.
+    plant : ArmSimulator
+        Receives the faults.
+    """
+
+    def __init__(self, node, plant):
+        self._node, self._plant = node, plant
+        node.create_service(InjectFault, '~/inject_fault', self.inject)
+        node.create_service(ClearFaults, '~/clear_faults', self.clear)
+
+    def inject(self, request, response):
+        """Start a fault now.
+
+        Parameters
+        ----------
+        request, response
+            lpv_msgs/InjectFault.
+
+        Returns
+        -------
+        lpv_msgs.srv.InjectFault.Response
+            ``success``, and the reason where it is refused.
+        """
+        fault = Fault(request.sensor, request.kind, self._plant.time, request.duration,
+                      request.size, request.rate)
+        try:
+            self._plant.injector.add(fault)
+        except LpvError as error:
+            response.success, response.message = False, str(error)
+            return response
+        response.success = True
+        response.message = f'{fault.kind} on {fault.sensor} from {fault.onset:.3f} s on'
+        self._node.get_logger().info('injected ' + response.message)
+        return response
+
+    def clear(self, request, response):
+        """Remove faults of one sensor or of all.
+
+        Parameters
+        ----------
+        request, response
+            lpv_msgs/ClearFaults.
+
+        Returns
+        -------
+        lpv_msgs.srv.ClearFaults.Response
+            ``success``, the number removed, or the reason where it is refused.
+        """
+        try:
+            response.cleared = self._plant.injector.clear(request.sensor)
+        except LpvError as error:
+            response.success, response.message = False, str(error)
+            return response
+        response.success = True
+        response.message = f'{response.cleared} faults cleared'
+        self._node.get_logger().info(response.message)
+        return response

@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+PACKAGE = 'lpv_arm_sim'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+        ('share/' + PACKAGE, ['package.xml']),
+    ],
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='lpv-arm-fdi maintainers',
+    maintainer_email='maintainers@example.org',
+    description='Simulated two-link arm with faulty joint sensors.',
+    license='Apache-2.0',
+    entry_points={'console_scripts': ['simulator = lpv_arm_sim.node:main']},
+)

@@ -1,0 +1,1 @@
+"""Launch files, arm files, scenarios and parameters."""

@@ -1,0 +1,26 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'lpv_bringup'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+        ('share/' + PACKAGE, ['package.xml']),
+        (f'share/{PACKAGE}/arms', glob('arms/*')),
+        (f'share/{PACKAGE}/config', glob('config/*')),
+        (f'share/{PACKAGE}/launch', glob('launch/*')),
+        (f'share/{PACKAGE}/scenarios', glob('scenarios/*')),
+    ],
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='lpv-arm-fdi maintainers',
+    maintainer_email='maintainers@example.org',
+    description='Launch files, arm files, scenarios and parameters.',
+    license='Apache-2.0',
+)

@@ -1,0 +1,1 @@
+"""The lpv command: design, demo, import, replay, report."""

@@ -1,0 +1,22 @@
+from setuptools import find_packages, setup
+
+PACKAGE = 'lpv_cli'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+        ('share/' + PACKAGE, ['package.xml']),
+    ],
+    package_data={'': ['*.yaml', '*.html', '*.css', '*.js']},
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='lpv-arm-fdi maintainers',
+    maintainer_email='maintainers@example.org',
+    description='The lpv command: design, demo, import, replay, report.',
+    license='Apache-2.0',
+    entry_points={'console_scripts': ['lpv = lpv_cli.main:main']},
+)

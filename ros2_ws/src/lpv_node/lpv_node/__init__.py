@@ -1,0 +1,1 @@
+"""Parameters, lifecycle and quality of service shared by the nodes."""

@@ -1,0 +1,176 @@
+"""Managed (lifecycle) nodes that start themselves, say why they cannot, and stop cleanly."""
+
+import sys
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+
+from lpv_core.errors import LpvError
+from lpv_node.parameters import Spec, declare
+
+COMMON = (
+    Spec('autostart', True, 'configure and activate at start, without a lifecycle manager',
+         read_only=True),
+    Spec('lockstep', False, 'reliable topics with deep queues: every step waits for its answer',
+         read_only=True),
+    Spec('min_subscribers', 0, 'wait until each output has this many subscribers before taking '
+         'part; makes recordings complete from the first sample', 0, 100, read_only=True),
+)
+
+
+class ManagedNode(LifecycleNode):
+    """Base of the graph's nodes.
+
+    Subclasses implement ``setup`` (may raise LpvError: the message is logged and the transition
+    fails), ``outputs`` (publishers that must be matched first) and ``begin`` / ``end``.
+
+    Parameters
+    ----------
+    name : str
+        Node name.
+    specs : iterable of Spec
+        Parameters beside the common ones.
+    """
+
+    def __init__(self, name, specs):
+        super().__init__(name)
+        declare(self, (*COMMON, *specs))
+        self.lockstep = self.get_parameter('lockstep').value
+        self.exit_code = 0
+        self.finished = False
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._gate = None
+
+    def on_configure(self, state):
+        """Lifecycle: read files and parameters."""
+        try:
+            self.setup()
+        except LpvError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state):
+        """Lifecycle: take part in the graph as soon as the outputs are matched."""
+        self._gate = self.create_timer(0.02, self._try_begin, clock=self._steady)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state):
+        """Lifecycle: stop taking part."""
+        if self._gate is not None:
+            self.destroy_timer(self._gate)
+            self._gate = None
+        else:
+            self.end()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state):
+        """Lifecycle: back to unconfigured."""
+        self.teardown()
+        return super().on_cleanup(state)
+
+    def _try_begin(self):
+        needed = self.get_parameter('min_subscribers').value
+        if all(p.get_subscription_count() >= needed for p in self.outputs()):
+            self.destroy_timer(self._gate)
+            self._gate = None
+            self.begin()
+
+    def steady_timer(self, period, callback):
+        """Create a timer on the steady clock, which runs whatever /clock does.
+
+        Parameters
+        ----------
+        period : float
+            [s].
+        callback : callable
+            Without arguments.
+
+        Returns
+        -------
+        rclpy.timer.Timer
+            The timer.
+        """
+        return self.create_timer(period, callback, clock=self._steady)
+
+    def finish(self, code=0):
+        """Ask the main loop to stop.
+
+        Parameters
+        ----------
+        code : int, optional
+            Exit code of the process.
+        """
+        self.exit_code, self.finished = code, True
+
+    def setup(self):
+        """Read files and parameters, create publishers; may raise LpvError."""
+
+    def outputs(self):
+        """Publishers that need ``min_subscribers`` before `begin`."""
+        return []
+
+    def begin(self):
+        """Create subscriptions and timers."""
+
+    def end(self):
+        """Destroy what `begin` created."""
+
+    def teardown(self):
+        """Destroy what `setup` created."""
+
+
+def _executor():
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # older distributions
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run_node(node_class, argv=None):
+    """Run one managed node until it finishes or is told to stop.
+
+    Parameters
+    ----------
+    node_class : type
+        Subclass of `ManagedNode` whose constructor takes no argument.
+    argv : list of str, optional
+        Command line.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after SIGINT, SIGTERM or a finished run; 1 if the node could not start.
+    """
+    rclpy.init(args=argv)
+    node, code = None, 1
+    try:
+        node = node_class()
+        code = _spin(node)
+    except LpvError as error:
+        print(f'[{node_class.__name__}] {error}', file=sys.stderr, flush=True)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        code = 0
+    finally:
+        if node is not None:
+            node.end()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return code
+
+
+def _spin(node):
+    if node.get_parameter('autostart').value:
+        started = (node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+                   and node.trigger_activate() == TransitionCallbackReturn.SUCCESS)
+        if not started:
+            return 1
+    executor = _executor()
+    executor.add_node(node)
+    # A time-out keeps the loop responsive to signals; without one EventsExecutor ignores them.
+    while rclpy.ok() and not node.finished:
+        executor.spin_once(timeout_sec=0.5)
+    return node.exit_code

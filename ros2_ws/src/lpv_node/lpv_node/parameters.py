@@ -1,0 +1,174 @@
+"""Parameters: declared once with description, range and read-only flag."""
+
+from dataclasses import dataclass
+
+from rcl_interfaces.msg import (
+    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult,
+)
+from rclpy.exceptions import ParameterUninitializedException
+from rclpy.parameter import Parameter
+
+from lpv_core.errors import ConfigError
+from lpv_core.gains import parse_gains
+
+_ARRAY, _DOUBLE, _STRING = (Parameter.Type.DOUBLE_ARRAY, Parameter.Type.DOUBLE,
+                            Parameter.Type.STRING)
+
+GAIN_FIELDS = {
+    'arm_name': _STRING, 'arm_sha256': _STRING,
+    'observer.method': _STRING, 'observer.t1': _ARRAY, 'observer.t2': _ARRAY,
+    'observer.k': _ARRAY, 'observer.lyapunov': _ARRAY, 'observer.box': _ARRAY,
+    'observer.decay': _DOUBLE, 'observer.fault_sigma': _ARRAY,
+    'controller.method': _STRING, 'controller.m1': _ARRAY, 'controller.m2': _ARRAY,
+    'controller.lyapunov': _ARRAY, 'controller.decay': _DOUBLE,
+}
+"""Parameters below ``gains.`` that a gains file sets; see lpv_core.gains."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Declaration of one parameter.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    default : object
+        Default value; its type is the parameter's type.
+    description : str
+        What it means, with its unit.
+    low, high : float or int, optional
+        Allowed range.
+    choices : tuple of str, optional
+        Allowed strings.
+    read_only : bool, optional
+        Whether it is fixed once the node runs.
+    """
+
+    name: str
+    default: object
+    description: str
+    low: float = None
+    high: float = None
+    choices: tuple = ()
+    read_only: bool = False
+
+    def descriptor(self):
+        """The ROS descriptor of this parameter."""
+        result = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        if self.choices:
+            result.additional_constraints = 'one of ' + ', '.join(self.choices)
+        if self.low is not None and isinstance(self.default, float):
+            result.floating_point_range = [
+                FloatingPointRange(from_value=float(self.low), to_value=float(self.high))]
+        elif self.low is not None:
+            result.integer_range = [
+                IntegerRange(from_value=int(self.low), to_value=int(self.high))]
+        return result
+
+
+def declare(node, specs):
+    """Declare parameters and refuse strings outside their choices, now and later.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The node.
+    specs : iterable of Spec
+        Declarations.
+
+    Raises
+    ------
+    ConfigError
+        If an override of a choice is not among its choices.
+    """
+    choices = {spec.name: spec.choices for spec in specs if spec.choices}
+    for spec in specs:
+        value = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
+        if spec.choices and value not in spec.choices:
+            raise ConfigError(spec.name, f'must be one of {", ".join(spec.choices)}, got {value!r}',
+                              node.get_name())
+
+    def check(parameters):
+        for parameter in parameters:
+            allowed = choices.get(parameter.name)
+            if allowed and parameter.value not in allowed:
+                reason = f'{parameter.name} must be one of {", ".join(allowed)}'
+                return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(check)
+
+
+def required_text(node, name):
+    """Value of a string parameter that must be set.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The node.
+    name : str
+        Parameter.
+
+    Returns
+    -------
+    str
+        Not empty.
+
+    Raises
+    ------
+    ConfigError
+        If it is empty.
+    """
+    value = node.get_parameter(name).value
+    if not value:
+        raise ConfigError(name, 'must be set', node.get_name())
+    return value
+
+
+def declare_gains(node):
+    """Declare the parameters of a gains file, read-only, without defaults.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The node.
+    """
+    descriptor = ParameterDescriptor(read_only=True,
+                                     description='from the gains file written by lpv design')
+    for name, kind in {'format': Parameter.Type.INTEGER, **GAIN_FIELDS}.items():
+        node.declare_parameter(f'gains.{name}', kind, descriptor)
+
+
+def read_gains(node):
+    """Gains from a node's parameters.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        A node on which `declare_gains` was called.
+
+    Returns
+    -------
+    Gains
+        Validated.
+
+    Raises
+    ------
+    ConfigError
+        If no gains file was given, or it is not valid.
+    """
+    nested = {}
+    for name in ('format', *GAIN_FIELDS):
+        try:
+            value = node.get_parameter(f'gains.{name}').value
+        except ParameterUninitializedException:
+            raise ConfigError(f'gains.{name}', 'is not set: start the node with '
+                              '--params-file GAINS.yaml as written by lpv design',
+                              node.get_name()) from None
+        *parents, leaf = name.split('.')
+        level = nested
+        for parent in parents:
+            level = level.setdefault(parent, {})
+        level[leaf] = list(value) if not isinstance(value, (str, int, float)) else value
+    return parse_gains(nested, node.get_name())

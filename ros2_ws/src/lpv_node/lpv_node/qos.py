@@ -1,0 +1,40 @@
+"""Quality of service of the graph's topics."""
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+# Lockstep must not lose a message however slow the recorder is: it may lag by a whole run.
+_LOCKSTEP_DEPTH = 20000
+
+
+def stream(lockstep):
+    """QoS of measurements, estimates and commands.
+
+    Parameters
+    ----------
+    lockstep : bool
+        Reliable with deep queues in lockstep; sensor-data QoS (best effort, the latest few) in
+        real time, where an old sample is worth less than none.
+
+    Returns
+    -------
+    rclpy.qos.QoSProfile
+        For publishers and subscriptions.
+    """
+    if lockstep:
+        return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=_LOCKSTEP_DEPTH,
+                          reliability=ReliabilityPolicy.RELIABLE)
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5,
+                      reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def latched():
+    """QoS of alarms: late subscribers get the last ones.
+
+    Returns
+    -------
+    rclpy.qos.QoSProfile
+        Reliable and transient local.
+    """
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=50,
+                      reliability=ReliabilityPolicy.RELIABLE,
+                      durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -1,0 +1,32 @@
+"""Time stamps as integers of nanoseconds, the one form that never rounds."""
+
+NANOSECONDS = 1_000_000_000
+
+
+def to_nanoseconds(stamp):
+    """Nanoseconds of a builtin_interfaces/Time.
+
+    Parameters
+    ----------
+    stamp : builtin_interfaces.msg.Time
+        The stamp.
+
+    Returns
+    -------
+    int
+        [ns].
+    """
+    return stamp.sec * NANOSECONDS + stamp.nanosec
+
+
+def set_stamp(stamp, nanoseconds):
+    """Write nanoseconds into a builtin_interfaces/Time.
+
+    Parameters
+    ----------
+    stamp : builtin_interfaces.msg.Time
+        Written to.
+    nanoseconds : int
+        [ns], not negative.
+    """
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)

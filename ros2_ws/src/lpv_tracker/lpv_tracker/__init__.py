@@ -1,0 +1,1 @@
+"""Tracking controller of a two-link arm."""

@@ -1,0 +1,130 @@
+"""Tracker node: torques from estimates and from inverse-kinematics references."""
+
+import sys
+
+from lpv_core.arm import load_arm
+from lpv_core.scenario import load_scenario
+from lpv_core.tracking import COMPENSATION, TrackingController
+from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
+from lpv_node.managed import ManagedNode, run_node
+from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
+from lpv_node.qos import stream
+from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds
+
+SPECS = (
+    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
+    Spec('scenario_file', '', 'scenario file (YAML); its path is tracked', read_only=True),
+    Spec('compensation', 'confirmed', 'position in the loop: as measured (off), with confirmed '
+         'faults removed, or as estimated (always)', choices=COMPENSATION),
+    Spec('estimate_timeout', 0.2, 'real time only: command a safe stop when no estimate came for '
+         'so long [s]', 0.01, 60.0, read_only=True),
+)
+
+
+class TrackerNode(ManagedNode):
+    """Tracking controller.
+
+    Topics: subscribes ``state_estimate``; publishes ``torque_command`` and ``reference``.  The
+    path starts at the stamp of the first estimate.
+    """
+
+    def __init__(self):
+        super().__init__('tracker', SPECS)
+        self._estimate_in = self._watch = None
+
+    def setup(self):
+        """Read arm, gains and path, create publishers."""
+        declare_gains(self)
+        self._arm = load_arm(required_text(self, 'arm_file'))
+        gains = read_gains(self)
+        self._controller = TrackingController(self._arm, gains)
+        self._integrates_measurement = gains.controller.method == 'paper'
+        self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
+        self._start = self._last = self._received = None
+        self._stopped = False
+        qos = stream(self.lockstep)
+        self._command_out = self.create_publisher(TorqueCommand, 'torque_command', qos)
+        self._reference_out = self.create_publisher(JointReference, 'reference', qos)
+        self._command, self._reference = TorqueCommand(), JointReference()
+        self._command.header.frame_id = self._reference.header.frame_id = self._arm.name
+
+    def outputs(self):
+        """Publishers to be matched before estimates are taken."""
+        return [self._command_out, self._reference_out]
+
+    def begin(self):
+        """Subscribe."""
+        self._estimate_in = self.create_subscription(
+            StateEstimate, 'state_estimate', self._on_estimate, stream(self.lockstep))
+        if not self.lockstep:
+            self._watch = self.steady_timer(0.05, self._check_silence)
+        self.get_logger().info(f'tracking a path of {self._path.end:.1f} s')
+
+    def end(self):
+        """Unsubscribe."""
+        if self._estimate_in is not None:
+            self.destroy_subscription(self._estimate_in)
+            self._estimate_in = None
+        if self._watch is not None:
+            self.destroy_timer(self._watch)
+            self._watch = None
+
+    def _on_estimate(self, message):
+        stamp = to_nanoseconds(message.header.stamp)
+        if self._last is not None and stamp <= self._last:
+            if self._last - stamp < NANOSECONDS:
+                return  # duplicate or out of order
+            self._start = None  # time started anew, and so does the path
+        if self._start is None:
+            self._start, self._last = stamp, stamp
+            self._controller.reset()
+        self._received = self.get_clock().now().nanoseconds
+        self._stopped = False
+        reference = self._path.sample((stamp - self._start) / NANOSECONDS)
+        self._publish_command(message, stamp, reference)
+        self._publish_reference(stamp, reference)
+        self._last = stamp
+
+    def _publish_command(self, message, stamp, reference):
+        position = self._feedback(message)
+        integrated = message.measured_position if self._integrates_measurement else position
+        command = self._controller.update(reference, position, message.velocity, integrated,
+                                          (stamp - self._last) / NANOSECONDS)
+        set_stamp(self._command.header.stamp, stamp)
+        self._command.torque, self._command.safe_stop = command.torque, False
+        self._command_out.publish(self._command)
+
+    def _feedback(self, message):
+        mode = self.get_parameter('compensation').value
+        if mode == 'always':
+            return message.position
+        return message.compensated_position if mode == 'confirmed' else message.measured_position
+
+    def _publish_reference(self, stamp, reference):
+        message = self._reference
+        set_stamp(message.header.stamp, stamp)
+        message.position, message.velocity = reference.position, reference.velocity
+        message.acceleration, message.tip_position = reference.acceleration, reference.tip
+        self._reference_out.publish(message)
+
+    def _check_silence(self):
+        """Stop safely when the observer is silent: the drives then brake."""
+        if self._received is None or self._stopped:
+            return
+        now = self.get_clock().now().nanoseconds
+        if now - self._received > self.get_parameter('estimate_timeout').value * NANOSECONDS:
+            self._stopped = True
+            self._controller.reset()
+            self.get_logger().error('no estimates: safe stop')
+            set_stamp(self._command.header.stamp, now)
+            self._command.torque, self._command.safe_stop = [0.0, 0.0], True
+            self._command_out.publish(self._command)
+
+
+def main(argv=None):
+    """Entry point of ``ros2 run lpv_tracker tracker``."""
+    sys.exit(run_node(TrackerNode, argv))
+
+
+if __name__ == '__main__':
+    main()

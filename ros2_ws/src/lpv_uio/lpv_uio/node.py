@@ -1,0 +1,227 @@
+"""UIO node: state and fault estimates, alarms and diagnostics from joint measurements."""
+
+import math
+import sys
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from lpv_core.arm import load_arm
+from lpv_core.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
+from lpv_core.errors import SampleError
+from lpv_core.joints import JointMap
+from lpv_core.observer import Mode, UnknownInputObserver
+from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
+from lpv_node.managed import ManagedNode, run_node
+from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
+from lpv_node.qos import latched, stream
+from lpv_node.stamps import NANOSECONDS, to_nanoseconds
+from lpv_uio.diagnostics import diagnostic_array
+from lpv_uio.joint_input import JointOrder
+from lpv_uio.outputs import OutputMessages
+
+_DIAGNOSIS = DiagnosisParameters()
+DIAGNOSIS_SPECS = (
+    Spec('diagnosis.threshold_factor', _DIAGNOSIS.threshold_factor,
+         'threshold over guaranteed bound', 0.1, 10.0),
+    Spec('diagnosis.minimum_threshold', _DIAGNOSIS.minimum_threshold,
+         'no alarm below this fault [rad]', 0.0, 10.0),
+    Spec('diagnosis.dwell', _DIAGNOSIS.dwell,
+         'time above the threshold before the alarm [s]', 0.0, 10.0),
+    Spec('diagnosis.clear_dwell', _DIAGNOSIS.clear_dwell,
+         'time below hysteresis*threshold before the alarm clears [s]', 0.0, 100.0),
+    Spec('diagnosis.hysteresis', _DIAGNOSIS.hysteresis,
+         'fraction of the threshold at which an alarm may clear', 0.0, 1.0),
+    Spec('diagnosis.sigmas', _DIAGNOSIS.sigmas,
+         'standard deviations of noise in the bound', 1.0, 10.0),
+    Spec('diagnosis.friction_uncertainty', _DIAGNOSIS.friction_uncertainty,
+         'relative uncertainty of Coulomb friction', 0.0, 1.0),
+)
+SPECS = DIAGNOSIS_SPECS + (
+    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
+    Spec('torque_source', 'effort', 'where torques come from: the effort of joint_states, or '
+         'the latest torque_command', choices=('effort', 'command'), read_only=True),
+    Spec('stale_after', 0.5, 'real time only: silence after which the diagnosis is stale [s]',
+         0.01, 60.0, read_only=True),
+    Spec('max_gap', 0.1, 'longest interval that is integrated [s]; after a longer one the '
+         'estimate is re-anchored on the encoders', 0.001, 10.0, read_only=True),
+)
+
+
+class UioNode(ManagedNode):
+    """Unknown-input observer and diagnosis.
+
+    Topics: subscribes ``joint_states`` (and ``torque_command`` if torques come from there);
+    publishes ``state_estimate``, ``fault_estimate``, ``fault_alarm`` (latched) and
+    ``/diagnostics``.  Service: ``~/reset``.
+    """
+
+    def __init__(self):
+        super().__init__('uio', SPECS)
+        declare_gains(self)
+        self._inputs = []
+        self._watch = None
+        self.add_on_set_parameters_callback(self._retune)
+
+    def setup(self):
+        """Read arm and gains, create publishers."""
+        self._arm = load_arm(required_text(self, 'arm_file'))
+        gains = read_gains(self)
+        self._observer = UnknownInputObserver(
+            self._arm, gains, max_gap=self.get_parameter('max_gap').value)
+        self._diagnoser = Diagnoser(self._arm, gains, self._diagnosis_parameters({}))
+        self._order = JointOrder(self._arm.joint_names)
+        self._messages = OutputMessages(self._arm, JointMap(self._arm))
+        self._from_command = self.get_parameter('torque_source').value == 'command'
+        self._torque = [math.nan, math.nan]
+        self._estimate = self._diagnosis = None
+        self._received = None
+        self._next_report = None
+        self._stale = False
+        self._rejected = 0
+        self._warm_up(gains)
+        qos = stream(self.lockstep)
+        self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
+        self._fault_out = self.create_publisher(FaultEstimate, 'fault_estimate', qos)
+        self._alarm_out = self.create_publisher(FaultAlarm, 'fault_alarm', latched())
+        self._diagnostics_out = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+
+    def _warm_up(self, gains):
+        """Compile the recursion before data arrives, not on the first samples."""
+        observer = UnknownInputObserver(self._arm, gains)
+        diagnoser = Diagnoser(self._arm, gains)
+        for stamp in (1, 1 + round(self._arm.sample_time * NANOSECONDS)):
+            diagnoser.update(observer.update(stamp, [0.0, 0.1], [0.0, 0.0], [0.0, 0.0]))
+
+    def outputs(self):
+        """Publishers to be matched before measurements are taken."""
+        return [self._state_out, self._fault_out]
+
+    def begin(self):
+        """Subscribe."""
+        qos = stream(self.lockstep)
+        self._inputs = [
+            self.create_subscription(JointState, 'joint_states', self._on_measurement, qos)]
+        if self._from_command:
+            self._inputs.append(self.create_subscription(
+                TorqueCommand, 'torque_command', self._on_command, qos))
+        if not self.lockstep:
+            self._watch = self.steady_timer(0.1, self._check_silence)
+        self.get_logger().info(f'observing {self._arm.name!r} with method '
+                               f'{self._observer.method!r}')
+
+    def end(self):
+        """Unsubscribe."""
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        self._inputs = []
+        if self._watch is not None:
+            self.destroy_timer(self._watch)
+            self._watch = None
+
+    def _on_command(self, message):
+        self._torque = message.torque
+
+    def _on_measurement(self, message):
+        stamp = to_nanoseconds(message.header.stamp)
+        restarts = self._observer.counters.restarts
+        try:
+            position, velocity, effort = self._order.pick(message)
+            estimate = self._observer.update(
+                stamp, position, velocity, self._torque if self._from_command else effort)
+        except SampleError as error:
+            self._rejected += 1
+            self.get_logger().error(str(error), throttle_duration_sec=5.0)
+            return
+        if self._observer.counters.restarts > restarts:
+            self.get_logger().warning('time went backwards: observer and alarms start anew')
+            self._diagnoser.reset()
+            self._next_report = None
+        self._received = self.get_clock().now().nanoseconds
+        if estimate is None:
+            self._repeat(stamp)
+        else:
+            self._publish(estimate)
+
+    def _publish(self, estimate):
+        self._stale = False
+        self._estimate = estimate
+        self._diagnosis = diagnosis = self._diagnoser.update(estimate)
+        self._state_out.publish(
+            self._messages.state(estimate, diagnosis, estimate.mode, estimate.stamp))
+        self._fault_out.publish(
+            self._messages.fault(estimate, diagnosis, diagnosis.state, estimate.stamp))
+        for event in diagnosis.events:
+            self._alarm_out.publish(self._messages.alarm(event, estimate.stamp))
+            self._log(event)
+        # On the clock of the data, so that lockstep runs and replays report alike.
+        if diagnosis.events or self._next_report is None or estimate.stamp >= self._next_report:
+            self._next_report = estimate.stamp + NANOSECONDS
+            self._report(estimate.mode, estimate.stamp)
+
+    def _repeat(self, stamp):
+        """Answer an unusable sample with the last estimate, marked stale; never with silence."""
+        if self._estimate is None or (self._observer.stamp or 0) >= stamp:
+            return
+        state = self._messages.state(self._estimate, self._diagnosis, Mode.STALE, stamp)
+        self._state_out.publish(state)
+        self._fault_out.publish(self._messages.fault(
+            self._estimate, self._diagnosis, [SensorState.STALE] * 2, stamp))
+
+    def _log(self, event):
+        text = (f'{event.sensor}: fault estimate {event.size:+.3f} rad, bound {event.bound:.3f} '
+                f'rad, confidence {event.confidence:.3f}')
+        if event.event == AlarmEvent.CLEARED:
+            self.get_logger().info('alarm cleared, ' + text)
+        else:
+            self.get_logger().error('ALARM, ' + text)
+
+    def _report(self, mode, stamp):
+        extra = {'rejected messages': self._rejected, 'method': self._observer.method}
+        array = diagnostic_array(self.get_fully_qualified_name(), self._arm, self._estimate,
+                                 self._diagnosis, self._observer.counters, mode, extra)
+        array.header.stamp.sec, array.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
+        self._diagnostics_out.publish(array)
+
+    def _check_silence(self):
+        if self._received is None or self._stale:
+            return
+        now = self.get_clock().now().nanoseconds
+        if now - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
+            self._stale = True
+            self.get_logger().warning('no measurements: diagnosis is stale')
+            self._report(Mode.STALE, now)
+            if self._estimate is not None:
+                self._fault_out.publish(self._messages.fault(
+                    self._estimate, self._diagnosis, [SensorState.STALE] * 2, now))
+
+    def _on_reset(self, _request, response):
+        self._observer.reset()
+        self._diagnoser.reset()
+        response.success, response.message = True, 'observer and alarms start anew'
+        return response
+
+    def _diagnosis_parameters(self, changed):
+        values = {}
+        for spec in DIAGNOSIS_SPECS:
+            value = changed.get(spec.name, self.get_parameter(spec.name).value)
+            values[spec.name.split('.')[1]] = value
+        return DiagnosisParameters(**values)
+
+    def _retune(self, parameters):
+        changed = {p.name: p.value for p in parameters if p.name.startswith('diagnosis.')}
+        if changed and hasattr(self, '_diagnoser'):
+            self._diagnoser.retune(self._diagnosis_parameters(changed))
+        return SetParametersResult(successful=True)
+
+
+def main(argv=None):
+    """Entry point of ``ros2 run lpv_uio uio``."""
+    sys.exit(run_node(UioNode, argv))
+
+
+if __name__ == '__main__':
+    main()
