@@ -1,0 +1,106 @@
+"""The conversion between ROS joints, absolute angles and physical sensors."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lpv_core.joints import JointMap
+
+PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
+
+
+@given(PAIR)
+def test_given_any_pair_when_converted_forth_and_back_then_it_is_unchanged(
+        paper_arm, real_arm, pair):
+    for arm in (paper_arm, real_arm):
+        joints = JointMap(arm)
+        for there, back in (
+                (joints.absolute_position, joints.joint_position),
+                (joints.absolute_velocity, joints.joint_velocity),
+                (joints.absolute_torque, joints.joint_torque),
+                (joints.sensor_position, joints.joint_from_sensor),
+                (joints.sensor_velocity, joints.joint_velocity_from_sensor)):
+            np.testing.assert_allclose(back(there(pair)), pair, atol=1e-13)
+            np.testing.assert_allclose(there(back(pair)), pair, atol=1e-13)
+
+
+@given(PAIR, PAIR)
+def test_given_torques_and_rates_when_converted_then_the_power_is_the_same(
+        paper_arm, torque, rate):
+    joints = JointMap(paper_arm)
+    absolute = joints.absolute_torque(torque) @ joints.absolute_velocity(rate)
+    assert absolute == pytest.approx(torque @ rate, abs=1e-12)
+
+
+def test_given_joint_torques_when_converted_then_q1_is_their_difference(paper_arm):
+    np.testing.assert_array_equal(JointMap(paper_arm).absolute_torque([5.0, 2.0]), [3.0, 2.0])
+
+
+def test_given_rates_when_positions_move_by_them_then_both_conversions_agree(arm):
+    joints, h = JointMap(arm), 1e-6
+    q, rate = np.array([0.3, -0.4]), np.array([1.1, 0.7])
+    moved = joints.absolute_position(q + h * rate) - joints.absolute_position(q)
+    np.testing.assert_allclose(moved / h, joints.absolute_velocity(rate), atol=1e-8)
+    moved = joints.sensor_position(q + h * rate) - joints.sensor_position(q)
+    np.testing.assert_allclose(moved / h, joints.sensor_velocity(rate), atol=1e-8)
+
+
+def test_given_the_paper_arm_when_upright_then_q1_points_up_the_y_axis(paper_arm):
+    joints = JointMap(paper_arm)
+    np.testing.assert_allclose(joints.absolute_position([math.pi / 2, 0.0]), 0.0, atol=1e-15)
+    np.testing.assert_allclose(joints.absolute_position([0.0, 0.0]), -math.pi / 2)
+
+
+def test_given_the_real_arm_when_all_joints_are_zero_then_it_hangs_down(real_arm):
+    np.testing.assert_allclose(JointMap(real_arm).absolute_position([0.0, 0.0]), math.pi)
+    np.testing.assert_allclose(JointMap(real_arm).absolute_position([0.2, 0.3]),
+                               [math.pi + 0.2, math.pi + 0.5])
+
+
+def test_given_relative_encoders_when_encoder_1_is_wrong_then_both_absolute_angles_shift(real_arm):
+    joints = JointMap(real_arm)
+    reading = joints.sensor_position([0.4, -0.2])
+    wrong = joints.joint_from_sensor(reading + [0.3, 0.0])
+    shift = joints.absolute_position(wrong) - joints.absolute_position([0.4, -0.2])
+    np.testing.assert_allclose(shift, [0.3, 0.3], atol=1e-15)
+    wrong = joints.joint_from_sensor(reading + [0.0, 0.3])
+    shift = joints.absolute_position(wrong) - joints.absolute_position([0.4, -0.2])
+    np.testing.assert_allclose(shift, [0.0, 0.3], atol=1e-15)
+
+
+def test_given_relative_encoders_when_they_read_then_a_fault_stays_in_its_own_joint(real_arm):
+    joints = JointMap(real_arm)
+    wrong = joints.joint_from_sensor(joints.sensor_position([0.4, -0.2]) + [0.3, 0.0])
+    np.testing.assert_allclose(wrong, [0.7, -0.2], atol=1e-15)
+
+
+def test_given_absolute_sensors_when_sensor_1_is_wrong_then_only_its_own_angle_shifts(paper_arm):
+    joints = JointMap(paper_arm)
+    reading = joints.sensor_position([1.4, -0.2])
+    np.testing.assert_allclose(reading, joints.absolute_position([1.4, -0.2]), atol=1e-15)
+    wrong = joints.joint_from_sensor(reading + [0.3, 0.0])
+    np.testing.assert_allclose(wrong, [1.7, -0.5], atol=1e-15)
+
+
+def test_given_one_dead_encoder_when_converted_then_readings_without_it_stay_finite(
+        paper_arm, real_arm):
+    relative, absolute = JointMap(real_arm), JointMap(paper_arm)
+    assert np.isnan(relative.sensor_position([0.1, math.nan])).tolist() == [False, True]
+    assert np.isnan(relative.sensor_position([math.nan, 0.1])).tolist() == [True, False]
+    # Joint 2 of absolute sensors is a difference: sensor 1 is in both joint positions.
+    assert np.isnan(absolute.joint_from_sensor([0.1, math.nan])).tolist() == [False, True]
+    assert np.isnan(absolute.joint_from_sensor([math.nan, 0.1])).tolist() == [True, True]
+
+
+def test_given_a_batch_when_converted_then_every_row_is_converted_alone(arm):
+    joints = JointMap(arm)
+    batch = np.random.default_rng(1).normal(size=(4, 3, 2))
+    for method in (joints.absolute_position, joints.joint_position, joints.absolute_torque,
+                   joints.joint_torque, joints.sensor_position, joints.joint_from_sensor,
+                   joints.absolute_velocity, joints.joint_velocity, joints.sensor_velocity,
+                   joints.joint_velocity_from_sensor):
+        rows = np.array([[method(pair) for pair in row] for row in batch])
+        np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)

@@ -1,0 +1,290 @@
+"""Forward, inverse and differential kinematics, and the Cartesian path."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from lpv_core.errors import ConfigError, UnreachableError
+from lpv_core.joints import JointMap
+from lpv_core.kinematics import forward, inverse, jacobian, joint_motion
+from lpv_core.path import CartesianPath, Obstacle
+
+LENGTH = st.floats(0.1, 3.0)
+Q_1 = st.floats(-3.0, 3.0)
+BEND = st.floats(0.05, math.pi - 0.05)
+
+
+def wrapped(angle):
+    return (np.asarray(angle) + math.pi) % (2 * math.pi) - math.pi
+
+
+# ------------------------------------------------------------------ positions
+
+
+@given(Q_1, BEND, st.sampled_from(['positive', 'negative']), LENGTH, LENGTH)
+def test_given_a_configuration_when_solved_from_its_tip_then_it_comes_back_on_its_branch(
+        q_1, bend, elbow, l_1, l_2):
+    # A tip in the base itself leaves q1 free: equal lengths, folded.
+    assume(abs(l_1 - l_2) > 1e-3 or bend < 3.0)
+    q = np.array([q_1, bend if elbow == 'positive' else -bend])
+    back = inverse(forward(q, (l_1, l_2)), (l_1, l_2), elbow)
+    # arccos loses digits near the border of reach, and the bearing near the base.
+    np.testing.assert_allclose(wrapped(back - q), 0.0, atol=1e-9)
+
+
+@given(st.floats(0.001, 0.999), st.floats(-math.pi, math.pi),
+       st.sampled_from(['positive', 'negative']), LENGTH, LENGTH)
+def test_given_a_reachable_point_when_solved_then_the_tip_is_there(share, bearing, elbow, l_1, l_2):
+    radius = abs(l_1 - l_2) + share * (l_1 + l_2 - abs(l_1 - l_2))
+    point = radius * np.array([math.cos(bearing), math.sin(bearing)])
+    q = inverse(point, (l_1, l_2), elbow)
+    np.testing.assert_allclose(forward(q, (l_1, l_2)), point, atol=1e-12)
+    assert q[1] >= 0.0 if elbow == 'positive' else q[1] <= 0.0
+
+
+def test_given_eqs_32_to_34_when_written_out_then_the_positive_branch_is_theirs():
+    x, y, l_1, l_2 = 0.9, 0.7, 1.0, 0.8
+    q_2 = math.acos((x**2 + y**2 - l_1**2 - l_2**2) / (2 * l_1 * l_2))
+    q_1 = math.atan(y / x) - math.atan(l_2 * math.sin(q_2) / (l_1 + l_2 * math.cos(q_2)))
+    np.testing.assert_allclose(inverse((x, y), (l_1, l_2)), [q_1, q_2], rtol=1e-14)
+
+
+def test_given_a_point_in_the_left_half_plane_when_solved_then_the_quadrant_is_kept():
+    point = np.array([-0.9, 0.7])
+    np.testing.assert_allclose(forward(inverse(point, (1.0, 1.0)), (1.0, 1.0)), point, atol=1e-14)
+
+
+@pytest.mark.parametrize('point', [(2.0, 0.0), (0.0, -2.0), (2.0 * math.cos(1), 2.0 * math.sin(1)),
+                                   (0.4, 0.0), (0.0, 0.4)])
+def test_given_a_point_on_the_border_when_solved_then_rounding_does_not_refuse_it(point):
+    lengths = (1.2, 0.8)
+    q = inverse(point, lengths)
+    np.testing.assert_allclose(forward(q, lengths), point, atol=1e-12)
+
+
+@pytest.mark.parametrize('point', [(2.001, 0.0), (0.1, 0.1), (math.nan, 1.0), (0.5, math.inf),
+                                   (1e308, 1e308)])
+def test_given_a_point_out_of_reach_when_solved_then_the_error_says_where_and_why(point):
+    with pytest.raises(UnreachableError, match=r'out of reach.*\[0.4, 2\] m'):
+        inverse(point, (1.2, 0.8))
+
+
+def test_given_a_batch_with_one_bad_point_when_solved_then_the_error_names_that_point():
+    batch = np.array([[1.0, 1.0], [0.5, 0.5], [7.5, 0.25]])
+    with pytest.raises(UnreachableError, match=r'\(7.5, 0.25\)'):
+        inverse(batch, (1.0, 1.0))
+
+
+@pytest.mark.xfail(strict=True, raises=TypeError,
+                   reason='the message of a batch with two axes cannot be formatted')
+def test_given_a_batch_with_two_axes_when_a_point_is_bad_then_it_is_unreachable_too():
+    batch = np.full((2, 3, 2), 0.5)
+    batch[1, 2] = 9.0
+    with pytest.raises(UnreachableError, match=r'\(9, 9\)'):
+        inverse(batch, (1.0, 1.0))
+
+
+def test_given_a_batch_when_solved_then_every_point_is_solved_alone():
+    batch = np.random.default_rng(3).uniform(0.2, 1.0, (4, 5, 2))
+    rows = np.array([[inverse(point, (1.0, 0.9)) for point in row] for row in batch])
+    np.testing.assert_array_equal(inverse(batch, (1.0, 0.9)), rows)
+
+
+# ------------------------------------------------------------------ rates
+
+
+@given(Q_1, st.floats(-3.1, 3.1), LENGTH, LENGTH)
+def test_given_a_configuration_when_perturbed_then_the_tip_moves_as_the_jacobian_says(
+        q_1, q_2, l_1, l_2):
+    q, h = np.array([q_1, q_2]), 1e-6
+    columns = [(forward(q + h * e, (l_1, l_2)) - forward(q - h * e, (l_1, l_2))) / (2 * h)
+               for e in np.eye(2)]
+    np.testing.assert_allclose(jacobian(q, (l_1, l_2)), np.column_stack(columns), atol=1e-8)
+
+
+def test_given_a_moving_configuration_when_its_tip_motion_is_inverted_then_rates_come_back():
+    lengths, times, h = (1.0, 0.8), np.linspace(0.0, 2.0, 21), 1e-4
+
+    def q(t):
+        return np.stack([0.4 + 0.8 * np.sin(1.3 * t), 1.2 + 0.5 * np.cos(0.9 * t)], axis=-1)
+
+    def tip(t):
+        return forward(q(t), lengths)
+
+    velocity = (tip(times + h) - tip(times - h)) / (2 * h)
+    curvature = (tip(times + h) - 2 * tip(times) + tip(times - h)) / h**2
+    rate, acceleration = joint_motion(q(times), velocity, curvature, lengths)
+    expected_rate = np.stack([0.8 * 1.3 * np.cos(1.3 * times),
+                              -0.5 * 0.9 * np.sin(0.9 * times)], axis=-1)
+    expected = np.stack([-0.8 * 1.3**2 * np.sin(1.3 * times),
+                         -0.5 * 0.9**2 * np.cos(0.9 * times)], axis=-1)
+    np.testing.assert_allclose(rate, expected_rate, atol=1e-7)
+    np.testing.assert_allclose(acceleration, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize('q_2', [0.0, 5e-4, math.pi, -math.pi, math.nan])
+def test_given_a_singular_configuration_when_rates_are_asked_then_they_are_refused(q_2):
+    if math.isnan(q_2):
+        rate, _ = joint_motion(np.array([0.3, q_2]), np.ones(2), np.ones(2), (1.0, 1.0))
+        assert np.isnan(rate).all()  # NaN stays NaN, never a number
+        return
+    with pytest.raises(UnreachableError, match='singularity'):
+        joint_motion(np.array([0.3, q_2]), np.ones(2), np.ones(2), (1.0, 1.0))
+
+
+# ------------------------------------------------------------------ paths
+
+
+TIMES = (0.5, 2.0, 4.0)
+POINTS = ((-0.6, 1.5), (0.0, 1.6), (0.7, 1.4))
+
+
+@pytest.fixture
+def path(paper_arm):
+    return CartesianPath(paper_arm, TIMES, POINTS)
+
+
+def test_given_waypoints_when_sampled_at_their_times_then_the_tip_is_there(path, paper_arm):
+    reference = path.sample(np.array(TIMES))
+    np.testing.assert_allclose(reference.tip, POINTS, atol=1e-12)
+    # Reference in ROS joints: absolute angles, then the tip by plain trigonometry.
+    theta = JointMap(paper_arm).absolute_position(reference.position)
+    tip = np.stack([-np.sin(theta).sum(axis=-1), np.cos(theta).sum(axis=-1)], axis=-1)
+    np.testing.assert_allclose(tip, POINTS, atol=1e-12)
+
+
+def test_given_an_arm_with_another_zero_when_sampled_then_the_tip_is_the_same(paper_arm):
+    other = replace(paper_arm, zero_angle=math.pi)
+    position = CartesianPath(other, TIMES, POINTS).sample(1.0).position
+    here = CartesianPath(paper_arm, TIMES, POINTS).sample(1.0).position
+    difference = (JointMap(other).absolute_position(position)
+                  - JointMap(paper_arm).absolute_position(here))
+    np.testing.assert_allclose(wrapped(difference), 0.0, atol=1e-12)
+
+
+def test_given_both_ends_when_sampled_then_the_arm_rests_there_and_outside(path):
+    for times in ((0.5, 4.0), (-3.0, 9.0)):
+        reference = path.sample(np.array(times))
+        np.testing.assert_allclose(reference.velocity, 0.0, atol=1e-12)
+        np.testing.assert_allclose(reference.acceleration, 0.0, atol=1e-10)
+        np.testing.assert_allclose(reference.tip, [POINTS[0], POINTS[-1]], atol=1e-12)
+
+
+def test_given_a_path_when_differentiated_then_rates_and_accelerations_are_its_own(path):
+    times, h = np.linspace(0.6, 3.9, 67), 1e-4
+    before, now, after = (path.sample(times + d) for d in (-h, 0.0, h))
+    np.testing.assert_allclose((after.position - before.position) / (2 * h), now.velocity,
+                               atol=1e-6)
+    np.testing.assert_allclose((after.velocity - before.velocity) / (2 * h), now.acceleration,
+                               atol=1e-5)
+
+
+def test_given_a_path_when_sampled_finely_then_position_rate_and_acceleration_have_no_jumps(path):
+    for step in (1e-3, 1e-4):
+        fine = path.sample(np.arange(0.0, 4.5, step))
+        for signal, slope in ((fine.position, 3.0), (fine.velocity, 10.0),
+                              (fine.acceleration, 100.0)):
+            assert np.abs(np.diff(signal, axis=0)).max() < slope * step
+
+
+def test_given_one_time_when_sampled_then_it_equals_the_row_of_a_batch(path):
+    batch = path.sample(np.array([1.0, 2.5]))
+    one = path.sample(2.5)
+    for name in ('position', 'velocity', 'acceleration', 'tip'):
+        assert getattr(one, name).shape == (2,)
+        np.testing.assert_array_equal(getattr(one, name), getattr(batch, name)[1])
+
+
+def test_given_the_other_elbow_when_sampled_then_the_tip_stays_and_q2_changes_sign(paper_arm):
+    positive = CartesianPath(paper_arm, TIMES, POINTS, 'positive').sample(1.0)
+    negative = CartesianPath(paper_arm, TIMES, POINTS, 'negative').sample(1.0)
+    np.testing.assert_array_equal(positive.tip, negative.tip)
+    assert positive.position[1] > 0.0
+    assert negative.position[1] == pytest.approx(-positive.position[1], rel=1e-12)
+
+
+def crossing(arm, elbow):
+    """Path on which link 1 crosses the negative x-axis."""
+    high, low = (0.75, -1.2) if elbow == 'positive' else (1.2, -0.75)
+    return CartesianPath(arm, (0.0, 1.0), ((-1.1, high), (-1.1, low)), elbow)
+
+
+@pytest.mark.xfail(strict=True, reason='q1 is wrapped to [-pi, pi), so that it jumps by 2 pi '
+                                       'where link 1 crosses the negative x-axis')
+@pytest.mark.parametrize('elbow', ['positive', 'negative'])
+def test_given_link_1_crosses_the_negative_x_axis_when_sampled_then_q1_is_continuous(
+        paper_arm, elbow):
+    fine = crossing(paper_arm, elbow).sample(np.linspace(0.0, 1.0, 2001))
+    assert np.abs(np.diff(fine.position, axis=0)).max() < 0.02
+
+
+@pytest.mark.parametrize('elbow', ['positive', 'negative'])
+def test_given_link_1_crosses_the_negative_x_axis_when_sampled_then_the_jump_is_a_full_turn_at_most(
+        paper_arm, elbow):
+    fine = crossing(paper_arm, elbow).sample(np.linspace(0.0, 1.0, 2001))
+    np.testing.assert_allclose(np.abs(wrapped(np.diff(fine.position, axis=0))).max(), 0.0,
+                               atol=0.02)
+    np.testing.assert_allclose(forward(fine.position, paper_arm.lengths), fine.tip, atol=1e-12)
+
+
+def test_given_the_shipped_path_when_sampled_then_q1_is_continuous_and_in_the_region(
+        paper_arm, two_faults):
+    fine = two_faults.path(paper_arm).sample(np.linspace(0.0, 20.0, 20001))
+    assert np.abs(np.diff(fine.position, axis=0)).max() < 0.002
+    theta = JointMap(paper_arm).absolute_position(fine.position)
+    assert np.cos(theta).min() > max(paper_arm.cos_min)
+
+
+@pytest.mark.parametrize(('times', 'points'), [
+    ((0.0,), ((0.0, 1.5),)),                              # one point
+    ((), ()),                                             # none
+    ((0.0, 1.0), ((0.0, 1.5, 0.0), (0.1, 1.5, 0.0))),     # three coordinates
+    ((0.0, 1.0), ((0.0, 1.5),)),                          # more times than points
+    ((0.0, 0.0), ((0.0, 1.5), (0.1, 1.5))),               # time stands
+    ((1.0, 0.5), ((0.0, 1.5), (0.1, 1.5))),               # time runs back
+    ((0.0, math.nan), ((0.0, 1.5), (0.1, 1.5))),
+    ((0.0, math.inf), ((0.0, 1.5), (0.1, 1.5))),
+])
+def test_given_bad_waypoints_when_a_path_is_made_then_the_field_is_named(paper_arm, times, points):
+    with pytest.raises(ConfigError, match=r'path\.waypoints'):
+        CartesianPath(paper_arm, times, points)
+
+
+@pytest.mark.xfail(strict=True, raises=ValueError,
+                   reason='points are not checked: the spline refuses NaN with its own error')
+def test_given_a_waypoint_of_nan_when_a_path_is_made_then_the_field_is_named(paper_arm):
+    with pytest.raises(ConfigError, match=r'path\.waypoints'):
+        CartesianPath(paper_arm, (0.0, 1.0), ((0.0, 1.5), (math.nan, 1.5)))
+
+
+def test_given_an_unknown_elbow_when_a_path_is_made_then_the_field_is_named(paper_arm):
+    with pytest.raises(ConfigError, match=r'path\.elbow'):
+        CartesianPath(paper_arm, TIMES, POINTS, 'left')
+
+
+def test_given_an_obstacle_on_the_path_when_it_is_made_then_the_hit_is_refused(paper_arm):
+    CartesianPath(paper_arm, TIMES, POINTS, obstacle=Obstacle((0.0, 1.9), 0.2))
+    with pytest.raises(ConfigError, match='hits the obstacle'):
+        CartesianPath(paper_arm, TIMES, POINTS, obstacle=Obstacle((0.0, 1.7), 0.2))
+
+
+def test_given_a_path_that_leaves_reach_between_waypoints_when_it_is_made_then_it_is_refused(
+        paper_arm):
+    with pytest.raises(UnreachableError):  # a chord of the annulus' hole
+        CartesianPath(replace(paper_arm, links=(paper_arm.links[0],
+                                                replace(paper_arm.links[1], length=0.5))),
+                      (0.0, 1.0), ((-1.0, 0.05), (1.0, 0.05)))
+
+
+def test_given_a_path_through_the_stretched_arm_when_it_is_made_then_it_is_refused(paper_arm):
+    with pytest.raises(UnreachableError, match='singularity'):
+        CartesianPath(paper_arm, (0.0, 1.0), ((0.0, 1.5), (0.0, 2.0)))
+
+
+def test_given_a_time_of_nan_when_sampled_then_no_reference_is_made_up(path):
+    with pytest.raises(UnreachableError):
+        path.sample(math.nan)

@@ -1,0 +1,242 @@
+"""Both polytopes: weights, vertices, and which of them is the arm."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lpv_core.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.polytope import (
+    exact_state_space, exact_vertices, exact_weights, inverse_inertia_quadrangle,
+    paper_scheduling, paper_vertices, paper_weights, quadrangle_weights, sinc, sinc_box,
+    slope_range,
+)
+from lpv_core.state_space import vertex_matrices
+
+UNIT = st.floats(0.0, 1.0)
+ANGLE = st.floats(-math.pi, math.pi)
+
+
+def weights_of(phi, box):
+    rho = np.full(8, np.nan)
+    paper_weights(*phi, np.ascontiguousarray(box, float), rho)
+    return rho
+
+
+def exact_weights_of(theta, arm):
+    rho = np.full(16, np.nan)
+    low, high = slope_range(arm)
+    c = arm.constants()
+    exact_weights(*theta, low, high, inverse_inertia_quadrangle(c), c, np.zeros(4), rho)
+    return rho
+
+
+def inertia(theta, arm):
+    """Xi(theta), written out again from the parameters."""
+    c = arm.constants()
+    off = c[O_12] + c[B_12] * math.cos(theta[0] - theta[1])
+    return np.array([[c[A_11], off], [off, c[C_22]]])
+
+
+# ------------------------------------------------------------------ the paper's box
+
+
+@given(UNIT, UNIT, UNIT, st.floats(-0.2, 0.9))
+def test_given_a_point_in_the_box_when_weighted_then_the_weights_form_it(a, b, c, s_min):
+    box = sinc_box(s_min)
+    phi = box[:, 0] + np.array([a, b, c]) * (box[:, 1] - box[:, 0])
+    rho = weights_of(phi, box)
+    assert rho.min() >= 0.0
+    assert rho.sum() == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(rho @ paper_vertices(box), phi, atol=1e-14)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
+def test_given_a_point_anywhere_when_weighted_then_the_nearest_point_of_the_box_is_formed(a, b, c):
+    box = sinc_box(-0.2)
+    rho = weights_of((a, b, c), box)
+    assert rho.min() >= 0.0
+    np.testing.assert_allclose(rho @ paper_vertices(box), np.clip((a, b, c), *box.T), atol=1e-14)
+
+
+@pytest.mark.parametrize('vertex', range(8))
+def test_given_a_vertex_when_weighted_then_it_alone_counts(vertex):
+    box = sinc_box(-0.2)
+    np.testing.assert_array_equal(weights_of(paper_vertices(box)[vertex], box),
+                                  np.eye(8)[vertex])
+
+
+def test_given_eqs_11_and_12_when_written_out_then_the_weights_are_theirs():
+    box = np.array([[-1.0, 1.0], [-0.2, 1.0], [0.1, 0.9]])
+    phi = (0.3, 0.5, 0.25)
+    a_1, a_2, a_3 = (1 - 0.3) / 2, (1 - 0.5) / 1.2, (0.9 - 0.25) / 0.8
+    expected = [a_1 * a_2 * a_3, a_1 * a_2 * (1 - a_3), a_1 * (1 - a_2) * a_3,
+                a_1 * (1 - a_2) * (1 - a_3), (1 - a_1) * a_2 * a_3, (1 - a_1) * a_2 * (1 - a_3),
+                (1 - a_1) * (1 - a_2) * a_3, (1 - a_1) * (1 - a_2) * (1 - a_3)]
+    np.testing.assert_allclose(weights_of(phi, box), expected, rtol=1e-14)
+
+
+def test_given_the_vertices_when_listed_then_the_first_four_have_the_smallest_phi_1():
+    vertices = paper_vertices(sinc_box(-0.2))
+    np.testing.assert_array_equal(vertices[:4, 0], -1.0)
+    np.testing.assert_array_equal(vertices[4:, 0], 1.0)
+    np.testing.assert_array_equal(vertices[0], [-1.0, -0.2, -0.2])
+    np.testing.assert_array_equal(vertices[7], [1.0, 1.0, 1.0])
+
+
+@given(st.floats(-20.0, 20.0))
+def test_given_an_angle_when_its_sinc_is_taken_then_it_is_sine_over_angle(angle):
+    assert sinc(angle) == pytest.approx(np.sinc(angle / np.pi), rel=1e-14, abs=1e-15)
+    assert sinc(-angle) == sinc(angle)
+    assert sinc(angle) >= -0.2173
+
+
+def test_given_the_border_of_the_series_when_sinc_is_taken_then_both_sides_agree():
+    for angle in (0.0, 1e-300, 0.99999e-4, 1e-4, 1.00001e-4):
+        assert sinc(angle) == pytest.approx(np.sinc(angle / np.pi), rel=1e-15)
+
+
+@given(ANGLE, ANGLE)
+def test_given_angles_when_scheduled_then_eqs_6_and_9_hold(theta_1, theta_2):
+    phi = paper_scheduling(theta_1, theta_2)
+    assert phi[0] == math.cos(theta_1 - theta_2)
+    assert phi[1] * theta_1 == pytest.approx(math.sin(theta_1), abs=1e-15)
+    assert phi[2] * theta_2 == pytest.approx(math.sin(theta_2), abs=1e-15)
+
+
+def test_given_phi_1_of_zero_when_b_is_interpolated_then_it_is_1_83_times_the_arms(paper_arm):
+    c, box = paper_arm.constants(), sinc_box(-0.2)
+    _, b = vertex_matrices(box, c)
+    phi = paper_scheduling(math.pi / 4, -math.pi / 4)  # phi1 = cos(pi/2)
+    interpolated = np.tensordot(weights_of(phi, box), b, 1)[2:]
+    true = np.linalg.inv(inertia((math.pi / 4, -math.pi / 4), paper_arm))
+    ratio = np.diag(interpolated) / np.diag(true)
+    np.testing.assert_allclose(ratio, 1.83, atol=0.01)
+
+
+# ------------------------------------------------------------------ the exact polytope
+
+
+def test_given_the_quadrangle_when_walked_around_then_it_is_convex_and_holds_the_whole_arc(arm):
+    c = arm.constants()
+    corners = inverse_inertia_quadrangle(c)
+    s = c[O_12] + c[B_12] * np.cos(np.linspace(0.0, np.pi, 2001))
+    det = c[A_11] * c[C_22] - s**2
+    arc = np.column_stack([1.0 / det, s / det])
+    size = np.prod(np.ptp(corners, axis=0))
+    turns, sides = [], []
+    for i in range(4):
+        a, b, d = corners[i], corners[(i + 1) % 4], corners[(i + 2) % 4]
+        turns.append((b[0] - a[0]) * (d[1] - b[1]) - (b[1] - a[1]) * (d[0] - b[0]))
+        sides.append((b[0] - a[0]) * (arc[:, 1] - a[1]) - (b[1] - a[1]) * (arc[:, 0] - a[0]))
+    orientation = np.sign(turns[0])
+    assert np.all(orientation * np.array(turns) > 1e-3 * size)
+    assert np.all(orientation * np.array(sides) > -1e-12 * size)
+
+
+def test_given_the_quadrangle_when_compared_with_the_bounding_box_then_it_is_smaller(arm):
+    c = arm.constants()
+    corners = inverse_inertia_quadrangle(c)
+    s = c[O_12] + c[B_12] * np.linspace(-1.0, 1.0, 2001)
+    det = c[A_11] * c[C_22] - s**2
+    x, y = corners.T
+    area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    assert area < 0.7 * np.ptp(1.0 / det) * np.ptp(s / det)
+    np.testing.assert_allclose(corners[0], [1.0 / det[0], s[0] / det[0]], rtol=1e-12)
+    np.testing.assert_allclose(corners[3], [1.0 / det[-1], s[-1] / det[-1]], rtol=1e-12)
+
+
+@given(UNIT, UNIT, UNIT)
+def test_given_a_point_in_the_quadrangle_when_weighted_then_the_weights_form_it(
+        paper_arm, real_arm, a, b, mix):
+    for arm in (paper_arm, real_arm):
+        corners = inverse_inertia_quadrangle(arm.constants())
+        top = (1 - a) * corners[0] + a * corners[1]
+        bottom = (1 - b) * corners[3] + b * corners[2]
+        point = (1 - mix) * top + mix * bottom
+        weights = np.zeros(4)
+        quadrangle_weights(*point, corners, weights)
+        assert weights.min() >= 0.0
+        assert weights.sum() == pytest.approx(1.0, abs=1e-14)
+        scale = np.abs(corners).max()
+        np.testing.assert_allclose(weights @ corners, point, atol=1e-12 * scale)
+
+
+def in_region(arm, share_1, share_2):
+    """Angles whose slopes fill the arm's region, on both sides of the vertical."""
+    angles = []
+    for share, near in zip((share_1, share_2), arm.cos_min):
+        deviation = share * math.acos(near)  # share in [-1, 1]
+        angles.append(deviation + (0.0 if arm.orientation == 'upright' else math.pi))
+    return angles
+
+
+SHARE = st.floats(-1.0, 1.0)
+
+
+@given(SHARE, SHARE)
+def test_given_a_configuration_in_the_region_when_weighted_then_16_vertices_are_the_arm(
+        paper_arm, real_arm, share_1, share_2):
+    for arm in (paper_arm, real_arm):
+        theta = in_region(arm, share_1, share_2)
+        rho = exact_weights_of(theta, arm)
+        assert rho.min() >= 0.0
+        assert rho.sum() == pytest.approx(1.0, abs=1e-13)
+        det = np.linalg.det(inertia(theta, arm))
+        wanted = [1.0 / det, inertia(theta, arm)[0, 1] / det, *np.cos(theta)]
+        np.testing.assert_allclose(rho @ exact_vertices(arm), wanted, rtol=1e-9, atol=1e-12)
+
+
+@given(SHARE, SHARE)
+def test_given_a_configuration_in_the_region_when_a_and_b_are_blended_then_they_are_the_arms(
+        paper_arm, real_arm, share_1, share_2):
+    for arm in (paper_arm, real_arm):
+        c = arm.constants()
+        theta = in_region(arm, share_1, share_2)
+        rho = exact_weights_of(theta, arm)
+        pairs = [exact_state_space(v, c) for v in exact_vertices(arm)]
+        a = sum(w * a_i for w, (a_i, _) in zip(rho, pairs))
+        b = sum(w * b_i for w, (_, b_i) in zip(rho, pairs))
+        inverse = np.linalg.inv(inertia(theta, arm))
+        slope = inverse @ np.diag([c[G_1], c[G_2]] * np.cos(theta))
+        expected = np.block([[np.zeros((2, 2)), np.eye(2)], [slope, np.zeros((2, 2))]])
+        scale = np.abs(slope).max()
+        np.testing.assert_allclose(a, expected, atol=1e-10 * scale)
+        np.testing.assert_allclose(b, np.vstack([np.zeros((2, 2)), inverse]),
+                                   atol=1e-10 * np.abs(inverse).max())
+
+
+@given(ANGLE, ANGLE)
+def test_given_a_configuration_outside_the_region_when_weighted_then_its_slopes_are_clipped(
+        paper_arm, real_arm, theta_1, theta_2):
+    for arm in (paper_arm, real_arm):
+        low, high = slope_range(arm)
+        rho = exact_weights_of((theta_1, theta_2), arm)
+        assert rho.min() >= 0.0
+        assert rho.sum() == pytest.approx(1.0, abs=1e-13)
+        slopes = (rho @ exact_vertices(arm))[2:]
+        np.testing.assert_allclose(slopes, np.clip(np.cos([theta_1, theta_2]), low, high),
+                                   atol=1e-12)
+
+
+def test_given_both_orientations_when_slopes_are_bounded_then_they_mirror(paper_arm):
+    low, high = slope_range(replace(paper_arm, cos_min=(0.3, 0.5)))
+    np.testing.assert_array_equal([low, high], [[0.3, 0.5], [1.0, 1.0]])
+    low, high = slope_range(replace(paper_arm, cos_min=(0.3, 0.5), orientation='hanging'))
+    np.testing.assert_array_equal([low, high], [[-1.0, -1.0], [-0.3, -0.5]])
+
+
+@given(SHARE, SHARE, SHARE, SHARE)
+def test_given_angle_and_estimate_in_the_region_when_sines_differ_then_the_slope_is_in_the_hull(
+        paper_arm, real_arm, one, two, three, four):
+    for arm in (paper_arm, real_arm):
+        low, high = slope_range(arm)
+        theta, guess = np.array(in_region(arm, one, two)), np.array(in_region(arm, three, four))
+        gap = theta - guess
+        apart = np.abs(gap) > 1e-6
+        slope = (np.sin(theta) - np.sin(guess))[apart] / gap[apart]
+        assert np.all(slope >= low[apart] - 1e-9)
+        assert np.all(slope <= high[apart] + 1e-9)
