@@ -53,11 +53,10 @@ def real_arm():
     return load_arm(BRINGUP / 'arms' / 'real_arm.yaml')
 
 
-@pytest.fixture(scope='session', params=['paper', 'real_arm'])
+@pytest.fixture(params=['paper_arm', 'real_arm'])
 def arm(request):
-    """Both arms in turn."""
-    from lpv_core.arm import load_arm
-    return load_arm(BRINGUP / 'arms' / f'{request.param}.yaml')
+    """Both arms in turn; of function scope, so that tests keep the order of their files."""
+    return request.getfixturevalue(request.param)
 
 
 @pytest.fixture(scope='session')

@@ -10,8 +10,16 @@ from hypothesis import strategies as st
 
 from lpv_core.arm import A_11, B_12, C_22, G_1, G_2, O_12
 from lpv_core.polytope import (
-    exact_state_space, exact_vertices, exact_weights, inverse_inertia_quadrangle,
-    paper_scheduling, paper_vertices, paper_weights, quadrangle_weights, sinc, sinc_box,
+    exact_state_space,
+    exact_vertices,
+    exact_weights,
+    inverse_inertia_quadrangle,
+    paper_scheduling,
+    paper_vertices,
+    paper_weights,
+    quadrangle_weights,
+    sinc,
+    sinc_box,
     slope_range,
 )
 from lpv_core.state_space import vertex_matrices

@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 
 from lpv_core.polytope import sinc_box
 from lpv_core.state_space import (
-    Descriptor, disturbance_matrix, gravity_matrix, inertia_matrix, lpv_rates, lpv_rk4_step,
-    output_matrices, vertex_matrices,
+    Descriptor,
+    disturbance_matrix,
+    gravity_matrix,
+    inertia_matrix,
+    lpv_rates,
+    lpv_rk4_step,
+    output_matrices,
+    vertex_matrices,
 )
 
 ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-5.0, 5.0), st.floats(-100.0, 100.0)

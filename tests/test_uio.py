@@ -10,11 +10,19 @@ from hypothesis import strategies as st
 from lpv_core.dynamics import inverse_dynamics
 from lpv_core.joints import JointMap
 from lpv_core.polytope import (
-    exact_state_space, exact_vertices, inverse_inertia_quadrangle, sinc_box, slope_range,
+    exact_state_space,
+    exact_vertices,
+    inverse_inertia_quadrangle,
+    sinc_box,
+    slope_range,
 )
 from lpv_core.state_space import Descriptor, output_matrices, vertex_matrices
 from lpv_core.uio import (
-    decoupling, exact_step, fault_feedthrough, observer_matrices, paper_step,
+    decoupling,
+    exact_step,
+    fault_feedthrough,
+    observer_matrices,
+    paper_step,
 )
 
 
