@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BRINGUP
 
 import lpv_core
 from lpv_core.closed_loop import run_closed_loop
@@ -25,6 +24,7 @@ from lpv_core.path import Reference
 from lpv_core.simulation import ArmSimulator
 from lpv_core.tracking import TrackingController, feedback_position
 
+BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 SIGNALS = ('time', 'position', 'velocity', 'measured', 'estimate', 'estimated_velocity',
            'reference', 'fault', 'fault_estimate', 'threshold', 'torque')
 
@@ -299,6 +299,24 @@ def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(
         np.testing.assert_allclose(shift, other.fault, atol=1e-12)
         for plant in plants:
             plant.step((1.0, 2.0))
+
+
+def test_given_a_noise_fault_when_sampled_then_it_is_independent_of_the_sensors_own_noise(
+        paper_arm, two_faults):
+    plant = ArmSimulator(paper_arm, replace(two_faults, faults=(
+        Fault('link1_angle', 'noise', 0.0, size=0.1),)))
+    joints, pairs = JointMap(paper_arm), []
+    for _ in range(1000):
+        measurement, truth = plant.sense()
+        reading = joints.sensor_position(measurement.position)
+        noise = reading - joints.sensor_position(truth.position) - truth.fault
+        pairs.append((truth.fault[0], *noise))
+        plant.hold()
+    fault, *noise = np.array(pairs).T
+    assert np.abs(np.corrcoef(np.array(pairs).T) - np.eye(3)).max() < 0.12  # 3.8 deviations
+    # Nor may both draw the same numbers at different times.
+    common = np.intersect1d(np.round(fault / 0.1, 9), np.round(np.array(noise) / 1e-3, 9))
+    assert common.size == 0
 
 
 def test_given_noise_and_disturbance_when_sampled_then_their_moments_are_the_arms(

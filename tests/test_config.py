@@ -3,11 +3,11 @@
 import math
 import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from conftest import BRINGUP
 
 from lpv_core import config
 from lpv_core.arm import Link, load_arm, parse_arm
@@ -16,6 +16,8 @@ from lpv_core.errors import ConfigError, LpvError
 from lpv_core.faults import KINDS, Fault, FaultInjector
 from lpv_core.gains import gains_to_dict, load_gains, parse_gains, save_gains
 from lpv_core.scenario import load_scenario, parse_scenario
+
+BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 
 ARM = yaml.safe_load((BRINGUP / 'arms' / 'paper.yaml').read_text())
 SCENARIO = yaml.safe_load((BRINGUP / 'scenarios' / 'two_faults.yaml').read_text())

@@ -347,6 +347,16 @@ def test_given_the_exact_design_when_n_is_formed_then_its_poles_are_in_the_disc_
         assert np.linalg.eigvalsh(decrease)[-1] < 0.0
 
 
+def test_given_the_exact_design_when_sampled_then_its_spectral_radius_is_the_recursions(exact, arm):
+    problem, _, _, k, _ = exact[arm.name]
+    radius = 0.0
+    for a_i, k_i in zip(problem.descriptor.a, k):
+        hn = arm.sample_time * (problem.t1 @ a_i + k_i @ problem.descriptor.c)
+        step = np.eye(6) + hn + hn @ hn / 2.0               # Heun rule, as in exact_step
+        radius = max(radius, np.abs(np.linalg.eigvals(step)).max())
+    assert problem.spectral_radius(k) == pytest.approx(radius, abs=1e-9)
+
+
 def test_given_the_exact_design_when_transformed_then_the_position_innovation_is_apart(exact, arm):
     problem, k_x, _, k, _ = exact[arm.name]
     s = problem.t1[4:, :2] * -1.0

@@ -66,6 +66,14 @@ def test_given_a_point_on_the_border_when_solved_then_rounding_does_not_refuse_i
     np.testing.assert_allclose(forward(q, lengths), point, atol=1e-12)
 
 
+@given(LENGTH, LENGTH, st.floats(-math.pi, math.pi), st.booleans())
+def test_given_any_bearing_on_the_border_when_solved_then_rounding_does_not_refuse_it(
+        l_1, l_2, bearing, outer):
+    radius = l_1 + l_2 if outer else abs(l_1 - l_2)
+    point = radius * np.array([math.cos(bearing), math.sin(bearing)])
+    np.testing.assert_allclose(forward(inverse(point, (l_1, l_2)), (l_1, l_2)), point, atol=1e-12)
+
+
 @pytest.mark.parametrize('point', [(2.001, 0.0), (0.1, 0.1), (math.nan, 1.0), (0.5, math.inf),
                                    (1e308, 1e308)])
 def test_given_a_point_out_of_reach_when_solved_then_the_error_says_where_and_why(point):

@@ -138,6 +138,19 @@ def test_given_an_estimate_when_its_arrays_are_overwritten_then_the_observer_is_
         one.held[:] = one.missing[:] = True
 
 
+def test_given_an_estimate_when_more_samples_come_then_it_keeps_what_it_said(observer, swing):
+    theta = np.full(2, swing.rest) + [1.5, 0.0]             # link 1 held
+    q = observer.joints.joint_position(theta)
+    observer.update(0, q, (0, 0), (0, 0))
+    kept = observer.update(TS, q, (0, 0), (0, 0))
+    said = {name: np.copy(getattr(kept, name)) for name in (*VECTORS, 'held', 'missing')}
+    observer.reset()
+    follow(observer, swing, 2, 20)
+    assert said['held'][0]
+    for name, value in said.items():
+        np.testing.assert_array_equal(getattr(kept, name), value)
+
+
 # ------------------------------------------------------------------ values that are missing
 
 

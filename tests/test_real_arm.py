@@ -3,15 +3,16 @@
 import csv
 import math
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
 
 from lpv_core.diagnosis import Diagnoser
 from lpv_core.observer import Counters, UnknownInputObserver
 
-DATA = os.environ.get('LPV_REAL_ARM_DATA') or str(ROOT.parent / 'shared' / 'data' / 'real_arm')
+DATA = os.environ.get('LPV_REAL_ARM_DATA') or str(
+    Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'real_arm')
 RECORDINGS = ('run_143601.csv', 'run_144115.csv')
 
 pytestmark = pytest.mark.skipif(
