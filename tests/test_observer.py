@@ -383,9 +383,13 @@ def test_given_an_absurd_position_when_it_is_over_then_the_estimate_is_as_good_a
     np.testing.assert_allclose(estimate.fault, 0.0, atol=1e-3)
 
 
-@pytest.mark.xfail(strict=True, reason='a rate is integrated whatever its size, and the link is '
-                                       'then held outside the region for good')
-@pytest.mark.parametrize('size', [1e2, 1e6, 1e300])
+@pytest.mark.parametrize('size', [
+    pytest.param(1e2, marks=pytest.mark.xfail(
+        strict=True, reason='no rate is too large for the arm: one spike moves the estimate out of '
+                            'the region, where the link is then held for good')),
+    *[pytest.param(size, marks=pytest.mark.xfail(
+        strict=True, reason='absurd numbers are integrated like any other')) for size in (
+            1e6, 1e300)]])
 def test_given_one_absurd_rate_when_it_is_over_then_a_known_fault_is_still_known(
         paper_arm, paper_gains, size):
     observer, swing = UnknownInputObserver(paper_arm, paper_gains), Swing(paper_arm)

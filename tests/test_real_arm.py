@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpv_core.diagnosis import Diagnoser
+from lpv_core.diagnosis import AlarmEvent, Diagnoser
 from lpv_core.observer import Counters, UnknownInputObserver
 
 DATA = os.environ.get('LPV_REAL_ARM_DATA') or str(
@@ -24,6 +24,7 @@ class Recording:
     """Columns of one file."""
 
     def __init__(self, name):
+        self.name = name
         with open(os.path.join(DATA, name), newline='') as file:
             rows = list(csv.DictReader(file))
 
@@ -86,9 +87,16 @@ def test_given_a_step_on_an_encoder_when_observed_then_it_is_known_after_a_tenth
 def test_given_a_step_on_an_encoder_when_diagnosed_then_its_own_alarm_is_raised_and_no_other(
         real_arm, real_gains, recording, encoder):
     step = np.zeros_like(recording.position)
-    step[recording.time >= 3.0, encoder] = 0.5
+    step[recording.time >= 3.0, encoder] = 0.3
     _, alarms = estimate_faults(real_arm, real_gains, recording, step)
-    assert {a.sensor for a in alarms} <= {real_arm.sensor_names[encoder]}
+    if encoder == 1 and recording.name == 'run_143601.csv':
+        # Link 2 swung beyond the region before: the bound is wider than the step, and says so.
+        assert alarms == []
+        return
+    assert [(a.event, a.sensor) for a in alarms] == [
+        (AlarmEvent.RAISED, real_arm.sensor_names[encoder])]
+    assert 2.99e9 < alarms[0].onset <= alarms[0].detected < 3.03e9
+    assert alarms[0].size == pytest.approx(0.3, abs=0.1)
 
 
 def test_given_the_recordings_when_compared_with_the_region_then_most_of_each_is_inside(
