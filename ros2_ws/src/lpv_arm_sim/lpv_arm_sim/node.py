@@ -76,7 +76,7 @@ class SimulatorNode(ManagedNode):
 
     def outputs(self):
         """Publishers to be matched before the first sample."""
-        return [self._joint_states_out]
+        return {self._joint_states_out: 1, self._truth_out: 0}
 
     def begin(self):
         """Start stepping."""

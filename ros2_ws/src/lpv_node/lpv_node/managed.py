@@ -1,11 +1,14 @@
 """Managed (lifecycle) nodes that start themselves, say why they cannot, and stop cleanly."""
 
+import signal
 import sys
+import time
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
 
 from lpv_core.errors import LpvError
 from lpv_node.parameters import Spec, declare
@@ -15,8 +18,8 @@ COMMON = (
          read_only=True),
     Spec('lockstep', False, 'reliable topics with deep queues: every step waits for its answer',
          read_only=True),
-    Spec('min_subscribers', 0, 'wait until each output has this many subscribers before taking '
-         'part; makes recordings complete from the first sample', 0, 100, read_only=True),
+    Spec('await_recorders', 0, 'wait until each output has so many recorders before taking part: '
+         'recordings are then complete from the first sample', 0, 100, read_only=True),
 )
 
 
@@ -24,7 +27,8 @@ class ManagedNode(LifecycleNode):
     """Base of the graph's nodes.
 
     Subclasses implement ``setup`` (may raise LpvError: the message is logged and the transition
-    fails), ``outputs`` (publishers that must be matched first) and ``begin`` / ``end``.
+    fails), ``outputs`` (publishers and how many nodes of the graph consume each: in lockstep these
+    must be matched first), ``begin`` and ``end``.
 
     Parameters
     ----------
@@ -32,7 +36,14 @@ class ManagedNode(LifecycleNode):
         Node name.
     specs : iterable of Spec
         Parameters beside the common ones.
+
+    Attributes
+    ----------
+    drain_time : float
+        How long the node still takes what is queued after it was told to stop [s].
     """
+
+    drain_time = 0.0
 
     def __init__(self, name, specs):
         super().__init__(name)
@@ -72,8 +83,9 @@ class ManagedNode(LifecycleNode):
         return super().on_cleanup(state)
 
     def _try_begin(self):
-        needed = self.get_parameter('min_subscribers').value
-        if all(p.get_subscription_count() >= needed for p in self.outputs()):
+        recorders = self.get_parameter('await_recorders').value
+        if all(publisher.get_subscription_count() >= recorders + self.lockstep * consumers
+               for publisher, consumers in self.outputs().items()):
             self.destroy_timer(self._gate)
             self._gate = None
             self.begin()
@@ -109,8 +121,8 @@ class ManagedNode(LifecycleNode):
         """Read files and parameters, create publishers; may raise LpvError."""
 
     def outputs(self):
-        """Publishers that need ``min_subscribers`` before `begin`."""
-        return []
+        """Publishers, each with the number of graph nodes that consume it."""
+        return {}
 
     def begin(self):
         """Create subscriptions and timers."""
@@ -145,15 +157,15 @@ def run_node(node_class, argv=None):
     int
         Exit code: 0 after SIGINT, SIGTERM or a finished run; 1 if the node could not start.
     """
-    rclpy.init(args=argv)
+    # rclpy's own handler shuts the context down at once, with messages still in the queues.
+    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    stop = _StopRequest()
     node, code = None, 1
     try:
         node = node_class()
-        code = _spin(node)
+        code = _spin(node, stop)
     except LpvError as error:
         print(f'[{node_class.__name__}] {error}', file=sys.stderr, flush=True)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        code = 0
     finally:
         if node is not None:
             node.end()
@@ -162,7 +174,19 @@ def run_node(node_class, argv=None):
     return code
 
 
-def _spin(node):
+class _StopRequest:
+    """SIGINT and SIGTERM as a flag."""
+
+    def __init__(self):
+        self.set = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._raise)
+
+    def _raise(self, _number, _frame):
+        self.set = True
+
+
+def _spin(node, stop):
     if node.get_parameter('autostart').value:
         started = (node.trigger_configure() == TransitionCallbackReturn.SUCCESS
                    and node.trigger_activate() == TransitionCallbackReturn.SUCCESS)
@@ -170,7 +194,10 @@ def _spin(node):
             return 1
     executor = _executor()
     executor.add_node(node)
-    # A time-out keeps the loop responsive to signals; without one EventsExecutor ignores them.
-    while rclpy.ok() and not node.finished:
-        executor.spin_once(timeout_sec=0.5)
+    # A time-out lets Python see signals; without one EventsExecutor ignores them.
+    while rclpy.ok() and not (node.finished or stop.set):
+        executor.spin_once(timeout_sec=0.2)
+    deadline = time.monotonic() + node.drain_time
+    while rclpy.ok() and time.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.05)
     return node.exit_code

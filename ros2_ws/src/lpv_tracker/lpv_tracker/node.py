@@ -50,7 +50,7 @@ class TrackerNode(ManagedNode):
 
     def outputs(self):
         """Publishers to be matched before estimates are taken."""
-        return [self._command_out, self._reference_out]
+        return {self._command_out: 1, self._reference_out: 0}
 
     def begin(self):
         """Subscribe."""

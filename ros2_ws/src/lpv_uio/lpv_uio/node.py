@@ -98,7 +98,7 @@ class UioNode(ManagedNode):
 
     def outputs(self):
         """Publishers to be matched before measurements are taken."""
-        return [self._state_out, self._fault_out]
+        return {self._state_out: 1, self._fault_out: 0, self._diagnostics_out: 0}
 
     def begin(self):
         """Subscribe."""

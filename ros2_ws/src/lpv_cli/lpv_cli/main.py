@@ -1,0 +1,72 @@
+"""The ``lpv`` command."""
+
+import argparse
+import importlib
+import sys
+
+from lpv_core.errors import LpvError
+
+COMMANDS = {
+    'design': ('lpv_design.main', 'design certified gains for an arm'),
+    'demo': ('lpv_cli.demo', 'design, simulate with the real graph, record, report'),
+    'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),
+    'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),
+    'report': ('lpv_cli.report_command', 'write the report of a bag'),
+}
+"""Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""
+
+
+def build_parser(chosen=None):
+    """Parser of the command line.
+
+    Parameters
+    ----------
+    chosen : str, optional
+        Only this command's module is imported: designing must not wait for plotting, nor
+        replaying for the solver.
+
+    Returns
+    -------
+    argparse.ArgumentParser
+        With one sub-command each.
+    """
+    parser = argparse.ArgumentParser(
+        prog='lpv', description='Sensor-fault diagnosis and tracking of two-link robot arms.')
+    commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
+    for name, (module, text) in COMMANDS.items():
+        sub = commands.add_parser(name, help=text, description=text)
+        if name == chosen:
+            implementation = importlib.import_module(module)
+            implementation.add_arguments(sub)
+            sub.set_defaults(run=implementation.run)
+    return parser
+
+
+def main(argv=None):
+    """Entry point.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments without the program name.
+
+    Returns
+    -------
+    int
+        Exit code; 2 for bad input.
+    """
+    argv = sys.argv[1:] if argv is None else argv
+    chosen = next((a for a in argv if a in COMMANDS), None)
+    arguments = build_parser(chosen).parse_args(argv)
+    try:
+        return arguments.run(arguments)
+    except LpvError as error:
+        print(f'lpv {arguments.command}: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('interrupted', file=sys.stderr)
+        return 130
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""Start, watch and stop the nodes of a run as separate processes."""
+
+import os
+import queue
+import signal
+import subprocess
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from lpv_core.errors import LpvError
+
+
+class NodeFailure(LpvError):
+    """A node ended before its time; the message carries the end of its log."""
+
+
+@dataclass
+class NodeProcess:
+    """One running node.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    process : subprocess.Popen
+        Leader of its own process group.
+    log : pathlib.Path
+        What it printed.
+    """
+
+    name: str
+    process: subprocess.Popen
+    log: Path
+
+
+class Graph:
+    """A set of nodes that live and end together.
+
+    Parameters
+    ----------
+    log_dir : pathlib.Path
+        Receives one log file a node.
+    domain_id : int
+        ROS_DOMAIN_ID of the run.
+    """
+
+    def __init__(self, log_dir, domain_id):
+        self._log_dir = Path(log_dir)
+        self._log_dir.mkdir(parents=True, exist_ok=True)
+        self._environment = dict(
+            os.environ, ROS_DOMAIN_ID=str(domain_id),
+            # Nobody else's business: nodes are found on this machine only.
+            ROS_AUTOMATIC_DISCOVERY_RANGE=os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE',
+                                                         'LOCALHOST'),
+            PYTHONUNBUFFERED='1')
+        self.nodes = []
+        self.lines = queue.Queue()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+    def start(self, name, command):
+        """Start a node.
+
+        Parameters
+        ----------
+        name : str
+            For messages and the log file.
+        command : list of str
+            Program and arguments.
+
+        Returns
+        -------
+        NodeProcess
+            The node.
+        """
+        process = subprocess.Popen(
+            [str(part) for part in command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            env=self._environment, text=True, start_new_session=True)
+        node = NodeProcess(name, process, self._log_dir / f'{name}.log')
+        threading.Thread(target=self._pump, args=(node,), daemon=True).start()
+        self.nodes.append(node)
+        return node
+
+    def _pump(self, node):
+        with open(node.log, 'w', encoding='utf-8') as log:
+            for line in node.process.stdout:
+                log.write(line)
+                log.flush()
+                self.lines.put((node.name, line.rstrip()))
+
+    def check(self, finite=None):
+        """Raise if a node has ended that should not.
+
+        Parameters
+        ----------
+        finite : NodeProcess, optional
+            A node that may end with code 0.
+
+        Raises
+        ------
+        NodeFailure
+            With the last lines of its log.
+        """
+        for node in self.nodes:
+            code = node.process.poll()
+            if code is not None and not (node is finite and code == 0):
+                raise NodeFailure(f'{node.name} ended with code {code}:\n{_tail(node.log)}')
+
+    def stop(self, patience=10.0):
+        """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
+
+        Parameters
+        ----------
+        patience : float, optional
+            How long each kind of signal may take [s].
+
+        Returns
+        -------
+        dict
+            Exit code by node name.
+        """
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            running = [n for n in self.nodes if n.process.poll() is None]
+            for node in running:
+                _signal(node, number)
+            deadline = time.monotonic() + patience
+            for node in running:
+                try:
+                    node.process.wait(max(0.0, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    pass
+        return {node.name: node.process.poll() for node in self.nodes}
+
+
+def _signal(node, number):
+    try:
+        os.killpg(node.process.pid, number)
+    except ProcessLookupError:
+        pass
+
+
+def _tail(path, count=15):
+    try:
+        return '\n'.join(path.read_text(encoding='utf-8').splitlines()[-count:])
+    except OSError:
+        return '(no log)'

@@ -1,0 +1,71 @@
+"""Where packages keep their files and programs: the ament index, without ROS running."""
+
+from pathlib import Path
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+from lpv_core.errors import ConfigError
+
+
+def _prefix(package):
+    try:
+        return Path(get_package_prefix(package))
+    except (PackageNotFoundError, LookupError) as error:
+        raise ConfigError(package, 'is not installed: build the workspace, or source it') from error
+
+
+def executable(package, name):
+    """Program that ``ros2 run PACKAGE NAME`` starts.
+
+    Parameters
+    ----------
+    package, name : str
+        ROS package and program.
+
+    Returns
+    -------
+    pathlib.Path
+        Its file.
+
+    Raises
+    ------
+    ConfigError
+        If it is not installed.
+    """
+    path = _prefix(package) / 'lib' / package / name
+    if not path.is_file():
+        raise ConfigError(f'{package}/{name}', f'there is no program {path}')
+    return path
+
+
+def bringup_file(kind, name):
+    """An arm or scenario file: a path, or the bare name of a shipped one.
+
+    Parameters
+    ----------
+    kind : {'arms', 'scenarios'}
+        Folder of lpv_bringup.
+    name : str
+        Bare name (``paper``) or path.
+
+    Returns
+    -------
+    pathlib.Path
+        Existing file.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; names the shipped ones.
+    """
+    path = Path(name)
+    if path.suffix in ('.yaml', '.yml'):
+        if not path.is_file():
+            raise ConfigError(kind[:-1], f'there is no file {name}')
+        return path.resolve()
+    folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
+    path = folder / f'{name}.yaml'
+    if not path.is_file():
+        known = ', '.join(sorted(p.stem for p in folder.glob('*.yaml')))
+        raise ConfigError(kind[:-1], f'{name!r} is neither a file nor shipped; shipped: {known}')
+    return path

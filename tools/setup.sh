@@ -1,0 +1,117 @@
+#!/usr/bin/env bash
+# Sets everything up in a virtual environment; does only what is not done already.
+#
+#   tools/setup.sh [test]      "test" also installs what the tests need
+#
+# PYTHON   interpreter to use (default: python3), 3.10 to 3.13
+# VENV     environment to make (default: .venv in this folder's parent)
+#
+# Where a ROS 2 is sourced, that one is used; otherwise ROS 2 comes from wheels.
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+venv=${VENV:-$root/.venv}
+build=$root/.build
+python=${PYTHON:-python3}
+state=$venv/.lpv
+
+fail() { echo "setup: $*" >&2; exit 1; }
+say() { echo "setup: $*"; }
+
+choose_source() {
+  source=wheels
+  if [ -n "${ROS_DISTRO:-}" ] && "$python" -c 'import rclpy' 2>/dev/null; then
+    source=sourced
+  elif [ "$(uname -s)-$(uname -m)" != Linux-x86_64 ]; then
+    fail "there are ROS 2 wheels for Linux x86_64 only; source a ROS 2 (Jazzy or later) first"
+  fi
+}
+
+check_machine() {
+  command -v "$python" >/dev/null || fail "$python is missing: apt-get install python3 python3-venv"
+  "$python" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' ||
+    fail "$("$python" --version) does not do: Python 3.10 to 3.13 is needed (set PYTHON)"
+  "$python" -c 'import venv, ensurepip' 2>/dev/null ||
+    fail "Python's venv is missing: apt-get install python3-venv"
+  command -v g++ >/dev/null || fail "a C++ compiler is missing: apt-get install g++"
+  "$python" -c 'import os, sys, sysconfig
+sys.exit(not os.path.exists(os.path.join(sysconfig.get_paths()["include"], "Python.h")))' ||
+    fail "Python's headers are missing: apt-get install python3-dev"
+}
+
+hash_of() { sha256sum "$@" | sha256sum | cut -c1-64; }
+
+source_hash() {
+  (cd "$root" && find design ros2_ws/src -type f -not -path '*/__pycache__/*' \
+    -not -path '*.egg-info/*' -print0 | sort -z | xargs -0 sha256sum | sha256sum | cut -c1-64)
+}
+
+done_already() { [ -f "$state/$1" ] && [ "$(cat "$state/$1")" = "$2" ]; }
+mark_done() { mkdir -p "$state"; echo "$2" > "$state/$1"; }
+
+make_venv() {
+  local id
+  id="$source $("$python" -c 'import sys; print(sys.base_prefix, sys.version)' | tr '\n' ' ')"
+  done_already venv "$id" && return 0
+  say "making the environment $venv ($source ROS 2)"
+  rm -rf "$venv" "$build"
+  if [ "$source" = sourced ]; then
+    "$python" -m venv --system-site-packages "$venv"
+  else
+    "$python" -m venv "$venv"
+  fi
+  mark_done venv "$id"
+}
+
+install_requirements() {
+  local name=$1 id
+  shift
+  id=$(hash_of "$@")
+  done_already "$name" "$id" && return 0
+  say "installing $name requirements"
+  local arguments=()
+  for file in "$@"; do arguments+=(-r "$file"); done
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "${arguments[@]}"
+  mark_done "$name" "$id"
+}
+
+build_workspace() {
+  local id
+  id=$(source_hash)
+  done_already workspace "$id" && return 0
+  say "building the workspace"
+  local options=()
+  export PATH="$venv/bin:$PATH"
+  if [ "$source" = wheels ]; then
+    export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv VIRTUAL_ENV=$venv
+    options+=(-G Ninja "-DCMAKE_PROJECT_INCLUDE=$root/tools/wheels_fix.cmake")
+  fi
+  mkdir -p "$build"
+  # Into the environment itself: programs then run with nothing sourced.
+  if ! (cd "$root/ros2_ws" && "$venv/bin/python" -m colcon --log-base "$build/log" build \
+      --merge-install --install-base "$venv" --build-base "$build/build" \
+      --event-handlers console_cohesion- console_direct- console_stderr- \
+      --cmake-args "${options[@]}" -DBUILD_TESTING=OFF \
+      "-DPython3_EXECUTABLE=$venv/bin/python") > "$build/colcon.txt" 2>&1; then
+    cat "$build/colcon.txt" >&2
+    fail "the workspace did not build; see $build/log"
+  fi
+  mark_done workspace "$id"
+}
+
+main() {
+  choose_source
+  check_machine
+  make_venv
+  if [ "$source" = wheels ]; then
+    install_requirements base "$root/requirements/base.txt" "$root/requirements/ros2-wheels.txt"
+  else
+    install_requirements base "$root/requirements/base.txt" "$root/requirements/colcon.txt"
+  fi
+  if [ "${1:-}" = test ]; then
+    install_requirements test "$root/requirements/test.txt"
+  fi
+  build_workspace
+}
+
+main "$@"
