@@ -1,10 +1,7 @@
 """Fixtures shared by the tests of the maths: shipped arms, scenario, designed gains."""
 
-import hashlib
 import importlib.util
-import os
 import sys
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -18,26 +15,10 @@ for _name, _place in (('lpv_core', ROOT / 'ros2_ws' / 'src' / 'lpv_core'),
     if importlib.util.find_spec(_name) is None:
         sys.path.insert(0, str(_place))
 
-
-def _source_digest():
-    digest = hashlib.sha256()
-    for name in ('lpv_core', 'lpv_design'):
-        folder = Path(importlib.util.find_spec(name).submodule_search_locations[0])
-        for source in sorted(folder.glob('*.py')):
-            digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-# Numba's cache looks at the file of a function, not at the files of what it calls: compiled code
-# of an older state must not be tested.  One cache directory for each state of the sources.
-os.environ['NUMBA_CACHE_DIR'] = str(
-    Path(tempfile.gettempdir()) / f'lpv_numba_{os.getuid()}_{_source_digest()}')
-
 # Compilation takes seconds in the first example; the same examples are drawn in every run.
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None,
                           max_examples=200)
 settings.load_profile('lpv')
-
 
 @pytest.fixture(scope='session')
 def paper_arm():
@@ -45,26 +26,22 @@ def paper_arm():
     from lpv_core.arm import load_arm
     return load_arm(BRINGUP / 'arms' / 'paper.yaml')
 
-
 @pytest.fixture(scope='session')
 def real_arm():
     """Arm of the recordings: relative encoders, hanging, with rotors and friction."""
     from lpv_core.arm import load_arm
     return load_arm(BRINGUP / 'arms' / 'real_arm.yaml')
 
-
 @pytest.fixture(params=['paper_arm', 'real_arm'])
 def arm(request):
     """Both arms in turn; of function scope, so that tests keep the order of their files."""
     return request.getfixturevalue(request.param)
-
 
 @pytest.fixture(scope='session')
 def two_faults():
     """Shipped scenario with an abrupt and an incipient fault."""
     from lpv_core.scenario import load_scenario
     return load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml')
-
 
 @pytest.fixture(scope='session')
 def paper_gains(paper_arm):
@@ -73,7 +50,6 @@ def paper_gains(paper_arm):
     from lpv_design.requirement import load_requirement
     return design(paper_arm, load_requirement('paper')).gains
 
-
 @pytest.fixture(scope='session')
 def real_gains(real_arm):
     """Gains of the shipped requirement ``real_arm``."""
@@ -81,14 +57,12 @@ def real_gains(real_arm):
     from lpv_design.requirement import load_requirement
     return design(real_arm, load_requirement('real_arm')).gains
 
-
 @pytest.fixture(scope='session')
 def literal_gains(paper_arm):
     """Gains of the shipped requirement ``paper_literal``: LMI (55) as published."""
     from lpv_design.pipeline import design
     from lpv_design.requirement import load_requirement
     return design(paper_arm, load_requirement('paper_literal')).gains
-
 
 @pytest.fixture(scope='session')
 def gains_of(paper_gains, real_gains):

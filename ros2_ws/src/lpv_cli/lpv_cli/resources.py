@@ -1,17 +1,21 @@
-"""Where packages keep their files and programs: the ament index, without ROS running."""
+"""Where packages keep their files and programs, with a ROS 2 sourced or without."""
 
+import os
+import sys
 from pathlib import Path
-
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from lpv_core.errors import ConfigError
 
 
 def _prefix(package):
-    try:
-        return Path(get_package_prefix(package))
-    except (PackageNotFoundError, LookupError) as error:
-        raise ConfigError(package, 'is not installed: build the workspace, or source it') from error
+    # The ament index by hand: its Python package refuses to look where nothing is sourced, and
+    # programs built into a virtual environment must run without.
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    for prefix in (*prefixes, sys.prefix):
+        if (Path(prefix) / 'share' / 'ament_index' / 'resource_index' / 'packages'
+                / package).is_file():
+            return Path(prefix)
+    raise ConfigError(package, 'is not installed: build the workspace, or source it')
 
 
 def executable(package, name):

@@ -4,17 +4,51 @@ The recursions of plant, observer and tracker are written in the subset of Pytho
 compiles.  The nodes, the offline replay and the design tools all call the same compiled functions,
 so that their results agree bit for bit.  Where Numba is missing, or ``LPV_NO_JIT=1`` is set, the
 very same functions run as plain Python: slower, same arithmetic.
+
+Compiled code is kept between runs.  Numba's cache notices a change of the file that holds a
+function, but not of the files that hold what it calls; one folder for each state of this package
+keeps old machine code from running.
 """
 
+import hashlib
 import os
+import tempfile
+from pathlib import Path
 
-if os.environ.get('LPV_NO_JIT', '') == '1':
-    _numba_njit = None
-else:
+
+def _cache_folder():
+    """Cache folder of this state of the sources; None where no safe one can be made."""
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob('*.py')):
+        digest.update(source.read_bytes())
+    name = f'lpv_core-{digest.hexdigest()[:16]}'
+    home = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'lpv_arm_fdi'
+    for parent in (home, Path(tempfile.gettempdir()) / f'lpv_arm_fdi-{os.getuid()}'):
+        folder = parent / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            # Machine code is run from here: a folder of somebody else's is not trusted.
+            if parent.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
+                return str(folder)
+        except OSError:
+            continue
+    return None
+
+
+def _load_numba():
+    if os.environ.get('LPV_NO_JIT', '') == '1':
+        return None, False
     try:
-        from numba import njit as _numba_njit
+        import numba
     except ImportError:  # a machine without Numba runs the plain functions
-        _numba_njit = None
+        return None, False
+    folder = _cache_folder()
+    if folder is not None and 'NUMBA_CACHE_DIR' not in os.environ:
+        numba.config.CACHE_DIR = folder
+    return numba.njit, folder is not None
+
+
+_numba_njit, _cache = _load_numba()
 
 COMPILED = _numba_njit is not None
 
@@ -35,4 +69,4 @@ def njit(function):
     if _numba_njit is None:
         return function
     # fastmath stays off: results must not depend on how a loop is vectorised.
-    return _numba_njit(cache=True, fastmath=False, error_model='numpy')(function)
+    return _numba_njit(cache=_cache, fastmath=False, error_model='numpy')(function)

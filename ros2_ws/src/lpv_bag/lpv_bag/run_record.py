@@ -1,0 +1,436 @@
+"""A recorded run as NumPy arrays, from any rosbag2 bag."""
+
+import contextlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+
+from lpv_bag.interfaces import make_typestore
+from lpv_core.diagnosis import Alarm, AlarmEvent
+from lpv_core.errors import LpvError
+
+NANOSECONDS = 1_000_000_000
+
+
+class BagError(LpvError):
+    """A bag cannot be read, or does not hold what is needed."""
+
+
+# Stream: (message type, array fields); the name is the last part of the topic's usual name.
+STREAMS = {
+    'joint_states': ('sensor_msgs/msg/JointState', ('position', 'velocity', 'effort')),
+    'torque_command': ('lpv_msgs/msg/TorqueCommand', ('torque', 'safe_stop')),
+    'state_estimate': ('lpv_msgs/msg/StateEstimate',
+                       ('position', 'velocity', 'compensated_position', 'measured_position',
+                        'measured_velocity', 'mode')),
+    'fault_estimate': ('lpv_msgs/msg/FaultEstimate',
+                       ('estimate', 'bound', 'threshold', 'state', 'alarm')),
+    'reference': ('lpv_msgs/msg/JointReference',
+                  ('position', 'velocity', 'acceleration', 'tip_position')),
+    'ground_truth': ('lpv_msgs/msg/GroundTruth',
+                     ('position', 'velocity', 'torque', 'fault', 'disturbance')),
+}
+"""Streams of arrays; ground_truth and reference are absent in recordings of a real arm."""
+
+ALARMS = 'fault_alarm'
+ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
+
+
+@dataclass(frozen=True)
+class RecordedAlarm(Alarm):
+    """An alarm event with the stamp of the measurement that decided.
+
+    Attributes
+    ----------
+    stamp : int
+        [ns].
+    """
+
+    stamp: int = 0
+
+
+@dataclass
+class RunRecord:
+    """One run.
+
+    Rows of a stream are in the order of their header stamps; of several messages with the same
+    stamp the last one counts.
+
+    Attributes
+    ----------
+    stamps : dict of str to ndarray of int64, shape (n,)
+        Header stamps [ns] by stream name of `STREAMS`, increasing; absent streams are missing.
+    streams : dict of str to dict of str to ndarray
+        Fields by stream name, one row a stamp; units as in the message definitions.
+    alarms : list of RecordedAlarm
+        Alarm events in the order of their stamps.
+    counts : dict of str to int
+        Messages in the bag by topic, of all topics.
+    topics : dict of str to str
+        Topic by stream name.
+    joint_names : tuple of str
+        Joints of the columns of joint_states.
+    sensor_names : tuple of str
+        Sensors of the columns of fault_estimate; empty without that stream.
+    """
+
+    stamps: dict = field(default_factory=dict)
+    streams: dict = field(default_factory=dict)
+    alarms: list = field(default_factory=list)
+    counts: dict = field(default_factory=dict)
+    topics: dict = field(default_factory=dict)
+    joint_names: tuple = ()
+    sensor_names: tuple = ()
+
+    def get(self, stream, name):
+        """Field of a stream on the stream's own stamps.
+
+        Parameters
+        ----------
+        stream, name : str
+            Stream and field.
+
+        Returns
+        -------
+        ndarray or None
+            One row a stamp; None if the stream is absent.
+        """
+        return self.streams[stream][name] if stream in self.streams else None
+
+    def aligned(self, stream, name):
+        """Field of a stream on the stamps of joint_states.
+
+        Parameters
+        ----------
+        stream, name : str
+            Stream and field.
+
+        Returns
+        -------
+        ndarray or None
+            One row a measurement, NaN where the stream has no message with that stamp; None if
+            the stream is absent.
+        """
+        values = self.get(stream, name)
+        if values is None:
+            return None
+        base, stamps = self.stamps['joint_states'], self.stamps[stream]
+        nearest = np.minimum(np.searchsorted(stamps, base), len(stamps) - 1)
+        match = stamps[nearest] == base
+        result = np.full((len(base), *values.shape[1:]), np.nan)
+        result[match] = values[nearest[match]]
+        return result
+
+    @property
+    def time(self):
+        """Time of each measurement since the first one [s], shape (n,)."""
+        return self.seconds(self.stamps['joint_states'])
+
+    def seconds(self, stamps):
+        """Time since the first measurement.
+
+        Parameters
+        ----------
+        stamps : int or ndarray of int64
+            [ns].
+
+        Returns
+        -------
+        float or ndarray
+            [s].
+        """
+        # The difference of integers is exact; epoch seconds as floats would lose 100 ns.
+        return (stamps - self.stamps['joint_states'][0]) / NANOSECONDS
+
+
+class BagReader(AnyReader):
+    """rosbags' reader; what it raises on a damaged bag is a BagError."""
+
+    def messages(self, *args, **kwargs):
+        """As ``AnyReader.messages``.
+
+        Yields
+        ------
+        tuple
+            Connection, log time [ns], raw data.
+
+        Raises
+        ------
+        BagError
+            If the bag is damaged.
+        """
+        with _damage(self.paths[0]):
+            yield from super().messages(*args, **kwargs)
+
+    def deserialize(self, rawdata, typ):
+        """As ``AnyReader.deserialize``.
+
+        Parameters
+        ----------
+        rawdata : bytes
+            CDR.
+        typ : str
+            Message type.
+
+        Returns
+        -------
+        object
+            Message.
+
+        Raises
+        ------
+        BagError
+            If the data does not fit the type.
+        """
+        with _damage(self.paths[0]):
+            return super().deserialize(rawdata, typ)
+
+
+@contextlib.contextmanager
+def _damage(path):
+    try:
+        yield
+    except LpvError:
+        raise
+    except Exception as error:  # readers and decompressors raise many kinds on damaged files
+        text = str(error) or type(error).__name__
+        raise BagError(f'{path}: cannot be read, the bag is damaged or incomplete ({text})'
+                       ) from error
+
+
+@contextlib.contextmanager
+def open_bag(path, typestore=None):
+    """Open a bag; whatever goes wrong in reading is a BagError with a message.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        rosbag2 directory or single ``.mcap`` or ``.db3`` file.
+    typestore : rosbags typestore, optional
+        For bags that carry no message definitions; the standard types and lpv_msgs if not given.
+
+    Yields
+    ------
+    BagReader
+        Open reader.
+
+    Raises
+    ------
+    BagError
+        If there is no such bag, or it is damaged.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BagError(f'{path}: there is no such bag')
+    if path.is_dir() and not (path / 'metadata.yaml').is_file():
+        raise BagError(f'{path}: is not a complete rosbag2 bag, it has no metadata.yaml')
+    with contextlib.ExitStack() as stack:
+        with _damage(path):
+            reader = stack.enter_context(
+                BagReader([path], default_typestore=typestore or make_typestore()))
+        yield reader
+
+
+def find_topic(reader, msgtype, name, wanted=None, required=True, namespace=None):
+    """The one connection that carries a stream.
+
+    Parameters
+    ----------
+    reader : AnyReader
+        Open bag.
+    msgtype : str
+        Message type.
+    name : str
+        Last part of the usual topic name, preferred among several of the type.
+    wanted : str, optional
+        Topic given by the user.
+    required : bool, optional
+        Whether absence is an error.
+    namespace : str, optional
+        Only topics directly below it, e.g. ``/lpv``.
+
+    Returns
+    -------
+    rosbags connection or None
+        The connection.
+
+    Raises
+    ------
+    BagError
+        If a required stream is missing, or several topics carry it.
+    """
+    found = find_connections(reader, msgtype, name, wanted, required, namespace)
+    return found[0] if found else None
+
+
+def find_connections(reader, msgtype, name, wanted=None, required=True, namespace=None):
+    """All connections of the one topic that carries a stream.
+
+    A topic has several connections if several publishers with different QoS wrote to it.
+
+    Parameters
+    ----------
+    reader, msgtype, name, wanted, required, namespace
+        As `find_topic`.
+
+    Returns
+    -------
+    list of rosbags connections
+        Of one topic; empty if it is absent and not required.
+
+    Raises
+    ------
+    BagError
+        As `find_topic`.
+    """
+    found = [c for c in reader.connections if c.msgtype == msgtype]
+    if namespace is not None:
+        parent = '/' + namespace.strip('/')
+        found = [c for c in found if (c.topic.rsplit('/', 1)[0] or '/') == parent]
+    if wanted:
+        found = [c for c in found if c.topic == wanted]
+    elif len(found) > 1:
+        found = [c for c in found if c.topic.rsplit('/', 1)[-1] == name] or found
+    topics = sorted({c.topic for c in found})
+    if len(topics) > 1:
+        raise BagError(f'{reader.paths[0]}: several topics carry {msgtype}: {", ".join(topics)}; '
+                       'the bag holds more than one arm, say which namespace or topic is meant')
+    if required and not found:
+        place = f' below namespace {namespace}' if namespace is not None else ''
+        there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
+        raise BagError(f'{reader.paths[0]}: the bag has no topic {wanted or name!r} of type '
+                       f'{msgtype}{place}; it has {there or "no topic at all"}')
+    return found
+
+
+def load_run(path, namespace=None, joint_names=None):
+    """Read a run.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Bag: rosbag2 directory or single storage file.
+    namespace : str, optional
+        Namespace of the arm, in a bag with several.
+    joint_names : sequence of str, optional
+        Joints to take from joint_states, in this order; those of the first message if not given.
+
+    Returns
+    -------
+    RunRecord
+        Its arrays.
+
+    Raises
+    ------
+    BagError
+        If the bag is unreadable, lacks measurements or one of the joints, or holds more than one
+        arm.
+    """
+    with open_bag(path) as reader:
+        chosen = {}
+        for name, (msgtype, _) in (*STREAMS.items(), (ALARMS, (ALARM_TYPE, ()))):
+            found = find_connections(reader, msgtype, name, namespace=namespace,
+                                     required=name == 'joint_states')
+            if found:
+                chosen[name] = found
+        record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
+        for connection in reader.connections:
+            record.counts[connection.topic] = (record.counts.get(connection.topic, 0)
+                                               + connection.msgcount)
+        collector = _Collector(record, joint_names)
+        names = {c[0].topic: name for name, c in chosen.items()}
+        for connection, _, data in reader.messages([c for cs in chosen.values() for c in cs]):
+            collector.add(names[connection.topic],
+                          reader.deserialize(data, connection.msgtype))
+    try:
+        collector.finish()
+    except BagError as error:
+        raise BagError(f'{path}: {error}') from None
+    return record
+
+
+def stamp_of(stamp):
+    """Nanoseconds of a builtin_interfaces/Time as rosbags gives it.
+
+    Parameters
+    ----------
+    stamp : object
+        With ``sec`` and ``nanosec``.
+
+    Returns
+    -------
+    int
+        [ns].
+    """
+    return stamp.sec * NANOSECONDS + stamp.nanosec
+
+
+class _Collector:
+    """Gathers messages, then fills the arrays of a record."""
+
+    def __init__(self, record, joint_names):
+        self._record = record
+        self._rows = {}
+        self._alarms = {}
+        record.joint_names = tuple(joint_names or ())
+        self._names, self._index = None, None
+
+    def add(self, name, message):
+        if name == ALARMS:
+            alarm = _alarm(message)
+            # Latched events are delivered again to late subscribers.
+            self._alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
+            return
+        fields = STREAMS[name][1]
+        if name == 'joint_states':
+            values = self._pick(message)
+        else:
+            values = [getattr(message, field) for field in fields]
+        if name == 'fault_estimate' and not self._record.sensor_names:
+            self._record.sensor_names = tuple(message.sensor_names)
+        self._rows.setdefault(name, []).append((stamp_of(message.header.stamp), values))
+
+    def _pick(self, message):
+        """Columns of the wanted joints; drivers sort joints as they like, and have more."""
+        if message.name != self._names:
+            self._record.joint_names = self._record.joint_names or tuple(message.name)
+            missing = [n for n in self._record.joint_names if n not in message.name]
+            if missing:
+                raise BagError(f'joint {missing[0]!r} is not in joint_states, which has '
+                               f'{", ".join(message.name) or "no joint"}')
+            self._names = list(message.name)
+            self._index = [self._names.index(n) for n in self._record.joint_names]
+        count = len(self._names)
+        nothing = np.full(len(self._index), np.nan)
+        return [v[self._index] if len(v) == count else nothing
+                for v in (message.position, message.velocity, message.effort)]
+
+    def finish(self):
+        for name, rows in self._rows.items():
+            stamps = np.array([stamp for stamp, _ in rows], dtype=np.int64)
+            # np.unique gives the first of equal ones: reversed, that is the last message.
+            stamps, last = np.unique(stamps[::-1], return_index=True)
+            rows = [rows[len(rows) - 1 - i][1] for i in last]
+            columns = [np.array(column, dtype=float) for column in zip(*rows)]
+            self._record.stamps[name] = stamps
+            self._record.streams[name] = dict(zip(STREAMS[name][1], columns))
+        self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
+        count = len(self._record.stamps.get('joint_states', ()))
+        if count == 0:
+            raise BagError(f'{self._record.topics["joint_states"]} holds no message')
+        if count == 1:
+            raise BagError(f'all messages of {self._record.topics["joint_states"]} have the same '
+                           'stamp, or there is one only')
+
+
+def _alarm(message):
+    try:
+        event = AlarmEvent(message.event)
+    except ValueError as error:
+        raise BagError(f'fault_alarm: unknown event {message.event}') from error
+    return RecordedAlarm(
+        event, int(message.sensor_index), message.sensor, stamp_of(message.onset),
+        stamp_of(message.detected), float(message.size), float(message.bound), message.kind,
+        float(message.confidence), stamp_of(message.header.stamp))
