@@ -78,10 +78,13 @@ class SimulatorNode(ManagedNode):
         """Publishers to be matched before the first sample."""
         return {self._joint_states_out: 1, self._truth_out: 0}
 
-    def begin(self):
-        """Start stepping."""
+    def listen(self):
+        """Subscribe to commands: the tracker waits for this before it takes estimates."""
         self._command_in = self.create_subscription(
             TorqueCommand, 'torque_command', self._on_command, stream(self.lockstep))
+
+    def begin(self):
+        """Start stepping."""
         if self.lockstep:
             self._start = round(self.get_parameter('start_time').value * NANOSECONDS)
             self.get_logger().info(f'lockstep, {self._last} steps of {self._arm.sample_time} s')

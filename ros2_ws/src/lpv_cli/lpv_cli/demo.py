@@ -63,7 +63,7 @@ def run(arguments):
     """
     from lpv_cli.report import print_table, write_report
 
-    console = Console()
+    console = Console(soft_wrap=True)
     files = {'arm': bringup_file('arms', arguments.arm),
              'scenario': bringup_file('scenarios', arguments.scenario)}
     arm, scenario = load_arm(files['arm']), load_scenario(files['scenario'])

@@ -28,7 +28,8 @@ class ManagedNode(LifecycleNode):
 
     Subclasses implement ``setup`` (may raise LpvError: the message is logged and the transition
     fails), ``outputs`` (publishers and how many nodes of the graph consume each: in lockstep these
-    must be matched first), ``begin`` and ``end``.
+    must be matched first), ``begin`` and ``end``.  A loop of nodes that all wait for their outputs
+    would never start: the one that makes the first step subscribes earlier, in ``listen``.
 
     Parameters
     ----------
@@ -65,6 +66,7 @@ class ManagedNode(LifecycleNode):
 
     def on_activate(self, state):
         """Lifecycle: take part in the graph as soon as the outputs are matched."""
+        self.listen()
         self._gate = self.create_timer(0.02, self._try_begin, clock=self._steady)
         return super().on_activate(state)
 
@@ -73,8 +75,7 @@ class ManagedNode(LifecycleNode):
         if self._gate is not None:
             self.destroy_timer(self._gate)
             self._gate = None
-        else:
-            self.end()
+        self.end()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state):
@@ -124,11 +125,14 @@ class ManagedNode(LifecycleNode):
         """Publishers, each with the number of graph nodes that consume it."""
         return {}
 
+    def listen(self):
+        """Create subscriptions that must exist before the outputs are matched."""
+
     def begin(self):
         """Create subscriptions and timers."""
 
     def end(self):
-        """Destroy what `begin` created."""
+        """Destroy what `listen` and `begin` created; may be called twice."""
 
     def teardown(self):
         """Destroy what `setup` created."""

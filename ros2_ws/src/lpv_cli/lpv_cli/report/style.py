@@ -1,7 +1,6 @@
-"""Look of the figures: palette, Matplotlib settings, and SVG that follows the page's theme."""
+"""Look of the figures: palette, Matplotlib settings, thinning of long curves."""
 
 import io
-import re
 
 import matplotlib
 
@@ -18,11 +17,6 @@ PALE = ('#9fcbe6', '#f3bc95')
 INK, SOFT, GRID, BAND = '#1b2733', '#5b6774', '#dde2e8', '#c3cad2'
 PAPER = '#ffffff'
 
-_VARIABLES = {SENSOR[0]: '--one', SENSOR[1]: '--two', PALE[0]: '--one-pale',
-              PALE[1]: '--two-pale', INK: '--ink', SOFT: '--soft', GRID: '--grid',
-              BAND: '--band', PAPER: '--paper'}
-"""Custom properties of ``report.css`` that take the place of colours in SVG."""
-
 SETTINGS = {
     'font.family': 'DejaVu Sans', 'font.size': 9.0, 'axes.titlesize': 9.5,
     'axes.labelsize': 9.0, 'legend.fontsize': 8.5, 'xtick.labelsize': 8.5,
@@ -35,7 +29,7 @@ SETTINGS = {
     'axes.facecolor': 'none', 'legend.frameon': False, 'lines.linewidth': 1.2,
     'lines.solid_capstyle': 'round', 'hatch.linewidth': 0.7, 'hatch.color': SOFT,
     'axes.formatter.use_mathtext': True, 'axes.unicode_minus': True,
-    'svg.fonttype': 'path', 'figure.constrained_layout.use': True,
+    'figure.constrained_layout.use': True,
     'figure.constrained_layout.h_pad': 0.06, 'figure.constrained_layout.w_pad': 0.05,
 }
 _POINTS = 1500
@@ -87,36 +81,3 @@ def png(figure):
     buffer = io.BytesIO()
     figure.savefig(buffer, format='png', dpi=160)
     return buffer.getvalue()
-
-
-def svg(figure, name):
-    """A figure as an SVG element for an HTML page.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        The figure.
-    name : str
-        Distinct on the page; it prefixes all identifiers, which pages must not hold twice.
-
-    Returns
-    -------
-    str
-        ``<svg>`` element whose colours are custom properties of the page.
-    """
-    buffer = io.StringIO()
-    with plt.rc_context({'svg.hashsalt': name}):
-        figure.savefig(buffer, format='svg', transparent=True,
-                       metadata={'Date': None, 'Creator': None, 'Format': None, 'Type': None})
-    text = buffer.getvalue()
-    text = text[text.index('<svg'):]
-    text = re.sub(r'<metadata>.*?</metadata>\s*', '', text, flags=re.DOTALL)
-    # In HTML the element needs no name spaces; its size is up to the page.
-    text = re.sub(r'\sxmlns(:xlink)?="[^"]*"', '', text, count=2)
-    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r'\1', text, count=1)
-    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r'\1', text, count=1)
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'(xlink:href="#|url\(#)', rf'\g<1>{name}-', text)
-    for color, variable in _VARIABLES.items():
-        text = text.replace(color, f'var({variable})')
-    return text.replace('xlink:href=', 'href=').replace('<svg ', '<svg aria-hidden="true" ', 1)

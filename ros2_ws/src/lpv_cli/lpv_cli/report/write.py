@@ -1,17 +1,16 @@
 """Puts figures and table into one self-contained HTML file."""
 
 import base64
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
-import matplotlib.pyplot as plt
 
 from lpv_bag.run_record import load_run
-from lpv_cli.report import figures
+from lpv_cli.report.episodes import episodes, missed_faults
+from lpv_cli.report.figures import draw_all
+from lpv_cli.report.style import png
 from lpv_cli.report.table import make_table
-from lpv_core.diagnosis import AlarmEvent
 
 _CAPTIONS = {
     'path': 'Path of the tip in the plane of the arm (cf. Fig. 4 of the paper).',
@@ -68,39 +67,29 @@ def write_report(bag, out, arm, path=None, title='Run'):
     BagError
         If the bag cannot be read.
     """
-    record = load_run(bag)
+    record = load_run(bag, joint_names=arm.joint_names)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    drawn = {'path': figures.cartesian(record, arm, path),
-             'faults': figures.faults(record, arm.sensor_names),
-             'measured': figures.measured(record), 'states': figures.states(record),
-             'torques': figures.torques(record)}
     pictures, sections = [], []
-    for name, figure in drawn.items():
-        if figure is None:
-            continue
+    for name, figure in draw_all(record, arm, path):
+        data = png(figure)
         pictures.append(out / f'{name}.png')
-        sections.append({'caption': _CAPTIONS[name], 'data': _save(figure, pictures[-1])})
+        pictures[-1].write_bytes(data)
+        sections.append({'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()})
     table = make_table(record, arm)
     html = out / 'report.html'
     html.write_text(_render(record, title, table, sections), encoding='utf-8')
     return ReportResult(html, pictures, table)
 
 
-def _save(figure, path):
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format='png', dpi=130)
-    plt.close(figure)
-    path.write_bytes(buffer.getvalue())
-    return base64.b64encode(buffer.getvalue()).decode('ascii')
-
-
 def _render(record, title, table, sections):
-    start = record.stamps['joint_states'][0]
-    alarms = [{**a, 'at': (a['stamp'] - start) / 1e9, 'since': (a['onset'] - start) / 1e9,
-               'what': AlarmEvent(a['event']).name.lower()} for a in record.alarms]
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True,
-                                     loader=jinja2.FileSystemLoader(Path(__file__).parent))
+    found = episodes(record)
+    missed = [(record.sensor_names[m.sensor_index], m) for m in missed_faults(record, found)]
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined,
+        loader=jinja2.FileSystemLoader(Path(__file__).parent))
     return environment.get_template('report.html').render(
-        title=title, duration=record.time[-1], alarms=alarms, counts=sorted(record.counts.items()),
-        table=table, sections=sections, compare=any(r.paper is not None for r in table))
+        title=title, duration=record.time[-1], episodes=found, missed=missed, table=table,
+        have_truth='ground_truth' in record.streams, sections=sections,
+        counts=sorted(record.counts.items()),
+        compare=any(row.paper is not None for row in table))
