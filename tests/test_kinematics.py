@@ -87,8 +87,6 @@ def test_given_a_batch_with_one_bad_point_when_solved_then_the_error_names_that_
         inverse(batch, (1.0, 1.0))
 
 
-@pytest.mark.xfail(strict=True, raises=TypeError,
-                   reason='the message of a batch with two axes cannot be formatted')
 def test_given_a_batch_with_two_axes_when_a_point_is_bad_then_it_is_unreachable_too():
     batch = np.full((2, 3, 2), 0.5)
     batch[1, 2] = 9.0
@@ -221,8 +219,6 @@ def crossing(arm, elbow):
     return CartesianPath(arm, (0.0, 1.0), ((-1.1, high), (-1.1, low)), elbow)
 
 
-@pytest.mark.xfail(strict=True, reason='q1 is wrapped to [-pi, pi), so that it jumps by 2 pi '
-                                       'where link 1 crosses the negative x-axis')
 @pytest.mark.parametrize('elbow', ['positive', 'negative'])
 def test_given_link_1_crosses_the_negative_x_axis_when_sampled_then_q1_is_continuous(
         paper_arm, elbow):
@@ -262,8 +258,6 @@ def test_given_bad_waypoints_when_a_path_is_made_then_the_field_is_named(paper_a
         CartesianPath(paper_arm, times, points)
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError,
-                   reason='points are not checked: the spline refuses NaN with its own error')
 def test_given_a_waypoint_of_nan_when_a_path_is_made_then_the_field_is_named(paper_arm):
     with pytest.raises(ConfigError, match=r'path\.waypoints'):
         CartesianPath(paper_arm, (0.0, 1.0), ((0.0, 1.5), (math.nan, 1.5)))

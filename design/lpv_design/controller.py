@@ -152,7 +152,8 @@ def common_lyapunov(loop, m, alpha):
     constraints = [q >> np.eye(6), q << 1e4 * np.eye(6), t <= 1.0]
     for a in closed:
         scaled = inverse @ a @ basis
-        constraints.append(symmetric_below(scaled @ q + q @ scaled.T + 2 * alpha * q + t * np.eye(6)))
+        slack = 2 * alpha * q + t * np.eye(6)
+        constraints.append(symmetric_below(scaled @ q + q @ scaled.T + slack))
     solve(-t, constraints)
     return None if q.value is None else basis @ q.value @ basis.T
 

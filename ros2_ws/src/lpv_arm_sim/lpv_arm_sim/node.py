@@ -59,15 +59,20 @@ class SimulatorNode(ManagedNode):
         scenario = load_scenario(required_text(self, 'scenario_file'))
         seed = self.get_parameter('seed').value
         if seed >= 0:
-            scenario = _with_seed(scenario, seed)
+            scenario = replace(scenario, seed=seed)
         self._scenario = scenario
-        self._plant = ArmSimulator(self._arm, scenario, self.get_parameter('substeps').value)
+        substeps = self.get_parameter('substeps').value
+        self._plant = ArmSimulator(self._arm, scenario, substeps)
+        # Compile before the first step, not on it.
+        ArmSimulator(self._arm, scenario, substeps).step([0.0, 0.0])
         self._period = round(self._arm.sample_time * NANOSECONDS)
         self._last = round(scenario.duration / self._arm.sample_time)
         qos = stream(self.lockstep)
         self._joint_states_out = self.create_publisher(JointState, 'joint_states', qos)
         self._truth_out = self.create_publisher(GroundTruth, 'ground_truth', qos)
-        self._clock_out = self.create_publisher(ClockMessage, '/clock', qos) if self.lockstep else None
+        self._clock_out = None
+        if self.lockstep:
+            self._clock_out = self.create_publisher(ClockMessage, '/clock', qos)
         self._faults = FaultServices(self, self._plant)
         self._state_message = JointState(name=list(self._arm.joint_names))
         self._state_message.header.frame_id = 'base_link'
@@ -179,10 +184,6 @@ class SimulatorNode(ManagedNode):
                 f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{slipped}')
         if step == self._last and self.get_parameter('shutdown_at_end').value:
             self.finish()
-
-
-def _with_seed(scenario, seed):
-    return replace(scenario, seed=seed)
 
 
 def main(argv=None):

@@ -73,8 +73,8 @@ class RecorderNode(ManagedNode):
         latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
                       for p in publishers)
         try:
-            self._writer.add_topic(topic, msgtype,
-                                   [qos_profile(reliable, latched, publishers[0].qos_profile.depth)])
+            offered = qos_profile(reliable, latched, publishers[0].qos_profile.depth)
+            self._writer.add_topic(topic, msgtype, [offered])
             message_class = _message_class(msgtype)
         except (LpvError, AttributeError, ImportError, ValueError) as error:
             self.get_logger().error(f'{topic} is not recorded: {error}')

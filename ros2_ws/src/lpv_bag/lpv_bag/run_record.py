@@ -10,6 +10,7 @@ from rosbags.highlevel import AnyReader
 from lpv_bag.interfaces import make_typestore
 from lpv_core.diagnosis import Alarm, AlarmEvent
 from lpv_core.errors import LpvError
+from lpv_core.observer import Mode
 
 NANOSECONDS = 1_000_000_000
 
@@ -383,6 +384,8 @@ class _Collector:
             # Latched events are delivered again to late subscribers.
             self._alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
             return
+        if name == 'state_estimate' and message.mode == Mode.NO_ESTIMATE:
+            return  # its values mean nothing
         fields = STREAMS[name][1]
         if name == 'joint_states':
             values = self._pick(message)

@@ -164,7 +164,7 @@ def _follow(graph, duration, console):
                 progress.update(task, completed=float(found.group(1)))
             elif 'ALARM' in line or 'alarm cleared' in line:
                 progress.console.print(f'  {line.split("]: ", 1)[-1]}', highlight=False)
-            elif 'ERROR' in line or 'FATAL' in line:
+            elif simulator.process.poll() is None and ('ERROR' in line or 'FATAL' in line):
                 progress.console.print(f'  {name}: {line}', highlight=False)
     graph.check(finite=simulator)
 

@@ -1,5 +1,6 @@
 """Start, watch and stop the nodes of a run as separate processes."""
 
+import contextlib
 import os
 import queue
 import signal
@@ -131,18 +132,14 @@ class Graph:
                 _signal(node, number)
             deadline = time.monotonic() + patience
             for node in running:
-                try:
+                with contextlib.suppress(subprocess.TimeoutExpired):
                     node.process.wait(max(0.0, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    pass
         return {node.name: node.process.poll() for node in self.nodes}
 
 
 def _signal(node, number):
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.killpg(node.process.pid, number)
-    except ProcessLookupError:
-        pass
 
 
 def _tail(path, count=15):

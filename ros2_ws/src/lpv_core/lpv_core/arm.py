@@ -77,6 +77,8 @@ class ArmParameters:
         Relative error of masses and inertias that thresholds must tolerate.
     torque_limit : tuple of float
         Largest joint torques [N m].
+    velocity_limit : tuple of float
+        Largest plausible joint rates [rad/s]; a sample with a larger one is not used.
     orientation : {'upright', 'hanging'}
         Operating region: cos(theta) > 0 or cos(theta) < 0 for both links.
     cos_min : tuple of float
@@ -105,6 +107,7 @@ class ArmParameters:
     disturbance_variance: float = 0.9
     model_error: float = 0.0
     torque_limit: tuple = (math.inf, math.inf)
+    velocity_limit: tuple = (100.0, 100.0)
     orientation: str = 'upright'
     cos_min: tuple = (0.3, 0.3)
     sample_time: float = 0.002
@@ -171,8 +174,8 @@ class ArmParameters:
         ArmParameters
             Link 2 with combined mass, centre of mass and inertia.
         """
-        if not mass >= 0.0:
-            raise ConfigError('payload', f'must not be negative, got {mass}')
+        if not 0.0 <= mass < math.inf:
+            raise ConfigError('payload', f'must be finite and not negative, got {mass}')
         link = self.links[1]
         total = link.mass + mass
         center = (link.mass * link.center_of_mass + mass * link.length) / total
@@ -312,6 +315,7 @@ def _joints_and_sensors(top):
     fields = {
         'joint_names': joints.names('names', 2),
         'zero_angle': joints.number('zero_angle', low=-math.pi, high=math.pi),
+        'velocity_limit': joints.pair('velocity_limit', 100.0, above=0.0),
         'sensor_names': sensors.names('names', 2),
         'arrangement': sensors.text('arrangement', choices=('absolute', 'relative')),
         'position_noise': sensors.number('position_noise', above=0.0),

@@ -76,28 +76,34 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
     names = [f for f in Run.__dataclass_fields__ if f not in ('time', 'alarms')]
     rows = {name: np.zeros((n, 2)) for name in names}
     time, alarms = np.zeros(n), []
+    estimate = previous = None
     for k in range(n):
         measurement, truth = plant.sense()
         stamp = round(plant.time * NANOSECONDS)
-        estimate = observer.update(stamp, measurement.position, measurement.velocity,
-                                   measurement.effort)
-        diagnosis = diagnoser.update(estimate)
-        alarms += diagnosis.events
+        fresh = observer.update(stamp, measurement.position, measurement.velocity,
+                                measurement.effort)
         reference = path.sample(stamp / NANOSECONDS)
+        rows['measured'][k], rows['reference'][k] = measurement.position, reference.position
+        rows['position'][k], rows['velocity'][k] = truth.position, truth.velocity
+        rows['fault'][k], time[k] = truth.fault, plant.time
+        if fresh is not None:
+            estimate, diagnosis = fresh, diagnoser.update(fresh)
+            alarms += diagnosis.events
+        if estimate is None:  # no start value yet: the brakes stay engaged
+            plant.hold()
+            continue
         position = feedback_position(compensation, estimate, diagnosis.confirmed_fault,
                                      observer.joints)
         # Eq. (59) literally integrates the faulty measurement; the exact loop does not.
         integrated = (estimate.measured_position if gains.controller.method == 'paper'
                       else position)
         command = controller.update(reference, position, estimate.velocity, integrated,
-                                    estimate.interval)
-        time[k] = plant.time
+                                    0.0 if previous is None else (stamp - previous) / NANOSECONDS)
+        previous = stamp
         for name, value in (
-                ('position', truth.position), ('velocity', truth.velocity),
-                ('measured', measurement.position), ('estimate', estimate.position),
-                ('estimated_velocity', estimate.velocity), ('reference', reference.position),
-                ('fault', truth.fault), ('fault_estimate', estimate.fault),
-                ('threshold', diagnosis.threshold), ('torque', command.torque)):
+                ('estimate', estimate.position), ('estimated_velocity', estimate.velocity),
+                ('fault_estimate', estimate.fault), ('threshold', diagnosis.threshold),
+                ('torque', command.torque)):
             rows[name][k] = value
         plant.step(command.torque)
     return Run(time=time, alarms=alarms, **rows)

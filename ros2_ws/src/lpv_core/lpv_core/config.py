@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import reprlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,25 @@ from lpv_core.errors import ConfigError
 
 MAX_BYTES = 4 << 20
 """Largest YAML file that is read [bytes]; a gains file has about 20 kB."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses equal keys: the last one would win in silence."""
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key, _ in node.value:
+            name = key.value if isinstance(key, yaml.ScalarNode) else None
+            if name is not None and name in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f'{_short(name)} is given twice', key.start_mark)
+            seen.add(name)
+        return super().construct_mapping(node, deep)
+
+
+def _short(value):
+    """Text of a value for messages; nested aliases can stand for megabytes."""
+    return reprlib.repr(value)
 
 
 def read_yaml(path):
@@ -35,10 +55,11 @@ def read_yaml(path):
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ConfigError('file', f'is larger than {MAX_BYTES} bytes', str(path))
-        data = yaml.safe_load(path.read_text(encoding='utf-8'))
+        # A SafeLoader with one check more.
+        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)  # noqa: S506
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
-    except (yaml.YAMLError, RecursionError) as error:
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise ConfigError('file', f'is not valid YAML ({error})', str(path)) from error
     if not isinstance(data, dict):
         raise ConfigError('file', 'must hold a mapping at its top level', str(path))
@@ -127,23 +148,23 @@ class Section:
         """Return a string, optionally one of ``choices``."""
         value = self._get(key, _REQUIRED if default is None else default)
         if not isinstance(value, str) or not value:
-            raise self.error(key, f'must be a non-empty string, got {value!r}')
+            raise self.error(key, f'must be a non-empty string, got {_short(value)}')
         if choices is not None and value not in choices:
-            raise self.error(key, f'must be one of {", ".join(choices)}; got {value!r}')
+            raise self.error(key, f'must be one of {", ".join(choices)}; got {_short(value)}')
         return value
 
     def flag(self, key, default):
         """Return a boolean."""
         value = self._get(key, default)
         if not isinstance(value, bool):
-            raise self.error(key, f'must be true or false, got {value!r}')
+            raise self.error(key, f'must be true or false, got {_short(value)}')
         return value
 
     def integer(self, key, default=None, low=None):
         """Return an integer, not below ``low``."""
         value = self._get(key, _REQUIRED if default is None else default)
         if isinstance(value, bool) or not isinstance(value, int):
-            raise self.error(key, f'must be an integer, got {value!r}')
+            raise self.error(key, f'must be an integer, got {_short(value)}')
         if low is not None and value < low:
             raise self.error(key, f'must be at least {low}, got {value}')
         return value
@@ -155,8 +176,11 @@ class Section:
 
     def _number(self, key, value, low, high, above):
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(key, f'must be a number, got {value!r}')
-        value = float(value)
+            raise self.error(key, f'must be a number, got {_short(value)}')
+        try:
+            value = float(value)
+        except OverflowError:  # an integer beyond any float
+            value = math.inf
         if not math.isfinite(value):
             raise self.error(key, f'must be finite, got {value}')
         if above is not None and not value > above:
@@ -195,7 +219,7 @@ class Section:
                 or not all(isinstance(v, str) and v for v in value)):
             raise self.error(key, f'must be a list of {size} non-empty strings')
         if len(set(value)) != size:
-            raise self.error(key, f'must hold distinct names, got {list(value)}')
+            raise self.error(key, f'must hold distinct names, got {_short(value)}')
         return tuple(value)
 
     def plain(self, key):
@@ -204,10 +228,11 @@ class Section:
 
     def finish(self):
         """Refuse fields that nobody read: a typing error must not pass in silence."""
-        unknown = sorted(set(self._data) - self._seen)
+        unknown = sorted(set(self._data) - self._seen, key=str)
         if unknown:
             known = ', '.join(sorted(self._seen))
-            raise self.error(str(unknown[0]), f'is not a known field; known here: {known}')
+            name = _short(unknown[0]).strip("'")
+            raise self.error(name, f'is not a known field; known here: {known}')
 
 
 _REQUIRED = object()

@@ -170,9 +170,9 @@ class ErrorBound:
         if self._angle_error is None:
             self._angle_error = target
         else:
-            # Rises at once, falls with the observer's slowest mode.
+            # Rises at once, falls with the observer's slowest mode; not while a link is held.
             fall = math.exp(-self._decay * estimate.interval)
-            lagged = target + fall * (self._angle_error - target)
+            lagged = target + np.where(estimate.held, 1.0, fall) * (self._angle_error - target)
             self._angle_error = np.maximum(target, lagged)
             drift = self._arm.velocity_noise * math.sqrt(self._arm.sample_time)
             growth = drift * math.sqrt(estimate.interval) + 0.01 * estimate.interval
@@ -192,6 +192,8 @@ class SensorStatus:
         Stamps of the current excursion [ns].
     onset, detected : int
         Of the present or last alarm [ns].
+    reported : float
+        Fault estimate of its latest event [rad].
     """
 
     alarm: bool = False
@@ -199,6 +201,7 @@ class SensorStatus:
     below_since: int = None
     onset: int = 0
     detected: int = 0
+    reported: float = 0.0
 
 
 @dataclass
@@ -246,6 +249,7 @@ class Diagnoser:
         self._gains = gains
         self.bound = ErrorBound(arm, gains, self.parameters)
         self.sensors = [SensorStatus(), SensorStatus()]
+        self._stamp = None
 
     def retune(self, parameters):
         """Change the tuning while running; alarms stay as they are.
@@ -263,6 +267,7 @@ class Diagnoser:
     def reset(self):
         """Clear alarms and history."""
         self.bound.reset()
+        self._stamp = None
         self.sensors = [SensorStatus(), SensorStatus()]
 
     def update(self, estimate):
@@ -278,6 +283,10 @@ class Diagnoser:
         Diagnosis
             Bounds, states, alarms and events.
         """
+        if self._stamp is not None and estimate.stamp < self._stamp:
+            for sensor in self.sensors:  # time restarted: stamps of before mean nothing
+                sensor.above_since = sensor.below_since = None
+        self._stamp = estimate.stamp
         bound = self.bound.update(estimate)
         threshold = np.maximum(self.parameters.threshold_factor * bound,
                                self.parameters.minimum_threshold)
@@ -285,7 +294,9 @@ class Diagnoser:
         lost = self._lost(estimate)
         for i, sensor in enumerate(self.sensors):
             size = abs(float(estimate.fault[i]))
-            if not lost[i] and not estimate.missing[i]:
+            if lost[i] or estimate.missing[i]:
+                sensor.above_since = sensor.below_since = None  # what comes next is new evidence
+            else:
                 events += self._decide(i, sensor, estimate, size, bound[i], threshold[i])
             state.append(self._state(sensor, size, threshold[i], lost[i], estimate.missing[i]))
         alarm = np.array([s.alarm for s in self.sensors])
@@ -316,6 +327,8 @@ class Diagnoser:
             if not sensor.alarm and now - sensor.above_since >= p.dwell * NANOSECONDS:
                 sensor.alarm, sensor.onset, sensor.detected = True, sensor.above_since, now
                 return [self._alarm(AlarmEvent.RAISED, index, estimate, bound)]
+            if sensor.alarm and abs(estimate.fault[index] - sensor.reported) > bound:
+                return [self._alarm(AlarmEvent.UPDATED, index, estimate, bound)]
         else:
             sensor.above_since = None
             if not sensor.alarm or size > p.hysteresis * threshold:
@@ -329,7 +342,7 @@ class Diagnoser:
 
     def _alarm(self, event, index, estimate, bound):
         sensor = self.sensors[index]
-        size = float(estimate.fault[index])
+        sensor.reported = size = float(estimate.fault[index])
         normalised = self.parameters.sigmas * abs(size) / max(float(bound), 1e-12)
         return Alarm(event, index, self._arm.sensor_names[index], sensor.onset, sensor.detected,
                      size, float(bound), 'unclassified', math.erf(normalised / math.sqrt(2.0)))

@@ -9,7 +9,18 @@ All functions take the flat constants of :meth:`lpv_core.arm.ArmParameters.const
 import math
 
 from lpv_core.arm import (
-    A_11, B_12, C_22, CORIOLIS, COUL_1, COUL_2, COUL_SLOPE, G_1, G_2, O_12, VISC_1, VISC_2,
+    A_11,
+    B_12,
+    C_22,
+    CORIOLIS,
+    COUL_1,
+    COUL_2,
+    COUL_SLOPE,
+    G_1,
+    G_2,
+    O_12,
+    VISC_1,
+    VISC_2,
 )
 from lpv_core.jit import njit
 

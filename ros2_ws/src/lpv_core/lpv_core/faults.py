@@ -96,7 +96,7 @@ class FaultInjector:
         self._names = tuple(sensor_names)
         self._generator = generator
         self.faults = []
-        self._frozen = {}
+        self._frozen = {}  # reading at which a stuck fault froze, by the fault's identity
         for fault in faults:
             self.add(fault)
 
@@ -140,8 +140,24 @@ class FaultInjector:
         kept = [f for f in self.faults if sensor and f.sensor != sensor]
         removed = len(self.faults) - len(kept)
         self.faults = kept
-        self._frozen.clear()
+        self._frozen = {id(f): self._frozen[id(f)] for f in kept if id(f) in self._frozen}
         return removed
+
+    def stuck(self, time):
+        """Which sensors are frozen: they carry no noise either.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+
+        Returns
+        -------
+        ndarray of bool, shape (2,)
+            One element a sensor.
+        """
+        frozen = {f.sensor for f in self.faults if f.kind == 'stuck' and f.active(time)}
+        return np.array([name in frozen for name in self._names])
 
     def apply(self, time, reading, sample_time):
         """Faulty readings at one time.
@@ -161,15 +177,15 @@ class FaultInjector:
             Readings with faults, NaN for a dropout.
         """
         faulty = np.array(reading, float)
-        for number, fault in enumerate(self.faults):
+        for fault in self.faults:
             if fault.active(time):
                 i = self._names.index(fault.sensor)
-                faulty[i] = self._one(number, fault, time, faulty[i], sample_time)
+                faulty[i] = self._one(fault, time, faulty[i], sample_time)
             else:
-                self._frozen.pop(number, None)
+                self._frozen.pop(id(fault), None)
         return faulty
 
-    def _one(self, number, fault, time, value, sample_time):
+    def _one(self, fault, time, value, sample_time):
         if fault.kind == 'bias':
             return value + fault.size
         if fault.kind == 'drift':
@@ -179,7 +195,7 @@ class FaultInjector:
         if fault.kind == 'scale':
             return value * (1.0 + fault.size)
         if fault.kind == 'stuck':
-            return self._frozen.setdefault(number, value)
+            return self._frozen.setdefault(id(fault), value)
         if fault.kind == 'noise':
             return value + fault.size * self._generator.standard_normal()
         if fault.kind == 'spike':

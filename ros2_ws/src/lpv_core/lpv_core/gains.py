@@ -178,12 +178,19 @@ def parse_gains(data, source='gains'):
         k=obs.matrix('k', (VERTICES[method], 6, 4)), lyapunov=obs.matrix('lyapunov', (6, 6)),
         box=obs.matrix('box', (3, 2)), decay=obs.number('decay', above=0.0),
         fault_sigma=obs.matrix('fault_sigma', (2,)))
+    if np.any(observer.fault_sigma < 0.0):
+        raise obs.error('fault_sigma', 'must not be negative')
+    if method == 'paper' and np.any(observer.box[:, 0] >= observer.box[:, 1]):
+        raise obs.error('box', 'must have lower ends below upper ends')
     controller = ControllerGains(
         method=con.text('method', choices=tuple(VERTICES)), m1=con.matrix('m1', (2, 4)),
         m2=con.matrix('m2', (2, 2)), lyapunov=con.matrix('lyapunov', (6, 6)),
         decay=con.number('decay', above=0.0))
-    return Gains(top.text('arm_name'), top.text('arm_sha256'), observer, controller,
-                 top.plain('certificate'))
+    gains = Gains(top.text('arm_name'), top.text('arm_sha256'), observer, controller,
+                  top.plain('certificate'))
+    for section in (obs, con, top):
+        section.finish()
+    return gains
 
 
 def save_gains(gains, path, comment=''):

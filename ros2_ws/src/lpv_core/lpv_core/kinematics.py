@@ -4,7 +4,6 @@ Joint coordinates as in the paper's section 2.2: q1 from the x-axis, q2 RELATIVE
 whose q1 has another zero add the offset in :class:`lpv_core.path.CartesianPath`.
 """
 
-import math
 
 import numpy as np
 
@@ -71,8 +70,7 @@ def inverse(point, lengths, elbow='positive'):
     slack = 1e-12 * high
     bad = ~(np.isfinite(radius) & (radius <= high + slack) & (radius >= low - slack))
     if np.any(bad):
-        where = np.argwhere(np.atleast_1d(bad))[0][0]
-        bad_point = point if point.ndim == 1 else point[where]
+        bad_point = point[bad][0] if point.ndim > 1 else point
         raise UnreachableError(
             f'point ({bad_point[0]:.4g}, {bad_point[1]:.4g}) m is out of reach: its distance from '
             f'the base must lie within [{low:.4g}, {high:.4g}] m')

@@ -17,6 +17,11 @@ from lpv_core.uio import exact_step, paper_step
 
 NANOSECONDS = 1_000_000_000
 
+_LARGEST_ANGLE = 1e4
+"""A position sensor that reads more [rad] is taken as silent; floats lose microradians there."""
+_EFFORT_MARGIN = 10.0
+"""A torque so many times above the arm's limit is no torque of this arm."""
+
 
 class Mode(IntEnum):
     """What the last estimate rests on; values as in lpv_msgs/StateEstimate."""
@@ -25,6 +30,7 @@ class Mode(IntEnum):
     HOLDING = 1
     INITIALISING = 2
     STALE = 3
+    NO_ESTIMATE = 4
 
 
 @dataclass
@@ -33,15 +39,17 @@ class Counters:
 
     Attributes
     ----------
-    duplicates, out_of_order, restarts, not_finite, gaps, late_steps : int
-        Samples with an old stamp; clock set back; NaN or infinite values; intervals longer than
-        the limit; intervals of several sample times (lost samples) that were bridged.
+    duplicates, out_of_order, restarts, not_finite, implausible, gaps, late_steps : int
+        Samples with an old stamp; clock set back; NaN or infinite values; values that no arm of
+        this kind can have; intervals longer than the limit; intervals of several sample times
+        (lost samples) that were bridged.
     """
 
     duplicates: int = 0
     out_of_order: int = 0
     restarts: int = 0
     not_finite: int = 0
+    implausible: int = 0
     gaps: int = 0
     late_steps: int = 0
 
@@ -98,9 +106,8 @@ class UnknownInputObserver:
     gains : Gains
         Designed gains.
     initial_samples : int, optional
-        Samples at rest or in motion over which the start value is averaged; the observer assumes
-        no fault before the first sample, because a constant bias is only learnt at the certified
-        decay rate.
+        Samples over which the start value is averaged.  The observer takes their mean for free of
+        faults: a constant bias at the start is only learnt at the certified decay rate.
     max_gap : float, optional
         Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
         encoder's increment and hold the fault estimate.
@@ -164,10 +171,10 @@ class UnknownInputObserver:
         """Take one measurement and return the estimate at its time.
 
         Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s
-        back means that time restarted, and so does the observer; a position that is not finite
-        is bridged with the last fault estimate of that sensor (the state estimate does not need
-        it); a velocity or effort that is not finite drops the sample; an interval above
-        ``max_gap`` re-anchors the estimate.
+        back means that time restarted, and so does the observer; a position that is not finite,
+        or absurd, is bridged with the last fault estimate of that sensor (the state estimate does
+        not need it); a velocity or effort that is not finite, or beyond what the arm can do, drops
+        the sample; an interval above ``max_gap`` re-anchors the estimate.
 
         Parameters
         ----------
@@ -191,13 +198,13 @@ class UnknownInputObserver:
         """
         position, velocity, effort = (_two(position, 'position'), _two(velocity, 'velocity'),
                                       _two(effort, 'effort'))
-        if not (np.isfinite(velocity).all() and np.isfinite(effort).all()):
-            self.counters.not_finite += 1
+        if not self._usable(velocity, effort):
             return None
         interval = self._interval(stamp)
         if interval is None:
             return None
         y, missing = self._outputs(position, velocity)
+        fault = self._x[4:].copy()
         if self._stamp is None:
             if missing.any():
                 return None  # a start value needs both sensors
@@ -206,6 +213,10 @@ class UnknownInputObserver:
             self._bridge(y)
         else:
             self._advance(y, self.joints.absolute_torque(effort), interval)
+        if missing.any():
+            self._keep_fault(y, missing, fault)
+        if self._started < self._initial_samples:
+            self._average_start(y)
         if not np.isfinite(self._x).all():
             # Can only follow from absurd input (1e300 rad/s); never let it out.
             self.counters.not_finite += 1
@@ -236,14 +247,36 @@ class UnknownInputObserver:
         y = np.empty(4)
         y[:2] = self.joints.sensor_position(position)
         y[2:] = self.joints.sensor_velocity(velocity)
-        missing = ~np.isfinite(y[:2])
+        missing = ~(np.abs(y[:2]) <= _LARGEST_ANGLE)
         if missing.any():
-            self.counters.not_finite += 1
-            if self._stamp is not None:
-                # S theta^ + f^ is what the sensor would say if its fault stayed as it is.
-                ahead = self._s @ self._x[:2] + self._x[4:]
-                y[:2] = np.where(missing, ahead, y[:2])
+            if np.isfinite(y[:2]).all():
+                self.counters.implausible += 1
+            else:
+                self.counters.not_finite += 1
+            y[:2] = np.where(missing, self._y[:2], y[:2])
         return y, missing
+
+    def _usable(self, velocity, effort):
+        if not (np.isfinite(velocity).all() and np.isfinite(effort).all()):
+            self.counters.not_finite += 1
+            return False
+        possible = (np.abs(velocity) <= self.arm.velocity_limit).all() and (
+            np.abs(effort) <= _EFFORT_MARGIN * np.asarray(self.arm.torque_limit)).all()
+        self.counters.implausible += not possible
+        return possible
+
+    def _keep_fault(self, y, missing, fault):
+        """A silent sensor reads S theta^ + f^, as if its fault stayed what it was."""
+        self._x[4:] = np.where(missing, fault, self._x[4:])
+        y[:2] = np.where(missing, self._s @ self._x[:2] + fault, y[:2])
+        self._z[:] = self._x - self._t2 @ y
+
+    def _average_start(self, y):
+        """Move the start value to the mean of the samples so far; their mean fault is zero."""
+        share = self._x[4:] / (self._started + 1)
+        self._x[:2] += self._s_inv @ share
+        self._x[4:] -= share
+        self._z[:] = self._x - self._t2 @ y
 
     def _start(self, y):
         theta = self._s_inv @ y[:2]

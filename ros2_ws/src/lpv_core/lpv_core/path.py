@@ -71,6 +71,8 @@ class CartesianPath:
         times, points = np.asarray(times, float), np.asarray(points, float)
         if len(times) < 2 or points.shape != (len(times), 2):
             raise ConfigError('path.waypoints', 'needs two or more points with t, x and y')
+        if not np.isfinite(points).all():
+            raise ConfigError('path.waypoints', 'x and y must be finite')
         if not (np.isfinite(times).all() and np.all(np.diff(times) > 0)):
             raise ConfigError('path.waypoints', 'times must increase')
         if elbow not in ELBOWS:
@@ -83,7 +85,15 @@ class CartesianPath:
         self._rate, self._curvature = self._spline.derivative(1), self._spline.derivative(2)
         # q1 of eqs. (32)-(34) counts from the x-axis, which is -pi/2 from the upper vertical.
         self._offset = np.array([-np.pi / 2 - arm.zero_angle, 0.0])
-        self._check(np.linspace(self.start, self.end, 1001))
+        self._grid = np.linspace(self.start, self.end, 1001)
+        self._turning = self._first_joint(self._grid)
+        self._check(self._grid)
+
+    def _first_joint(self, times):
+        """Continuous q1 along the path, started within (-pi, pi]."""
+        q_1 = inverse(self._spline(times), self._arm.lengths, self._elbow)[:, 0] + self._offset[0]
+        q_1[0] = (q_1[0] + np.pi) % (2.0 * np.pi) - np.pi
+        return np.unwrap(q_1)
 
     def _check(self, times):
         tip = self.sample(times).tip
@@ -111,11 +121,10 @@ class CartesianPath:
         q = inverse(tip, self._arm.lengths, self._elbow)
         rate, acceleration = joint_motion(q, self._rate(times), self._curvature(times),
                                           self._arm.lengths)
-        return Reference(_unwrap(q + self._offset), rate, acceleration, tip)
+        return Reference(self._continuous(q + self._offset, times), rate, acceleration, tip)
 
-
-def _unwrap(q):
-    """Continuous q1: atan2 jumps by 2 pi on the negative x-axis."""
-    wrapped = q.copy()
-    wrapped[..., 0] = (q[..., 0] + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped
+    def _continuous(self, q, times):
+        """q with the turn of q1 that the path is in: atan2 jumps on the negative x-axis."""
+        near = np.interp(times, self._grid, self._turning)
+        turns = np.round((near - q[..., 0]) / (2.0 * np.pi))
+        return np.stack([q[..., 0] + 2.0 * np.pi * turns, q[..., 1]], axis=-1)

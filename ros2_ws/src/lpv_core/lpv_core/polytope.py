@@ -22,7 +22,7 @@ from lpv_core.jit import njit
 
 PHI_1_RANGE = (-1.0, 1.0)
 PUBLISHED_SINC_RANGE = (-0.2, 1.0)
-"""Box of phi2 and phi3 in eq. (9): sinc falls to -0.2172 at 4.49 rad, -0.2 is the paper's figure."""
+"""Box of phi2 and phi3 in eq. (9); sinc falls to -0.2172 at 4.49 rad, the paper rounds."""
 
 # ------------------------------------------------------------------ the paper's box
 

@@ -171,7 +171,8 @@ class ArmSimulator:
         rates = self.joints.sensor_velocity(velocity)
         noisy, noisy_rates = faulty, rates
         if self.scenario.noise:
-            noisy = faulty + self.arm.position_noise * draw[:2]
+            noise = self.arm.position_noise * draw[:2]
+            noisy = faulty + np.where(self.injector.stuck(self.time), 0.0, noise)
             noisy_rates = rates + self.arm.velocity_noise * draw[2:]
         measurement = Measurement(self.joints.joint_from_sensor(noisy),
                                   self.joints.joint_velocity_from_sensor(noisy_rates),

@@ -3,7 +3,10 @@
 from dataclasses import dataclass
 
 from rcl_interfaces.msg import (
-    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult,
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
 )
 from rclpy.exceptions import ParameterUninitializedException
 from rclpy.parameter import Parameter

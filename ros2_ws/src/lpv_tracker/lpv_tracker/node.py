@@ -40,6 +40,9 @@ class TrackerNode(ManagedNode):
         self._controller = TrackingController(self._arm, gains)
         self._integrates_measurement = gains.controller.method == 'paper'
         self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
+        # Compile before the first estimate, not on it.
+        self._controller.update(self._path.sample(0.0), [0.0, 0.1], [0.0, 0.0], [0.0, 0.1], 0.0)
+        self._controller.reset()
         self._start = self._last = self._received = None
         self._stopped = False
         qos = stream(self.lockstep)
@@ -75,6 +78,9 @@ class TrackerNode(ManagedNode):
             if self._last - stamp < NANOSECONDS:
                 return  # duplicate or out of order
             self._start = None  # time started anew, and so does the path
+        if message.mode == StateEstimate.NO_ESTIMATE:
+            self._publish_safe_stop(stamp)
+            return
         if self._start is None:
             self._start, self._last = stamp, stamp
             self._controller.reset()
@@ -116,9 +122,12 @@ class TrackerNode(ManagedNode):
             self._stopped = True
             self._controller.reset()
             self.get_logger().error('no estimates: safe stop')
-            set_stamp(self._command.header.stamp, now)
-            self._command.torque, self._command.safe_stop = [0.0, 0.0], True
-            self._command_out.publish(self._command)
+            self._publish_safe_stop(now)
+
+    def _publish_safe_stop(self, stamp):
+        set_stamp(self._command.header.stamp, stamp)
+        self._command.torque, self._command.safe_stop = [0.0, 0.0], True
+        self._command_out.publish(self._command)
 
 
 def main(argv=None):

@@ -19,6 +19,7 @@ _MODES = {
     Mode.HOLDING: (DiagnosticStatus.WARN, 'holding: a link carries no gravity information'),
     Mode.INITIALISING: (DiagnosticStatus.WARN, 'initialising'),
     Mode.STALE: (DiagnosticStatus.STALE, 'no usable measurements'),
+    Mode.NO_ESTIMATE: (DiagnosticStatus.STALE, 'no usable measurement yet'),
 }
 
 

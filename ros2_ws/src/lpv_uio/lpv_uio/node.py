@@ -164,7 +164,10 @@ class UioNode(ManagedNode):
 
     def _repeat(self, stamp):
         """Answer an unusable sample with the last estimate, marked stale; never with silence."""
-        if self._estimate is None or (self._observer.stamp or 0) >= stamp:
+        if self._estimate is None:
+            self._state_out.publish(self._messages.no_estimate(stamp))
+            return
+        if (self._observer.stamp or 0) >= stamp:
             return
         state = self._messages.state(self._estimate, self._diagnosis, Mode.STALE, stamp)
         self._state_out.publish(state)

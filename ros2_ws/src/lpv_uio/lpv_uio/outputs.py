@@ -1,5 +1,6 @@
 """Estimates and decisions as messages."""
 
+from lpv_core.observer import Mode
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
 from lpv_node.stamps import set_stamp
 
@@ -49,6 +50,24 @@ class OutputMessages:
         message.measured_position = estimate.measured_position
         message.measured_velocity = estimate.measured_velocity
         message.mode = int(mode)
+        return message
+
+    def no_estimate(self, stamp):
+        """lpv_msgs/StateEstimate that says that there is none.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns].
+
+        Returns
+        -------
+        lpv_msgs.msg.StateEstimate
+            Of mode NO_ESTIMATE.
+        """
+        message = StateEstimate(mode=int(Mode.NO_ESTIMATE))
+        message.header.frame_id = self._arm.name
+        set_stamp(message.header.stamp, stamp)
         return message
 
     def fault(self, estimate, diagnosis, states, stamp):

@@ -6,7 +6,6 @@ import matplotlib
 
 matplotlib.use('Agg')
 
-import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 # Okabe-Ito blue and vermilion: told apart by colour-blind readers, and in print by lightness.
