@@ -6,6 +6,7 @@ import sys
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from lpv_bag.ordering import StampOrder
 from lpv_bag.writing import BagWriter, qos_profile
 from lpv_core.errors import LpvError
 from lpv_node.managed import ManagedNode, run_node
@@ -25,7 +26,8 @@ class RecorderNode(ManagedNode):
     """Records topics as soon as they have a publisher, with its QoS.
 
     Messages are not deserialised.  The log time is the time of reception; in lockstep it is the
-    message's own stamp, so that runs with the same seed give the same bag.
+    message's own stamp, and messages are sorted, so that runs with the same seed give the same
+    bag byte by byte.
     """
 
     drain_time = 0.5
@@ -33,7 +35,8 @@ class RecorderNode(ManagedNode):
     def __init__(self):
         super().__init__('recorder', SPECS)
         self._writer = self._search = None
-        self._recorded = {}
+        self._recorded, self._announced = {}, {}
+        self._order = StampOrder(self._write)
 
     def setup(self):
         """Open the bag."""
@@ -55,6 +58,8 @@ class RecorderNode(ManagedNode):
             self.destroy_subscription(subscription)
         self._recorded = {}
         if self._writer is not None:
+            self._order.flush()
+            self._announce_all()
             total = sum(self._writer.counts.values())
             self._writer.close()
             self._writer = None
@@ -67,14 +72,13 @@ class RecorderNode(ManagedNode):
                 self._subscribe(topic, publishers)
 
     def _subscribe(self, topic, publishers):
-        msgtype = publishers[0].topic_type
+        msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
         reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE
                        for p in publishers)
         latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
                       for p in publishers)
         try:
-            offered = qos_profile(reliable, latched, publishers[0].qos_profile.depth)
-            self._writer.add_topic(topic, msgtype, [offered])
+            self._writer.check_type(msgtype)
             message_class = _message_class(msgtype)
         except (LpvError, AttributeError, ImportError, ValueError) as error:
             self.get_logger().error(f'{topic} is not recorded: {error}')
@@ -85,15 +89,26 @@ class RecorderNode(ManagedNode):
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched
                         else DurabilityPolicy.VOLATILE))
+        self._announced[topic] = (msgtype, qos_profile(reliable, latched, depth))
         stamped = self.lockstep and _starts_with_time(message_class)
 
         def store(data):
-            self._store(topic, data, stamped)
+            if stamped:
+                self._order.add(topic, _leading_stamp(data), data)
+            else:
+                self._write(topic, self.get_clock().now().nanoseconds, data)
 
         self._recorded[topic] = self.create_subscription(message_class, topic, store, qos, raw=True)
 
-    def _store(self, topic, data, stamped):
-        stamp = _leading_stamp(data) if stamped else self.get_clock().now().nanoseconds
+    def _announce_all(self):
+        """Topics in the order of their names, however they were found."""
+        for topic in sorted(self._announced):
+            msgtype, offered = self._announced.pop(topic)
+            self._writer.add_topic(topic, msgtype, [offered])
+
+    def _write(self, topic, stamp, data):
+        if self._announced:
+            self._announce_all()
         try:
             self._writer.write_raw(topic, stamp, data)
         except OSError as error:

@@ -72,6 +72,21 @@ class BagWriter:
     def __exit__(self, *_):
         self.close()
 
+    def check_type(self, msgtype):
+        """Make sure that a type's definition can be stored.
+
+        Parameters
+        ----------
+        msgtype : str
+            Message type.
+
+        Raises
+        ------
+        ConfigError
+            If its definition is not installed.
+        """
+        add_type(self.typestore, msgtype)
+
     def add_topic(self, topic, msgtype, profiles=()):
         """Announce a topic.
 
@@ -84,7 +99,7 @@ class BagWriter:
         profiles : sequence of rosbags.interfaces.Qos, optional
             Offered QoS of its publishers.
         """
-        add_type(self.typestore, msgtype)
+        self.check_type(msgtype)
         self._connections[topic] = self._writer.add_connection(
             topic, msgtype, typestore=self.typestore, offered_qos_profiles=list(profiles))
         self.counts[topic] = 0

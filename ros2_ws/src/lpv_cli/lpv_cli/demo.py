@@ -162,7 +162,7 @@ def _follow(graph, duration, console):
             if found:
                 last = time.monotonic()
                 progress.update(task, completed=float(found.group(1)))
-            elif 'ALARM' in line or 'alarm cleared' in line:
+            elif 'ALARM' in line or 'alarm ' in line:
                 progress.console.print(f'  {line.split("]: ", 1)[-1]}', highlight=False)
             elif simulator.process.poll() is None and ('ERROR' in line or 'FATAL' in line):
                 progress.console.print(f'  {name}: {line}', highlight=False)

@@ -9,18 +9,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv_core.arm import load_arm
-from lpv_core.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
+from lpv_core.diagnosis import AlarmEvent, DiagnosisParameters
 from lpv_core.errors import SampleError
-from lpv_core.joints import JointMap
-from lpv_core.observer import Mode, UnknownInputObserver
+from lpv_core.monitor import SensorMonitor, describe
+from lpv_core.observer import Mode
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import latched, stream
 from lpv_node.stamps import NANOSECONDS, to_nanoseconds
-from lpv_uio.diagnostics import diagnostic_array
-from lpv_uio.joint_input import JointOrder
-from lpv_uio.outputs import OutputMessages
+from lpv_uio.messages import OutputMessages
 
 _DIAGNOSIS = DiagnosisParameters()
 DIAGNOSIS_SPECS = (
@@ -45,6 +43,8 @@ SPECS = DIAGNOSIS_SPECS + (
          'the latest torque_command', choices=('effort', 'command'), read_only=True),
     Spec('stale_after', 0.5, 'real time only: silence after which the diagnosis is stale [s]',
          0.01, 60.0, read_only=True),
+    Spec('initial_samples', 1, 'samples over which the start value is averaged', 1, 100000,
+         read_only=True),
     Spec('max_gap', 0.1, 'longest interval that is integrated [s]; after a longer one the '
          'estimate is re-anchored on the encoders', 0.001, 10.0, read_only=True),
 )
@@ -68,33 +68,22 @@ class UioNode(ManagedNode):
     def setup(self):
         """Read arm and gains, create publishers."""
         self._arm = load_arm(required_text(self, 'arm_file'))
-        gains = read_gains(self)
-        self._observer = UnknownInputObserver(
-            self._arm, gains, max_gap=self.get_parameter('max_gap').value)
-        self._diagnoser = Diagnoser(self._arm, gains, self._diagnosis_parameters({}))
-        self._order = JointOrder(self._arm.joint_names)
-        self._messages = OutputMessages(self._arm, JointMap(self._arm))
+        self._monitor = SensorMonitor(
+            self.get_fully_qualified_name(), self._arm, read_gains(self),
+            self._diagnosis_parameters({}), self.get_parameter('max_gap').value,
+            self.get_parameter('initial_samples').value)
+        self._monitor.warm_up()
+        self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._torque = [math.nan, math.nan]
-        self._estimate = self._diagnosis = None
         self._received = None
-        self._next_report = None
         self._stale = False
-        self._rejected = 0
-        self._warm_up(gains)
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
         self._fault_out = self.create_publisher(FaultEstimate, 'fault_estimate', qos)
         self._alarm_out = self.create_publisher(FaultAlarm, 'fault_alarm', latched())
         self._diagnostics_out = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_service(Trigger, '~/reset', self._on_reset)
-
-    def _warm_up(self, gains):
-        """Compile the recursion before data arrives, not on the first samples."""
-        observer = UnknownInputObserver(self._arm, gains)
-        diagnoser = Diagnoser(self._arm, gains)
-        for stamp in (1, 1 + round(self._arm.sample_time * NANOSECONDS)):
-            diagnoser.update(observer.update(stamp, [0.0, 0.1], [0.0, 0.0], [0.0, 0.0]))
 
     def outputs(self):
         """Publishers to be matched before measurements are taken."""
@@ -111,7 +100,7 @@ class UioNode(ManagedNode):
         if not self.lockstep:
             self._watch = self.steady_timer(0.1, self._check_silence)
         self.get_logger().info(f'observing {self._arm.name!r} with method '
-                               f'{self._observer.method!r}')
+                               f'{self._monitor.observer.method!r}')
 
     def end(self):
         """Unsubscribe."""
@@ -127,67 +116,36 @@ class UioNode(ManagedNode):
 
     def _on_measurement(self, message):
         stamp = to_nanoseconds(message.header.stamp)
-        restarts = self._observer.counters.restarts
         try:
-            position, velocity, effort = self._order.pick(message)
-            estimate = self._observer.update(
-                stamp, position, velocity, self._torque if self._from_command else effort)
+            answer = self._monitor.take(stamp, message,
+                                        self._torque if self._from_command else None)
         except SampleError as error:
-            self._rejected += 1
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
-        if self._observer.counters.restarts > restarts:
-            self.get_logger().warning('time went backwards: observer and alarms start anew')
-            self._diagnoser.reset()
-            self._next_report = None
         self._received = self.get_clock().now().nanoseconds
-        if estimate is None:
-            self._repeat(stamp)
-        else:
-            self._publish(estimate)
+        if answer is not None:
+            self._publish(answer)
 
-    def _publish(self, estimate):
+    def _publish(self, answer):
         self._stale = False
-        self._estimate = estimate
-        self._diagnosis = diagnosis = self._diagnoser.update(estimate)
-        self._state_out.publish(
-            self._messages.state(estimate, diagnosis, estimate.mode, estimate.stamp))
-        self._fault_out.publish(
-            self._messages.fault(estimate, diagnosis, diagnosis.state, estimate.stamp))
-        for event in diagnosis.events:
-            self._alarm_out.publish(self._messages.alarm(event, estimate.stamp))
+        stamp, messages = answer.stamp, self._messages
+        if answer.restarted:
+            self.get_logger().warning('time went backwards: observer and alarms start anew')
+        self._state_out.publish(messages.state(stamp, answer.state))
+        if answer.fault is not None:
+            self._fault_out.publish(messages.fault(stamp, answer.fault))
+        for fields in answer.alarms:
+            self._alarm_out.publish(messages.alarm(stamp, fields))
+        for event in answer.events:
             self._log(event)
-        # On the clock of the data, so that lockstep runs and replays report alike.
-        if diagnosis.events or self._next_report is None or estimate.stamp >= self._next_report:
-            self._next_report = estimate.stamp + NANOSECONDS
-            self._report(estimate.mode, estimate.stamp)
-
-    def _repeat(self, stamp):
-        """Answer an unusable sample with the last estimate, marked stale; never with silence."""
-        if self._estimate is None:
-            self._state_out.publish(self._messages.no_estimate(stamp))
-            return
-        if (self._observer.stamp or 0) >= stamp:
-            return
-        state = self._messages.state(self._estimate, self._diagnosis, Mode.STALE, stamp)
-        self._state_out.publish(state)
-        self._fault_out.publish(self._messages.fault(
-            self._estimate, self._diagnosis, [SensorState.STALE] * 2, stamp))
+        if answer.status is not None:
+            self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
 
     def _log(self, event):
-        text = (f'{event.sensor}: fault estimate {event.size:+.3f} rad, bound {event.bound:.3f} '
-                f'rad, confidence {event.confidence:.3f}')
-        if event.event == AlarmEvent.CLEARED:
-            self.get_logger().info('alarm cleared, ' + text)
+        if event.event == AlarmEvent.RAISED:
+            self.get_logger().error(describe(event))
         else:
-            self.get_logger().error('ALARM, ' + text)
-
-    def _report(self, mode, stamp):
-        extra = {'rejected messages': self._rejected, 'method': self._observer.method}
-        array = diagnostic_array(self.get_fully_qualified_name(), self._arm, self._estimate,
-                                 self._diagnosis, self._observer.counters, mode, extra)
-        array.header.stamp.sec, array.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
-        self._diagnostics_out.publish(array)
+            self.get_logger().info(describe(event))
 
     def _check_silence(self):
         if self._received is None or self._stale:
@@ -196,14 +154,14 @@ class UioNode(ManagedNode):
         if now - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')
-            self._report(Mode.STALE, now)
-            if self._estimate is not None:
-                self._fault_out.publish(self._messages.fault(
-                    self._estimate, self._diagnosis, [SensorState.STALE] * 2, now))
+            self._diagnostics_out.publish(
+                self._messages.diagnostics(now, self._monitor.status(Mode.STALE)))
+            fault = self._monitor.stale_fault()
+            if fault is not None:
+                self._fault_out.publish(self._messages.fault(now, fault))
 
     def _on_reset(self, _request, response):
-        self._observer.reset()
-        self._diagnoser.reset()
+        self._monitor.reset()
         response.success, response.message = True, 'observer and alarms start anew'
         return response
 
@@ -216,8 +174,8 @@ class UioNode(ManagedNode):
 
     def _retune(self, parameters):
         changed = {p.name: p.value for p in parameters if p.name.startswith('diagnosis.')}
-        if changed and hasattr(self, '_diagnoser'):
-            self._diagnoser.retune(self._diagnosis_parameters(changed))
+        if changed and hasattr(self, '_monitor'):
+            self._monitor.diagnoser.retune(self._diagnosis_parameters(changed))
         return SetParametersResult(successful=True)
 
 

@@ -5,10 +5,11 @@ Joint or sensor 1 is blue and 2 is vermilion throughout; wide pale lines are the
 reference, thin lines what is measured or estimated.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from lpv_cli.report.episodes import episodes, intervals
-from lpv_cli.report.style import BAND, INK, PALE, SENSOR, SETTINGS, SOFT, plt, thin
+from lpv_cli.report.style import BAND, INK, PALE, SENSOR, SETTINGS, SOFT, thin
 from lpv_core.diagnosis import SensorState
 from lpv_core.kinematics import forward
 

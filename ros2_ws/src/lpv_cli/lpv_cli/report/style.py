@@ -3,10 +3,9 @@
 import io
 
 import matplotlib
+import numpy as np
 
 matplotlib.use('Agg')
-
-import numpy as np  # noqa: E402
 
 # Okabe-Ito blue and vermilion: told apart by colour-blind readers, and in print by lightness.
 SENSOR = ('#0072b2', '#d55e00')

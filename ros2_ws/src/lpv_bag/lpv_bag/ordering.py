@@ -1,0 +1,53 @@
+"""Messages of a lockstep run in an order that does not depend on who was heard first."""
+
+import heapq
+
+WINDOW = 1_000_000_000
+"""How far stamps may run ahead of a message that is still to come [ns]."""
+
+
+class StampOrder:
+    """Releases messages sorted by stamp, then topic.
+
+    In lockstep all messages of one stamp are published before those of the next, but a recorder
+    hears several publishers in an order that differs from run to run.
+
+    Parameters
+    ----------
+    write : callable
+        Takes topic, stamp [ns] and data of each message, in order.
+    """
+
+    def __init__(self, write):
+        self._write = write
+        self._heap = []
+        self._count = 0
+        self._newest = 0
+
+    def add(self, topic, stamp, data):
+        """Take one message.
+
+        Parameters
+        ----------
+        topic : str
+            Its topic.
+        stamp : int
+            Its stamp [ns].
+        data : bytes
+            CDR.
+        """
+        # The counter keeps messages of one topic and stamp in the order of their arrival.
+        heapq.heappush(self._heap, (stamp, topic, self._count, data))
+        self._count += 1
+        self._newest = max(self._newest, stamp)
+        while self._heap[0][0] < self._newest - WINDOW:
+            self._release()
+
+    def flush(self):
+        """Release everything that is left."""
+        while self._heap:
+            self._release()
+
+    def _release(self):
+        stamp, topic, _, data = heapq.heappop(self._heap)
+        self._write(topic, stamp, data)

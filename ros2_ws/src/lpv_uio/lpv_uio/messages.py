@@ -1,0 +1,59 @@
+"""Puts the fields of lpv_core.answers into ROS messages."""
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
+from lpv_node.stamps import set_stamp
+
+
+class OutputMessages:
+    """Messages of one arm; those of the fast topics are reused from call to call.
+
+    Parameters
+    ----------
+    frame_id : str
+        Of every header: the arm's name.
+    """
+
+    def __init__(self, frame_id):
+        self._frame_id = frame_id
+        self._state, self._fault = self._headed(StateEstimate()), self._headed(FaultEstimate())
+
+    def _headed(self, message):
+        message.header.frame_id = self._frame_id
+        return message
+
+    def state(self, stamp, fields):
+        """lpv_msgs/StateEstimate with a stamp [ns] and fields."""
+        return _fill(self._state, stamp, fields)
+
+    def fault(self, stamp, fields):
+        """lpv_msgs/FaultEstimate with a stamp [ns] and fields."""
+        return _fill(self._fault, stamp, fields)
+
+    def alarm(self, stamp, fields):
+        """A new lpv_msgs/FaultAlarm with a stamp [ns] and fields."""
+        message = self._headed(FaultAlarm())
+        times = {name: fields[name] for name in ('onset', 'detected')}
+        _fill(message, stamp, {k: v for k, v in fields.items() if k not in times})
+        for name, value in times.items():
+            set_stamp(getattr(message, name), value)
+        return message
+
+    @staticmethod
+    def diagnostics(stamp, status):
+        """A new diagnostic_msgs/DiagnosticArray with a stamp [ns] and statuses."""
+        array = DiagnosticArray(status=[
+            DiagnosticStatus(**{
+                **fields, 'level': bytes([fields['level']]),
+                'values': [KeyValue(key=k, value=v) for k, v in fields['values'].items()]})
+            for fields in status])
+        set_stamp(array.header.stamp, stamp)
+        return array
+
+
+def _fill(message, stamp, fields):
+    set_stamp(message.header.stamp, stamp)
+    for name, value in fields.items():
+        setattr(message, name, value)
+    return message
