@@ -104,6 +104,26 @@ class BagWriter:
             topic, msgtype, typestore=self.typestore, offered_qos_profiles=list(profiles))
         self.counts[topic] = 0
 
+    def copy_topic(self, connection):
+        """Announce a topic as another bag has it, with its own message definition.
+
+        Parameters
+        ----------
+        connection : rosbags.interfaces.Connection
+            Of the other bag; further connections of one topic are the same topic here.
+        """
+        if connection.topic in self._connections:
+            return
+        definition, ext = connection.msgdef.data, connection.ext
+        known = {'msgdef': definition, 'rihs01': connection.digest} if definition else {}
+        if not known:  # bags of older distributions carry no definitions
+            self.check_type(connection.msgtype)
+        self._connections[connection.topic] = self._writer.add_connection(
+            connection.topic, connection.msgtype, typestore=self.typestore, **known,
+            serialization_format=ext.serialization_format,
+            offered_qos_profiles=ext.offered_qos_profiles)
+        self.counts[connection.topic] = 0
+
     def write_raw(self, topic, timestamp, data):
         """Write a serialised message.
 
@@ -132,7 +152,9 @@ class BagWriter:
             Message of ``typestore.types``.
         """
         msgtype = self._connections[topic].msgtype
-        self.write_raw(topic, timestamp, self.typestore.serialize_cdr(message, msgtype))
+        data = bytes(self.typestore.serialize_cdr(message, msgtype))
+        # DDS pads samples to four bytes, and so does a recorder: bags can then be compared.
+        self.write_raw(topic, timestamp, data + bytes(-len(data) % 4))
 
     def close(self):
         """Finish file and metadata; may be called again."""

@@ -43,14 +43,14 @@ def executable(package, name):
 
 
 def bringup_file(kind, name):
-    """An arm or scenario file: a path, or the bare name of a shipped one.
+    """An arm, scenario or column file: a path, or the bare name of a shipped one.
 
     Parameters
     ----------
-    kind : {'arms', 'scenarios'}
+    kind : {'arms', 'scenarios', 'columns'}
         Folder of lpv_bringup.
     name : str
-        Bare name (``paper``) or path.
+        Path, or name (``paper`` or ``paper.yaml``) of a shipped file.
 
     Returns
     -------
@@ -63,13 +63,12 @@ def bringup_file(kind, name):
         If there is none; names the shipped ones.
     """
     path = Path(name)
-    if path.suffix in ('.yaml', '.yml'):
-        if not path.is_file():
-            raise ConfigError(kind[:-1], f'there is no file {name}')
+    if path.suffix in ('.yaml', '.yml') and path.is_file():
         return path.resolve()
     folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
-    path = folder / f'{name}.yaml'
-    if not path.is_file():
-        known = ', '.join(sorted(p.stem for p in folder.glob('*.yaml')))
-        raise ConfigError(kind[:-1], f'{name!r} is neither a file nor shipped; shipped: {known}')
-    return path
+    # A bare name cannot leave the folder.
+    shipped = {file.stem: file for file in sorted(folder.glob('*.yaml'))}
+    if path.name == name and path.suffix in ('', '.yaml') and path.stem in shipped:
+        return shipped[path.stem]
+    raise ConfigError(kind.rstrip('s'), f'{name!r} is neither a file nor shipped; shipped: '
+                      + ', '.join(shipped))

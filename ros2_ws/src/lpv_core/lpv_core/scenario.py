@@ -158,10 +158,31 @@ def parse_scenario(data, source='scenario'):
         inertia_factors=plant.pair('inertia_factors', 1.0, above=0.0),
         payload=plant.number('payload', 0.0, low=0.0), noise=top.flag('noise', True),
         disturbance=top.flag('disturbance', True), times=times, points=points, elbow=elbow,
-        obstacle=obstacle, faults=tuple(_fault(s) for s in top.sections('faults', [])))
+        obstacle=obstacle, faults=parse_faults(top))
     plant.finish()
     top.finish()
     return scenario
+
+
+def parse_faults(top):
+    """Read the list ``faults``.
+
+    Parameters
+    ----------
+    top : lpv_core.config.Section
+        Mapping that holds it.
+
+    Returns
+    -------
+    tuple of Fault
+        Empty if there is no such list.
+
+    Raises
+    ------
+    ConfigError
+        Naming the offending field.
+    """
+    return tuple(_fault(section) for section in top.sections('faults', []))
 
 
 def _fault(section):
