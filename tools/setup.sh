@@ -20,7 +20,11 @@ say() { echo "setup: $*"; }
 
 choose_source() {
   source=wheels
-  if [ -n "${ROS_DISTRO:-}" ] && "$python" -c 'import rclpy' 2>/dev/null; then
+  if [ -n "${ROS_DISTRO:-}" ]; then
+    # Wheels beside a sourced ROS 2 would mix two builds of the same libraries.
+    "$python" -c 'import rclpy' ||
+      fail "ROS 2 $ROS_DISTRO is sourced, but $python cannot import its rclpy (see above): set" \
+        "PYTHON to the interpreter that it was built for, or start from a shell without ROS 2"
     source=sourced
   elif [ "$(uname -s)-$(uname -m)" != Linux-x86_64 ]; then
     fail "there are ROS 2 wheels for Linux x86_64 only; source a ROS 2 (Jazzy or later) first"

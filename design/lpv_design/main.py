@@ -7,6 +7,7 @@ from pathlib import Path
 from lpv_core.arm import load_arm
 from lpv_core.errors import LpvError
 from lpv_core.gains import save_gains
+from lpv_core.resources import bringup_file
 from lpv_design.pipeline import NotDetectableError, design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
@@ -22,9 +23,11 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('--arm', required=True, metavar='ARM.yaml', help='arm file')
-    parser.add_argument('--requirement', metavar='NAME|FILE', required=True,
-                        help='shipped name (paper, paper_literal, real_arm) or a file')
+    parser.add_argument('--arm', required=True, metavar='ARM',
+                        help='arm file, or name of a shipped arm (paper, real_arm)')
+    parser.add_argument('--requirement', metavar='REQUIREMENT',
+                        help='requirement file, or name of a shipped one (paper, paper_literal, '
+                        'real_arm); without, the one with the arm\'s name')
     parser.add_argument('--out', required=True, metavar='GAINS.yaml',
                         help='parameter file to write')
 
@@ -43,8 +46,8 @@ def run(arguments):
         0; 1 without feasible gains; 2 for bad input; 3 where faults are not detectable.
     """
     try:
-        arm = load_arm(arguments.arm)
-        requirement = load_requirement(arguments.requirement)
+        arm = load_arm(bringup_file('arms', arguments.arm))
+        requirement = load_requirement(arguments.requirement or arm.name)
         result = design(arm, requirement)
     except NotDetectableError as error:
         print(f'lpv design: not detectable: {error}', file=sys.stderr)

@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from lpv_cli.processes import Graph, NodeFailure
-from lpv_cli.resources import bringup_file, executable
 from lpv_core.arm import load_arm
 from lpv_core.gains import save_gains
+from lpv_core.resources import bringup_file, executable
 from lpv_core.scenario import load_scenario
 from lpv_core.tracking import COMPENSATION
 

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from lpv_bag.csv_import import import_csv, load_column_map
-from lpv_cli.resources import bringup_file
+from lpv_core.resources import bringup_file
 
 
 def add_arguments(parser):

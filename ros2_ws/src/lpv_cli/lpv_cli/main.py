@@ -9,6 +9,7 @@ from lpv_core.errors import LpvError
 COMMANDS = {
     'design': ('lpv_design.main', 'design certified gains for an arm'),
     'demo': ('lpv_cli.demo', 'design, simulate with the real graph, record, report'),
+    'run': ('lpv_cli.run_command', 'start a node, as ros2 run does'),
     'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),
     'report': ('lpv_cli.report_command', 'write the report of a bag'),

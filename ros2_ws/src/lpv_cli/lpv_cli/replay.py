@@ -7,13 +7,13 @@ import numpy as np
 from rich.console import Console
 
 from lpv_bag.replay import Replay
-from lpv_cli.resources import bringup_file
 from lpv_core.arm import load_arm
 from lpv_core.config import Section, read_yaml
 from lpv_core.errors import ConfigError
 from lpv_core.faults import FaultInjector
 from lpv_core.gains import load_gains, save_gains
 from lpv_core.monitor import SensorMonitor, describe
+from lpv_core.resources import bringup_file
 from lpv_core.scenario import parse_faults
 
 

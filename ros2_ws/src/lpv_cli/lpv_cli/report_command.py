@@ -4,8 +4,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from lpv_cli.resources import bringup_file
 from lpv_core.arm import load_arm
+from lpv_core.resources import bringup_file
 from lpv_core.scenario import load_scenario
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -17,8 +18,8 @@ PAPER = {
     'x4': ('estimate of link 2 rate', 'rad²/s²', 0.047),
     'f1': ('estimate of fault 1', 'rad²', 0.006),
     'f2': ('estimate of fault 2', 'rad²', 0.002),
-    'y1': ('tracking, link 1 as measured', 'rad²', 0.034),
-    'y2': ('tracking, link 2 as measured', 'rad²', 0.053),
+    'y1': ('tracking, link 1 measured', 'rad²', 0.034),
+    'y2': ('tracking, link 2 measured', 'rad²', 0.053),
     'e_t1': ('tracking, link 1 true', 'rad²', 0.003),
     'e_t2': ('tracking, link 2 true', 'rad²', 0.007),
 }
@@ -113,16 +114,16 @@ def print_table(rows, console=None):
         Where.
     """
     with_paper = any(row.paper is not None for row in rows)
-    table = Table(title='MISE, eq. (70)' if with_paper else None)
+    table = Table(title='MISE, eq. (70)' if with_paper else None, box=box.SIMPLE_HEAD)
     for name in ('signal', 'meaning', 'unit'):
-        table.add_column(name)
-    table.add_column('this run', justify='right')
+        table.add_column(name, no_wrap=True)
+    table.add_column('this run', justify='right', no_wrap=True)
     if with_paper:
-        table.add_column('paper', justify='right')
-        table.add_column('paper / this run', justify='right')
+        table.add_column('paper', justify='right', no_wrap=True)
+        table.add_column('better by', justify='right', no_wrap=True)
     for row in rows:
         cells = [row.signal, row.meaning, row.unit, f'{row.value:.2g}']
         if with_paper:
-            cells += [f'{row.paper:g}', f'{row.paper / row.value:.1f}' if row.value > 0 else '-']
+            cells += [f'{row.paper:g}', f'{row.paper / row.value:.2g} x' if row.value > 0 else '-']
         table.add_row(*cells)
     (console or Console()).print(table)

@@ -1,0 +1,90 @@
+"""What the tests of the real graph share: nodes as processes, and a client node in this one."""
+
+import itertools
+import os
+import time
+from contextlib import contextmanager
+
+from lpv_cli.processes import Graph
+from lpv_core.resources import executable
+
+NAMESPACE = '/lpv'
+# Domains up to 101 have ports outside the ephemeral range; one for each graph of this process.
+_DOMAINS = itertools.cycle(range(1 + os.getpid() % 90, 1 + os.getpid() % 90 + 10))
+
+PROGRAMS = {'recorder': ('lpv_bag', 'recorder'), 'uio': ('lpv_uio', 'uio'),
+            'tracker': ('lpv_tracker', 'tracker'), 'simulator': ('lpv_arm_sim', 'simulator')}
+
+
+def command(name, *parameters, files=()):
+    """Command line of a node with parameters (``name:=value``) and parameter files."""
+    line = [executable(*PROGRAMS[name]), '--ros-args', '-r', f'__ns:={NAMESPACE}']
+    for file in files:
+        line += ['--params-file', file]
+    for parameter in parameters:
+        line += ['-p', parameter]
+    return line
+
+
+def next_domain():
+    """A ROS domain that no other running graph of this process has."""
+    return next(_DOMAINS)
+
+
+@contextmanager
+def client(domain):
+    """A node in this process, on the domain of a graph, with what it needs to spin."""
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node('client', context=context, namespace=NAMESPACE)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        yield Client(node, executor)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+class Client:
+    """Listens, calls and waits."""
+
+    def __init__(self, node, executor):
+        self.node, self._executor = node, executor
+
+    def listen(self, msgtype, topic, qos):
+        """A list that receives the topic's messages."""
+        received = []
+        self.node.create_subscription(msgtype, topic, received.append, qos)
+        return received
+
+    def wait(self, condition, timeout=30.0):
+        """Spin until the condition holds; False after the timeout."""
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            if condition():
+                return True
+            self._executor.spin_once(timeout_sec=0.05)
+        return bool(condition())
+
+    def call(self, srvtype, name, **fields):
+        """Call a service; its response."""
+        service = self.node.create_client(srvtype, name)
+        assert self.wait(service.service_is_ready), f'no service {name}'
+        future = service.call_async(srvtype.Request(**fields))
+        assert self.wait(future.done), f'no answer of {name}'
+        self.node.destroy_client(service)
+        return future.result()
+
+
+@contextmanager
+def graph(log_dir, domain=None):
+    """A graph of nodes that ends with the test."""
+    with Graph(log_dir, next_domain() if domain is None else domain) as running:
+        yield running
