@@ -8,7 +8,7 @@ IN_ENV = source tools/env.sh &&
 TEST_ARGS ?=
 DEMO_ARGS ?=
 
-.PHONY: help setup setup-test demo test lint bench clean
+.PHONY: help setup setup-test setup-bench demo test lint bench clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -19,6 +19,9 @@ setup: ## set up the environment and build the workspace
 setup-test:
 	@tools/setup.sh test
 
+setup-bench:
+	@tools/setup.sh bench
+
 demo: setup ## design gains, run the graph on a 20 s scenario, record, report
 	@$(IN_ENV) lpv demo $(DEMO_ARGS)
 
@@ -28,7 +31,7 @@ test: setup-test ## run all tests
 lint: setup-test ## check style
 	@$(IN_ENV) ruff check .
 
-bench: setup ## run the benchmarks
+bench: setup-bench ## run the benchmarks
 	@$(IN_ENV) for b in benchmarks/*.py; do echo "== $$b"; python "$$b" || exit 1; done
 
 clean: ## remove environment, build and results

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Sets everything up in a virtual environment; does only what is not done already.
 #
-#   tools/setup.sh [test]      "test" also installs what the tests need
+#   tools/setup.sh [test|bench]      also installs what tests or benchmarks need
 #
 # PYTHON   interpreter to use (default: python3), 3.10 to 3.13
 # VENV     environment to make (default: .venv in this folder's parent)
@@ -112,9 +112,11 @@ main() {
   else
     install_requirements base "$root/requirements/base.txt" "$root/requirements/colcon.txt"
   fi
-  if [ "${1:-}" = test ]; then
-    install_requirements test "$root/requirements/test.txt"
-  fi
+  case "${1:-}" in
+    '') ;;
+    test | bench) install_requirements "$1" "$root/requirements/$1.txt" ;;
+    *) fail "unknown argument $1; known are test and bench" ;;
+  esac
   build_workspace
 }
 
