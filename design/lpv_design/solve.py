@@ -15,9 +15,9 @@ class InfeasibleError(RuntimeError):
 def solve(objective, constraints):
     """Minimise with Clarabel and say what it said.
 
-    The default of cvxpy for SDPs, SCS, calls points optimal that violate their inequalities by
-    1e-2; Clarabel often says ``optimal_inaccurate`` on points that satisfy all.  Callers rebuild
-    the inequalities; the returned word is for the record.
+    Clarabel often says ``optimal_inaccurate`` on points that satisfy every inequality, and a first
+    order solver may say ``optimal`` on points that violate them.  Callers rebuild the
+    inequalities; the returned word is for the record.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ def load_column_map(path):
     Parameters
     ----------
     path : str or pathlib.Path
-        YAML file with ``time`` (``column``, ``unit``, ``start``), ``angle_unit`` and ``joints``
+        YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and ``joints``
         (``position``, ``velocity`` and optionally ``effort`` of each).
 
     Returns

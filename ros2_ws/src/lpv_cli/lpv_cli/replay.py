@@ -97,6 +97,7 @@ def _injector(path, arm):
         return None
     top = Section(read_yaml(path), path)
     faults = parse_faults(top)
+    top.finish()
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
 
 

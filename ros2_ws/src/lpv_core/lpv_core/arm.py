@@ -106,7 +106,7 @@ class ArmParameters:
     disturbance_mean: float = 0.2
     disturbance_variance: float = 0.9
     model_error: float = 0.0
-    torque_limit: tuple = (math.inf, math.inf)
+    torque_limit: tuple = (1e9, 1e9)
     velocity_limit: tuple = (100.0, 100.0)
     orientation: str = 'upright'
     cos_min: tuple = (0.3, 0.3)

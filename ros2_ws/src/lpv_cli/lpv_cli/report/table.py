@@ -103,6 +103,13 @@ def _without_truth(record):
     return rows
 
 
+def _times(row):
+    if not row.value > 0.0:
+        return '-'
+    ratio = row.paper / row.value
+    return f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
+
+
 def print_table(rows, console=None):
     """Show a table on the terminal.
 
@@ -124,6 +131,6 @@ def print_table(rows, console=None):
     for row in rows:
         cells = [row.signal, row.meaning, row.unit, f'{row.value:.2g}']
         if with_paper:
-            cells += [f'{row.paper:g}', f'{row.paper / row.value:.2g} x' if row.value > 0 else '-']
+            cells += [f'{row.paper:g}', _times(row)]
         table.add_row(*cells)
     (console or Console()).print(table)
