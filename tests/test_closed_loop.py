@@ -105,7 +105,9 @@ def test_given_one_seed_when_run_twice_then_every_bit_is_the_same(
 ])
 def test_given_a_plant_that_differs_when_run_then_the_loop_stays_on_its_path(
         paper_arm, paper_gains, two_faults, change):
-    run = run_closed_loop(paper_arm, paper_gains, replace(two_faults, duration=7.0, **change))
+    arm = replace(paper_arm, payload=change.get('payload', 0.0))   # what thresholds must tolerate
+    gains = replace(paper_gains, arm_sha256=arm.sha256())
+    run = run_closed_loop(arm, gains, replace(two_faults, duration=7.0, **change))
     error = absolute(paper_arm, run.position) - absolute(paper_arm, run.reference)
     assert np.all(mise(error) <= [0.003, 0.007])
     raised = [a.sensor for a in run.alarms if a.event == AlarmEvent.RAISED]

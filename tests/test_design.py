@@ -1,29 +1,35 @@
 """Gain design: what is infeasible, what is feasible, and that every check can refuse."""
 
-import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_lyapunov
 
-from lpv_core.dynamics import acceleration, inverse_dynamics
+from lpv_core import lmi
+from lpv_core.certificate import (
+    augment,
+    controller_loop,
+    exact_observer_checks,
+    require,
+    verify,
+)
+from lpv_core.error_system import link_errors
 from lpv_core.errors import ConfigError
-from lpv_core.joints import JointMap
+from lpv_core.gains import ExactObserverGains
 from lpv_core.polytope import sinc_box
 from lpv_core.state_space import vertex_matrices
-from lpv_design import controller, lmi
 from lpv_design.controller import (
     PUBLISHED_M1,
     PUBLISHED_M2,
     ControllerRequirement,
     check_loop,
     common_lyapunov,
-    exact_loop,
-    paper_loop,
     solve_loop,
 )
 from lpv_design.detectability import lost_mode, undetectable_point
-from lpv_design.exact_observer import ExactProblem, ExactRequirement
+from lpv_design.exact_observer import ExactRequirement, solve_exact
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
 from lpv_design.pipeline import NotDetectableError, design
 from lpv_design.requirement import PaperRequirement, load_requirement
@@ -235,7 +241,7 @@ def test_given_a_system_when_the_covariance_inequality_holds_then_its_inverse_bo
 
 def test_given_the_published_gains_when_checked_then_67_holds_with_alpha_2_at_all_vertices(
         paper_arm):
-    loop = paper_loop(paper_arm)
+    loop = controller_loop(paper_arm, 'paper')
     assert len(loop[0]) == 8
     q = common_lyapunov(loop, PUBLISHED, 2.0)
     assert check_loop(loop, PUBLISHED, q, 2.0) < 0.0
@@ -249,7 +255,7 @@ def test_given_the_published_gains_when_checked_then_67_holds_with_alpha_2_at_al
 
 def test_given_the_published_gains_when_the_loop_is_closed_then_the_poles_are_the_known_ones(
         paper_arm):
-    a, b = paper_loop(paper_arm)
+    a, b = controller_loop(paper_arm, 'paper')
     known = np.array([-203.7, -22.6, -10.1, -5.30 + 1.48j, -5.30 - 1.48j, -4.90])
     found = np.linalg.eigvals(a[0] + b[0] @ PUBLISHED)
     for pole in known:
@@ -261,11 +267,11 @@ def test_given_the_published_gains_when_the_loop_is_closed_then_the_poles_are_th
         assert poles.real.max() == pytest.approx(-5.05, abs=0.2)
 
 
-@pytest.mark.parametrize('loop_of', [paper_loop, exact_loop])
+@pytest.mark.parametrize('method', ['paper', 'exact'])
 def test_given_our_requirement_when_both_loops_are_designed_then_67_holds_on_every_vertex(
-        arm, loop_of):
+        arm, method):
     wanted = load_requirement(arm.name).controller
-    loop = loop_of(arm)
+    loop = controller_loop(arm, method)
     m, q, _ = solve_loop(arm, loop, wanted)
     assert check_loop(loop, m, q, wanted.alpha) < 0.0
     for a, b in zip(*loop):
@@ -277,7 +283,7 @@ def test_given_our_requirement_when_both_loops_are_designed_then_67_holds_on_eve
 @pytest.fixture(scope='module')
 def tracking(paper_arm):
     """Loop, gains and Q that satisfy (67)."""
-    loop = exact_loop(paper_arm)
+    loop = controller_loop(paper_arm, 'exact')
     m, q, _ = solve_loop(paper_arm, loop, ControllerRequirement())
     return loop, m, q
 
@@ -297,7 +303,7 @@ def test_given_spoilt_gains_when_checked_then_67_is_refused(tracking, spoil):
 
 def test_given_vertices_when_augmented_then_eq_64_holds(paper_arm):
     a, b = vertex_matrices(sinc_box(-0.2), paper_arm.constants(coriolis=False))
-    a_c, b_c = controller.augment(a, b)
+    a_c, b_c = augment(a, b)
     for i in range(8):
         np.testing.assert_array_equal(a_c[i], np.block([[a[i], np.zeros((4, 2))],
                                                         [-np.eye(2, 4), np.zeros((2, 2))]]))
@@ -305,7 +311,7 @@ def test_given_vertices_when_augmented_then_eq_64_holds(paper_arm):
 
 
 def test_given_both_loops_when_compared_then_the_exact_one_has_16_vertices_of_the_arm(arm):
-    a, b = exact_loop(arm)
+    a, b = controller_loop(arm, 'exact')
     assert (a.shape, b.shape) == ((16, 6, 6), (16, 6, 2))
     np.testing.assert_array_equal(a[:, 4:, :2], np.repeat(-np.eye(2)[None], 16, axis=0))
 
@@ -313,136 +319,101 @@ def test_given_both_loops_when_compared_then_the_exact_one_has_16_vertices_of_th
 # ------------------------------------------------------------------ the exact observer
 
 
-@pytest.fixture(scope='module')
-def exact(paper_arm, real_arm):
-    """Problem, gains and P of both arms' shipped requirements."""
-    made = {}
-    for arm in (paper_arm, real_arm):
-        problem = ExactProblem(arm, load_requirement(arm.name).observer)
-        k_x, p, _ = problem.solve()
-        made[arm.name] = (problem, k_x, p, *problem.lift(k_x, p))
-    return made
+def spoilt(gains, **changes):
+    return replace(gains, observer=replace(gains.observer, **changes))
 
 
-def test_given_the_exact_design_when_checked_then_every_certificate_holds(exact, arm):
-    problem, k_x, p, k, p_full = exact[arm.name]
-    assert problem.check(k_x, p) < 0.0
-    assert problem.check_lifted(k, p_full) < 0.0
-    assert problem.spectral_radius(k) < 1.0
+def failing(arm, gains):
+    return [check.name for check in verify(arm, gains) if not check.holds]
 
 
-def test_given_the_exact_design_when_n_is_formed_then_its_poles_are_in_the_disc_at_16_vertices(
-        exact, arm):
-    problem, _, _, k, p_full = exact[arm.name]
-    wanted = problem.requirement
-    assert problem.q - problem.r == pytest.approx(wanted.decay)
-    assert problem.q + problem.r == pytest.approx(wanted.fastest)
-    assert len(problem.descriptor.a) == len(k) == 16
-    for a_i, k_i in zip(problem.descriptor.a, k):
-        n = problem.t1 @ a_i + k_i @ problem.descriptor.c
-        poles = np.linalg.eigvals(n)
-        assert np.abs(poles + problem.q).max() < problem.r
-        # Lyapunov by hand: V' <= -2 decay V.
-        decrease = p_full @ n + n.T @ p_full + 2.0 * wanted.decay * p_full
-        assert np.linalg.eigvalsh(decrease)[-1] < 0.0
+def test_given_shipped_requirements_when_designed_then_every_check_holds(
+        arm, gains_of, paper_arm, literal_gains):
+    assert failing(arm, gains_of[arm.name]) == []
+    assert failing(paper_arm, literal_gains) == []
 
 
-def test_given_the_exact_design_when_sampled_then_its_spectral_radius_is_the_recursions(exact, arm):
-    problem, _, _, k, _ = exact[arm.name]
-    radius = 0.0
-    for a_i, k_i in zip(problem.descriptor.a, k):
-        hn = arm.sample_time * (problem.t1 @ a_i + k_i @ problem.descriptor.c)
-        step = np.eye(6) + hn + hn @ hn / 2.0               # Heun rule, as in exact_step
-        radius = max(radius, np.abs(np.linalg.eigvals(step)).max())
-    assert problem.spectral_radius(k) == pytest.approx(radius, abs=1e-9)
+@pytest.mark.parametrize(('spoil', 'named'), [
+    (lambda o: {'kappa': -o.kappa}, 'poles between'),
+    (lambda o: {'kappa': 0.5 * o.kappa}, 'poles between'),           # too slow for its decay
+    (lambda o: {'kappa': o.kappa * [1.0, 0.5]}, 'link 2: poles between'),
+    (lambda o: {'mu': 30.0 * o.mu}, 'sampled recursion'),            # too fast for its sample time
+    (lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
+    (lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
+    (lambda o: {'lyapunov': np.stack([np.eye(2)] * 2)}, 'poles between'),
+    (lambda o: {'lyapunov': o.lyapunov + [[0.0, 0.1], [0.0, 0.0]]}, 'symmetric'),
+    (lambda o: {'lyapunov': np.nan * o.lyapunov}, 'P > 0'),
+    (lambda o: {'decay': 2.0 * o.decay}, 'poles between'),
+    (lambda o: {'fastest': 0.5 * o.fastest}, 'poles between'),
+])
+def test_given_a_spoilt_exact_observer_when_verified_then_the_check_that_fails_is_named(
+        paper_arm, paper_gains, spoil, named):
+    failed = failing(paper_arm, spoilt(paper_gains, **spoil(paper_gains.observer)))
+    assert any(named in name for name in failed), failed
 
 
-def test_given_the_exact_design_when_transformed_then_the_position_innovation_is_apart(exact, arm):
-    problem, k_x, _, k, _ = exact[arm.name]
-    s = problem.t1[4:, :2] * -1.0
-    t = np.eye(6)
-    t[4:, :2] = s
-    for a_i in problem.descriptor.a:
-        n = t @ (problem.t1 @ a_i + k[0] @ problem.descriptor.c) @ np.linalg.inv(t)
-        np.testing.assert_allclose(n[:4, 4:], 0.0, atol=1e-9)
-        np.testing.assert_allclose(n[4:, :4], 0.0, atol=1e-9)
-        np.testing.assert_allclose(n[4:, 4:], -problem.q * np.eye(2), atol=1e-9)
-    np.testing.assert_array_equal(k[0][:4, :2], 0.0)
-    np.testing.assert_array_equal(k[0][:4, 2:], k_x)
+@pytest.mark.parametrize(('spoil', 'named'), [
+    (lambda o: {'k': -o.k}, 'LMI'), (lambda o: {'gamma': 0.01 * o.gamma}, 'LMI'),
+    (lambda o: {'t1': o.t1 + 0.01}, 'decoupling'), (lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
+    (lambda o: {'box': sinc_box(0.5)}, 'LMI'),
+])
+def test_given_a_spoilt_paper_observer_when_verified_then_the_check_that_fails_is_named(
+        paper_arm, literal_gains, spoil, named):
+    failed = failing(paper_arm, spoilt(literal_gains, **spoil(literal_gains.observer)))
+    assert any(named in name for name in failed), failed
 
 
-def test_given_spoilt_observer_gains_when_checked_then_each_check_refuses(exact, arm):
-    problem, k_x, p, k, p_full = exact[arm.name]
-    assert problem.check(-k_x, p) > 0.0
-    assert problem.check(0.0 * k_x, p) > 0.0           # gravity upright is unstable, or undamped
-    assert problem.check(k_x, -p) > 0.0
-    assert problem.check(k_x, 4.0 * p) > 0.0           # claims half the true deviation
-    assert problem.check_lifted(-k, p_full) > 0.0
-    assert problem.check_lifted(k, -p_full) > 0.0
-    one = k.copy()
-    one[5, :4, 2:] *= 3.0                              # one bad vertex is enough
-    assert problem.check_lifted(one, p_full) > 0.0
-    assert problem.spectral_radius(-k) > 1.0
-    assert problem.spectral_radius(2.5e3 / 60.0 * k) > 1.0  # too fast for the sample time
+@pytest.mark.parametrize(('spoil', 'named'), [
+    (lambda c: {'m1': -c.m1}, r'LMI \(67\)'), (lambda c: {'decay': 20.0}, r'LMI \(67\)'),
+    (lambda c: {'m1': 40.0 * c.m1}, 'one sample of delay'),
+    (lambda c: {'lyapunov': -c.lyapunov}, 'P > 0'),
+])
+def test_given_a_spoilt_controller_when_verified_then_the_check_that_fails_is_named(
+        paper_arm, paper_gains, spoil, named):
+    controller = replace(paper_gains.controller, **spoil(paper_gains.controller))
+    with pytest.raises(ConfigError, match='certificate does not hold'):
+        require(paper_arm, replace(paper_gains, controller=controller))
+    failed = failing(paper_arm, replace(paper_gains, controller=controller))
+    assert any(re.search(named, name) for name in failed), failed
 
 
-def error_dynamics(problem, k_x, theta, rate, torque):
-    """Frozen error dynamics of the arm in motion: inertia and Coriolis terms depend on theta."""
-    c, h, slope = problem.arm.constants(), 1e-6, np.zeros((2, 2))
-    for j, e in enumerate(h * np.eye(2)):
-        ahead, behind = (np.array(acceleration(*(theta + sign * e), *rate, *torque, c))
-                         for sign in (1.0, -1.0))
-        slope[:, j] = (ahead - behind) / (2.0 * h)
-    s = -problem.t1[4:, :2]
-    a = np.block([[np.zeros((2, 2)), np.eye(2)], [slope, np.zeros((2, 2))]])
-    return a + k_x @ np.hstack([np.zeros((2, 2)), s])
+def test_given_the_exact_design_when_any_slope_is_tried_then_poles_lie_in_the_certified_range(
+        arm, gains_of):
+    observer = gains_of[arm.name].observer
+    for link in link_errors(arm):
+        kappa, mu = observer.kappa[link.index], observer.mu[link.index]
+        for slope in np.linspace(*link.slopes, 50):
+            poles = np.linalg.eigvals(link.closed(slope, kappa, mu))
+            assert np.abs(poles.imag).max() == 0.0
+            assert -poles.real.max() > observer.decay
+            assert np.abs(poles).max() < observer.fastest
 
 
-def test_given_an_equilibrium_when_differentiated_then_the_designed_error_dynamics_are_the_arms(
-        exact, arm):
-    problem, k_x, _, _, _ = exact[arm.name]
-    rest = 0.0 if arm.orientation == 'upright' else math.pi
-    for theta in np.random.default_rng(3).uniform(rest - 1.2, rest + 1.2, (20, 2)):
-        torque = inverse_dynamics(*theta, 0.0, 0.0, 0.0, 0.0, arm.constants())
-        found = np.linalg.eigvals(error_dynamics(problem, k_x, theta, (0.0, 0.0), torque))
-        assert found.real.max() < -problem.requirement.decay
-
-
-def test_given_the_shipped_path_when_its_motion_is_added_then_the_error_dynamics_still_decay(
-        exact, paper_arm, two_faults):
-    """The polytope has gravity slopes only; the path must be slow enough for the rest."""
-    problem, k_x, _, _, _ = exact['paper']
-    joints, c = JointMap(paper_arm), paper_arm.constants()
-    reference = two_faults.path(paper_arm).sample(np.linspace(0.5, 19.5, 400))
-    slowest = -math.inf
-    for q, rate, acc in zip(reference.position, reference.velocity, reference.acceleration):
-        theta = joints.absolute_position(q)
-        rate, acc = joints.absolute_velocity(rate), joints.absolute_velocity(acc)
-        torque = inverse_dynamics(*theta, *rate, *acc, c)
-        found = np.linalg.eigvals(error_dynamics(problem, k_x, theta, rate, torque))
-        slowest = max(slowest, found.real.max())
-    assert slowest < -problem.requirement.decay
+@pytest.mark.parametrize('cos_min', [0.3, 0.15, 0.05])
+def test_given_a_region_up_to_the_horizontal_when_designed_at_decay_2_then_it_is_certified(
+        paper_arm, cos_min):
+    arm = replace(paper_arm, cos_min=(cos_min, cos_min))
+    wanted = replace(load_requirement('paper').observer, decay=2.0, fastest=60.0 * 0.3 / cos_min)
+    kappa, mu, p, _ = solve_exact(arm, wanted)
+    sampled = replace(arm, sample_time=min(0.002, 0.2 / wanted.fastest))
+    observer = ExactObserverGains(kappa, mu, p, 2.0, wanted.fastest, np.ones(2))
+    assert all(check.holds for check in exact_observer_checks(sampled, observer))
 
 
 def test_given_the_design_when_white_noise_is_filtered_then_the_deviation_is_below_its_bound(
-        exact, arm):
-    from scipy.linalg import solve_continuous_lyapunov
-    problem, _, p, k, _ = exact[arm.name]
-    wanted = problem.requirement
-    bound = problem.fault_sigma(p)
-    noise = np.diag([arm.position_noise, arm.position_noise, arm.velocity_noise,
-                     arm.velocity_noise]) * math.sqrt(arm.sample_time)
-    push = np.zeros((6, 4))
-    push[:4, :4] = np.diag([wanted.rate_noise] * 2 + list(wanted.acceleration_noise))
-    worst = np.zeros(2)
-    for a_i in problem.descriptor.a:
-        n = problem.t1 @ a_i + k[0] @ problem.descriptor.c
-        gain = (n @ problem.t2 - k[0]) @ noise     # L times the noise of y
-        inputs = np.hstack([problem.t1 @ push, gain])
-        spread = solve_continuous_lyapunov(n, -inputs @ inputs.T)[4:, 4:]
-        worst = np.maximum(worst, np.sqrt(np.diag(spread) + arm.position_noise**2))
-    assert np.all(worst <= 1.001 * bound)
-    assert np.all(worst > 0.3 * bound)             # and no idle one
+        arm, gains_of):
+    observer, wanted = gains_of[arm.name].observer, load_requirement(arm.name).observer
+    for link, p in zip(link_errors(arm), observer.lyapunov):
+        kappa, mu = observer.kappa[link.index], observer.mu[link.index]
+        bound, worst = link.unit**2 * np.linalg.inv(p)[0, 0], 0.0
+        gain = -np.array([[kappa * link.inertia], [mu]])
+        for slope in np.linspace(*link.slopes, 9):
+            for noise in link.noises(wanted.acceleration_noise, wanted.rate_noise):
+                inputs = noise.direct + gain @ noise.measured
+                spread = solve_continuous_lyapunov(link.closed(slope, kappa, mu),
+                                                   -inputs @ inputs.T)
+                worst = max(worst, spread[0, 0])
+        assert 0.1 * bound < worst <= bound
 
 
 def test_given_an_impossible_decay_when_designed_then_it_is_refused_with_advice(paper_arm):
@@ -480,12 +451,12 @@ def test_given_a_shipped_requirement_when_designed_then_the_certificate_is_recor
     gains = {'paper': paper_gains, 'real_arm': real_gains, 'paper_literal': literal_gains}[name]
     arm = real_arm if name == 'real_arm' else paper_arm
     gains.check_arm(arm)
-    assert gains.certificate['observer_margin'] < 0.0
-    assert gains.certificate['controller_margin'] < 0.0
+    assert max(gains.certificate['margins'].values()) < 0.0
+    assert len(gains.certificate['margins']) >= 6
     assert gains.certificate['solver'] == 'CLARABEL'
     assert np.all(gains.observer.fault_sigma > arm.position_noise)
     # P of the controller is Q^-1 of (67).
-    loop = paper_loop(arm) if name == 'paper_literal' else exact_loop(arm)
+    loop = controller_loop(arm, gains.controller.method)
     m = np.hstack([gains.controller.m1, gains.controller.m2])
     assert check_loop(loop, m, np.linalg.inv(gains.controller.lyapunov), 2.0) < 0.0
 

@@ -201,7 +201,7 @@ def test_given_bad_messages_when_they_come_in_then_the_observer_lives_and_no_out
 
 
 @pytest.mark.parametrize(('name', 'parameters', 'with_gains', 'told'), [
-    ('uio', (ARM,), False, r'gains\.\w+: is not set'),
+    ('uio', (ARM,), False, r'gains\.[\w.]+: is not set'),
     ('uio', (), True, 'arm_file: must be set'),
     ('uio', ('arm_file:=/nowhere.yaml',), True, 'nowhere.yaml'),
     ('uio', (f'arm_file:={BRINGUP / "arms" / "real_arm.yaml"}',), True,

@@ -7,23 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lpv_core.dynamics import inverse_dynamics
+from lpv_core.dynamics import acceleration, inverse_dynamics
 from lpv_core.joints import JointMap
-from lpv_core.polytope import (
-    exact_state_space,
-    exact_vertices,
-    inverse_inertia_quadrangle,
-    sinc_box,
-    slope_range,
-)
+from lpv_core.momentum_uio import output_injection
+from lpv_core.polytope import exact_state_space, exact_vertices, sinc_box
+from lpv_core.recursion import ExactRecursion
 from lpv_core.state_space import Descriptor, output_matrices, vertex_matrices
-from lpv_core.uio import (
-    decoupling,
-    exact_step,
-    fault_feedthrough,
-    observer_matrices,
-    paper_step,
-)
+from lpv_core.uio import decoupling, fault_feedthrough, observer_matrices, paper_step
 
 
 def paper_descriptor(arm, s_min=-0.2):
@@ -43,32 +33,26 @@ def both_designs(arm):
 
 
 class Exact:
-    """`exact_step` with its work space."""
+    """`ExactRecursion`, started anywhere."""
 
     def __init__(self, arm, gains):
-        self.arm, self.k = arm, gains.observer.k
-        self.joints = JointMap(arm)
-        self.s = self.joints.sensor_matrix
-        self.s_inv = np.ascontiguousarray(np.linalg.inv(self.s))
-        self.c = np.ascontiguousarray(np.hstack(output_matrices(arm)))
-        self.t1, self.t2 = gains.observer.t1, gains.observer.t2
+        self.arm, self.gains = arm, gains.observer
+        self.s = JointMap(arm).sensor_matrix
         self.constants = arm.constants()
-        self.low, self.high = slope_range(arm)
-        self.low, self.high = self.low - 1e-9, self.high + 1e-9
-        self.corners = inverse_inertia_quadrangle(self.constants)
-        self.held = np.zeros(2, dtype=bool)
-        self.z, self.x = np.zeros(6), np.zeros(6)
-        self.work = np.zeros((5, 6)), np.zeros((6, 4)), np.zeros(16)
+        self.recursion = ExactRecursion(arm, gains.observer)
+        self.held = self.recursion.held
 
-    def start(self, x, y):
-        self.x[:] = x
-        self.z[:] = x - self.t2 @ y
+    def start(self, x):
+        self.recursion.x[:] = x
 
     def step(self, y_old, y_new, torque, dt):
-        exact_step(self.z, y_old, y_new, np.asarray(torque, float), dt, self.k, self.t1, self.t2,
-                   self.c, self.s, self.s_inv, self.constants, self.low, self.high, self.corners,
-                   self.held, self.x, *self.work)
-        return self.x.copy()
+        self.recursion.advance(np.asarray(y_old, float), np.asarray(y_new, float),
+                               np.asarray(torque, float), dt)
+        return self.recursion.x.copy()
+
+    def injection(self, theta, rates):
+        return output_injection(theta, rates, self.arm.sign * self.gains.kappa, self.gains.mu,
+                                self.constants, self.s)
 
 
 class Motion:
@@ -176,48 +160,65 @@ def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38
 # ------------------------------------------------------------------ the exact recursion
 
 
-def linear_part(observer, theta):
-    """N at an equilibrium, from the arm's own linearisation."""
-    c = observer.constants
-    off = c[3] + c[1] * math.cos(theta[0] - theta[1])
-    inverse = np.linalg.inv([[c[0], off], [off, c[2]]])
-    a = np.zeros((6, 6))
-    a[:2, 2:4] = np.eye(2)
-    a[2:4, :2] = inverse @ np.diag([c[4] * math.cos(theta[0]), c[5] * math.cos(theta[1])])
-    a[4:, 4:] = -np.eye(2)
-    return observer.t1 @ a + observer.k[0] @ observer.c
-
-
-def test_given_an_equilibrium_when_the_exact_observer_is_disturbed_then_its_error_obeys_n(
+def test_given_the_exact_observer_when_stepped_then_it_is_the_uio_form_with_its_injection(
         arm, gains_of):
-    observer = Exact(arm, gains_of[arm.name])
-    rest = 0.0 if arm.orientation == 'upright' else math.pi
-    theta, dt = np.array([rest + 0.4, rest - 0.6]), arm.sample_time
-    torque = inverse_dynamics(*theta, 0.0, 0.0, 0.0, 0.0, observer.constants)
-    y = np.concatenate([observer.s @ theta, [0.0, 0.0]])
-    x = np.concatenate([theta, np.zeros(4)])
+    observer, motion, h = Exact(arm, gains_of[arm.name]), Motion(arm), 1e-7
+    t1, t2 = fault_feedthrough(exact_descriptor(arm).c)
+    c = np.hstack(output_matrices(arm))
+    for t in (0.0, 0.7, 2.0):
+        y = motion.outputs(t, (0.2, -0.1))
+        theta, rate = motion.angles(t) + [0.1, -0.05], motion.rates(t) + [0.3, 0.2]
+        x = np.concatenate([theta, rate, y[:2] - observer.s @ theta])
+        # z' = T1 (model of x^) + K(rho) (C~ x^ - y), eq. (38) in its estimate.
+        v = np.linalg.solve(observer.s, y[2:])
+        model = np.concatenate([rate, acceleration(*theta, *v, *motion.torque(t),
+                                                   observer.constants), -x[4:]])
+        rates = t1 @ model + observer.injection(theta, v) @ (c @ x - y)
+        observer.start(x)
+        after = observer.step(y, y, motion.torque(t), h)
+        np.testing.assert_allclose((after - x - t2 @ (y - y)) / h, rates, rtol=2e-5, atol=2e-5)
 
-    observer.start(x, y)
-    np.testing.assert_allclose(observer.step(y, y, torque, dt), x, atol=1e-13)
 
-    h, columns = 1e-6, []
-    for e in np.eye(6):
-        ends = []
-        for sign in (1.0, -1.0):
-            observer.start(x + sign * h * e, y)
-            ends.append(observer.step(y, y, torque, dt))
-        columns.append((ends[0] - ends[1]) / (2 * h))
-    hn = dt * linear_part(observer, theta)
-    # The blended gain does not depend on the vertex: one common K.
-    assert np.ptp(observer.k, axis=0).max() == 0.0
-    np.testing.assert_allclose(np.column_stack(columns), np.eye(6) + hn + hn @ hn / 2, atol=1e-8)
+def test_given_any_state_when_differentiated_then_the_momentum_error_is_decoupled_link_by_link(
+        arm, gains_of):
+    """e' = -s kappa m and m' = s Gamma e - mu m + coupling, without any linearisation."""
+    observer, motion, h = Exact(arm, gains_of[arm.name]), Motion(arm), 1e-6
+    c, rng = observer.constants, np.random.default_rng(5)
+
+    def inertia(theta):
+        off = c[3] + c[1] * math.cos(theta[0] - theta[1])
+        return np.array([[c[0], off], [off, c[2]]])
+
+    for t in rng.uniform(0.0, 5.0, 10):
+        y = motion.outputs(t)
+        wrong = rng.uniform(-0.2, 0.2, 4)
+        theta, rate, acc = motion.angles(t), motion.rates(t), motion.accelerations(t)
+        guess, guess_rate = theta + wrong[:2], rate + wrong[2:]
+        observer.start(np.concatenate([guess, guess_rate, np.zeros(2)]))
+        after = observer.step(y, y, motion.torque(t), h)
+        guess_acc = (after[2:4] - guess_rate) / h
+        e, m = wrong[:2], inertia(guess) @ wrong[2:]
+        swirl = -c[1] * math.sin(guess[0] - guess[1]) * (rate[0] - rate[1])
+        m_rate = (np.array([[0, swirl], [swirl, 0]]) @ wrong[2:]
+                  + inertia(guess) @ (guess_acc - acc))
+        gravity = np.array(c[4:6]) * (np.sin(guess) - np.sin(theta))
+        delta = inertia(guess) - inertia(theta)
+        spin = c[1] * (math.sin(guess[0] - guess[1]) - math.sin(theta[0] - theta[1]))
+        coupling = -delta @ acc - spin * np.array([rate[1] ** 2, -rate[0] ** 2])
+        expected = gravity + coupling - observer.gains.mu * m
+        scale = np.abs(np.concatenate([m, expected])).max()
+        np.testing.assert_allclose(m_rate, expected, rtol=1e-4, atol=1e-4 * scale)
+        np.testing.assert_allclose((after[:2] - guess) / h - rate,
+                                   -arm.sign * observer.gains.kappa * m, rtol=1e-4, atol=1e-6)
+        slope = gravity / e * arm.sign
+        assert np.all(slope > 0.0) and np.all(slope <= c[4:6])
 
 
 def test_given_the_exact_torques_of_a_motion_when_started_right_then_the_observer_stays_on_it(
         arm, gains_of):
     motion, observer, dt = Motion(arm), Exact(arm, gains_of[arm.name]), arm.sample_time
     y = motion.outputs(0.0)
-    observer.start(np.concatenate([motion.angles(0.0), motion.rates(0.0), [0, 0]]), y)
+    observer.start(np.concatenate([motion.angles(0.0), motion.rates(0.0), [0, 0]]))
     worst = 0.0
     for k in range(2000):
         y_new = motion.outputs((k + 1) * dt)
@@ -235,7 +236,7 @@ def test_given_a_wrong_start_when_the_nonlinear_arm_moves_then_the_error_dies_ou
     motion, dt = Motion(paper_arm), paper_arm.sample_time
     observer = Exact(paper_arm, paper_gains)
     y = motion.outputs(0.0, bias)
-    observer.start(np.concatenate([motion.angles(0.0) + bias, motion.rates(0.0), [0, 0]]), y)
+    observer.start(np.concatenate([motion.angles(0.0) + bias, motion.rates(0.0), [0, 0]]))
     errors = []
     for k in range(15000):
         y_new = motion.outputs((k + 1) * dt, bias)
@@ -263,7 +264,7 @@ def test_given_position_faults_of_any_shape_when_observed_then_the_state_estimat
             observer = Exact(arm, gains_of[arm.name])
             y = motion.outputs(0.0)
             observer.start(np.concatenate([motion.angles(0.0) + 0.05, motion.rates(0.0),
-                                           -observer.s @ [0.05, 0.05]]), y)
+                                           -observer.s @ [0.05, 0.05]]))
             for k in range(60):
                 y_new = motion.outputs((k + 1) * dt, shape[k + 1])
                 x = observer.step(y, y_new, motion.torque((k + 0.5) * dt), dt)
@@ -295,7 +296,7 @@ def test_given_a_link_outside_the_region_when_observed_then_it_is_held_on_the_me
     y_new[:2] += dt * observer.s @ true_rate
     # The rate estimate is wrong on purpose: a held angle must follow the measurement instead.
     x = np.concatenate([theta, true_rate + 0.5, observer.s @ [-0.2, -0.2]])
-    observer.start(x, y_old)
+    observer.start(x)
     after = observer.step(y_old, y_new, torque, dt)
     assert observer.held.tolist() == [link == 0, link == 1]
     assert after[link] == pytest.approx(theta[link] + dt * true_rate[link], abs=1e-12)
@@ -314,7 +315,7 @@ def test_given_a_link_on_either_side_of_the_border_when_observed_then_only_outsi
                 theta = np.full(2, rest)
                 theta[link] += side * (math.acos(arm.cos_min[link]) + offset)
                 y = np.concatenate([observer.s @ theta, [0.0, 0.0]])
-                observer.start(np.concatenate([theta, np.zeros(4)]), y)
+                observer.start(np.concatenate([theta, np.zeros(4)]))
                 observer.step(y, y, np.zeros(2), arm.sample_time)
                 assert observer.held[link] == expected
                 assert not observer.held[1 - link]
@@ -324,7 +325,7 @@ def test_given_the_vertical_when_observed_then_rounding_of_the_cosine_holds_noth
     observer = Exact(arm, gains_of[arm.name])
     for theta in (np.zeros(2), np.full(2, math.pi), np.array([2 * math.pi, -2 * math.pi])):
         y = np.concatenate([observer.s @ theta, [0.0, 0.0]])
-        observer.start(np.concatenate([theta, np.zeros(4)]), y)
+        observer.start(np.concatenate([theta, np.zeros(4)]))
         observer.step(y, y, np.zeros(2), arm.sample_time)
         upright = abs(math.cos(theta[0]) - 1.0) < 1e-9
         assert observer.held.tolist() == [upright != (arm.orientation == 'upright')] * 2

@@ -6,9 +6,7 @@ import cvxpy as cp
 import numpy as np
 
 from lpv_core.arm import G_1, G_2
-from lpv_core.polytope import exact_state_space, exact_vertices, sinc_box
-from lpv_core.state_space import vertex_matrices
-from lpv_design.lmi import integral_feedback, largest_eigenvalue
+from lpv_core.lmi import integral_feedback, largest_eigenvalue
 from lpv_design.solve import solve, symmetric_below
 
 PUBLISHED_M1 = np.array([[-4426.747411, -0.001668, -420.832109, -0.000786],
@@ -38,62 +36,6 @@ class ControllerRequirement:
     fastest: float = 60.0
     state_weight: tuple = (10.0, 1.0, 30.0)
     torque_weight: float = 1.0
-
-
-def augment(a, b):
-    """Augmented vertices of eq. (64) with eps' = w - theta.
-
-    Parameters
-    ----------
-    a, b : ndarray, shapes (h, 4, 4) and (h, 4, 2)
-        Vertices.
-
-    Returns
-    -------
-    tuple of ndarray
-        A_c (h, 6, 6) and B_c (h, 6, 2).
-    """
-    h = len(a)
-    a_c, b_c = np.zeros((h, 6, 6)), np.zeros((h, 6, 2))
-    a_c[:, :4, :4] = a
-    a_c[:, 4:, :2] = -np.eye(2)
-    b_c[:, :4] = b
-    return a_c, b_c
-
-
-def paper_loop(arm, sinc_min=-0.2):
-    """A_c and B_c at the paper's eight vertices.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    sinc_min : float, optional
-        Lower end of phi2, phi3; -0.2 as published.
-
-    Returns
-    -------
-    tuple of ndarray
-        A_c (8, 6, 6), B_c (8, 6, 2).
-    """
-    return augment(*vertex_matrices(sinc_box(sinc_min), arm.constants(coriolis=False)))
-
-
-def exact_loop(arm):
-    """A_c and B_c at the 16 vertices of the exact polytope.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm and its region.
-
-    Returns
-    -------
-    tuple of ndarray
-        A_c (16, 6, 6), B_c (16, 6, 2).
-    """
-    pairs = [exact_state_space(v, arm.constants()) for v in exact_vertices(arm)]
-    return augment(np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]))
 
 
 def check_loop(loop, m, q, alpha):

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 
+from lpv_core.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
 from lpv_core.polytope import sinc_box
 from lpv_core.state_space import Descriptor, vertex_matrices
 from lpv_core.uio import decoupling
-from lpv_design.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
 from lpv_design.solve import solve, symmetric_below
 
 

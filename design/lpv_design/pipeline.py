@@ -6,11 +6,14 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from lpv_core.gains import ControllerGains, Gains, ObserverGains
-from lpv_core.polytope import sinc_box
-from lpv_design.controller import check_loop, exact_loop, paper_loop, solve_loop
+from lpv_core.certificate import controller_loop, verify
+from lpv_core.error_bound import make_bound
+from lpv_core.error_system import link_errors
+from lpv_core.gains import ControllerGains, ExactObserverGains, Gains, PaperObserverGains
+from lpv_core.joints import JointMap
+from lpv_design.controller import check_loop, solve_loop
 from lpv_design.detectability import undetectable_point
-from lpv_design.exact_observer import ExactProblem, ExactRequirement
+from lpv_design.exact_observer import ExactRequirement, solve_exact
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
 from lpv_design.solve import SOLVER, InfeasibleError
 
@@ -61,13 +64,37 @@ def design(arm, requirement):
         If the rebuilt inequalities do not hold.
     """
     if isinstance(requirement.observer, ExactRequirement):
-        observer, certificate, lines = _exact_observer(arm, requirement.observer)
+        observer, status = _exact_observer(arm, requirement.observer)
     else:
-        observer, certificate, lines = _paper_observer(arm, requirement.observer)
-    controller, margin, more = _controller(arm, requirement)
-    certificate.update(controller_margin=margin, solver=SOLVER, **_versions())
-    gains = Gains(arm.name, arm.sha256(), observer, controller, certificate)
-    return DesignResult(gains, lines + more)
+        observer, status = _paper_observer(arm, requirement.observer)
+    controller, controller_status = _controller(arm, requirement)
+    gains = Gains(arm.name, arm.sha256(), observer, controller)
+    checks = verify(arm, gains)
+    failed = [check for check in checks if not check.holds]
+    if failed:
+        raise InfeasibleError(f'{failed[0].name}: {failed[0].margin:.3g} is not negative '
+                              f'(solver: {status}); ask for a slower decay, a smaller region or '
+                              'a larger fastest pole')
+    gains.certificate.update(
+        margins={check.name: float(check.margin) for check in checks}, solver=SOLVER,
+        observer_status=status, controller_status=controller_status, **_versions())
+    return DesignResult(gains, [*_check_lines(checks), *_bound_lines(arm, gains)])
+
+
+def _check_lines(checks):
+    return [f'{check.name}: {check.margin:.3g} (negative: holds)' for check in checks]
+
+
+def _bound_lines(arm, gains):
+    sigma = gains.observer.fault_sigma
+    lines = [f'standard deviation of fault estimates at most {sigma[0]:.4f}, {sigma[1]:.4f} rad']
+    bound = make_bound(arm, gains, 4.0, 0.3)
+    rest = 0.0 if arm.sign > 0 else np.pi
+    for degrees in (0.0, 30.0, 60.0):
+        limit = bound.static(np.full(2, rest + np.radians(degrees)))
+        lines.append(f'error bound at rest, both links {degrees:.0f} deg from the vertical: '
+                     + ', '.join(f'{v:.3f}' for v in limit) + ' rad')
+    return lines
 
 
 def _versions():
@@ -81,32 +108,22 @@ def _versions():
 
 
 def _exact_observer(arm, requirement):
-    problem = ExactProblem(arm, requirement)
-    k_x, p, status = problem.solve()
-    margin = np.inf if k_x is None else problem.check(k_x, p)
-    if not margin < 0.0:
+    kappa, mu, p, statuses = solve_exact(arm, requirement)
+    if kappa is None:
         raise InfeasibleError(
             f'observer: no gains with decay {requirement.decay}/s and poles up to '
             f'{requirement.fastest}/s down to abs(cos theta) = {min(arm.cos_min)} '
-            f'(solver: {status}, largest eigenvalue {margin:.3g}); ask for a slower decay or a '
-            'smaller region')
-    k, p_full = problem.lift(k_x, p)
-    lifted, radius = problem.check_lifted(k, p_full), problem.spectral_radius(k)
-    if not (lifted < 0.0 and radius < 1.0):
-        raise InfeasibleError(f'observer: full inequality {lifted:.3g} (must be negative), '
-                              f'spectral radius {radius:.6f} (must be below 1)')
-    sigma = problem.fault_sigma(p)
-    gains = ObserverGains('exact', problem.t1, problem.t2, k, p_full, sinc_box(-0.2),
-                          requirement.decay, sigma)
-    certificate = {'observer_margin': lifted, 'observer_status': status,
-                   'observer_spectral_radius': radius}
-    lines = [
-        f'observer exact: 16 vertices, largest eigenvalue {lifted:.3g} (negative: holds), '
-        f'solver said {status}',
-        f'  decay {requirement.decay:g}/s, poles up to {requirement.fastest:g}/s, '
-        f'spectral radius at Ts {radius:.5f}',
-        f'  standard deviation of fault estimates at most {sigma[0]:.4f}, {sigma[1]:.4f} rad']
-    return gains, certificate, lines
+            f'(solver: {", ".join(statuses)}); ask for a slower decay or a smaller region')
+    return ExactObserverGains(kappa, mu, p, requirement.decay, requirement.fastest,
+                              _exact_sigma(arm, p)), ', '.join(statuses)
+
+
+def _exact_sigma(arm, p):
+    """P^-1 bounds the covariance of each link's error; sensors add those of their links."""
+    angle = np.array([link.unit * np.sqrt(np.linalg.inv(p_i)[0, 0])
+                      for link, p_i in zip(link_errors(arm), p)])
+    spread = np.abs(JointMap(arm).sensor_matrix) @ angle
+    return np.hypot(spread, arm.position_noise)
 
 
 def _paper_observer(arm, requirement):
@@ -127,16 +144,9 @@ def _paper_observer(arm, requirement):
             f'observer: LMI ({requirement.lmi}) with gamma = {requirement.gamma:g} has no '
             f'solution for phi2, phi3 in [{requirement.sinc_min:g}, 1] (solver: {status}, '
             f'largest eigenvalue {margin:.3g})')
-    sigma = _paper_sigma(arm, problem, k)
-    gains = ObserverGains('paper', problem.t1, problem.t2, k, p, problem.box,
-                          requirement.q - requirement.r, sigma)
-    certificate = {'observer_margin': margin, 'observer_status': status,
-                   'observer_gamma': requirement.gamma}
-    lines = [f'observer paper: LMI ({requirement.lmi}), 8 vertices, phi2, phi3 in '
-             f'[{requirement.sinc_min:g}, 1], gamma {requirement.gamma:g}, largest eigenvalue '
-             f'{margin:.3g} (negative: holds), solver said {status}',
-             f'  standard deviation of fault estimates {sigma[0]:.4f}, {sigma[1]:.4f} rad']
-    return gains, certificate, lines
+    return PaperObserverGains(problem.t1, problem.t2, k, p, problem.box, requirement.lmi,
+                              requirement.gamma, requirement.q, requirement.r,
+                              _paper_sigma(arm, problem, k)), status
 
 
 def _paper_sigma(arm, problem, k):
@@ -156,10 +166,7 @@ def _paper_sigma(arm, problem, k):
 
 def _controller(arm, requirement):
     wanted = requirement.controller
-    if requirement.controller_method == 'exact':
-        loop = exact_loop(arm)
-    else:
-        loop = paper_loop(arm, requirement.controller_sinc_min)
+    loop = controller_loop(arm, requirement.controller_method, requirement.controller_sinc_min)
     m, q, status = solve_loop(arm, loop, wanted)
     margin = np.inf if m is None else check_loop(loop, m, q, wanted.alpha)
     if not margin < 0.0:
@@ -172,10 +179,6 @@ def _controller(arm, requirement):
     if fastest * arm.sample_time > SAMPLED_POLE_LIMIT:
         raise InfeasibleError(f'controller: pole {fastest:.1f}/s times the sample time '
                               f'{arm.sample_time:g} s exceeds {SAMPLED_POLE_LIMIT}')
-    gains = ControllerGains(requirement.controller_method, m[:, :4], m[:, 4:],
-                            np.linalg.inv(q), wanted.alpha)
-    lines = [f'controller {requirement.controller_method}: LMI (67), alpha {wanted.alpha:g}/s, '
-             f'{len(loop[0])} vertices, largest eigenvalue {margin:.3g} (negative: holds), '
-             f'solver said {status}',
-             f'  fastest pole {fastest:.1f}/s = {fastest * arm.sample_time:.2f} of a sample']
-    return gains, margin, lines
+    p = np.linalg.inv(q)
+    return ControllerGains(requirement.controller_method, m[:, :4], m[:, 4:], 0.5 * (p + p.T),
+                           wanted.alpha, requirement.controller_sinc_min), status

@@ -2,8 +2,9 @@
 
 import csv
 import math
+import shutil
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 from lpv_bag.messages import BagMessages
@@ -56,8 +57,8 @@ def load_column_map(path):
     Parameters
     ----------
     path : str or pathlib.Path
-        YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and ``joints``
-        (``position``, ``velocity`` and optionally ``effort`` of each).
+        YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and
+        ``joints`` (``position``, ``velocity`` and optionally ``effort`` of each).
 
     Returns
     -------
@@ -121,6 +122,16 @@ def import_csv(source, columns, out, topic='/joint_states', delimiter=','):
         If the bag cannot be made.
     """
     rows = _Rows(source, columns, delimiter)
+    try:
+        count = _write(rows, columns, out, topic)
+    except CsvError:
+        # What is there looks like a whole recording, and would block the next try.
+        shutil.rmtree(out, ignore_errors=True)
+        raise
+    return count, rows.warnings
+
+
+def _write(rows, columns, out, topic):
     with rows, BagWriter(out) as writer:
         writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
         messages = BagMessages(writer.typestore, 'base_link')
@@ -130,15 +141,15 @@ def import_csv(source, columns, out, topic='/joint_states', delimiter=','):
             writer.write(topic, stamp, message)
             count += 1
     if count == 0:
-        raise CsvError(f'{source}: holds no sample')
-    return count, rows.warnings
+        raise CsvError(f'{rows.source}: holds no sample')
+    return count
 
 
 class _Rows:
     """Samples of a CSV file, one by one: a long recording is never in memory as a whole."""
 
     def __init__(self, source, columns, delimiter):
-        self._source, self._columns = Path(source), columns
+        self.source, self._columns = Path(source), columns
         self._factor = ANGLE_UNITS[columns.angle_unit]
         self.warnings = []
         self._offset = self._last = None
@@ -147,7 +158,7 @@ class _Rows:
             self._file = open(source, newline='', encoding='utf-8-sig')  # noqa: SIM115
             self._reader = csv.reader(self._file, delimiter=delimiter)
             header = [name.strip() for name in next(self._reader, [])]
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+        except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
             raise CsvError(f'{source}: cannot be read ({error})') from error
         missing = [name for name in columns.columns if name not in header]
         if missing:
@@ -166,21 +177,35 @@ class _Rows:
             self.warnings.append(f'time stands still or runs backwards {self._backwards} times')
 
     def __iter__(self):
-        short = None
+        # A fault in the very last line is that of a recording that was cut off, not of the file.
+        fault = None
         try:
             for cells in self._reader:
                 if not cells:
                     continue
-                if short is not None:
-                    raise CsvError(f'{self._source}: line {short} has too few cells')
-                if len(cells) < self._width:
-                    short = self._reader.line_num
+                if fault is not None:
+                    raise fault
+                try:
+                    if len(cells) < self._width:
+                        raise CsvError(f'{self.source}: line {self._reader.line_num} has too few '
+                                       'cells')
+                    sample = self._sample(cells)
+                except CsvError as error:
+                    fault = error
                     continue
-                yield self._sample(cells)
+                yield sample
         except (csv.Error, UnicodeDecodeError) as error:
-            raise CsvError(f'{self._source}: line {self._reader.line_num}: {error}') from error
-        if short is not None:
-            self.warnings.append(f'line {short}, the last one, is cut off and left out')
+            raise CsvError(f'{self.source}: line {self._reader.line_num}: {error}') from error
+        if fault is not None:
+            if self._ends_with_newline():
+                raise fault
+            self.warnings.append(f'line {self._reader.line_num}, the last one, is cut off and '
+                                 'left out')
+
+    def _ends_with_newline(self):
+        with open(self.source, 'rb') as file:
+            file.seek(-1, 2)
+            return file.read() in (b'\n', b'\r')
 
     def _sample(self, cells):
         vectors = []
@@ -194,7 +219,7 @@ class _Rows:
         return (self._stamp(cells), *vectors)
 
     def _error(self, name, text):
-        return CsvError(f'{self._source}: line {self._reader.line_num}, column {name!r}: '
+        return CsvError(f'{self.source}: line {self._reader.line_num}, column {name!r}: '
                         f'{text[:40]!r} is not a number that can be used')
 
     def _number(self, cells, name):
@@ -209,7 +234,7 @@ class _Rows:
         try:
             # Decimal: a float of epoch seconds is 200 ns off.
             time = int((Decimal(text) * TIME_UNITS[self._columns.time_unit]).to_integral_value())
-        except (InvalidOperation, OverflowError, ValueError):
+        except (ArithmeticError, ValueError):
             raise self._error(self._columns.time, text) from None
         if self._offset is None:
             start = self._columns.start

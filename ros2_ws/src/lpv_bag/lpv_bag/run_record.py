@@ -196,7 +196,7 @@ def _damage(path):
     except LpvError:
         raise
     except Exception as error:  # readers and decompressors raise many kinds on damaged files
-        text = str(error) or type(error).__name__
+        text = ' '.join(str(error).split()) or type(error).__name__
         raise BagError(f'{path}: cannot be read, the bag is damaged or incomplete ({text})'
                        ) from error
 
@@ -376,7 +376,7 @@ class _Collector:
         self._rows = {}
         self._alarms = {}
         record.joint_names = tuple(joint_names or ())
-        self._names, self._index = None, None
+        self._names, self._index, self._missing = None, None, None
 
     def add(self, name, message):
         if name == ALARMS:
@@ -389,6 +389,8 @@ class _Collector:
         fields = STREAMS[name][1]
         if name == 'joint_states':
             values = self._pick(message)
+            if values is None:
+                return
         else:
             values = [getattr(message, field) for field in fields]
         if name == 'fault_estimate' and not self._record.sensor_names:
@@ -396,15 +398,21 @@ class _Collector:
         self._rows.setdefault(name, []).append((stamp_of(message.header.stamp), values))
 
     def _pick(self, message):
-        """Columns of the wanted joints; drivers sort joints as they like, and have more."""
+        """Columns of the wanted joints, or None; drivers sort joints as they like, and have more.
+
+        A message of other joints only (a gripper's, on the same topic) is not about this arm.
+        """
         if message.name != self._names:
-            self._record.joint_names = self._record.joint_names or tuple(message.name)
-            missing = [n for n in self._record.joint_names if n not in message.name]
-            if missing:
-                raise BagError(f'joint {missing[0]!r} is not in joint_states, which has '
-                               f'{", ".join(message.name) or "no joint"}')
+            wanted = self._record.joint_names = self._record.joint_names or tuple(message.name)
             self._names = list(message.name)
-            self._index = [self._names.index(n) for n in self._record.joint_names]
+            missing = [n for n in wanted if n not in message.name]
+            self._index = None
+            if missing:
+                self._missing = (missing[0], ', '.join(message.name) or 'no joint')
+            else:
+                self._index = [self._names.index(n) for n in wanted]
+        if self._index is None:
+            return None
         count = len(self._names)
         nothing = np.full(len(self._index), np.nan)
         return [v[self._index] if len(v) == count else nothing
@@ -421,6 +429,9 @@ class _Collector:
             self._record.streams[name] = dict(zip(STREAMS[name][1], columns))
         self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
         count = len(self._record.stamps.get('joint_states', ()))
+        if count == 0 and self._missing:
+            raise BagError(f'joint {self._missing[0]!r} is not in joint_states, which has '
+                           f'{self._missing[1]}')
         if count == 0:
             raise BagError(f'{self._record.topics["joint_states"]} holds no message')
         if count == 1:

@@ -11,6 +11,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from lpv_bag.interfaces import add_type, make_typestore
 from lpv_core.errors import ConfigError
@@ -57,9 +58,9 @@ class BagWriter:
     def __init__(self, path):
         self.path = Path(path)
         self.typestore = make_typestore()
-        self._writer = Writer(self.path, version=Writer.VERSION_LATEST,
-                              storage_plugin=StoragePlugin.MCAP)
         try:
+            self._writer = Writer(self.path, version=Writer.VERSION_LATEST,
+                                  storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
         except (WriterError, OSError) as error:
             raise ConfigError('bag', f'cannot be written: {error}', str(path)) from error
@@ -114,15 +115,23 @@ class BagWriter:
         """
         if connection.topic in self._connections:
             return
-        definition, ext = connection.msgdef.data, connection.ext
-        known = {'msgdef': definition, 'rihs01': connection.digest} if definition else {}
-        if not known:  # bags of older distributions carry no definitions
+        definition, digest, ext = connection.msgdef.data, connection.digest, connection.ext
+        known = {}
+        if definition:
+            known = {'msgdef': definition, 'rihs01': digest or self._hash(connection)}
+        else:  # bags of older distributions carry no definitions
             self.check_type(connection.msgtype)
         self._connections[connection.topic] = self._writer.add_connection(
             connection.topic, connection.msgtype, typestore=self.typestore, **known,
             serialization_format=ext.serialization_format,
             offered_qos_profiles=ext.offered_qos_profiles)
         self.counts[connection.topic] = 0
+
+    def _hash(self, connection):
+        """Type hash by the bag's own definition, which single files do not store."""
+        typestore = get_typestore(Stores.EMPTY)
+        typestore.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+        return typestore.hash_rihs01(connection.msgtype)
 
     def write_raw(self, topic, timestamp, data):
         """Write a serialised message.

@@ -61,7 +61,7 @@ def main(argv=None):
     arguments = build_parser(chosen).parse_args(argv)
     try:
         return arguments.run(arguments)
-    except LpvError as error:
+    except (LpvError, OSError) as error:
         print(f'lpv {arguments.command}: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:

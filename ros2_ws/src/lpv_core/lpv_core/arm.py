@@ -75,6 +75,8 @@ class ArmParameters:
         The white disturbance d that the design must live with.
     model_error : float
         Relative error of masses and inertias that thresholds must tolerate.
+    payload : float
+        Largest unknown point mass at the tip that thresholds must tolerate [kg].
     torque_limit : tuple of float
         Largest joint torques [N m].
     velocity_limit : tuple of float
@@ -106,6 +108,7 @@ class ArmParameters:
     disturbance_mean: float = 0.2
     disturbance_variance: float = 0.9
     model_error: float = 0.0
+    payload: float = 0.0
     torque_limit: tuple = (1e9, 1e9)
     velocity_limit: tuple = (100.0, 100.0)
     orientation: str = 'upright'
@@ -262,6 +265,7 @@ def parse_arm(data, source='arm'):
     fields['cos_min'] = region.pair('cos_min', low=0.01, high=0.999)
     region.finish()
     fields['model_error'] = top.number('model_error', 0.0, 0.0, 0.5)
+    fields['payload'] = top.number('payload', 0.0, 0.0)
     fields['sample_time'] = top.number('sample_time', 0.002, 1e-5, 0.1)
     top.finish()
     arm = ArmParameters(**fields)

@@ -60,7 +60,8 @@ def read_yaml(path):
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ConfigError('file', f'is not valid YAML ({error})', str(path)) from error
+        text = ' '.join(str(error).split())
+        raise ConfigError('file', f'is not valid YAML ({text})', str(path)) from error
     if not isinstance(data, dict):
         raise ConfigError('file', 'must hold a mapping at its top level', str(path))
     return data

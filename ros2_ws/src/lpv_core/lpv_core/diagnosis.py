@@ -6,9 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from lpv_core.arm import G_1, G_2
-from lpv_core.dynamics import coupling
-from lpv_core.joints import JointMap
+from lpv_core.error_bound import make_bound
 from lpv_core.observer import NANOSECONDS, Mode
 
 
@@ -95,91 +93,6 @@ class Alarm:
     confidence: float
 
 
-class ErrorBound:
-    """Bound on the fault-estimate error of a healthy arm, by configuration.
-
-    A torque that the model does not know, Delta Q, is explained by the observer as an angle
-    error Delta Q / (G cos theta): gravity is the only absolute reference.  Unknown torques are
-    the mean disturbance Xi Bd d, the model error times the gravity torque, and a share of the
-    Coulomb friction.  Noise adds ``sigmas`` times the designed standard deviation.  The bound
-    follows the configuration at the certified decay rate, as the estimate's error does, and
-    grows where a link is held.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    gains : Gains
-        Supplies noise bound and decay rate.
-    parameters : DiagnosisParameters
-        Tuning.
-    """
-
-    def __init__(self, arm, gains, parameters):
-        self._arm = arm
-        self._constants = arm.constants()
-        self._parameters = parameters
-        self._decay = gains.observer.decay
-        self._noise = parameters.sigmas * np.asarray(gains.observer.fault_sigma)
-        self._spread = np.abs(JointMap(arm).sensor_matrix)
-        self._angle_error = None
-
-    def reset(self):
-        """Forget the configurations seen so far."""
-        self._angle_error = None
-
-    def static(self, theta):
-        """Angle error in equilibrium at one configuration [rad].
-
-        Parameters
-        ----------
-        theta : ndarray, shape (2,)
-            Absolute angles [rad].
-
-        Returns
-        -------
-        ndarray, shape (2,)
-            Bound on each absolute angle's error without noise; the slope is clipped to the
-            certified region.
-        """
-        arm, c = self._arm, self._constants
-        off = coupling(theta[0], theta[1], c)
-        push = np.abs(arm.disturbance_mean * np.asarray(arm.disturbance_direction))
-        unknown = np.array([[c[0], abs(off)], [abs(off), c[2]]]) @ push
-        gravity = c[[G_1, G_2]]
-        unknown += arm.model_error * gravity * np.abs(np.sin(theta))
-        share = self._parameters.friction_uncertainty
-        unknown += share * np.array([arm.coulomb[0] + arm.coulomb[1], arm.coulomb[1]])
-        slope = np.maximum(np.abs(np.cos(theta)), arm.cos_min)
-        return unknown / (gravity * slope)
-
-    def update(self, estimate):
-        """Follow the configuration and return the bound per physical sensor.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            Latest estimate.
-
-        Returns
-        -------
-        ndarray, shape (2,)
-            Bound on abs(f^ - f) [rad].
-        """
-        target = self.static(estimate.absolute_position)
-        if self._angle_error is None:
-            self._angle_error = target
-        else:
-            # Rises at once, falls with the observer's slowest mode; not while a link is held.
-            fall = math.exp(-self._decay * estimate.interval)
-            lagged = target + np.where(estimate.held, 1.0, fall) * (self._angle_error - target)
-            self._angle_error = np.maximum(target, lagged)
-            drift = self._arm.velocity_noise * math.sqrt(self._arm.sample_time)
-            growth = drift * math.sqrt(estimate.interval) + 0.01 * estimate.interval
-            self._angle_error = self._angle_error + np.where(estimate.held, growth, 0.0)
-        return self._spread @ self._angle_error + self._noise
-
-
 @dataclass
 class SensorStatus:
     """Running decision of one sensor.
@@ -247,7 +160,7 @@ class Diagnoser:
         self.parameters = parameters or DiagnosisParameters()
         self._arm = arm
         self._gains = gains
-        self.bound = ErrorBound(arm, gains, self.parameters)
+        self.bound = self._make_bound()
         self.sensors = [SensorStatus(), SensorStatus()]
         self._stamp = None
 
@@ -259,10 +172,13 @@ class Diagnoser:
         parameters : DiagnosisParameters
             The new tuning.
         """
-        angle_error = self.bound._angle_error
         self.parameters = parameters
-        self.bound = ErrorBound(self._arm, self._gains, parameters)
-        self.bound._angle_error = angle_error
+        before, self.bound = self.bound, self._make_bound()
+        self.bound.adopt(before)
+
+    def _make_bound(self):
+        return make_bound(self._arm, self._gains, self.parameters.sigmas,
+                          self.parameters.friction_uncertainty)
 
     def reset(self):
         """Clear alarms and history."""
@@ -307,7 +223,7 @@ class Diagnoser:
         """Sensors that see a held link: their estimate is not renewed by gravity."""
         if estimate.mode == Mode.INITIALISING:
             return np.array([True, True])
-        return (self.bound._spread @ estimate.held) > 0
+        return (self.bound.spread @ estimate.held) > 0
 
     def _state(self, sensor, size, threshold, lost, missing):
         if missing:

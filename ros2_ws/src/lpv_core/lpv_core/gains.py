@@ -9,40 +9,75 @@ import yaml
 from lpv_core.config import Section, read_yaml
 from lpv_core.errors import ConfigError
 
-FORMAT = 1
-VERTICES = {'paper': 8, 'exact': 16}
+FORMAT = 2
+METHODS = ('paper', 'exact')
 
 
 @dataclass(frozen=True)
-class ObserverGains:
-    """What the observer needs beside the arm.
+class PaperObserverGains:
+    """Observer of method ``paper``, with what its certificate claims.
 
     Attributes
     ----------
-    method : {'paper', 'exact'}
-        Which recursion of :mod:`lpv_core.uio`.
     t1, t2 : ndarray, shapes (6, 6) and (6, 4)
         Decoupling matrices, eq. (41).
-    k : ndarray, shape (h, 6, 4)
-        K_i, eq. (56); h = 8 or 16.
+    k : ndarray, shape (8, 6, 4)
+        K_i, eq. (56).
     lyapunov : ndarray, shape (6, 6)
-        P of the certificate.
+        P.
     box : ndarray, shape (3, 2)
-        Ranges of phi1, phi2, phi3 (method ``paper``).
-    decay : float
-        Certified decay rate [1/s]; the time scale at which bounds follow the configuration.
+        Ranges of phi1, phi2, phi3.
+    lmi : {'55', '54+disc'}
+        Which inequalities hold.
+    gamma, q, r : float
+        Attenuation level, and disc [1/s].
     fault_sigma : ndarray, shape (2,)
-        Bound on the standard deviation of the fault estimates [rad].
+        Standard deviation of the fault estimates [rad].
     """
 
-    method: str
     t1: np.ndarray
     t2: np.ndarray
     k: np.ndarray
     lyapunov: np.ndarray
     box: np.ndarray
-    decay: float
+    lmi: str
+    gamma: float
+    q: float
+    r: float
     fault_sigma: np.ndarray
+    method = 'paper'
+
+    @property
+    def decay(self):
+        """Certified decay rate [1/s]."""
+        return self.q - self.r
+
+
+@dataclass(frozen=True)
+class ExactObserverGains:
+    """Observer of method ``exact``: one second-order error system for each link.
+
+    Attributes
+    ----------
+    kappa : ndarray, shape (2,)
+        kappa_i [1/(kg m2)].
+    mu : ndarray, shape (2,)
+        mu_i [1/s].
+    lyapunov : ndarray, shape (2, 2, 2)
+        P of each link, for the state (e_i, m_i / Xi_ii).
+    decay, fastest : float
+        Certified range of the error's poles [1/s].
+    fault_sigma : ndarray, shape (2,)
+        Bound on the standard deviation of the fault estimates [rad].
+    """
+
+    kappa: np.ndarray
+    mu: np.ndarray
+    lyapunov: np.ndarray
+    decay: float
+    fastest: float
+    fault_sigma: np.ndarray
+    method = 'exact'
 
 
 @dataclass(frozen=True)
@@ -59,6 +94,8 @@ class ControllerGains:
         P = Q^-1 of the certificate, eq. (68).
     decay : float
         Certified alpha of eq. (67) [1/s].
+    sinc_min : float
+        Lower end of the paper's box (method ``paper``).
     """
 
     method: str
@@ -66,6 +103,7 @@ class ControllerGains:
     m2: np.ndarray
     lyapunov: np.ndarray
     decay: float
+    sinc_min: float = -0.2
 
 
 @dataclass(frozen=True)
@@ -76,7 +114,7 @@ class Gains:
     ----------
     arm_name, arm_sha256 : str
         The arm that the gains belong to.
-    observer : ObserverGains
+    observer : PaperObserverGains or ExactObserverGains
         Observer part.
     controller : ControllerGains
         Controller part.
@@ -86,7 +124,7 @@ class Gains:
 
     arm_name: str
     arm_sha256: str
-    observer: ObserverGains
+    observer: object
     controller: ControllerGains
     certificate: dict = field(default_factory=dict)
 
@@ -135,14 +173,13 @@ def gains_to_dict(gains):
         'format': FORMAT,
         'arm_name': gains.arm_name,
         'arm_sha256': gains.arm_sha256,
-        'observer': {
-            'method': o.method, 't1': flat(o.t1), 't2': flat(o.t2), 'k': flat(o.k),
-            'lyapunov': flat(o.lyapunov), 'box': flat(o.box), 'decay': float(o.decay),
-            'fault_sigma': flat(o.fault_sigma),
-        },
+        'observer': {'method': o.method, **{
+            name: flat(value) if isinstance(value, np.ndarray) else value
+            for name, value in vars(o).items()}},
         'controller': {
             'method': c.method, 'm1': flat(c.m1), 'm2': flat(c.m2),
             'lyapunov': flat(c.lyapunov), 'decay': float(c.decay),
+            'sinc_min': float(c.sinc_min),
         },
         'certificate': dict(gains.certificate),
     }
@@ -172,24 +209,45 @@ def parse_gains(data, source='gains'):
     if top.integer('format') != FORMAT:
         raise top.error('format', f'must be {FORMAT}; design the gains again')
     obs, con = top.section('observer'), top.section('controller')
-    method = obs.text('method', choices=tuple(VERTICES))
-    observer = ObserverGains(
-        method=method, t1=obs.matrix('t1', (6, 6)), t2=obs.matrix('t2', (6, 4)),
-        k=obs.matrix('k', (VERTICES[method], 6, 4)), lyapunov=obs.matrix('lyapunov', (6, 6)),
-        box=obs.matrix('box', (3, 2)), decay=obs.number('decay', above=0.0),
-        fault_sigma=obs.matrix('fault_sigma', (2,)))
+    read = {'paper': _paper_observer, 'exact': _exact_observer}
+    observer = read[obs.text('method', choices=METHODS)](obs)
     if np.any(observer.fault_sigma < 0.0):
         raise obs.error('fault_sigma', 'must not be negative')
-    if method == 'paper' and np.any(observer.box[:, 0] >= observer.box[:, 1]):
-        raise obs.error('box', 'must have lower ends below upper ends')
     controller = ControllerGains(
-        method=con.text('method', choices=tuple(VERTICES)), m1=con.matrix('m1', (2, 4)),
+        method=con.text('method', choices=METHODS), m1=con.matrix('m1', (2, 4)),
         m2=con.matrix('m2', (2, 2)), lyapunov=con.matrix('lyapunov', (6, 6)),
-        decay=con.number('decay', above=0.0))
+        decay=con.number('decay', above=0.0), sinc_min=con.number('sinc_min', -0.2, -0.3, 0.99))
     gains = Gains(top.text('arm_name'), top.text('arm_sha256'), observer, controller,
                   top.plain('certificate'))
     for section in (obs, con, top):
         section.finish()
+    return gains
+
+
+def _paper_observer(section):
+    box = section.matrix('box', (3, 2))
+    if np.any(box[:, 0] >= box[:, 1]):
+        raise section.error('box', 'must have lower ends below upper ends')
+    gains = PaperObserverGains(
+        t1=section.matrix('t1', (6, 6)), t2=section.matrix('t2', (6, 4)),
+        k=section.matrix('k', (8, 6, 4)), lyapunov=section.matrix('lyapunov', (6, 6)), box=box,
+        lmi=section.text('lmi', choices=('55', '54+disc')),
+        gamma=section.number('gamma', above=0.0), q=section.number('q', above=0.0),
+        r=section.number('r', above=0.0), fault_sigma=section.matrix('fault_sigma', (2,)))
+    if not gains.r < gains.q:
+        raise section.error('r', 'must be below q')
+    return gains
+
+
+def _exact_observer(section):
+    gains = ExactObserverGains(
+        kappa=section.matrix('kappa', (2,)), mu=section.matrix('mu', (2,)),
+        lyapunov=section.matrix('lyapunov', (2, 2, 2)), decay=section.number('decay', above=0.0),
+        fastest=section.number('fastest', above=0.0),
+        fault_sigma=section.matrix('fault_sigma', (2,)))
+    for name in ('kappa', 'mu'):
+        if np.any(getattr(gains, name) <= 0.0):
+            raise section.error(name, 'must be positive')
     return gains
 
 

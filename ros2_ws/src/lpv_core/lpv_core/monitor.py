@@ -124,7 +124,7 @@ class SensorMonitor:
         if self.observer.counters.restarts > restarts:
             answer.restarted = True
             self.diagnoser.reset()
-            self._next_report = None
+            self._estimate = self._diagnosis = self._next_report = None
         if estimate is not None:
             self._fresh(answer, estimate)
         elif not self._repeat(answer):
@@ -138,21 +138,26 @@ class SensorMonitor:
         answer.state = self._state(estimate.mode)
         answer.fault = self._fault(diagnosis.state)
         answer.alarms = [answers.alarm_fields(event) for event in diagnosis.events]
-        due = self._next_report is None or estimate.stamp >= self._next_report
-        # On the clock of the data, so that lockstep runs and replays report alike.
-        if due or diagnosis.events:
-            self._next_report = estimate.stamp + _REPORT_INTERVAL
-            answer.status = self.status(estimate.mode)
+        self._report(answer, estimate.mode)
+
+    def _report(self, answer, mode):
+        """Add a status where one is due, on the clock of the data: replays then report alike."""
+        due = self._next_report is None or answer.stamp >= self._next_report
+        if due or answer.events:
+            self._next_report = answer.stamp + _REPORT_INTERVAL
+            answer.status = self.status(mode)
 
     def _repeat(self, answer):
         """Answer an unusable sample with the last estimate, marked stale; never with silence."""
         if self._estimate is None:
             answer.state = self._state(Mode.NO_ESTIMATE)
+            self._report(answer, Mode.NO_ESTIMATE)
             return True
         if (self.observer.stamp or 0) >= answer.stamp:
             return False
         answer.state = self._state(Mode.STALE)
         answer.fault = self.stale_fault()
+        self._report(answer, Mode.STALE)
         return True
 
     def _state(self, mode):

@@ -9,11 +9,10 @@ from enum import IntEnum
 
 import numpy as np
 
+from lpv_core.dynamics import acceleration
 from lpv_core.errors import SampleError
 from lpv_core.joints import JointMap
-from lpv_core.polytope import inverse_inertia_quadrangle, slope_range
-from lpv_core.state_space import Descriptor, output_matrices, vertex_matrices
-from lpv_core.uio import exact_step, paper_step
+from lpv_core.recursion import RECURSIONS
 
 NANOSECONDS = 1_000_000_000
 
@@ -78,6 +77,8 @@ class Estimate:
         Position sensors that delivered no finite value; their fault estimate is held.
     interval : float
         Time since the previous estimate [s].
+    absolute_velocity, absolute_acceleration : ndarray, shape (2,)
+        Measured theta' and the model's theta'' at the estimate [rad/s], [rad/s2].
     mode : Mode
         Summary.
     """
@@ -93,6 +94,8 @@ class Estimate:
     held: np.ndarray
     missing: np.ndarray
     interval: float
+    absolute_velocity: np.ndarray
+    absolute_acceleration: np.ndarray
     mode: Mode = field(default=Mode.OBSERVING)
 
 
@@ -126,35 +129,14 @@ class UnknownInputObserver:
         self.method = gains.observer.method
         self._max_gap = max_gap
         self._initial_samples = max(1, int(initial_samples))
-        self._s = np.ascontiguousarray(self.joints.sensor_matrix)
-        self._s_inv = np.ascontiguousarray(np.linalg.inv(self._s))
-        c, df = output_matrices(arm)
-        self._c = np.ascontiguousarray(np.hstack([c, df]))
-        self._t1 = np.ascontiguousarray(gains.observer.t1)
-        self._t2 = np.ascontiguousarray(gains.observer.t2)
-        self._k = np.ascontiguousarray(gains.observer.k)
+        self._s = self.joints.sensor_matrix
+        self._s_inv = np.linalg.inv(self._s)
         self._constants = arm.constants()
-        self._low, self._high = slope_range(arm)
-        # The hull of slopes starts at |cos| = 1; no rounding of the cosine may leave it.
-        self._low = np.where(self._low <= -1.0, -1.0 - 1e-9, self._low)
-        self._high = np.where(self._high >= 1.0, 1.0 + 1e-9, self._high)
-        self._corners = inverse_inertia_quadrangle(self._constants)
-        self._box = np.ascontiguousarray(gains.observer.box)
-        if self.method == 'paper':
-            a, b = vertex_matrices(self._box, arm.constants(coriolis=False))
-            descriptor = Descriptor(a, b, arm)
-            self._a_vertices, self._b_vertices = descriptor.a, descriptor.b
-        self._allocate()
-        self.reset()
-
-    def _allocate(self):
-        self._z, self._x = np.zeros(6), np.zeros(6)
-        self._scratch = np.zeros((5, 6))
-        self._k_now, self._a_now, self._b_now = np.zeros((6, 4)), np.zeros((6, 6)), np.zeros((6, 2))
-        self._rho = np.zeros(16 if self.method == 'exact' else 8)
-        self._held = np.zeros(2, dtype=bool)
+        self._recursion = RECURSIONS[self.method](arm, gains.observer)
+        self._x, self._held = self._recursion.x, self._recursion.held
         self._y = np.zeros(4)
         self._torque = np.zeros(2)
+        self.reset()
 
     def reset(self):
         """Forget everything but the counters; the next sample starts anew."""
@@ -205,6 +187,7 @@ class UnknownInputObserver:
             return None
         y, missing = self._outputs(position, velocity)
         fault = self._x[4:].copy()
+        self._torque[:] = self.joints.absolute_torque(effort)
         if self._stamp is None:
             if missing.any():
                 return None  # a start value needs both sensors
@@ -212,7 +195,7 @@ class UnknownInputObserver:
         elif interval > self._max_gap:
             self._bridge(y)
         else:
-            self._advance(y, self.joints.absolute_torque(effort), interval)
+            self._advance(y, interval)
         if missing.any():
             self._keep_fault(y, missing, fault)
         if self._started < self._initial_samples:
@@ -269,19 +252,19 @@ class UnknownInputObserver:
         """A silent sensor reads S theta^ + f^, as if its fault stayed what it was."""
         self._x[4:] = np.where(missing, fault, self._x[4:])
         y[:2] = np.where(missing, self._s @ self._x[:2] + fault, y[:2])
-        self._z[:] = self._x - self._t2 @ y
+        self._recursion.place(y)
 
     def _average_start(self, y):
         """Move the start value to the mean of the samples so far; their mean fault is zero."""
         share = self._x[4:] / (self._started + 1)
         self._x[:2] += self._s_inv @ share
         self._x[4:] -= share
-        self._z[:] = self._x - self._t2 @ y
+        self._recursion.place(y)
 
     def _start(self, y):
         theta = self._s_inv @ y[:2]
         self._x[:] = np.concatenate([theta, self._s_inv @ y[2:], np.zeros(2)])
-        self._z[:] = self._x - self._t2 @ y
+        self._recursion.place(y)
         self._y[:] = y
         self._started = 0
 
@@ -290,43 +273,35 @@ class UnknownInputObserver:
         self.counters.gaps += 1
         theta = self._s_inv @ (y[:2] - self._x[4:])
         self._x[:2], self._x[2:4] = theta, self._s_inv @ y[2:]
-        self._z[:] = self._x - self._t2 @ y
+        self._recursion.place(y)
 
-    def _advance(self, y, torque, interval):
+    def _advance(self, y, interval):
         steps = max(1, math.ceil(interval / (1.5 * self.arm.sample_time)))
         if steps > 1:
             self.counters.late_steps += 1
-        self._torque[:] = torque
         before = self._y.copy()
         dt = interval / steps
         for i in range(1, steps + 1):
             after = y if i == steps else before + (y - self._y) / steps
-            self._step(before, after, dt)
+            self._recursion.advance(before, after, self._torque, dt)
             before = after
-
-    def _step(self, y_old, y_new, dt):
-        if self.method == 'exact':
-            exact_step(self._z, y_old, y_new, self._torque, dt, self._k, self._t1, self._t2,
-                       self._c, self._s, self._s_inv, self._constants, self._low, self._high,
-                       self._corners, self._held, self._x, self._scratch, self._k_now, self._rho)
-        else:
-            paper_step(self._z, y_old, y_new, self._torque, dt, self._k, self._t1, self._t2,
-                       self._c, self._a_vertices, self._b_vertices, self._box, self._x,
-                       self._scratch, self._k_now, self._a_now, self._b_now, self._rho)
 
     def _result(self, stamp, y, missing, interval):
         if self._started <= self._initial_samples:
             mode = Mode.INITIALISING
         else:
             mode = Mode.HOLDING if self._held.any() else Mode.OBSERVING
-        x = self._x
+        x, rate = self._x, self._s_inv @ y[2:]
         return Estimate(
             stamp=stamp, position=self.joints.joint_position(x[:2]),
             velocity=self.joints.joint_velocity(x[2:4]),
             measured_position=self.joints.joint_from_sensor(y[:2]),
             measured_velocity=self.joints.joint_velocity_from_sensor(y[2:]),
             fault=x[4:].copy(), absolute_position=x[:2].copy(), sensor_position=y[:2].copy(),
-            held=self._held.copy(), missing=missing, interval=interval, mode=mode)
+            held=self._held.copy(), missing=missing, interval=interval, absolute_velocity=rate,
+            absolute_acceleration=np.array(acceleration(
+                x[0], x[1], rate[0], rate[1], self._torque[0], self._torque[1],
+                self._constants)), mode=mode)
 
 
 def _two(values, name):

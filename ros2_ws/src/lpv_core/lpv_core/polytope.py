@@ -8,8 +8,8 @@ input matrix of the paper's arm is 1.83 times the true one.
 **Exact**: the pair (x, y) = (1/det Xi, Xi12/det Xi) gives Xi^-1 = [[Xi22 x, -y], [-y, Xi11 x]]
 linearly.  It runs on a convex arc, which a quadrangle of two end points and two tangent
 intersections contains.  With the two slopes of gravity, cos(xi_1) and cos(xi_2) in the mean-value
-form sin(theta) - sin(thetahat) = cos(xi) (theta - thetahat), A and B are multi-affine, and
-4 x 2 x 2 = 16 vertices contain the arm and its error dynamics exactly.
+form sin(theta) - sin(w) = cos(xi) (theta - w), A and B are multi-affine, and 4 x 2 x 2 = 16
+vertices contain the arm of eq. (4), without Coriolis terms, for the design of the controller.
 """
 
 import math
@@ -151,75 +151,6 @@ def inverse_inertia_quadrangle(c):
                      point(high)])
 
 
-@njit
-def _area(p0, p1, q0, q1, r0, r1):
-    return abs((q0 - p0) * (r1 - p1) - (r0 - p0) * (q1 - p1))
-
-
-@njit
-def quadrangle_weights(x, y, corners, out):
-    """Generalised barycentric (Wachspress) coordinates of a point in a convex quadrangle.
-
-    Parameters
-    ----------
-    x, y : float
-        The point, inside or on the border.
-    corners : ndarray, shape (4, 2)
-        Corners in circular order.
-    out : ndarray, shape (4,)
-        Receives the weights: not negative, sum one, reproduce the point.
-    """
-    total = 0.0
-    for i in range(4):
-        before, after, opposite = (i + 3) % 4, (i + 1) % 4, (i + 2) % 4
-        corner = _area(corners[before, 0], corners[before, 1], corners[i, 0], corners[i, 1],
-                       corners[after, 0], corners[after, 1])
-        edge_1 = _area(x, y, corners[after, 0], corners[after, 1],
-                       corners[opposite, 0], corners[opposite, 1])
-        edge_2 = _area(x, y, corners[opposite, 0], corners[opposite, 1],
-                       corners[before, 0], corners[before, 1])
-        out[i] = corner * edge_1 * edge_2
-        total += out[i]
-    for i in range(4):
-        out[i] /= total
-
-
-@njit
-def exact_weights(theta_1, theta_2, slope_low, slope_high, corners, c, work, out):
-    """Weights of the 16 vertices of the exact polytope, written to ``out``.
-
-    Slopes outside their range are clipped to it; the caller decides what that means
-    (see :func:`lpv_core.uio.exact_step`).
-
-    Parameters
-    ----------
-    theta_1, theta_2 : float
-        Absolute angles [rad].
-    slope_low, slope_high : ndarray, shape (2,)
-        Range of cos(theta_i) in the region.
-    corners : ndarray, shape (4, 2)
-        From :func:`inverse_inertia_quadrangle`.
-    c : ndarray, shape (12,)
-        Constants of the arm.
-    work : ndarray, shape (4,)
-        Scratch.
-    out : ndarray, shape (16,)
-        Receives the weights in the order of :func:`exact_vertices`.
-    """
-    off = c[O_12] + c[B_12] * math.cos(theta_1 - theta_2)
-    det = c[A_11] * c[C_22] - off * off
-    quadrangle_weights(1.0 / det, off / det, corners, work)
-    a1 = (math.cos(theta_1) - slope_low[0]) / (slope_high[0] - slope_low[0])
-    a2 = (math.cos(theta_2) - slope_low[1]) / (slope_high[1] - slope_low[1])
-    a1 = min(max(a1, 0.0), 1.0)
-    a2 = min(max(a2, 0.0), 1.0)
-    for i in range(4):
-        out[4 * i] = work[i] * (1.0 - a1) * (1.0 - a2)
-        out[4 * i + 1] = work[i] * (1.0 - a1) * a2
-        out[4 * i + 2] = work[i] * a1 * (1.0 - a2)
-        out[4 * i + 3] = work[i] * a1 * a2
-
-
 def slope_range(arm):
     """Range of the gravity slopes cos(theta_i) in the arm's operating region.
 
@@ -250,7 +181,7 @@ def exact_vertices(arm):
     Returns
     -------
     ndarray, shape (16, 4)
-        Rows (x, y, cos1, cos2) in the order of :func:`exact_weights`.
+        Rows (x, y, cos1, cos2).
     """
     low, high = slope_range(arm)
     corners = inverse_inertia_quadrangle(arm.constants())

@@ -11,6 +11,7 @@ from rcl_interfaces.msg import (
 from rclpy.exceptions import ParameterUninitializedException
 from rclpy.parameter import Parameter
 
+from lpv_core.certificate import require
 from lpv_core.errors import ConfigError
 from lpv_core.gains import parse_gains
 
@@ -19,13 +20,17 @@ _ARRAY, _DOUBLE, _STRING = (Parameter.Type.DOUBLE_ARRAY, Parameter.Type.DOUBLE,
 
 GAIN_FIELDS = {
     'arm_name': _STRING, 'arm_sha256': _STRING,
-    'observer.method': _STRING, 'observer.t1': _ARRAY, 'observer.t2': _ARRAY,
-    'observer.k': _ARRAY, 'observer.lyapunov': _ARRAY, 'observer.box': _ARRAY,
-    'observer.decay': _DOUBLE, 'observer.fault_sigma': _ARRAY,
+    'observer.method': _STRING, 'observer.lyapunov': _ARRAY, 'observer.fault_sigma': _ARRAY,
     'controller.method': _STRING, 'controller.m1': _ARRAY, 'controller.m2': _ARRAY,
-    'controller.lyapunov': _ARRAY, 'controller.decay': _DOUBLE,
+    'controller.lyapunov': _ARRAY, 'controller.decay': _DOUBLE, 'controller.sinc_min': _DOUBLE,
 }
-"""Parameters below ``gains.`` that a gains file sets; see lpv_core.gains."""
+"""Parameters below ``gains.`` that every gains file sets; see lpv_core.gains."""
+METHOD_FIELDS = {
+    'exact': {'kappa': _ARRAY, 'mu': _ARRAY, 'decay': _DOUBLE, 'fastest': _DOUBLE},
+    'paper': {'t1': _ARRAY, 't2': _ARRAY, 'k': _ARRAY, 'box': _ARRAY, 'lmi': _STRING,
+              'gamma': _DOUBLE, 'q': _DOUBLE, 'r': _DOUBLE},
+}
+"""Parameters below ``gains.observer.`` of each method."""
 
 
 @dataclass(frozen=True)
@@ -139,17 +144,22 @@ def declare_gains(node):
     """
     descriptor = ParameterDescriptor(read_only=True,
                                      description='from the gains file written by lpv design')
-    for name, kind in {'format': Parameter.Type.INTEGER, **GAIN_FIELDS}.items():
+    fields = {'format': Parameter.Type.INTEGER, **GAIN_FIELDS}
+    for of_method in METHOD_FIELDS.values():
+        fields.update({f'observer.{name}': kind for name, kind in of_method.items()})
+    for name, kind in fields.items():
         node.declare_parameter(f'gains.{name}', kind, descriptor)
 
 
-def read_gains(node):
-    """Gains from a node's parameters.
+def read_gains(node, arm):
+    """Gains from a node's parameters, with their certificate verified.
 
     Parameters
     ----------
     node : rclpy.node.Node
         A node on which `declare_gains` was called.
+    arm : ArmParameters
+        The arm that they must be made for.
 
     Returns
     -------
@@ -159,19 +169,28 @@ def read_gains(node):
     Raises
     ------
     ConfigError
-        If no gains file was given, or it is not valid.
+        If no gains file was given, it is not valid, of another arm, or its certificate does not
+        hold.
     """
     nested = {}
-    for name in ('format', *GAIN_FIELDS):
-        try:
-            value = node.get_parameter(f'gains.{name}').value
-        except ParameterUninitializedException:
-            raise ConfigError(f'gains.{name}', 'is not set: start the node with '
-                              '--params-file GAINS.yaml as written by lpv design',
-                              node.get_name()) from None
+    method = _gain(node, 'observer.method')
+    own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
+    for name in ('format', *GAIN_FIELDS, *own):
+        value = _gain(node, name)
         *parents, leaf = name.split('.')
         level = nested
         for parent in parents:
             level = level.setdefault(parent, {})
         level[leaf] = list(value) if not isinstance(value, (str, int, float)) else value
-    return parse_gains(nested, node.get_name())
+    gains = parse_gains(nested, node.get_name())
+    require(arm, gains, node.get_name())
+    return gains
+
+
+def _gain(node, name):
+    try:
+        return node.get_parameter(f'gains.{name}').value
+    except ParameterUninitializedException:
+        raise ConfigError(f'gains.{name}', 'is not set: start the node with '
+                          '--params-file GAINS.yaml as written by lpv design',
+                          node.get_name()) from None

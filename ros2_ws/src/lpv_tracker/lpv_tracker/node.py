@@ -36,7 +36,7 @@ class TrackerNode(ManagedNode):
         """Read arm, gains and path, create publishers."""
         declare_gains(self)
         self._arm = load_arm(required_text(self, 'arm_file'))
-        gains = read_gains(self)
+        gains = read_gains(self, self._arm)
         self._controller = TrackingController(self._arm, gains)
         self._integrates_measurement = gains.controller.method == 'paper'
         self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)

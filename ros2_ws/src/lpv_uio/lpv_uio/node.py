@@ -69,7 +69,7 @@ class UioNode(ManagedNode):
         """Read arm and gains, create publishers."""
         self._arm = load_arm(required_text(self, 'arm_file'))
         self._monitor = SensorMonitor(
-            self.get_fully_qualified_name(), self._arm, read_gains(self),
+            self.get_fully_qualified_name(), self._arm, read_gains(self, self._arm),
             self._diagnosis_parameters({}), self.get_parameter('max_gap').value,
             self.get_parameter('initial_samples').value)
         self._monitor.warm_up()

@@ -74,8 +74,9 @@ def _against_truth(record, joints):
         'x1': truth - joints.absolute_position(get('state_estimate', 'position')),
         'x3': joints.absolute_velocity(get('ground_truth', 'velocity')
                                        - get('state_estimate', 'velocity')),
-        'f1': get('ground_truth', 'fault') - get('fault_estimate', 'estimate'),
     }
+    if 'fault_estimate' in record.streams:
+        errors['f1'] = get('ground_truth', 'fault') - get('fault_estimate', 'estimate')
     if 'reference' in record.streams:
         reference = joints.absolute_position(get('reference', 'position'))
         measured = joints.absolute_position(get('joint_states', 'position'))

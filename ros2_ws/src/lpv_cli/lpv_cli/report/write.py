@@ -78,13 +78,14 @@ def write_report(bag, out, arm, path=None, title='Run'):
         sections.append({'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()})
     table = make_table(record, arm)
     html = out / 'report.html'
-    html.write_text(_render(record, title, table, sections), encoding='utf-8')
+    html.write_text(_render(record, arm, title, table, sections), encoding='utf-8')
     return ReportResult(html, pictures, table)
 
 
-def _render(record, title, table, sections):
+def _render(record, arm, title, table, sections):
     found = episodes(record)
-    missed = [(record.sensor_names[m.sensor_index], m) for m in missed_faults(record, found)]
+    names = record.sensor_names or arm.sensor_names
+    missed = [(names[m.sensor_index], m) for m in missed_faults(record, found)]
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined,
         loader=jinja2.FileSystemLoader(Path(__file__).parent))

@@ -14,7 +14,9 @@ def symmetric_part(matrix):
 
 
 def largest_eigenvalue(matrix):
-    """Largest eigenvalue of a symmetric matrix; negative if M < 0 holds."""
+    """Largest eigenvalue of a symmetric matrix; negative if M < 0 holds, NaN if M is not finite."""
+    if not np.isfinite(matrix).all():
+        return np.nan
     return float(np.linalg.eigvalsh(symmetric_part(np.asarray(matrix)))[-1])
 
 

@@ -1,0 +1,367 @@
+"""Recorded runs as arrays: alignment by stamps, names, alarms; and the order of a recording."""
+
+import math
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lpv_bag.messages import BagMessages
+from lpv_bag.ordering import WINDOW, StampOrder
+from lpv_bag.run_record import ALARM_TYPE, STREAMS, BagError, load_run
+from lpv_bag.writing import BagWriter
+from lpv_core.diagnosis import AlarmEvent
+from lpv_core.observer import Mode
+
+EPOCH = 1_700_000_000_123_456_789
+MS = 1_000_000
+
+
+class Recorder:
+    """Writes messages of a made-up run; they are logged in the order in which they are added."""
+
+    def __init__(self, path):
+        self.path, self._writer, self._time = path, BagWriter(path), 0
+        self._messages = BagMessages(self._writer.typestore, 'arm')
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._writer.close()
+
+    def topic(self, topic, msgtype):
+        if topic not in self._writer.counts:
+            self._writer.add_topic(topic, msgtype)
+
+    def write(self, topic, msgtype, message):
+        self.topic(topic, msgtype)
+        self._time += 1
+        self._writer.write(topic, self._time, message)
+
+    def measure(self, stamp, position, names=('joint1', 'joint2'), velocity=None, effort=None,
+                topic='/joint_states'):
+        zeros = [0.0] * len(names)
+        self.write(topic, 'sensor_msgs/msg/JointState', self._messages.joint_state(
+            stamp, names, position, zeros if velocity is None else velocity,
+            zeros if effort is None else effort))
+
+    def stream(self, name, stamp, topic=None, **fields):
+        msgtype = STREAMS[name][0]
+        defaults = {'state_estimate': STATE, 'fault_estimate': FAULT, 'reference': REFERENCE,
+                    'torque_command': {'torque': [0.0, 0.0], 'safe_stop': False}}[name]
+        self.write(topic or f'/{name}', msgtype,
+                   self._messages.make(msgtype, stamp, {**defaults, **fields}))
+
+    def alarm(self, stamp, **fields):
+        self.write('/fault_alarm', ALARM_TYPE,
+                   self._messages.make(ALARM_TYPE, stamp, {**ALARM, **fields}))
+
+
+ZERO = [0.0, 0.0]
+STATE = {'position': ZERO, 'velocity': ZERO, 'compensated_position': ZERO,
+         'measured_position': ZERO, 'measured_velocity': ZERO, 'mode': 0}
+FAULT = {'sensor_names': ['left', 'right'], 'estimate': ZERO, 'bound': ZERO, 'threshold': ZERO,
+         'state': [0, 0], 'alarm': [False, False]}
+REFERENCE = {'position': ZERO, 'velocity': ZERO, 'acceleration': ZERO, 'tip_position': ZERO}
+ALARM = {'sensor': 'left', 'sensor_index': 0, 'event': 0, 'onset': 5 * MS, 'detected': 15 * MS,
+         'size': 0.3, 'bound': 0.1, 'kind': 'unclassified', 'confidence': 0.99}
+
+
+@pytest.fixture
+def recorder(tmp_path):
+    return Recorder(tmp_path / 'bag')
+
+
+# ------------------------------------------------------------------ streams
+
+
+def test_given_measurements_when_loaded_then_fields_names_and_times_are_exact(recorder):
+    with recorder as bag:
+        for k in range(4):
+            bag.measure(EPOCH + 2 * MS * k, [k, k + 0.25], velocity=[k + 0.5, k], effort=[k, -k])
+    record = load_run(recorder.path)
+    assert record.stamps['joint_states'].tolist() == [EPOCH + 2 * MS * k for k in range(4)]
+    assert record.stamps['joint_states'].dtype == np.int64
+    assert record.time.tolist() == [0.0, 0.002, 0.004, 0.006]
+    assert record.get('joint_states', 'position').tolist() == [[k, k + 0.25] for k in range(4)]
+    assert record.get('joint_states', 'velocity').tolist() == [[k + 0.5, k] for k in range(4)]
+    assert record.get('joint_states', 'effort').tolist() == [[k, -k] for k in range(4)]
+    assert record.joint_names == ('joint1', 'joint2')
+    assert record.seconds(EPOCH - 1) == -1e-9
+
+
+def test_given_streams_when_loaded_then_each_field_is_an_array_of_numbers(recorder):
+    with recorder as bag:
+        for stamp in (10, 20):
+            bag.measure(stamp, ZERO)
+        bag.stream('state_estimate', 20, position=[1, 2], mode=int(Mode.HOLDING))
+        bag.stream('fault_estimate', 20, estimate=[3, 4], state=[2, 3], alarm=[True, False])
+        bag.stream('torque_command', 10, torque=[5, 6], safe_stop=True)
+        bag.stream('reference', 10, tip_position=[7, 8])
+    record = load_run(recorder.path)
+    assert set(record.streams) == {'joint_states', 'state_estimate', 'fault_estimate',
+                                   'torque_command', 'reference'}
+    for name, fields in record.streams.items():
+        assert tuple(fields) == STREAMS[name][1]
+        assert all(values.dtype == float for values in fields.values())
+    assert record.get('state_estimate', 'mode').tolist() == [Mode.HOLDING]
+    assert record.get('fault_estimate', 'state').tolist() == [[2, 3]]
+    assert record.get('fault_estimate', 'alarm').tolist() == [[1, 0]]
+    assert record.get('torque_command', 'safe_stop').tolist() == [1]
+    assert record.get('reference', 'tip_position').tolist() == [[7, 8]]
+    assert record.sensor_names == ('left', 'right')
+    assert record.get('ground_truth', 'fault') is None
+    assert record.aligned('ground_truth', 'fault') is None
+
+
+def test_given_a_stream_with_other_stamps_when_aligned_then_only_equal_stamps_are_taken(recorder):
+    with recorder as bag:
+        for k in range(5):
+            bag.measure(EPOCH + k, ZERO)
+        for k in (-3, 1, 3, 9):
+            bag.stream('fault_estimate', EPOCH + k, estimate=[k, 2 * k])
+    record = load_run(recorder.path)
+    np.testing.assert_array_equal(record.aligned('fault_estimate', 'estimate'), [
+        [math.nan] * 2, [1, 2], [math.nan] * 2, [3, 6], [math.nan] * 2])
+    assert record.get('fault_estimate', 'estimate').tolist() == [[-3, -6], [1, 2], [3, 6], [9, 18]]
+
+
+def test_given_a_field_without_columns_when_aligned_then_it_has_none_either(recorder):
+    with recorder as bag:
+        for k in range(3):
+            bag.measure(k, ZERO)
+        bag.stream('state_estimate', 1, mode=int(Mode.STALE))
+    mode = load_run(recorder.path).aligned('state_estimate', 'mode')
+    np.testing.assert_array_equal(mode, [math.nan, Mode.STALE, math.nan])
+
+
+def test_given_messages_in_any_order_when_loaded_then_rows_are_sorted_and_the_last_one_counts(
+        recorder):
+    with recorder as bag:
+        for stamp, value in ((30, 1), (10, 2), (20, 3), (10, 4), (30, 5)):
+            bag.measure(stamp, [value, 0])
+            bag.stream('fault_estimate', stamp, estimate=[value, 0])
+    record = load_run(recorder.path)
+    assert record.stamps['joint_states'].tolist() == [10, 20, 30]
+    assert record.get('joint_states', 'position')[:, 0].tolist() == [4, 3, 5]
+    assert record.aligned('fault_estimate', 'estimate')[:, 0].tolist() == [4, 3, 5]
+
+
+def test_given_answers_that_know_nothing_when_loaded_then_they_are_left_out_but_counted(recorder):
+    with recorder as bag:
+        for k in range(4):
+            bag.measure(k, ZERO)
+            mode = Mode.NO_ESTIMATE if k < 2 else Mode.OBSERVING
+            bag.stream('state_estimate', k, position=[k, k], mode=int(mode))
+    record = load_run(recorder.path)
+    assert record.stamps['state_estimate'].tolist() == [2, 3]
+    np.testing.assert_array_equal(record.aligned('state_estimate', 'position')[:, 0],
+                                  [math.nan, math.nan, 2, 3])
+    assert record.counts['/state_estimate'] == 4
+
+
+def test_given_answers_that_all_know_nothing_when_loaded_then_the_stream_is_absent(recorder):
+    with recorder as bag:
+        for k in range(2):
+            bag.measure(k, ZERO)
+            bag.stream('state_estimate', k, mode=int(Mode.NO_ESTIMATE))
+    assert load_run(recorder.path).aligned('state_estimate', 'position') is None
+
+
+def test_given_topics_of_any_type_when_loaded_then_all_are_counted(recorder):
+    with recorder as bag:
+        for k in range(3):
+            bag.measure(k, ZERO, topic='/lpv/joint_states')
+        for k in range(2):
+            bag.write('/chatter', 'std_msgs/msg/String',
+                      bag._writer.typestore.types['std_msgs/msg/String'](str(k)))
+        bag.topic('/lpv/fault_alarm', ALARM_TYPE)
+    record = load_run(recorder.path)
+    assert record.counts == {'/lpv/joint_states': 3, '/chatter': 2, '/lpv/fault_alarm': 0}
+    assert record.topics == {'joint_states': '/lpv/joint_states',
+                             'fault_alarm': '/lpv/fault_alarm'}
+    assert record.alarms == []
+
+
+def test_given_a_single_storage_file_when_loaded_then_it_is_the_same_run(recorder, tmp_path):
+    with recorder as bag:
+        for k in range(3):
+            bag.measure(EPOCH + k, [k, k])
+    storage, = recorder.path.glob('*.mcap')
+    record = load_run(shutil.copy(storage, tmp_path / 'alone.mcap'))
+    assert record.get('joint_states', 'position').tolist() == [[0, 0], [1, 1], [2, 2]]
+    assert record.counts == {'/joint_states': 3}
+
+
+# ------------------------------------------------------------------ joints
+
+
+def test_given_joints_whose_order_changes_when_loaded_then_names_decide(recorder):
+    with recorder as bag:
+        bag.measure(1, [1, 2])
+        bag.measure(2, [2, 1], names=('joint2', 'joint1'))
+        bag.measure(3, [9, 2, 8, 1], names=('a', 'joint2', 'b', 'joint1'))
+        bag.measure(4, [1, 2])
+    record = load_run(recorder.path)
+    assert record.joint_names == ('joint1', 'joint2')
+    assert record.get('joint_states', 'position').tolist() == [[1, 2]] * 4
+
+
+def test_given_wanted_joints_when_loaded_then_they_are_taken_in_that_order(recorder):
+    with recorder as bag:
+        for k in range(2):
+            bag.measure(k, [1, 2, 3], names=('a', 'b', 'c'), effort=[4, 5, 6])
+    record = load_run(recorder.path, joint_names=('c', 'a'))
+    assert record.joint_names == ('c', 'a')
+    assert record.get('joint_states', 'position').tolist() == [[3, 1]] * 2
+    assert record.get('joint_states', 'effort').tolist() == [[6, 4]] * 2
+
+
+def test_given_arrays_of_another_size_when_loaded_then_their_values_are_unknown(recorder):
+    with recorder as bag:
+        bag.measure(1, [1, 2], effort=[])
+        bag.measure(2, [1, 2], effort=[5, 6], velocity=[7])
+    record = load_run(recorder.path)
+    np.testing.assert_array_equal(record.get('joint_states', 'effort'), [[math.nan] * 2, [5, 6]])
+    np.testing.assert_array_equal(record.get('joint_states', 'velocity'), [[0, 0], [math.nan] * 2])
+
+
+def test_given_a_joint_that_no_message_has_when_loaded_then_the_error_names_it(recorder):
+    with recorder as bag:
+        for k in range(2):
+            bag.measure(k, ZERO, names=('a', 'b'))
+    with pytest.raises(BagError, match="'elbow' .*a, b"):
+        load_run(recorder.path, joint_names=('a', 'elbow'))
+
+
+def test_given_messages_of_other_joints_between_when_loaded_then_they_are_passed_over(recorder):
+    with recorder as bag:
+        for k in range(3):
+            bag.measure(2 * k, [k, k])
+            bag.measure(2 * k + 1, [0.5], names=('finger',))
+    record = load_run(recorder.path, joint_names=('joint1', 'joint2'))
+    position = record.get('joint_states', 'position')
+    assert position[~np.isnan(position[:, 0])].tolist() == [[0, 0], [1, 1], [2, 2]]
+
+
+# ------------------------------------------------------------------ alarms
+
+
+def test_given_alarms_when_loaded_then_all_fields_are_there_in_the_order_of_their_stamps(recorder):
+    with recorder as bag:
+        for k in range(2):
+            bag.measure(EPOCH + k, ZERO)
+        bag.alarm(EPOCH + 900, event=2, size=0.01, onset=EPOCH + 1, detected=EPOCH + 2)
+        bag.alarm(EPOCH + 2, onset=EPOCH + 1, detected=EPOCH + 2)
+        bag.alarm(EPOCH + 2, onset=EPOCH + 2, detected=EPOCH + 2, sensor='right', sensor_index=1)
+        bag.alarm(EPOCH + 50, event=1, size=-0.5, kind='bias', confidence=0.5)
+    alarms = load_run(recorder.path).alarms
+    assert [(a.stamp - EPOCH, a.event, a.sensor) for a in alarms] == [
+        (2, AlarmEvent.RAISED, 'left'), (2, AlarmEvent.RAISED, 'right'),
+        (50, AlarmEvent.UPDATED, 'left'), (900, AlarmEvent.CLEARED, 'left')]
+    assert (alarms[0].onset, alarms[0].detected) == (EPOCH + 1, EPOCH + 2)
+    assert (alarms[1].sensor_index, alarms[1].bound) == (1, 0.1)
+    assert (alarms[2].size, alarms[2].kind, alarms[2].confidence) == (-0.5, 'bias', 0.5)
+
+
+def test_given_latched_alarms_that_came_twice_when_loaded_then_each_is_there_once(recorder):
+    with recorder as bag:
+        for k in range(2):
+            bag.measure(k, ZERO)
+        for _ in range(3):
+            bag.alarm(10)
+            bag.alarm(10, sensor='right', sensor_index=1)
+        bag.alarm(20)
+    record = load_run(recorder.path)
+    assert [(a.stamp, a.sensor) for a in record.alarms] == [(10, 'left'), (10, 'right'),
+                                                            (20, 'left')]
+    assert record.counts['/fault_alarm'] == 7
+
+
+def test_given_an_event_that_nobody_knows_when_loaded_then_it_is_an_error(recorder):
+    with recorder as bag:
+        for k in range(2):
+            bag.measure(k, ZERO)
+        bag.alarm(10, event=7)
+    with pytest.raises(BagError, match='unknown event 7'):
+        load_run(recorder.path)
+
+
+# ------------------------------------------------------------------ bags that hold no run
+
+
+@pytest.mark.parametrize('stamps', [(), (5,), (5, 5, 5)])
+def test_given_fewer_than_two_measurements_when_loaded_then_the_error_says_so(recorder, stamps):
+    with recorder as bag:
+        bag.topic('/joint_states', 'sensor_msgs/msg/JointState')
+        for stamp in stamps:
+            bag.measure(stamp, ZERO)
+    with pytest.raises(BagError, match='bag: .*/joint_states'):
+        load_run(recorder.path)
+
+
+def test_given_two_arms_when_loaded_then_a_namespace_tells_them_apart(recorder):
+    with recorder as bag:
+        for k in range(3):
+            for i, name in enumerate(('/a', '/b/c')):
+                bag.measure(k, [i, i], topic=f'{name}/joint_states')
+                bag.stream('fault_estimate', k, f'{name}/fault_estimate', estimate=[i, k])
+    with pytest.raises(BagError, match='/a/joint_states, /b/c/joint_states.*namespace'):
+        load_run(recorder.path)
+    for i, name in enumerate(('a', '/b/c/')):
+        record = load_run(recorder.path, namespace=name)
+        assert record.get('joint_states', 'position')[:, 0].tolist() == [i] * 3
+        assert record.get('fault_estimate', 'estimate')[:, 0].tolist() == [i] * 3
+    with pytest.raises(BagError, match='namespace /c'):
+        load_run(recorder.path, namespace='/c')
+
+
+# ------------------------------------------------------------------ order of a recording
+
+
+STAMPS = st.integers(0, 6) | st.integers(0, 5 * WINDOW)
+ENTRIES = st.lists(st.tuples(STAMPS, st.sampled_from(['/a', '/b', '/c']), st.integers(0, WINDOW)),
+                   max_size=30, unique_by=lambda entry: entry[:2])
+
+
+def in_order(entries):
+    """What comes out for entries of stamp, topic and data in order of arrival."""
+    released = []
+    order = StampOrder(lambda *entry: released.append(entry))
+    for stamp, topic, data in entries:
+        order.add(topic, stamp, data)
+    order.flush()
+    return released
+
+
+@given(ENTRIES)
+def test_given_delays_within_the_window_when_ordered_then_the_output_does_not_depend_on_them(
+        entries):
+    arrivals = sorted(entries, key=lambda entry: entry[0] + entry[2])
+    found = in_order([(stamp, topic, (stamp, topic)) for stamp, topic, _ in arrivals])
+    assert found == [(topic, stamp, (stamp, topic))
+                     for stamp, topic, _ in sorted(entries, key=lambda entry: entry[:2])]
+
+
+@given(st.lists(st.tuples(STAMPS, st.sampled_from(['/a', '/b'])), max_size=40))
+def test_given_any_arrivals_when_ordered_then_nothing_is_lost_and_equal_ones_keep_their_order(
+        arrivals):
+    entries = [(stamp, topic, k) for k, (stamp, topic) in enumerate(arrivals)]
+    found = in_order(entries)
+    assert sorted(k for _, _, k in found) == list(range(len(entries)))
+    for stamp, topic in set(arrivals):
+        numbers = [k for t, s, k in found if (t, s) == (topic, stamp)]
+        assert numbers == sorted(numbers)
+
+
+def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts():
+    released = []
+    order = StampOrder(lambda *entry: released.append(entry))
+    for k in range(2000):
+        order.add('/a', k * 2 * MS, k)
+    assert [k for _, _, k in released] == list(range(1499))   # older than the window of 1 s
+    order.flush()
+    assert [k for _, _, k in released] == list(range(2000))
