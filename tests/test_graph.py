@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -221,6 +222,19 @@ def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_
     log = (tmp_path / f'{name}.log').read_text()
     assert re.search(told, log), log
     assert 'Traceback' not in log, log
+
+
+@pytest.mark.parametrize('name', ['uio', 'tracker'])
+def test_given_gains_whose_certificate_does_not_hold_when_started_then_the_node_refuses_them(
+        tmp_path, paper_gains, calm, name):
+    observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
+    save_gains(replace(paper_gains, observer=observer), tmp_path / 'gains.yaml')
+    with ros.graph(tmp_path) as running:
+        start(running, (name,), tmp_path / 'gains.yaml', calm)
+        assert running.nodes[0].process.wait(60) == 1
+        running.stop()
+    assert 'the certificate does not hold: observer, link 1' in (
+        tmp_path / f'{name}.log').read_text()
 
 
 def test_given_a_node_without_autostart_when_managed_then_it_walks_through_its_states(

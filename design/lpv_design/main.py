@@ -7,7 +7,9 @@ from pathlib import Path
 from lpv_core.arm import load_arm
 from lpv_core.errors import LpvError
 from lpv_core.gains import save_gains
+from lpv_core.proof import prove
 from lpv_core.resources import bringup_file
+from lpv_design.guarantee import draw
 from lpv_design.pipeline import NotDetectableError, design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
@@ -28,6 +30,10 @@ def add_arguments(parser):
     parser.add_argument('--requirement', metavar='REQUIREMENT',
                         help='requirement file, or name of a shipped one (paper, paper_literal, '
                         'real_arm); without, the one with the arm\'s name')
+    parser.add_argument('--map', metavar='MAP.png',
+                        help='picture to write: smallest surely detectable fault over the region')
+    parser.add_argument('--proof', action='store_true',
+                        help='also prove the inequalities in exact rational arithmetic')
     parser.add_argument('--out', required=True, metavar='GAINS.yaml',
                         help='parameter file to write')
 
@@ -66,8 +72,20 @@ def run(arguments):
         print(f'lpv design: cannot write {arguments.out}: {error}', file=sys.stderr)
         return EXIT_BAD_INPUT
     print('\n'.join(result.lines))
+    if arguments.proof and not _prove(arm, result.gains):
+        return EXIT_INFEASIBLE
+    if arguments.map:
+        draw(result.guarantee, arm, arguments.map)
+        print(f'map written to {arguments.map}')
     print(f'gains written to {arguments.out}')
     return 0
+
+
+def _prove(arm, gains):
+    results = prove(arm, gains)
+    for name, holds in results.items():
+        print(f'{"proved" if holds else "REFUTED"}: {name}')
+    return all(results.values())
 
 
 def main(argv=None):

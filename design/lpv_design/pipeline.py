@@ -7,13 +7,13 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from lpv_core.certificate import controller_loop, verify
-from lpv_core.error_bound import make_bound
 from lpv_core.error_system import link_errors
 from lpv_core.gains import ControllerGains, ExactObserverGains, Gains, PaperObserverGains
 from lpv_core.joints import JointMap
 from lpv_design.controller import check_loop, solve_loop
 from lpv_design.detectability import undetectable_point
 from lpv_design.exact_observer import ExactRequirement, solve_exact
+from lpv_design.guarantee import Guarantee, guarantee
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
 from lpv_design.solve import SOLVER, InfeasibleError
 
@@ -35,10 +35,13 @@ class DesignResult:
         Ready to be written.
     lines : list of str
         What the designer should read: margins, poles, bounds.
+    guarantee : Guarantee
+        Thresholds over the region.
     """
 
     gains: Gains
     lines: list
+    guarantee: Guarantee
 
 
 def design(arm, requirement):
@@ -75,26 +78,31 @@ def design(arm, requirement):
         raise InfeasibleError(f'{failed[0].name}: {failed[0].margin:.3g} is not negative '
                               f'(solver: {status}); ask for a slower decay, a smaller region or '
                               'a larger fastest pole')
+    found = guarantee(arm, gains)
     gains.certificate.update(
-        margins={check.name: float(check.margin) for check in checks}, solver=SOLVER,
-        observer_status=status, controller_status=controller_status, **_versions())
-    return DesignResult(gains, [*_check_lines(checks), *_bound_lines(arm, gains)])
+        arm_json=arm.to_json(), margins={check.name: float(check.margin) for check in checks},
+        guarantee=found.to_dict(), solver=SOLVER, observer_status=status,
+        controller_status=controller_status, **_versions())
+    return DesignResult(gains, [*_check_lines(checks), *_bound_lines(arm, gains, found)], found)
 
 
 def _check_lines(checks):
     return [f'{check.name}: {check.margin:.3g} (negative: holds)' for check in checks]
 
 
-def _bound_lines(arm, gains):
+def _bound_lines(arm, gains, found):
     sigma = gains.observer.fault_sigma
-    lines = [f'standard deviation of fault estimates at most {sigma[0]:.4f}, {sigma[1]:.4f} rad']
-    bound = make_bound(arm, gains, 4.0, 0.3)
-    rest = 0.0 if arm.sign > 0 else np.pi
-    for degrees in (0.0, 30.0, 60.0):
-        limit = bound.static(np.full(2, rest + np.radians(degrees)))
-        lines.append(f'error bound at rest, both links {degrees:.0f} deg from the vertical: '
-                     + ', '.join(f'{v:.3f}' for v in limit) + ' rad')
-    return lines
+    middle = len(found.deviation) // 2
+    upright, worst = found.bound[middle, middle], found.bound.max(axis=(0, 1))
+
+    def pair(values):
+        return ', '.join(f'{v:.3f}' for v in values) + ' rad'
+
+    return [f'{" and ".join(arm.sensor_names)}:',
+            f'  standard deviation of the fault estimates at most {pair(sigma)}',
+            f'  at rest, both links vertical: healthy below {pair(upright)}, '
+            f'surely detected from {pair(2.0 * upright)}',
+            f'  at rest, worst of the region: healthy below {pair(worst)}']
 
 
 def _versions():
@@ -135,7 +143,8 @@ def _paper_observer(arm, requirement):
         raise NotDetectableError(
             f'observer: at phi = {np.round(phi, 3).tolist()}, inside the box, the mode '
             f'{eigenvalue.real:+.2g} with vector {shown.tolist()} is not observable: without '
-            'gravity torque a joint angle and a bias of its sensor cannot be told apart')
+            'gravity torque a joint angle and a bias of its sensor cannot be told apart. '
+            + _largest_box(arm, requirement))
     k, p, _, status = solve_paper(problem, requirement.lmi, requirement.gamma)
     margin = np.inf if k is None else check_paper(problem, k, p, requirement.gamma,
                                                   requirement.lmi)
@@ -147,6 +156,24 @@ def _paper_observer(arm, requirement):
     return PaperObserverGains(problem.t1, problem.t2, k, p, problem.box, requirement.lmi,
                               requirement.gamma, requirement.q, requirement.r,
                               _paper_sigma(arm, problem, k)), status
+
+
+def _largest_box(arm, requirement):
+    """By bisection: on which box the same figures are feasible."""
+    low, high = 0.5, 0.9999
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        problem = paper_problem(arm, middle, requirement.q, requirement.r)
+        k, p, _, _ = solve_paper(problem, requirement.lmi, requirement.gamma)
+        if k is not None and check_paper(problem, k, p, requirement.gamma,
+                                         requirement.lmi) < 0.0:
+            high = middle
+        else:
+            low = middle
+    if high > 0.9998:
+        return 'No box down to phi = 0.9999 is feasible with these figures'
+    return (f'The largest box on which gamma = {requirement.gamma:g}, q = {requirement.q:g}, '
+            f'r = {requirement.r:g} are feasible is phi2, phi3 in [{high:.3f}, 1]')
 
 
 def _paper_sigma(arm, problem, k):

@@ -8,6 +8,7 @@ from lpv_core.errors import LpvError
 
 COMMANDS = {
     'design': ('lpv_design.main', 'design certified gains for an arm'),
+    'verify': ('lpv_cli.verify', 'check the certificate of a gains file'),
     'demo': ('lpv_cli.demo', 'design, simulate with the real graph, record, report'),
     'run': ('lpv_cli.run_command', 'start a node, as ros2 run does'),
     'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),

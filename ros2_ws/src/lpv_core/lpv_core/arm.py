@@ -1,5 +1,6 @@
 """Description of a two-link arm: what its file says, and the constants that follow."""
 
+import json
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -206,9 +207,46 @@ class ArmParameters:
                       for link, m, i in zip(self.links, mass_factors, inertia_factors))
         return replace(self, links=links)
 
+    def is_physical(self):
+        """Whether Xi is positive definite in every configuration; identified links need not be."""
+        values = self.constants()
+        coupling = abs(values[O_12]) + values[B_12]
+        return bool(values[A_11] * values[C_22] > coupling**2)
+
+    def to_json(self):
+        """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
+        return json.dumps(asdict(self), sort_keys=True)
+
     def sha256(self):
         """Hash of every parameter: gains carry it, so that they fit one arm only."""
         return sha256_of(asdict(self))
+
+
+def arm_from_json(text):
+    """Arm from `ArmParameters.to_json`.
+
+    Parameters
+    ----------
+    text : str
+        JSON.
+
+    Returns
+    -------
+    ArmParameters
+        The same arm, bit by bit.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such text.
+    """
+    try:
+        data = json.loads(text)
+        data['links'] = tuple(Link(**link) for link in data['links'])
+        return ArmParameters(**{name: tuple(value) if isinstance(value, list) else value
+                                for name, value in data.items()})
+    except (ValueError, TypeError, KeyError) as error:
+        raise ConfigError('arm', f'is not the description of an arm ({error})') from error
 
 
 def load_arm(path):
@@ -274,10 +312,7 @@ def parse_arm(data, source='arm'):
 
 
 def _check_inertia(arm, top):
-    """Identified parameters need not be physical link by link, but Xi must be positive."""
-    values = arm.constants()
-    coupling = abs(values[O_12]) + values[B_12]
-    if not values[A_11] * values[C_22] > coupling**2:
+    if not arm.is_physical():
         raise top.error('links', 'give an inertia matrix that is not positive definite in every '
                                  'configuration (check inertia and inertia_reference)')
 

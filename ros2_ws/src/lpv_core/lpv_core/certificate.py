@@ -5,6 +5,7 @@ refuse gains that do not verify.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def verify(arm, gains):
     gains.check_arm(arm)
     observer = {'exact': exact_observer_checks, 'paper': paper_observer_checks}
     return [*observer[gains.observer.method](arm, gains.observer),
-            *controller_checks(arm, gains.controller)]
+            *controller_checks(arm, gains.controller), *_together(arm, gains)]
 
 
 def require(arm, gains, source='gains'):
@@ -244,7 +245,81 @@ def controller_checks(arm, controller):
     return [positive,
             Check(f'controller: LMI (67), alpha {controller.decay:g}/s, {len(closed)} vertices',
                   worst),
-            Check('controller: sampled loop with one sample of delay', radius - 1.0)]
+            Check('controller: sampled loop with one sample of delay', radius - 1.0),
+            *_robustness(arm, controller, m, p, factor)]
+
+
+def _robustness(arm, controller, m, p, factor):
+    """The same P and half the decay for arms with other masses, inertias and payloads.
+
+    The corners of the stated ranges are checked; between them Xi^-1 is not affine, so that this is
+    evidence and no proof.
+    """
+    if controller.method != 'exact' or not (arm.model_error or arm.payload):
+        return []
+    alpha, worst, radius = 0.5 * controller.decay, -np.inf, 0.0
+    arms = corner_arms(arm)
+    for other in arms:
+        for a, b in zip(*controller_loop(other, 'exact')):
+            n = a + b @ m
+            worst = max(worst, largest_eigenvalue(
+                factor @ (p @ n + n.T @ p + 2.0 * alpha * p) @ factor.T))
+            radius = max(radius, delayed_radius(a, b, m, arm.sample_time))
+    text = f'{len(arms)} arms at the corners of model error and payload'
+    return [Check(f'controller: {text}, alpha {alpha:g}/s', worst),
+            Check(f'controller: {text}, sampled with delay', radius - 1.0)]
+
+
+def corner_arms(arm):
+    """Arms at the corners of the stated model error and payload.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm.
+
+    Returns
+    -------
+    list of ArmParameters
+        Those whose inertia is positive definite.
+    """
+    ends = (1.0 - arm.model_error, 1.0 + arm.model_error)
+    arms = []
+    for factors in product(ends, repeat=4):
+        for payload in sorted({0.0, arm.payload}):
+            other = arm.scaled(factors[:2], factors[2:]).with_payload(payload)
+            if other.is_physical():
+                arms.append(other)
+    return arms
+
+
+def _together(arm, gains):
+    """Sampled loop of arm, controller and observer, closed on estimates and on measurements."""
+    if gains.observer.method != 'exact' or gains.controller.method != 'exact':
+        return []
+    m = np.hstack([gains.controller.m1, gains.controller.m2])
+    links, checks = link_errors(arm), []
+    for compensated, name in ((1.0, 'with'), (0.0, 'without')):
+        radius = 0.0
+        for (a, b), vertex in zip(zip(*controller_loop(arm, 'exact')), exact_vertices(arm)):
+            slopes = np.abs(vertex[2:])
+            error = np.zeros((4, 4))
+            for link, slope in zip(links, slopes):
+                i = link.index
+                error[np.ix_([i, 2 + i], [i, 2 + i])] = link.closed(
+                    link.gravity * slope, gains.observer.kappa[i], gains.observer.mu[i])
+            # Rates are fed back as estimated: e' = Xi^-1 diag(Xi_ii) r, and B holds Xi^-1.
+            rates = b[2:4] @ np.diag([link.inertia for link in links]) * arm.sign
+            seen = np.block([[compensated * np.eye(2), np.zeros((2, 2))],
+                             [np.zeros((2, 2)), rates], [np.zeros((2, 4))]])
+            whole = np.block([[a, np.zeros((6, 4))], [np.zeros((4, 6)), error]])
+            whole[4:6, 6:8] = -compensated * np.eye(2)
+            inputs = np.vstack([b, np.zeros((4, 2))])
+            radius = max(radius, delayed_radius(whole, inputs, np.hstack([m, m @ seen]),
+                                                arm.sample_time))
+        checks.append(Check(f'observer and controller together, {name} compensation, sampled with '
+                            'delay', radius - 1.0))
+    return checks
 
 
 def delayed_radius(a, b, m, dt):

@@ -210,10 +210,12 @@ class ReachableBound:
         away = np.arccos(np.clip(self._arm.sign * np.cos(theta), -1.0, 1.0))
         for _ in range(100):
             slope = self._gravity * np.cos(np.minimum(away + error + self._angle_noise, math.pi))
-            error = np.where(slope > 0.0, torque / np.maximum(slope, 1e-12), math.inf)
-            if np.any(error > math.pi):
-                return np.full(2, math.inf)
-        return self.spread @ error + self.noise
+            error = np.where(slope > 0.0, torque / np.maximum(slope, 1e-12), math.pi)
+            error = np.minimum(error, math.pi)
+        error[error >= math.pi] = math.inf
+        # Not 0*inf: a sensor that does not see a link does not see its error.
+        return np.array([sum(c * e for c, e in zip(row, error) if c) for row in self.spread]
+                        ) + self.noise
 
 
 class LaggedBound:

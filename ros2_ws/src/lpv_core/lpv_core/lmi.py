@@ -8,6 +8,15 @@ the solver's word is recorded but never trusted.
 import numpy as np
 
 
+def _eye(n):
+    """Identity of integers, which no kind of number is rounded by."""
+    return np.eye(n, dtype=int)
+
+
+def _zeros(shape):
+    return np.zeros(shape, dtype=int)
+
+
 def symmetric_part(matrix):
     """(M + M^T)/2: what an inequality on a numerically unsymmetric matrix is about."""
     return 0.5 * (matrix + matrix.T)
@@ -41,12 +50,12 @@ def bounded_real(p, pn, pbd, pbf, gamma_squared, block=np.block):
     (15, 15)
         Must be negative definite.
     """
-    eye = np.eye(6)
-    z = np.zeros
+    eye = _eye(6)
+    z = _zeros
     return block([
         [pn + pn.T, pbd, pbf, eye],
-        [pbd.T, -gamma_squared * np.eye(1), z((1, 2)), z((1, 6))],
-        [pbf.T, z((2, 1)), -gamma_squared * np.eye(2), z((2, 6))],
+        [pbd.T, -gamma_squared * _eye(1), z((1, 2)), z((1, 6))],
+        [pbf.T, z((2, 1)), -gamma_squared * _eye(2), z((2, 6))],
         [eye, z((6, 1)), z((6, 2)), -eye],
     ])
 
@@ -68,14 +77,14 @@ def bounded_real_disc(p, pn, pbd, pbf, gamma_squared, q, r, block=np.block):
     (21, 21)
         Must be negative definite.
     """
-    eye = np.eye(6)
-    z = np.zeros
+    eye = _eye(6)
+    z = _zeros
     sigma = q * p + pn
     return block([
         [-r * p, sigma, pbd, pbf, z((6, 6))],
         [sigma.T, -r * p, z((6, 1)), z((6, 2)), eye],
-        [pbd.T, z((1, 6)), -gamma_squared * np.eye(1), z((1, 2)), z((1, 6))],
-        [pbf.T, z((2, 6)), z((2, 1)), -gamma_squared * np.eye(2), z((2, 6))],
+        [pbd.T, z((1, 6)), -gamma_squared * _eye(1), z((1, 2)), z((1, 6))],
+        [pbf.T, z((2, 6)), z((2, 1)), -gamma_squared * _eye(2), z((2, 6))],
         [z((6, 6)), eye, z((6, 1)), z((6, 2)), -eye],
     ])
 
@@ -119,7 +128,7 @@ def covariance(pn, pb, block=np.block):
         Must be negative definite.
     """
     m = pb.shape[1]
-    return block([[pn + pn.T, pb], [pb.T, -np.eye(m)]])
+    return block([[pn + pn.T, pb], [pb.T, -_eye(m)]])
 
 
 def integral_feedback(q, x, a, b, alpha):

@@ -1,0 +1,107 @@
+"""What a design guarantees, configuration by configuration: thresholds and detectable faults."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lpv_core.diagnosis import DiagnosisParameters
+from lpv_core.error_bound import make_bound
+
+POINTS = 13
+"""Angles of each link in the map."""
+
+
+@dataclass(frozen=True)
+class Guarantee:
+    """Bounds at rest over the certified region.
+
+    Attributes
+    ----------
+    deviation : ndarray, shape (n,)
+        Angle of a link from the vertical [rad].
+    bound : ndarray, shape (n, n, 2)
+        Bound on the fault-estimate error of each sensor [rad], rows link 1, columns link 2; a
+        healthy arm at rest stays below, whatever its stated model error, payload, friction and
+        disturbance do.  Infinite where gravity cannot bound it.
+    """
+
+    deviation: np.ndarray
+    bound: np.ndarray
+
+    @property
+    def detectable(self):
+        """Smallest fault that is surely seen: its estimate exceeds the threshold by the bound."""
+        return 2.0 * self.bound
+
+    def to_dict(self):
+        """Plain data for the gains file."""
+        return {'deviation': self.deviation.tolist(),
+                'threshold_1': self.bound[:, :, 0].ravel().tolist(),
+                'threshold_2': self.bound[:, :, 1].ravel().tolist()}
+
+
+def guarantee(arm, gains, points=POINTS):
+    """Evaluate the bound that the diagnosis uses over the region.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Its gains.
+    points : int, optional
+        Angles of each link.
+
+    Returns
+    -------
+    Guarantee
+        The map.
+    """
+    tuning = DiagnosisParameters()
+    bound = make_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
+    limit = float(np.arccos(max(arm.cos_min)))
+    deviation = np.linspace(-limit, limit, points)
+    rest = 0.0 if arm.sign > 0 else np.pi
+    values = np.array([[bound.static(rest + np.array([one, two])) for two in deviation]
+                       for one in deviation])
+    return Guarantee(deviation, values)
+
+
+def draw(found, arm, path):
+    """Picture of the map: smallest surely detectable fault of each sensor.
+
+    Parameters
+    ----------
+    found : Guarantee
+        The map.
+    arm : ArmParameters
+        Names of the sensors.
+    path : str or pathlib.Path
+        PNG file to write.
+    """
+    import matplotlib
+
+    matplotlib.use('Agg')
+    import matplotlib.pyplot as plt
+
+    degrees = np.degrees(found.deviation)
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.2), layout='constrained')
+    levels = [0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0]
+    for i, axis in enumerate(axes):
+        values = np.minimum(found.detectable[:, :, i], 10.0)
+        shades = axis.contourf(degrees, degrees, values.T, levels=[*levels, 10.0], cmap='viridis',
+                               norm=matplotlib.colors.LogNorm(levels[0], levels[-1]),
+                               extend='both')
+        lines = axis.contour(degrees, degrees, values.T, levels=levels, colors='white',
+                             linewidths=0.7)
+        axis.clabel(lines, fontsize=8)
+        axis.set(title=arm.sensor_names[i], xlabel='link 1 from the vertical [deg]',
+                 ylabel='link 2 from the vertical [deg]')
+        axis.set_aspect('equal')
+    bar = figure.colorbar(shades, ax=axes, ticks=levels, shrink=0.9)
+    bar.set_label('smallest surely detectable fault at rest [rad]')
+    bar.ax.set_yticklabels([f'{v:g}' for v in levels])
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
