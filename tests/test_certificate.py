@@ -129,7 +129,8 @@ def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal(
         np.testing.assert_allclose(values, values[::-1], rtol=1e-9)
     assert np.isinf(one[0]) and np.isinf(one[-1])    # 72 deg: the bound leaves gravity's reach
     assert np.isfinite(found.bound[0, middle, 1])    # which is no matter of link 2's sensor
-    np.testing.assert_array_equal(found.detectable, 2.0 * found.bound)
+    np.testing.assert_array_equal(found.threshold, np.maximum(found.bound, 0.02))
+    np.testing.assert_array_equal(found.detectable, found.threshold + found.bound)
 
 
 def test_given_a_larger_model_error_when_mapped_then_thresholds_are_larger(
@@ -210,7 +211,7 @@ def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path
                   '--map', tmp_path / 'map.png', '--proof') == 0
     said = capsys.readouterr().out
     assert 'REFUTED' not in said and said.count('proved') == 10
-    assert 'surely detected from' in said
+    assert 'lasting faults are detected from' in said
     assert load_gains(tmp_path / 'g.yaml').arm_name == 'paper'
     assert (tmp_path / 'map.png').exists()
 

@@ -153,6 +153,7 @@ def test_given_any_parameter_when_changed_then_the_hash_changes(paper_arm):
         'disturbance_direction': (0.7, 1e-12), 'disturbance_mean': 0.3,
         'disturbance_variance': 0.8, 'model_error': 0.04, 'torque_limit': (1500.0, 601.0),
         'velocity_limit': (20.0, 21.0), 'payload': 0.1,
+        'velocity_error': 0.1, 'torque_tolerance': (1.0, 0.0),
         'orientation': 'hanging', 'cos_min': (0.3, 0.31), 'sample_time': 0.001,
         'links': (replace(paper_arm.links[0], mass=math.nextafter(10.0, 11.0)),
                   paper_arm.links[1])}

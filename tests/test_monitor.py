@@ -135,7 +135,7 @@ def test_given_unusable_samples_only_when_taken_then_it_is_answered_that_nothing
         answer = monitor.take(START + k * TS, sample(k, **changes))
         assert answer.stamp == START + k * TS
         assert answer.state == {**{name: [0.0, 0.0] for name in STATE_VECTORS},
-                                'mode': Mode.NO_ESTIMATE}
+                                'mode': Mode.NO_ESTIMATE, 'trustworthy': False}
         assert answer.fault is None
         assert (answer.alarms, answer.events, answer.restarted) == ([], [], False)
         assert monitor.stale_fault() is None
@@ -310,14 +310,17 @@ def test_given_an_alarm_when_raised_and_cleared_then_both_are_answered_with_a_st
     answers = (feed(monitor, sample, 0, 100) + feed(monitor, sample, 101, 200, (0.0, -0.3))
                + feed(monitor, sample, 201, 450))
     told = [a for a in answers if a.alarms]
-    assert [[f['event'] for f in a.alarms] for a in told] == [
-        [AlarmEvent.RAISED], [AlarmEvent.CLEARED]]
-    raised, cleared = told
+    assert [[(f['event'], f['kind']) for f in a.alarms] for a in told] == [
+        [(AlarmEvent.RAISED, 'unclassified')], [(AlarmEvent.UPDATED, 'bias')],
+        [(AlarmEvent.CLEARED, 'bias')]]
+    raised, _, cleared = told
     assert raised.stamp == START + 106 * TS                    # a dwell of 10 ms
     fields, = raised.alarms
     assert (fields['sensor'], fields['sensor_index']) == ('link2_angle', 1)
     assert (fields['onset'], fields['detected']) == (START + 101 * TS, raised.stamp)
-    assert fields['size'] == raised.fault['estimate'][1] == pytest.approx(-0.3, abs=0.01)
+    # Seen as a change: its size is that of the change, less the healthy error before.
+    assert fields['size'] == pytest.approx(-0.3, abs=0.01)
+    assert raised.fault['estimate'][1] == pytest.approx(-0.3, abs=0.01)
     assert fields['bound'] == raised.fault['bound'][1]
     assert raised.fault['alarm'] == [False, True]
     assert cleared.fault['alarm'] == [False, False]

@@ -62,7 +62,7 @@ class Recorder:
 
 ZERO = [0.0, 0.0]
 STATE = {'position': ZERO, 'velocity': ZERO, 'compensated_position': ZERO,
-         'measured_position': ZERO, 'measured_velocity': ZERO, 'mode': 0}
+         'measured_position': ZERO, 'measured_velocity': ZERO, 'mode': 0, 'trustworthy': True}
 FAULT = {'sensor_names': ['left', 'right'], 'estimate': ZERO, 'bound': ZERO, 'threshold': ZERO,
          'state': [0, 0], 'alarm': [False, False]}
 REFERENCE = {'position': ZERO, 'velocity': ZERO, 'acceleration': ZERO, 'tip_position': ZERO}

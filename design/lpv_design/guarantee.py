@@ -23,22 +23,26 @@ class Guarantee:
     bound : ndarray, shape (n, n, 2)
         Bound on the fault-estimate error of each sensor [rad], rows link 1, columns link 2; a
         healthy arm at rest stays below, whatever its stated model error, payload, friction and
-        disturbance do.  Infinite where gravity cannot bound it.
+        disturbance do, but for noise beyond its standard deviations.  Infinite where gravity
+        cannot bound it.
+    threshold : ndarray, shape (n, n, 2)
+        What the diagnosis compares with [rad].
     """
 
     deviation: np.ndarray
     bound: np.ndarray
+    threshold: np.ndarray
 
     @property
     def detectable(self):
-        """Smallest fault that is surely seen: its estimate exceeds the threshold by the bound."""
-        return 2.0 * self.bound
+        """Smallest lasting fault whose estimate exceeds the threshold whatever its error [rad]."""
+        return self.threshold + self.bound
 
     def to_dict(self):
         """Plain data for the gains file."""
         return {'deviation': self.deviation.tolist(),
-                'threshold_1': self.bound[:, :, 0].ravel().tolist(),
-                'threshold_2': self.bound[:, :, 1].ravel().tolist()}
+                'threshold_1': self.threshold[:, :, 0].ravel().tolist(),
+                'threshold_2': self.threshold[:, :, 1].ravel().tolist()}
 
 
 def guarantee(arm, gains, points=POINTS):
@@ -60,16 +64,17 @@ def guarantee(arm, gains, points=POINTS):
     """
     tuning = DiagnosisParameters()
     bound = make_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
-    limit = float(np.arccos(max(arm.cos_min)))
+    limit = float(np.arccos(min(arm.cos_min)))
     deviation = np.linspace(-limit, limit, points)
     rest = 0.0 if arm.sign > 0 else np.pi
     values = np.array([[bound.static(rest + np.array([one, two])) for two in deviation]
                        for one in deviation])
-    return Guarantee(deviation, values)
+    threshold = np.maximum(tuning.threshold_factor * values, tuning.minimum_threshold)
+    return Guarantee(deviation, values, threshold)
 
 
 def draw(found, arm, path):
-    """Picture of the map: smallest surely detectable fault of each sensor.
+    """Picture of the map: smallest lasting fault that is detected whatever the error.
 
     Parameters
     ----------
@@ -100,7 +105,7 @@ def draw(found, arm, path):
                  ylabel='link 2 from the vertical [deg]')
         axis.set_aspect('equal')
     bar = figure.colorbar(shades, ax=axes, ticks=levels, shrink=0.9)
-    bar.set_label('smallest surely detectable fault at rest [rad]')
+    bar.set_label('smallest lasting fault that is detected at rest [rad]')
     bar.ax.set_yticklabels([f'{v:g}' for v in levels])
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)

@@ -76,8 +76,8 @@ def design(arm, requirement):
     failed = [check for check in checks if not check.holds]
     if failed:
         raise InfeasibleError(f'{failed[0].name}: {failed[0].margin:.3g} is not negative '
-                              f'(solver: {status}); ask for a slower decay, a smaller region or '
-                              'a larger fastest pole')
+                              f'(solver: {status} and {controller_status}); ask for a slower '
+                              'decay or alpha, a smaller region or a larger fastest pole')
     found = guarantee(arm, gains)
     gains.certificate.update(
         arm_json=arm.to_json(), margins={check.name: float(check.margin) for check in checks},
@@ -93,16 +93,17 @@ def _check_lines(checks):
 def _bound_lines(arm, gains, found):
     sigma = gains.observer.fault_sigma
     middle = len(found.deviation) // 2
-    upright, worst = found.bound[middle, middle], found.bound.max(axis=(0, 1))
+    finite = np.isfinite(found.bound).all(axis=2).mean()
 
     def pair(values):
         return ', '.join(f'{v:.3f}' for v in values) + ' rad'
 
     return [f'{" and ".join(arm.sensor_names)}:',
             f'  standard deviation of the fault estimates at most {pair(sigma)}',
-            f'  at rest, both links vertical: healthy below {pair(upright)}, '
-            f'surely detected from {pair(2.0 * upright)}',
-            f'  at rest, worst of the region: healthy below {pair(worst)}']
+            '  at rest, both links vertical: threshold '
+            f'{pair(found.threshold[middle, middle])}, lasting faults are detected from '
+            f'{pair(found.detectable[middle, middle])}',
+            f'  at rest, gravity bounds both errors in {finite:.0%} of the region']
 
 
 def _versions():

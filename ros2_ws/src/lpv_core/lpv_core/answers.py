@@ -50,11 +50,13 @@ def state_fields(estimate, diagnosis, mode, joints):
     names = ('position', 'velocity', 'compensated_position', 'measured_position',
              'measured_velocity')
     if estimate is None:
-        return {**{name: [0.0, 0.0] for name in names}, 'mode': int(Mode.NO_ESTIMATE)}
+        return {**{name: [0.0, 0.0] for name in names}, 'mode': int(Mode.NO_ESTIMATE),
+                'trustworthy': False}
     healthy = joints.joint_from_sensor(estimate.sensor_position - diagnosis.confirmed_fault)
     values = (estimate.position, estimate.velocity, healthy, estimate.measured_position,
               estimate.measured_velocity)
-    return {**dict(zip(names, values)), 'mode': int(mode)}
+    return {**dict(zip(names, values)), 'mode': int(mode),
+            'trustworthy': bool(diagnosis.trustworthy)}
 
 
 def fault_fields(estimate, diagnosis, states, sensor_names):
@@ -121,6 +123,12 @@ def diagnostic_fields(name, arm, estimate, diagnosis, mode, values):
         Fields of diagnostic_msgs/DiagnosticStatus; ``values`` is a dict of strings.
     """
     level, message = _MODES[mode]
+    if diagnosis is not None and level < STALE:
+        if not diagnosis.trustworthy:
+            level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
+        elif diagnosis.inconsistent:
+            level, message = WARN, ('inconsistent, cause unknown: rates, torques and model '
+                                    'contradict each other')
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     for i, sensor in enumerate(arm.sensor_names):
         state, values = SensorState.STALE, {}

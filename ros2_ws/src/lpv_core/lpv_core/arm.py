@@ -70,6 +70,8 @@ class ArmParameters:
         Whether a position sensor measures a link's absolute angle or a joint's relative one.
     position_noise, velocity_noise : float
         Standard deviations of white sensor noise [rad], [rad/s].
+    velocity_error : float
+        Relative error of the rates (scale, delay); limits of changes grow with it.
     disturbance_direction : tuple of float
         Last two rows of Bd, eq. (31): accelerations of the absolute angles per unit of d.
     disturbance_mean, disturbance_variance : float
@@ -78,6 +80,9 @@ class ArmParameters:
         Relative error of masses and inertias that thresholds must tolerate.
     payload : float
         Largest unknown point mass at the tip that thresholds must tolerate [kg].
+    torque_tolerance : tuple of float
+        Generalised torques that the model may miss for moments (transmission, ripple) [N m]; only
+        the test of consistency needs them, what lasts belongs to the entries above.
     torque_limit : tuple of float
         Largest joint torques [N m].
     velocity_limit : tuple of float
@@ -105,11 +110,13 @@ class ArmParameters:
     arrangement: str = 'relative'
     position_noise: float = 1e-3
     velocity_noise: float = 1e-2
+    velocity_error: float = 0.0
     disturbance_direction: tuple = (0.7, 0.0)
     disturbance_mean: float = 0.2
     disturbance_variance: float = 0.9
     model_error: float = 0.0
     payload: float = 0.0
+    torque_tolerance: tuple = (0.0, 0.0)
     torque_limit: tuple = (1e9, 1e9)
     velocity_limit: tuple = (100.0, 100.0)
     orientation: str = 'upright'
@@ -304,6 +311,7 @@ def parse_arm(data, source='arm'):
     region.finish()
     fields['model_error'] = top.number('model_error', 0.0, 0.0, 0.5)
     fields['payload'] = top.number('payload', 0.0, 0.0)
+    fields['torque_tolerance'] = top.pair('torque_tolerance', 0.0, low=0.0)
     fields['sample_time'] = top.number('sample_time', 0.002, 1e-5, 0.1)
     top.finish()
     arm = ArmParameters(**fields)
@@ -359,6 +367,7 @@ def _joints_and_sensors(top):
         'arrangement': sensors.text('arrangement', choices=('absolute', 'relative')),
         'position_noise': sensors.number('position_noise', above=0.0),
         'velocity_noise': sensors.number('velocity_noise', above=0.0),
+        'velocity_error': sensors.number('velocity_error', 0.0, 0.0, 0.5),
     }
     joints.finish()
     sensors.finish()

@@ -89,7 +89,8 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
         if fresh is not None:
             estimate, diagnosis = fresh, diagnoser.update(fresh)
             alarms += diagnosis.events
-        if estimate is None:  # no start value yet: the brakes stay engaged
+        # No start value yet, or a fault that cannot be compensated: the brakes engage.
+        if estimate is None or not diagnosis.trustworthy:
             plant.hold()
             continue
         position = feedback_position(compensation, estimate, diagnosis.confirmed_fault,

@@ -1,4 +1,4 @@
-"""From fault estimates to alarms: bound, dwell, hysteresis, per physical sensor."""
+"""From fault estimates to alarms, to what is compensated, and to whether to go on at all."""
 
 import math
 from dataclasses import dataclass
@@ -6,8 +6,12 @@ from enum import IntEnum
 
 import numpy as np
 
+from lpv_core.change_test import ChangeTest, sigmas_for
+from lpv_core.consistency import ConsistencyTest
 from lpv_core.error_bound import make_bound
-from lpv_core.observer import NANOSECONDS, Mode
+from lpv_core.joints import JointMap
+from lpv_core.observer import Mode
+from lpv_core.sensor_decision import Sample, SensorDecision
 
 
 class SensorState(IntEnum):
@@ -48,6 +52,14 @@ class DiagnosisParameters:
         Multiple of the noise part in the bound.
     friction_uncertainty : float
         Relative uncertainty of Coulomb friction.
+    false_alarm_hours : float
+        Mean time between false alarms by noise, for the limits of changes [h].
+    latch : bool
+        Alarms stay until they are reset, even if the fault is over.
+    compensation_rate : float
+        How fast a compensation without a known step is faded in and out [rad/s].
+    safe_stop_bound : float
+        A confirmed fault with a wider bound than this cannot be compensated safely [rad].
     """
 
     threshold_factor: float = 1.0
@@ -57,6 +69,10 @@ class DiagnosisParameters:
     hysteresis: float = 0.7
     sigmas: float = 4.0
     friction_uncertainty: float = 0.3
+    false_alarm_hours: float = 1000.0
+    latch: bool = False
+    compensation_rate: float = 0.5
+    safe_stop_bound: float = 1.5
 
 
 @dataclass(frozen=True)
@@ -74,12 +90,13 @@ class Alarm:
     onset, detected : int
         First sample above the threshold and time of the decision [ns].
     size, bound : float
-        Fault estimate and bound of its error at the event [rad].
+        Fault at the event, with sign, and bound on the error of its level [rad]; a fault that was
+        seen as a change is known better than that.
     kind : str
-        ``unclassified`` until a kind is identified.
+        One of `lpv_core.fault_kind.KINDS`.
     confidence : float
-        One minus the probability of a healthy estimate this large, taking the bound as
-        ``sigmas`` standard deviations of a normal error.
+        One minus the probability of a healthy estimate like this: taking the bound as ``sigmas``
+        standard deviations of a normal error, or from the mean time between false alarms.
     """
 
     event: AlarmEvent
@@ -91,30 +108,6 @@ class Alarm:
     bound: float
     kind: str
     confidence: float
-
-
-@dataclass
-class SensorStatus:
-    """Running decision of one sensor.
-
-    Attributes
-    ----------
-    alarm : bool
-        Whether a fault is confirmed.
-    above_since, below_since : int or None
-        Stamps of the current excursion [ns].
-    onset, detected : int
-        Of the present or last alarm [ns].
-    reported : float
-        Fault estimate of its latest event [rad].
-    """
-
-    alarm: bool = False
-    above_since: int = None
-    below_since: int = None
-    onset: int = 0
-    detected: int = 0
-    reported: float = 0.0
 
 
 @dataclass
@@ -130,9 +123,14 @@ class Diagnosis:
     alarm : ndarray of bool, shape (2,)
         Confirmed faults.
     confirmed_fault : ndarray, shape (2,)
-        Fault estimates of confirmed sensors, zero elsewhere [rad].
+        What is to be removed from the readings: confirmed faults, faded in and out where their
+        size was not known at once [rad].
     events : list of Alarm
         What changed at this sample.
+    inconsistent : bool
+        Rates, torques and model contradict each other; the cause is unknown.
+    trustworthy : bool
+        False if a confirmed fault cannot be compensated safely: the arm should stop.
     """
 
     bound: np.ndarray
@@ -141,10 +139,12 @@ class Diagnosis:
     alarm: np.ndarray
     confirmed_fault: np.ndarray
     events: list
+    inconsistent: bool = False
+    trustworthy: bool = True
 
 
 class Diagnoser:
-    """Threshold test with dwell and hysteresis on each fault estimate.
+    """Bounds, decisions of both sensors, consistency, and what to compensate.
 
     Parameters
     ----------
@@ -157,12 +157,23 @@ class Diagnoser:
     """
 
     def __init__(self, arm, gains, parameters=None):
-        self.parameters = parameters or DiagnosisParameters()
-        self._arm = arm
-        self._gains = gains
-        self.bound = self._make_bound()
-        self.sensors = [SensorStatus(), SensorStatus()]
+        self._arm, self._gains = arm, gains
+        self._tune(parameters or DiagnosisParameters())
+        self.sensors = [SensorDecision(arm, self._changes, self.parameters) for _ in range(2)]
+        self._sensor_matrix = JointMap(arm).sensor_matrix
         self._stamp = None
+        self._applied = np.zeros(2)
+
+    def _tune(self, parameters):
+        self.parameters = parameters
+        self.bound = make_bound(self._arm, self._gains, parameters.sigmas,
+                                parameters.friction_uncertainty)
+        self._changes = ChangeTest(self._arm, parameters.false_alarm_hours,
+                                   parameters.minimum_threshold)
+        self._consistency = None
+        if self._gains.observer.method == 'exact':
+            sigmas = sigmas_for(parameters.false_alarm_hours, self._arm.sample_time)
+            self._consistency = ConsistencyTest(self._arm, self._gains, sigmas)
 
     def retune(self, parameters):
         """Change the tuning while running; alarms stay as they are.
@@ -172,19 +183,21 @@ class Diagnoser:
         parameters : DiagnosisParameters
             The new tuning.
         """
-        self.parameters = parameters
-        before, self.bound = self.bound, self._make_bound()
+        before = self.bound
+        self._tune(parameters)
         self.bound.adopt(before)
-
-    def _make_bound(self):
-        return make_bound(self._arm, self._gains, self.parameters.sigmas,
-                          self.parameters.friction_uncertainty)
+        for sensor in self.sensors:
+            sensor.parameters, sensor.changes = parameters, self._changes
 
     def reset(self):
         """Clear alarms and history."""
         self.bound.reset()
+        if self._consistency is not None:
+            self._consistency.reset()
+        for sensor in self.sensors:
+            sensor.reset()
         self._stamp = None
-        self.sensors = [SensorStatus(), SensorStatus()]
+        self._applied[:] = 0.0
 
     def update(self, estimate):
         """Decide on one estimate.
@@ -200,24 +213,34 @@ class Diagnoser:
             Bounds, states, alarms and events.
         """
         if self._stamp is not None and estimate.stamp < self._stamp:
-            for sensor in self.sensors:  # time restarted: stamps of before mean nothing
-                sensor.above_since = sensor.below_since = None
+            for sensor in self.sensors:
+                sensor.restart()
         self._stamp = estimate.stamp
         bound = self.bound.update(estimate)
         threshold = np.maximum(self.parameters.threshold_factor * bound,
                                self.parameters.minimum_threshold)
-        events, state = [], []
-        lost = self._lost(estimate)
-        for i, sensor in enumerate(self.sensors):
-            size = abs(float(estimate.fault[i]))
-            if lost[i] or estimate.missing[i]:
-                sensor.above_since = sensor.below_since = None  # what comes next is new evidence
-            else:
-                events += self._decide(i, sensor, estimate, size, bound[i], threshold[i])
-            state.append(self._state(sensor, size, threshold[i], lost[i], estimate.missing[i]))
+        inconsistent = self._consistency is not None and self._consistency.update(
+            estimate, self.bound.momentum())
+        events, state = self._decide(estimate, bound, threshold, inconsistent)
         alarm = np.array([s.alarm for s in self.sensors])
-        confirmed = np.where(alarm, estimate.fault, 0.0)
-        return Diagnosis(bound, threshold, state, alarm, confirmed, events)
+        return Diagnosis(bound, threshold, state, alarm, self._compensate(estimate.interval),
+                         events, inconsistent, self._is_trustworthy(bound, inconsistent))
+
+    def _decide(self, estimate, bound, threshold, inconsistent):
+        events, state = [], []
+        rates = np.abs(self._sensor_matrix @ estimate.absolute_velocity)
+        lost, speed = self._lost(estimate), self.bound.speed() + self._arm.velocity_error * rates
+        expected = self._sensor_matrix @ estimate.absolute_position
+        for i, sensor in enumerate(self.sensors):
+            sample = Sample(estimate.stamp, float(estimate.fault[i]),
+                            float(estimate.sensor_position[i]), float(expected[i]),
+                            float(threshold[i]), float(speed[i]), bool(estimate.missing[i]),
+                            bool(lost[i]), inconsistent)
+            decided = sensor.update(sample)
+            if decided is not None:
+                events.append(self._alarm(decided, i, bound[i], inconsistent))
+            state.append(_state(sensor, sample))
+        return events, state
 
     def _lost(self, estimate):
         """Sensors that see a held link: their estimate is not renewed by gravity."""
@@ -225,40 +248,39 @@ class Diagnoser:
             return np.array([True, True])
         return (self.bound.spread @ estimate.held) > 0
 
-    def _state(self, sensor, size, threshold, lost, missing):
-        if missing:
-            return SensorState.STALE
-        if sensor.alarm:
-            return SensorState.ERROR
-        if lost:
-            return SensorState.NOT_DIAGNOSABLE
-        return SensorState.WARN if size > threshold else SensorState.OK
+    def _compensate(self, interval):
+        """Follow confirmed faults: at once where a step was seen, faded in and out otherwise."""
+        step = self.parameters.compensation_rate * interval
+        for i, sensor in enumerate(self.sensors):
+            target = sensor.size if sensor.compensable else 0.0
+            gap = target - self._applied[i]
+            if not (sensor.compensable and (sensor.by_change or abs(gap) <= 2.0 * step)):
+                gap = min(max(gap, -step), step)
+            self._applied[i] += gap
+        return self._applied.copy()
 
-    def _decide(self, index, sensor, estimate, size, bound, threshold):
-        now, p = estimate.stamp, self.parameters
-        if size > threshold:
-            sensor.below_since = None
-            if sensor.above_since is None:
-                sensor.above_since = now
-            if not sensor.alarm and now - sensor.above_since >= p.dwell * NANOSECONDS:
-                sensor.alarm, sensor.onset, sensor.detected = True, sensor.above_since, now
-                return [self._alarm(AlarmEvent.RAISED, index, estimate, bound)]
-            if sensor.alarm and abs(estimate.fault[index] - sensor.reported) > bound:
-                return [self._alarm(AlarmEvent.UPDATED, index, estimate, bound)]
-        else:
-            sensor.above_since = None
-            if not sensor.alarm or size > p.hysteresis * threshold:
-                sensor.below_since = None
-            elif sensor.below_since is None:
-                sensor.below_since = now
-            elif now - sensor.below_since >= p.clear_dwell * NANOSECONDS:
-                sensor.alarm, sensor.below_since = False, None
-                return [self._alarm(AlarmEvent.CLEARED, index, estimate, bound)]
-        return []
+    def _is_trustworthy(self, bound, inconsistent):
+        wide = bound > self.parameters.safe_stop_bound
+        return not any(s.compensable and (inconsistent or wide[i]) and not s.by_change
+                       for i, s in enumerate(self.sensors))
 
-    def _alarm(self, event, index, estimate, bound):
+    def _alarm(self, event, index, bound, inconsistent):
         sensor = self.sensors[index]
-        sensor.reported = size = float(estimate.fault[index])
-        normalised = self.parameters.sigmas * abs(size) / max(float(bound), 1e-12)
-        return Alarm(event, index, self._arm.sensor_names[index], sensor.onset, sensor.detected,
-                     size, float(bound), 'unclassified', math.erf(normalised / math.sqrt(2.0)))
+        normalised = self.parameters.sigmas * abs(sensor.size) / max(float(bound), 1e-12)
+        confidence = math.erf(normalised / math.sqrt(2.0))
+        if sensor.by_change or sensor.kind == 'dropout':
+            confidence = 1.0 - 1.0 / (3600.0 * self.parameters.false_alarm_hours)
+        return Alarm(AlarmEvent[event.upper()], index, self._arm.sensor_names[index], sensor.onset,
+                     sensor.detected, float(sensor.size), float(bound), sensor.kind,
+                     0.5 * confidence if inconsistent and not sensor.by_change else confidence)
+
+
+def _state(sensor, sample):
+    if sample.missing:
+        return SensorState.STALE
+    if sensor.alarm:
+        return SensorState.ERROR
+    if sample.lost:
+        return SensorState.NOT_DIAGNOSABLE
+    above = abs(sample.fault) > sample.threshold
+    return SensorState.WARN if above or sample.inconsistent else SensorState.OK

@@ -14,6 +14,7 @@ from lpv_core.joints import JointMap
 from lpv_core.unknown_torque import UnknownTorque
 from lpv_core.zonotope import COLUMNS, extent, map_columns, reduce_columns
 
+_FASTEST = 100.0
 _RATE_BIAS = 0.1
 """Bias of a rate sensor, over the standard deviation of its noise."""
 
@@ -56,8 +57,8 @@ def error_matrix(theta, rate, acc, kappa, mu, held, sign, arm, out):
 
 
 @njit
-def advance_set(columns, count, n, push, dt, work):
-    """Map a zonotope by exp(N dt) to second order and add a box of inputs on r_1, r_2.
+def advance_set(columns, count, n, push, slip, dt, work):
+    """Map a zonotope by exp(N dt) to second order and add a box of inputs.
 
     Parameters
     ----------
@@ -69,6 +70,8 @@ def advance_set(columns, count, n, push, dt, work):
         N.
     push : ndarray, shape (2,)
         Bounds on the inputs of r_1 and r_2 [rad/s2].
+    slip : ndarray, shape (2,)
+        Bounds on the inputs of e_1 and e_2: bias of the rates [rad/s].
     dt : float
         Interval [s].
     work : ndarray, shape (4,)
@@ -86,8 +89,10 @@ def advance_set(columns, count, n, push, dt, work):
         columns[2 + i, count] = dt * push[i]
         # Half a step's travel of the input, for its effect within the interval.
         columns[i, count] = 0.5 * dt * dt * n[i, 2 + i] * push[i]
-        count += 1
-    if count + 2 > columns.shape[1]:
+        columns[:, count + 1] = 0.0
+        columns[i, count + 1] = dt * slip[i]
+        count += 2
+    if count + 4 > columns.shape[1]:
         count = reduce_columns(columns, count, work)
     return count
 
@@ -121,10 +126,11 @@ class ReachableBound:
         self.spread = np.abs(JointMap(arm).sensor_matrix)
         self.noise = sigmas * np.asarray(gains.observer.fault_sigma)
         self._angle_noise = np.linalg.solve(self.spread, self.noise)
-        self._start = sigmas * arm.position_noise * np.abs(
-            np.linalg.inv(JointMap(arm).sensor_matrix)).sum(axis=1)
-        self._drift = sigmas * arm.velocity_noise * math.sqrt(arm.sample_time)
-        self._bias = _RATE_BIAS * arm.velocity_noise
+        to_angle = np.abs(np.linalg.inv(JointMap(arm).sensor_matrix))
+        self._start = sigmas * arm.position_noise * to_angle.sum(axis=1)
+        self._drift = (sigmas * arm.velocity_noise * math.sqrt(arm.sample_time)
+                       * np.hypot(*to_angle.T))
+        self._bias = _RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1)
         self._unknown = UnknownTorque(arm, friction_uncertainty)
         self._gravity = self._constants[[G_1, G_2]]
         self._inertia = self._constants[[A_11, C_22]]
@@ -178,16 +184,25 @@ class ReachableBound:
         steps = max(1, math.ceil(estimate.interval * self._mu.max() / 0.5))
         for _ in range(steps):
             self._count = advance_set(self._columns, self._count, self._n,
-                                      torque / self._inertia, estimate.interval / steps,
-                                      self._work)
+                                      torque / self._inertia, self._bias,
+                                      estimate.interval / steps, self._work)
+
+    def speed(self):
+        """Bound on the speed of each sensor's fault-estimate error, noise apart [rad/s]."""
+        angle = self._kappa * self._inertia * np.minimum(self._extent[2:], _FASTEST) + self._bias
+        return self.spread @ angle
+
+    def momentum(self):
+        """Bound on the momentum error of each link over Xi_ii [rad/s]."""
+        return self._extent[2:]
 
     def _dead_reckoning(self, estimate):
-        """Integrated error of the rates while a link is held [rad]; it is unlearnt as slowly."""
+        """Integrated noise of the rates while a link is held [rad]; it is unlearnt as slowly."""
         fall = math.exp(-estimate.interval * float(np.min(
             self._kappa * self._gravity * self._arm.cos_min / self._mu)))
         self._held_for = np.where(estimate.held, self._held_for + estimate.interval,
                                   self._held_for * fall)
-        return self._drift * np.sqrt(self._held_for) + self._bias * self._held_for
+        return self._drift * np.sqrt(self._held_for)
 
     def static(self, theta):
         """Bound at rest in one configuration, after all transients.
@@ -205,7 +220,8 @@ class ReachableBound:
             Per physical sensor [rad]; infinite where gravity cannot bound it.
         """
         still, error = np.zeros(2), np.zeros(2)
-        torque = self._unknown(theta, still, still, still).copy()
+        # A bias of the rates is held up by a momentum, and that by a torque.
+        torque = self._unknown(theta, still, still, still) + self._bias * self._mu / self._kappa
         # Distance from the vertical; the slope falls with it.
         away = np.arccos(np.clip(self._arm.sign * np.cos(theta), -1.0, 1.0))
         for _ in range(100):
@@ -253,6 +269,14 @@ class LaggedBound:
     def _angle_error(self, theta):
         torque = self._unknown(theta, *np.zeros((3, 2)))
         return torque / (self._gravity * np.maximum(np.abs(np.cos(theta)), self._arm.cos_min))
+
+    def speed(self):
+        """As `ReachableBound.speed`; twice what the error covers at the decay rate."""
+        return self.spread @ (2.0 * self._decay * self.e + 0.02)
+
+    def momentum(self):
+        """Nothing is known of it."""
+        return np.full(2, math.inf)
 
     def update(self, estimate):
         """As `ReachableBound.update`."""

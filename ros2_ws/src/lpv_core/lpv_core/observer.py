@@ -79,6 +79,8 @@ class Estimate:
         Time since the previous estimate [s].
     absolute_velocity, absolute_acceleration : ndarray, shape (2,)
         Measured theta' and the model's theta'' at the estimate [rad/s], [rad/s2].
+    innovation : ndarray, shape (2,)
+        Estimated minus measured theta' [rad/s].
     mode : Mode
         Summary.
     """
@@ -96,6 +98,7 @@ class Estimate:
     interval: float
     absolute_velocity: np.ndarray
     absolute_acceleration: np.ndarray
+    innovation: np.ndarray
     mode: Mode = field(default=Mode.OBSERVING)
 
 
@@ -301,7 +304,7 @@ class UnknownInputObserver:
             held=self._held.copy(), missing=missing, interval=interval, absolute_velocity=rate,
             absolute_acceleration=np.array(acceleration(
                 x[0], x[1], rate[0], rate[1], self._torque[0], self._torque[1],
-                self._constants)), mode=mode)
+                self._constants)), innovation=x[2:4] - rate, mode=mode)
 
 
 def _two(values, name):

@@ -39,9 +39,11 @@ def unknown_torque(theta, rate, acc, margin, arm, model_error, payload, lengths,
     """
     cosine, sine = abs(math.cos(theta[0] - theta[1])), abs(math.sin(theta[0] - theta[1]))
     off = abs(coupling(theta[0], theta[1], arm))
-    a_1, a_2 = abs(acc[0]), abs(acc[1])
+    # The model's own accelerations are wrong by as much as the model is.
+    a_1, a_2 = abs(acc[0]) * (1.0 + 2.0 * model_error), abs(acc[1]) * (1.0 + 2.0 * model_error)
     s_1, s_2 = rate[0] * rate[0], rate[1] * rate[1]
-    lift_1, lift_2 = abs(math.sin(theta[0])), abs(math.sin(theta[1]))
+    lift_1 = min(1.0, abs(math.sin(theta[0])) + margin[0])
+    lift_2 = min(1.0, abs(math.sin(theta[1])) + margin[1])
     swing_1, swing_2 = cosine * a_2 + sine * s_2, cosine * a_1 + sine * s_1
     # Every entry of Xi, h and g is a sum of products with one mass or inertia each.
     wrong_1 = arm[A_11] * a_1 + arm[B_12] * swing_1 + arm[G_1] * lift_1
@@ -61,8 +63,8 @@ def unknown_torque(theta, rate, acc, margin, arm, model_error, payload, lengths,
               + off * push[0] + arm[C_22] * push[1])
     # What linearised gravity, inertia and Coriolis terms leave out (Taylor's theorem).
     both = 0.5 * arm[B_12] * (margin[0] + margin[1]) ** 2
-    out[0] += 0.5 * arm[G_1] * margin[0] ** 2 + both * (s_2 + a_2)
-    out[1] += 0.5 * arm[G_2] * margin[1] ** 2 + both * (s_1 + a_1)
+    out[0] += 0.5 * arm[G_1] * lift_1 * margin[0] ** 2 + both * (s_2 + a_2)
+    out[1] += 0.5 * arm[G_2] * lift_2 * margin[1] ** 2 + both * (s_1 + a_1)
 
 
 class UnknownTorque:

@@ -78,7 +78,7 @@ class TrackerNode(ManagedNode):
             if self._last - stamp < NANOSECONDS:
                 return  # duplicate or out of order
             self._start = None  # time started anew, and so does the path
-        if message.mode == StateEstimate.NO_ESTIMATE:
+        if not message.trustworthy:
             self._publish_safe_stop(stamp)
             return
         if self._start is None:

@@ -1,0 +1,199 @@
+"""The design's own inequalities in four SDP solvers: time, what each says, and what is true.
+
+The problems are those that `lpv design` solves for the paper's arm (both links of method exact,
+LMI (55) on the box phi2, phi3 >= 0.96, LMI (67) with guaranteed cost on 16 vertices); only the
+solver's name is exchanged, every solver keeps its default settings.  Margins are the largest
+eigenvalues of the inequalities rebuilt in NumPy from the returned numbers: negative means that they
+hold, whatever the solver says.  ``certified`` are P > 0, (55), (67) and the observer's pole region,
+which the certificate asks of gains; ``others`` are H2 and cost inequalities and the pole region of
+the controller, on whose border an optimum lies.  Statuses and the worst margin are of all rounds,
+ratios to Clarabel are of whole calls, in this very run.
+"""
+
+import os
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from unittest import mock
+
+import cvxpy as cp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from lpv_core.arm import G_1, G_2, load_arm
+from lpv_core.certificate import controller_loop
+from lpv_core.error_system import link_errors
+from lpv_core.lmi import covariance, disc, largest_eigenvalue
+from lpv_core.resources import bringup_file
+from lpv_design.controller import check_loop, solve_loop
+from lpv_design.exact_observer import solve_link
+from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
+from lpv_design.requirement import PaperRequirement, load_requirement
+
+SOLVERS = ('CLARABEL', 'SCS', 'CVXOPT', 'SDPA')
+ROUNDS = 5
+BUDGET = 5.0
+"""No further round of a problem once this much time has gone into it [s]."""
+
+
+@dataclass
+class Outcome:
+    """What one solver made of one problem."""
+
+    status: str
+    total: float = np.nan
+    inside: float = np.nan
+    certified: float = np.nan
+    others: float = np.nan
+
+
+@contextmanager
+def recorded():
+    """Collect (total, canonicalisation) [s] of every cvxpy problem solved within."""
+    found, solve = [], cp.Problem.solve
+
+    def timed(problem, *args, **kwargs):
+        start = time.perf_counter()
+        try:
+            return solve(problem, *args, **kwargs)
+        finally:
+            found.append((time.perf_counter() - start, problem.compilation_time or 0.0))
+
+    with mock.patch.object(cp.Problem, 'solve', timed):
+        yield found
+
+
+@contextmanager
+def quiet():
+    """Keep away what compiled solvers print past Python."""
+    kept, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(sink)
+
+
+def exact_link(link, requirement):
+    """Gains of one link: status, margin of the pole region, margin of the H2 inequality."""
+    kappa, mu, p, status = solve_link(link, requirement)
+    if kappa is None:
+        return status, np.nan, np.nan
+    q, r = (0.5 * (requirement.fastest + s * requirement.decay) for s in (1.0, -1.0))
+    injection = -np.array([[kappa * link.inertia], [mu]])
+    certified, others = [largest_eigenvalue(-p)], []
+    for slope in link.slopes:
+        pn = p @ link.closed(slope, kappa, mu)
+        certified.append(largest_eigenvalue(disc(p, pn, q, r)))
+        for noise in link.noises(requirement.acceleration_noise, requirement.rate_noise):
+            pb = p @ (noise.direct + injection @ noise.measured) / link.unit
+            others.append(largest_eigenvalue(covariance(pn, pb)))
+    return status, max(certified), max(others)
+
+
+def paper_55(arm, gamma):
+    """LMI (55) on the shipped box, for a given gamma or (None) the least one."""
+    wanted = PaperRequirement()
+    problem = paper_problem(arm, wanted.sinc_min, wanted.q, wanted.r)
+    k, p, gamma, status = solve_paper(problem, '55', gamma)
+    margin = np.nan if k is None else check_paper(problem, k, p, gamma, '55')
+    return status, margin, np.nan
+
+
+def controller_67(arm, requirement):
+    """Controller: status, margin of LMI (67), margin of cost and poles; all balanced by Q."""
+    loop = controller_loop(arm, 'exact')
+    m, q, status = solve_loop(arm, loop, requirement)
+    if m is None:
+        return status, np.nan, np.nan
+    certified, others = [check_loop(loop, m, q, requirement.alpha)], []
+    if largest_eigenvalue(-q) >= 0.0:
+        return status, max(certified), np.nan
+    factor = np.linalg.inv(np.linalg.cholesky(q))
+    root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
+    x = np.sqrt(requirement.torque_weight) * m / arm.constants()[[G_1, G_2], None] @ q
+    center, radius = (0.5 * (requirement.fastest + s * requirement.alpha) for s in (1.0, -1.0))
+    for a, b in zip(*loop):
+        closed = (a + b @ m) @ q
+        cost = closed + closed.T + q @ root @ root @ q + x.T @ x
+        balanced = factor @ closed @ factor.T
+        others.append(largest_eigenvalue(factor @ cost @ factor.T))
+        others.append(largest_eigenvalue(disc(np.eye(6), balanced, center, radius)))
+    return status, max(certified), max(others)
+
+
+def problems(arm):
+    """Name and solving function of every problem."""
+    wanted = load_requirement('paper')
+    links = link_errors(arm)
+    return {
+        'observer, link 1': lambda: exact_link(links[0], wanted.observer),
+        'observer, link 2': lambda: exact_link(links[1], wanted.observer),
+        'LMI (55), gamma = 1': lambda: paper_55(arm, 1.0),
+        'LMI (55), least gamma': lambda: paper_55(arm, None),
+        'LMI (67)': lambda: controller_67(arm, wanted.controller),
+    }
+
+
+def run(problem, solver):
+    """Median times over the rounds that fit the budget, every status, the worst margins."""
+    answers = []
+    with mock.patch('lpv_design.solve.SOLVER', solver), recorded() as times, quiet():
+        for _ in range(ROUNDS):
+            try:
+                answers.append(problem())
+            except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+                answers.append((type(error).__name__, np.nan, np.nan))
+            if sum(total for total, _ in times) > BUDGET:
+                break
+    total, compiled = np.array(times).T
+    status = ', '.join(dict.fromkeys(answer[0] for answer in answers))
+    worst = np.fmax.reduce([answer[1:] for answer in answers])
+    return Outcome(status, float(np.median(total)), float(np.median(total - compiled)), *worst)
+
+
+def cells(outcome, unit):
+    """Numbers of one row."""
+    def margin(value):
+        if np.isnan(value):
+            return '-'
+        return f'{value:.1e}' if value < 0.0 else f'[bold red]{value:+.1e}[/]'
+
+    if np.isnan(outcome.total):
+        return ['-'] * 5
+    return [f'{outcome.total:.3f}', f'{outcome.total / unit:.2f}', f'{outcome.inside:.3f}',
+            margin(outcome.certified), margin(outcome.others)]
+
+
+def show(console, results):
+    """One row for each problem and solver."""
+    table = Table(title='times: medians; margins: largest eigenvalue, negative = holds')
+    for name in ('problem', 'solver', 'status'):
+        table.add_column(name)
+    for name in ('call, s', '/ Clarabel', 'solver, s', 'certified', 'others'):
+        table.add_column(name, justify='right')
+    for name, outcomes in results.items():
+        unit = outcomes[SOLVERS[0]].total
+        for solver, outcome in outcomes.items():
+            table.add_row(name if solver == SOLVERS[0] else '', solver, outcome.status,
+                          *cells(outcome, unit), end_section=solver == SOLVERS[-1])
+    console.print(table)
+
+
+def main():
+    """Solve every problem with every solver that is installed."""
+    arm = load_arm(bringup_file('arms', 'paper'))
+    installed = cp.installed_solvers()
+    results = {
+        name: {solver: run(problem, solver) if solver in installed else Outcome('not installed')
+               for solver in SOLVERS}
+        for name, problem in problems(arm).items()}
+    console = Console()
+    show(console if console.is_terminal else Console(width=115), results)
+
+
+if __name__ == '__main__':
+    main()
