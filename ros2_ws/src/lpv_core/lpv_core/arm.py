@@ -178,15 +178,16 @@ class ArmParameters:
         Parameters
         ----------
         mass : float
-            Payload [kg], not negative.
+            Payload [kg]; a negative one takes away a payload that the model has.
 
         Returns
         -------
         ArmParameters
             Link 2 with combined mass, centre of mass and inertia.
         """
-        if not 0.0 <= mass < math.inf:
-            raise ConfigError('payload', f'must be finite and not negative, got {mass}')
+        if not -self.links[1].mass < mass < math.inf:
+            raise ConfigError('payload', 'must be finite and leave link 2 a mass, got '
+                              f'{mass}')
         link = self.links[1]
         total = link.mass + mass
         center = (link.mass * link.center_of_mass + mass * link.length) / total

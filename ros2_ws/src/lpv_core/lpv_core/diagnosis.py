@@ -229,7 +229,8 @@ class Diagnoser:
     def _decide(self, estimate, bound, threshold, inconsistent):
         events, state = [], []
         rates = np.abs(self._sensor_matrix @ estimate.absolute_velocity)
-        lost, speed = self._lost(estimate), self.bound.speed() + self._arm.velocity_error * rates
+        lost = self._lost(estimate, bound)
+        speed = self.bound.speed() + self._arm.velocity_error * rates
         expected = self._sensor_matrix @ estimate.absolute_position
         for i, sensor in enumerate(self.sensors):
             sample = Sample(estimate.stamp, float(estimate.fault[i]),
@@ -242,11 +243,12 @@ class Diagnoser:
             state.append(_state(sensor, sample))
         return events, state
 
-    def _lost(self, estimate):
-        """Sensors that see a held link: their estimate is not renewed by gravity."""
+    def _lost(self, estimate, bound):
+        """Sensors whose level says nothing: gravity does not renew it, or not closely enough."""
         if estimate.mode == Mode.INITIALISING:
             return np.array([True, True])
-        return (self.bound.spread @ estimate.held) > 0
+        held = (self.bound.spread @ estimate.held) > 0
+        return held | (bound > self.parameters.safe_stop_bound)
 
     def _compensate(self, interval):
         """Follow confirmed faults: at once where a step was seen, faded in and out otherwise."""

@@ -1,6 +1,6 @@
 """What happens in a simulated run: path, faults, noise, disturbance, plant; from one YAML file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,9 @@ class Scenario:
     mass_factors, inertia_factors : tuple of float
         Model error: true over nominal, per link.
     payload : float
-        Point mass at the tip that no model knows [kg].
+        Point mass at the tip beside the model's; negative: less than the model has [kg].
+    friction_factor : float
+        True over nominal friction.
     noise, disturbance : bool
         Whether sensors are noisy and d acts.
     times : tuple of float
@@ -55,6 +57,7 @@ class Scenario:
     mass_factors: tuple
     inertia_factors: tuple
     payload: float
+    friction_factor: float
     noise: bool
     disturbance: bool
     times: tuple
@@ -92,6 +95,8 @@ class Scenario:
             What is simulated.
         """
         scaled = arm.scaled(self.mass_factors, self.inertia_factors)
+        scaled = replace(scaled, viscous=tuple(self.friction_factor * v for v in arm.viscous),
+                         coulomb=tuple(self.friction_factor * v for v in arm.coulomb))
         return scaled.with_payload(self.payload) if self.payload else scaled
 
 
@@ -156,7 +161,9 @@ def parse_scenario(data, source='scenario'):
         sinc_min=plant.number('sinc_min', -0.2, -0.3, 0.99),
         mass_factors=plant.pair('mass_factors', 1.0, above=0.0),
         inertia_factors=plant.pair('inertia_factors', 1.0, above=0.0),
-        payload=plant.number('payload', 0.0, low=0.0), noise=top.flag('noise', True),
+        payload=plant.number('payload', 0.0),
+        friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
+        noise=top.flag('noise', True),
         disturbance=top.flag('disturbance', True), times=times, points=points, elbow=elbow,
         obstacle=obstacle, faults=parse_faults(top))
     plant.finish()
