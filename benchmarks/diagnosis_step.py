@@ -9,10 +9,9 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
+from kalman_peers import make_ekf
 
 from lpv_core.arm import load_arm
-from lpv_core.dynamics import acceleration
 from lpv_core.joints import JointMap
 from lpv_core.monitor import SensorMonitor
 from lpv_core.resources import bringup_file
@@ -51,42 +50,9 @@ def ours(arm, gains, messages):
     return time.perf_counter() - start
 
 
-class Peer(ExtendedKalmanFilter):
-    """FilterPy's filter with the arm's equation of motion; Jacobian by differences."""
-
-    def __init__(self, arm):
-        super().__init__(dim_x=6, dim_z=4)
-        self._constants, self._dt = arm.constants(), arm.sample_time
-        self._h = np.hstack([np.eye(4), np.vstack([np.eye(2), np.zeros((2, 2))])])
-        self.Q = np.diag([1e-9, 1e-9, 1e-6, 1e-6, 1e-8, 1e-8])
-        self.R = np.diag([1e-6, 1e-6, 1e-4, 1e-4])
-
-    def _move(self, x, torque):
-        rate = np.array(acceleration(*x[:4], *torque, self._constants))
-        return np.concatenate([x[:2] + self._dt * x[2:4], x[2:4] + self._dt * rate, x[4:]])
-
-    def predict_x(self, u=0):
-        """As FilterPy asks."""
-        x = self.x.ravel()
-        moved = self._move(x, u)
-        self.F = np.eye(6)
-        for j in range(4):
-            step = np.zeros(6)
-            step[j] = 1e-6
-            self.F[:, j] = (self._move(x + step, u) - moved) / 1e-6
-        self.x = moved
-
-    def take(self, y, torque):
-        """One measurement."""
-        self.predict(torque)
-        self.update(y, lambda x: self._h, lambda x: self._h @ x)
-
-
 def peer(arm, messages):
     """Time of FilterPy over all messages [s]."""
-    joints, ekf = JointMap(arm), Peer(arm)
-    first = messages[0]
-    ekf.x = np.concatenate([joints.absolute_position(first.position), np.zeros(4)])
+    joints, ekf = JointMap(arm), make_ekf(arm, messages[0].position)
     start = time.perf_counter()
     for m in messages:
         y = np.concatenate([joints.sensor_position(m.position), joints.sensor_velocity(m.velocity)])

@@ -1,19 +1,24 @@
 """Integral tracking: LMI (67) on the paper's box, and on the exact polytope with a cost bound."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cvxpy as cp
 import numpy as np
 
 from lpv_core.arm import G_1, G_2
 from lpv_core.lmi import integral_feedback, largest_eigenvalue
-from lpv_design.solve import solve, symmetric_below
+from lpv_design.solve import run, solve, symmetric_below
 
 PUBLISHED_M1 = np.array([[-4426.747411, -0.001668, -420.832109, -0.000786],
                          [0.003075, -1440.412948, -0.000361, -145.310838]])
 """M1 of section 5 of the paper."""
 PUBLISHED_M2 = np.array([[13268.9910017, -0.0171864], [-0.0312571, 3932.6833916]])
 """M2 of section 5 of the paper."""
+
+
+_RESERVE = 0.02
+"""Relative tightening of the pole region in the solver, against what is checked."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,76 @@ def common_lyapunov(loop, m, alpha):
     return None if q.value is None else basis @ q.value @ basis.T
 
 
+class LoopProblem:
+    """Guaranteed-cost state feedback with integral action, compiled once for any vertices.
+
+    The disc of radius r = (fastest - alpha)/2 around -(fastest + alpha)/2 implies LMI (67): with
+    N = A_c Q + B_c X, (N + alpha Q) Q^-1 (N + alpha Q)^T >= 0 and the disc give
+    N + N^T + 2 alpha Q < 0.  The solver is therefore not given (67); its check is.
+
+    Parameters
+    ----------
+    vertices : int
+        Number of vertices.
+    requirement : ControllerRequirement
+        Decay, pole and cost requirements.
+    """
+
+    def __init__(self, vertices, requirement):
+        self._gravity = [cp.Parameter((2, 2)) for _ in range(vertices)]
+        self._inverse = [cp.Parameter((2, 2)) for _ in range(vertices)]
+        q = self._q = cp.Variable((6, 6), symmetric=True)
+        x = self._x = cp.Variable((2, 6))
+        w = cp.Variable((6, 6), symmetric=True)
+        root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
+        effort = np.sqrt(requirement.torque_weight)
+        slowest = (1.0 + _RESERVE) * requirement.alpha
+        fastest = (1.0 - _RESERVE) * requirement.fastest
+        center, radius = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
+        constraints = []
+        for gravity, inverse in zip(self._gravity, self._inverse):
+            # A_c Q + B_c X, with the rows of eq. (64) that do not depend on the vertex.
+            closed = cp.vstack([q[2:4], gravity @ q[:2] + inverse @ x, -q[:2]])
+            cost = cp.bmat([
+                [closed + closed.T, q @ root, effort * x.T],
+                [root @ q, -np.eye(6), np.zeros((6, 2))],
+                [effort * x, np.zeros((2, 6)), -np.eye(2)],
+            ])
+            shifted = center * q + closed
+            disc = cp.bmat([[-radius * q, shifted], [shifted.T, -radius * q]])
+            constraints += [symmetric_below(cost, 1e-7), symmetric_below(disc, 1e-7)]
+        constraints.append(cp.bmat([[w, np.eye(6)], [np.eye(6), q]]) >> 0)
+        self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
+
+    def solve(self, loop, unit):
+        """Gains for given vertices.
+
+        Parameters
+        ----------
+        loop : tuple of ndarray
+            A_c, B_c.
+        unit : ndarray, shape (2,)
+            Torques are counted in these units [N m].
+
+        Returns
+        -------
+        tuple
+            As `solve_loop`.
+        """
+        for a, b, gravity, inverse in zip(*loop, self._gravity, self._inverse):
+            gravity.value, inverse.value = a[2:4, :2], b[2:4] * unit
+        status = run(self._problem)
+        if self._q.value is None:
+            return None, None, status
+        m = unit[:, None] * self._x.value @ np.linalg.inv(self._q.value)
+        return m, self._q.value.copy(), status
+
+
+@lru_cache(maxsize=8)
+def _compiled(vertices, requirement):
+    return LoopProblem(vertices, requirement)
+
+
 def solve_loop(arm, loop, requirement):
     """Guaranteed-cost state feedback with integral action that satisfies LMI (67).
 
@@ -117,35 +192,7 @@ def solve_loop(arm, loop, requirement):
     tuple
         ``(m, q, status)``: [M1 M2] (2, 6) and Q (6, 6), or None where no point was found.
     """
-    unit = np.diag(_torque_unit(arm))
-    a_c, b_c = loop
-    q = cp.Variable((6, 6), symmetric=True)
-    x = cp.Variable((2, 6))
-    w = cp.Variable((6, 6), symmetric=True)
-    root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
-    effort = np.sqrt(requirement.torque_weight)
-    center = 0.5 * (requirement.alpha + requirement.fastest)
-    radius = 0.5 * (requirement.fastest - requirement.alpha)
-    constraints = []
-    for a, b in zip(a_c, b_c):
-        b = b @ unit
-        closed = a @ q + b @ x
-        cost = cp.bmat([
-            [closed + closed.T, q @ root, effort * x.T],
-            [root @ q, -np.eye(6), np.zeros((6, 2))],
-            [effort * x, np.zeros((2, 6)), -np.eye(2)],
-        ])
-        shifted = center * q + closed
-        constraints += [
-            symmetric_below(cost, 1e-7),
-            symmetric_below(integral_feedback(q, x, a, b, requirement.alpha), 1e-7),
-            symmetric_below(cp.bmat([[-radius * q, shifted], [shifted.T, -radius * q]]), 1e-7),
-        ]
-    constraints.append(cp.bmat([[w, np.eye(6)], [np.eye(6), q]]) >> 0)
-    status = solve(cp.trace(w), constraints)
-    if q.value is None:
-        return None, None, status
-    return unit @ x.value @ np.linalg.inv(q.value), q.value, status
+    return _compiled(len(loop[0]), requirement).solve(loop, _torque_unit(arm))
 
 
 def _torque_unit(arm):

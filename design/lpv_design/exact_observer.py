@@ -8,13 +8,14 @@ P^-1 bounds the covariance of the error; its trace is minimised.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cvxpy as cp
 import numpy as np
 
 from lpv_core.error_system import LinkError, link_errors
 from lpv_core.lmi import covariance, disc
-from lpv_design.solve import solve, symmetric_below
+from lpv_design.solve import run, symmetric_below
 
 _RESERVE = 0.02
 """Relative tightening of the pole region in the solver, against the certificate's."""
@@ -46,6 +47,70 @@ class ExactRequirement:
     velocity_weight: float = 0.02
 
 
+class LinkProblem:
+    """The inequalities of one link, compiled once; slopes and noise are parameters.
+
+    Parameters
+    ----------
+    inputs : int
+        White inputs of a link's error.
+    decay, fastest, velocity_weight : float
+        As in `ExactRequirement`.
+    """
+
+    def __init__(self, inputs, decay, fastest, velocity_weight):
+        self._p = cp.Variable((2, 2), symmetric=True)
+        self._y = cp.Variable((2, 1))
+        w = cp.Variable((2, 2), symmetric=True)
+        # An optimum lies on the border of what is asked; ask for more than is to be certified.
+        slowest, fastest = (1.0 + _RESERVE) * decay, (1.0 - _RESERVE) * fastest
+        q, r = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
+        self._slopes = [cp.Parameter(nonneg=True) for _ in range(2)]
+        self._noises = [(cp.Parameter((2, inputs)), cp.Parameter((1, inputs))) for _ in range(2)]
+        constraints = []
+        for slope in self._slopes:
+            # P A + Y C for A = [[0, 0], [slope, 0]], C = [0, 1].
+            pn = cp.hstack([slope * self._p[:, 1:2], self._y])
+            constraints.append(symmetric_below(disc(self._p, pn, q, r, cp.bmat), 1e-7))
+            for direct, measured in self._noises:
+                pb = self._p @ direct + self._y @ measured
+                constraints.append(symmetric_below(covariance(pn, pb, cp.bmat), 1e-7))
+        weight = np.diag([1.0, velocity_weight])
+        constraints.append(cp.bmat([[w, weight], [weight, self._p]]) >> 0)
+        self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
+
+    def solve(self, link, noises):
+        """Gains of one link.
+
+        Parameters
+        ----------
+        link : LinkError
+            The link's error system.
+        noises : list of Noise
+            Its white inputs at both ends of Xi12.
+
+        Returns
+        -------
+        tuple
+            ``(kappa, mu, p, status)``; kappa is None where no point was found.
+        """
+        for parameter, slope in zip(self._slopes, link.slopes):
+            parameter.value = slope / link.inertia
+        for (direct, measured), noise in zip(self._noises, noises):
+            direct.value, measured.value = noise.direct / link.unit, noise.measured / link.unit
+        status = run(self._problem)
+        if self._p.value is None:
+            return None, None, None, status
+        gain = -np.linalg.solve(self._p.value, self._y.value)[:, 0]
+        # The second state is m/Xi_ii.
+        return float(gain[0] / link.inertia), float(gain[1]), self._p.value.copy(), status
+
+
+@lru_cache(maxsize=8)
+def _compiled(inputs, decay, fastest, velocity_weight):
+    return LinkProblem(inputs, decay, fastest, velocity_weight)
+
+
 def solve_link(link: LinkError, requirement):
     """Gains of one link.
 
@@ -61,28 +126,10 @@ def solve_link(link: LinkError, requirement):
     tuple
         ``(kappa, mu, p, status)``; kappa is None where no point was found.
     """
-    p = cp.Variable((2, 2), symmetric=True)
-    y = cp.Variable((2, 1))
-    w = cp.Variable((2, 2), symmetric=True)
-    # An optimum lies on the border of what is asked; ask for more than is to be certified.
-    slowest, fastest = (1.0 + _RESERVE) * requirement.decay, (1.0 - _RESERVE) * requirement.fastest
-    q, r = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
-    constraints = []
-    for slope in link.slopes:
-        pn = p @ link.drift(slope) + y @ link.output
-        constraints.append(symmetric_below(disc(p, pn, q, r, cp.bmat), 1e-7))
-        for noise in link.noises(requirement.acceleration_noise, requirement.rate_noise):
-            pb = p @ noise.direct + y @ noise.measured
-            constraints.append(symmetric_below(
-                covariance(pn, pb / link.unit, cp.bmat), 1e-7))
-    weight = np.diag([1.0, requirement.velocity_weight])
-    constraints.append(cp.bmat([[w, weight], [weight, p]]) >> 0)
-    status = solve(cp.trace(w), constraints)
-    if p.value is None:
-        return None, None, None, status
-    gain = -np.linalg.solve(p.value, y.value)[:, 0]
-    # The second state is m/Xi_ii.
-    return float(gain[0] / link.inertia), float(gain[1]), p.value, status
+    noises = link.noises(requirement.acceleration_noise, requirement.rate_noise)
+    problem = _compiled(noises[0].direct.shape[1], requirement.decay, requirement.fastest,
+                        requirement.velocity_weight)
+    return problem.solve(link, noises)
 
 
 def solve_exact(arm, requirement):

@@ -15,10 +15,6 @@ class InfeasibleError(RuntimeError):
 def solve(objective, constraints):
     """Minimise with Clarabel and say what it said.
 
-    Clarabel often says ``optimal_inaccurate`` on points that satisfy every inequality, and a first
-    order solver may say ``optimal`` on points that violate them.  Callers rebuild the
-    inequalities; the returned word is for the record.
-
     Parameters
     ----------
     objective : cvxpy.Expression
@@ -31,7 +27,28 @@ def solve(objective, constraints):
     str
         Status; the variables then hold values if the solver found a point.
     """
-    problem = cp.Problem(cp.Minimize(objective), constraints)
+    return run(cp.Problem(cp.Minimize(objective), constraints))
+
+
+def run(problem):
+    """Solve a problem, for the first time or with other values of its parameters.
+
+    Clarabel often says ``optimal_inaccurate`` on points that satisfy every inequality, and a first
+    order solver may say ``optimal`` on points that violate them.  Callers rebuild the
+    inequalities; the returned word is for the record.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        What to solve.
+
+    Returns
+    -------
+    str
+        Status, as `solve`.
+    """
+    for variable in problem.variables():
+        variable.value = None  # a failed solution must not leave that of the time before
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')  # "may be inaccurate": decided by the rebuilt matrices
         try:
