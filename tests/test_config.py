@@ -318,7 +318,6 @@ def test_given_the_shipped_scenario_when_read_then_both_faults_overlap(two_fault
     ('plant.sinc_min', 1.0, 'plant.sinc_min'),
     ('plant.mass_factors', [1.0, 0.0], 'plant.mass_factors[1]'),
     ('plant.mass_factors', [1.0, 1.0, 1.0], 'plant.mass_factors'),
-    ('plant.payload', -0.5, 'plant.payload'),
     ('plant.payload', math.inf, 'plant.payload'),
     ('path.elbow', 'up', 'path.elbow'),
     ('path.waypoints', 'all', 'path.waypoints'),

@@ -329,5 +329,5 @@ def test_given_an_alarm_when_raised_and_cleared_then_both_are_answered_with_a_st
     assert raised.status[2]['message'] == 'fault confirmed'
     assert answers[200].state['compensated_position'] == pytest.approx(
         sample(200).position, abs=0.01)
-    assert describe(raised.events[0]).startswith('ALARM, link2_angle: fault estimate -0.3')
+    assert describe(raised.events[0]).startswith('ALARM, link2_angle: unclassified, -0.3')
     assert describe(cleared.events[0]).startswith('alarm cleared, link2_angle: ')

@@ -717,7 +717,7 @@ def test_given_a_file_of_faults_when_the_command_is_run_then_they_are_added(
     faults = tmp_path / 'faults.yaml'
     faults.write_text('faults:\n  - {sensor: link2_angle, kind: bias, onset: 1.0, size: -0.3}\n')
     assert main(command(source, faults=faults)) == 0
-    assert 'ALARM, link2_angle: fault estimate -0.' in capsys.readouterr().out
+    assert 'ALARM, link2_angle: unclassified, -0.' in capsys.readouterr().out
 
 
 FAULTS_OF_NOBODY = 'faults:\n  - {sensor: nose, kind: bias, onset: 1.0, size: 1.0}\n'

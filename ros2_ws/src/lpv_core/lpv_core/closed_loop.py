@@ -92,6 +92,8 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
         # No start value yet, or a fault that cannot be compensated: the brakes engage.
         if estimate is None or not diagnosis.trustworthy:
             plant.hold()
+            controller.reset()
+            previous = None
             continue
         position = feedback_position(compensation, estimate, diagnosis.confirmed_fault,
                                      observer.joints)

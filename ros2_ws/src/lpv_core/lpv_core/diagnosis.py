@@ -224,7 +224,8 @@ class Diagnoser:
         events, state = self._decide(estimate, bound, threshold, inconsistent)
         alarm = np.array([s.alarm for s in self.sensors])
         return Diagnosis(bound, threshold, state, alarm, self._compensate(estimate.interval),
-                         events, inconsistent, self._is_trustworthy(bound, inconsistent))
+                         events, inconsistent,
+                         self._is_trustworthy(np.abs(estimate.fault) > threshold, bound))
 
     def _decide(self, estimate, bound, threshold, inconsistent):
         events, state = [], []
@@ -261,10 +262,15 @@ class Diagnoser:
             self._applied[i] += gap
         return self._applied.copy()
 
-    def _is_trustworthy(self, bound, inconsistent):
-        wide = bound > self.parameters.safe_stop_bound
-        return not any(s.compensable and (inconsistent or wide[i]) and not s.by_change
-                       for i, s in enumerate(self.sensors))
+    def _is_trustworthy(self, above, bound):
+        """Not where a level beyond its bound has an unknown cause, or no close enough bound."""
+        for i, sensor in enumerate(self.sensors):
+            if sensor.alarm and sensor.kind == 'inconsistent' and above[i]:
+                return False
+            wide = bound[i] > self.parameters.safe_stop_bound
+            if sensor.compensable and not sensor.by_change and wide:
+                return False
+        return True
 
     def _alarm(self, event, index, bound, inconsistent):
         sensor = self.sensors[index]

@@ -207,9 +207,9 @@ def describe(event):
     Returns
     -------
     str
-        Sensor, size, bound and confidence.
+        Sensor, kind, size, bound and confidence.
     """
     words = {AlarmEvent.RAISED: 'ALARM', AlarmEvent.UPDATED: 'alarm updated',
              AlarmEvent.CLEARED: 'alarm cleared'}
-    return (f'{words[event.event]}, {event.sensor}: fault estimate {event.size:+.3f} rad, bound '
-            f'{event.bound:.3f} rad, confidence {event.confidence:.3f}')
+    return (f'{words[event.event]}, {event.sensor}: {event.kind}, {event.size:+.3f} rad, bound of '
+            f'the level {event.bound:.3f} rad, confidence {event.confidence:.3f}')

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_core.change_test import WINDOWS
 from lpv_core.fault_kind import classify, is_stuck, noise_level
 from lpv_core.history import History
 
@@ -16,6 +17,8 @@ NANOSECONDS = 1_000_000_000
 _SPIKES = 3
 """So many excursions shorter than the dwell within `_SPIKE_TIME` are a fault of kind spike."""
 _SPIKE_TIME = 1.0
+_COURSES = ('unclassified', 'bias', 'drift', 'scale')
+"""Kinds that wrong rates, torques or a wrong model can feign, as long as there is no step."""
 _DECIDED = 1.0
 """The kind is settled so long after the alarm [s]."""
 _LOOK = 0.05
@@ -91,7 +94,7 @@ class SensorDecision:
         self.alarm, self.kind = False, 'unclassified'
         self.onset = self.detected = 0
         self.size = self._reported = self._peak = self._baseline = 0.0
-        self._by_change = False
+        self._by_change = self._stepped = False
         self.forget()
 
     def forget(self):
@@ -176,10 +179,22 @@ class SensorDecision:
             self._since = None
             self._history.clear()
             return None
-        slow = self._window is None or self._window >= 2
-        kind = 'inconsistent' if sample.inconsistent and slow else 'unclassified'
         self._baseline = self._before if self._window is not None else 0.0
-        return self._raise(sample, kind, self._since, self._window is not None)
+        stepped = self._is_step(sample)
+        kind = 'inconsistent' if sample.inconsistent and not stepped else 'unclassified'
+        return self._raise(sample, kind, self._since, self._window is not None, stepped)
+
+    def _is_step(self, sample):
+        """Whether most of a change came from one sample to the next.
+
+        A reading can jump; what wrong rates, torques or models do to the estimate takes time.
+        """
+        if self._window is None:
+            return False
+        start = self._since - round(1.5 * WINDOWS[self._window] * NANOSECONDS)
+        _, values = self._history.since(start)
+        steps = np.abs(np.diff(values[:, History.FAULT], append=sample.fault))
+        return bool(steps.max(initial=0.0) >= 0.5 * abs(sample.fault - self._before))
 
     def _drop(self, sample):
         """An excursion shorter than the dwell is a spike if it was one of the shortest window."""
@@ -207,8 +222,9 @@ class SensorDecision:
         self._baseline = float(np.median(values[:, History.FAULT]))
         return self._raise(sample, kind, sample.stamp, True)
 
-    def _raise(self, sample, kind, onset, by_change):
-        self.alarm, self.kind, self._by_change = True, kind, by_change
+    def _raise(self, sample, kind, onset, by_change, stepped=False):
+        self.alarm, self.kind = True, kind
+        self._by_change, self._stepped = by_change, stepped
         self.onset, self.detected = onset, sample.stamp
         self.size = self._reported = sample.fault - self._baseline
         self._peak, self._since, self._below_since = abs(self.size), None, None
@@ -222,6 +238,9 @@ class SensorDecision:
     def _decide_alarm(self, sample):
         self.size = sample.fault - self._baseline
         self._peak = max(self._peak, abs(self.size))
+        if sample.inconsistent and not self._stepped and self.kind in _COURSES:
+            self.kind = 'inconsistent'
+            return 'updated'
         if self.kind in ('spike', 'noise', 'stuck'):
             over = self._quiet(sample)
         else:
@@ -251,9 +270,11 @@ class SensorDecision:
     def _quiet(self, sample):
         """Whether a fault without a lasting size is over."""
         _, values = self._history.last(50)
+        if len(values) < 10:
+            return False
         if self.kind == 'stuck' and np.ptp(values[:, History.READING]) < self._noise:
             return False  # a healthy reading shows its noise even at rest
-        calm = noise_level(values) < 2.0 * self._noise if len(values) >= 10 else False
+        calm = noise_level(values) < 2.0 * self._noise
         small = abs(self.size) < max(self.changes.limit(0, sample.speed),
                                      self.parameters.hysteresis * sample.threshold)
         return calm and small and not is_stuck(values, self._noise)

@@ -80,6 +80,8 @@ class TrackerNode(ManagedNode):
             self._start = None  # time started anew, and so does the path
         if not message.trustworthy:
             self._publish_safe_stop(stamp)
+            self._controller.reset()
+            self._last = stamp if self._start is not None else self._last
             return
         if self._start is None:
             self._start, self._last = stamp, stamp
