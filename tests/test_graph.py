@@ -147,7 +147,7 @@ def test_given_a_graph_when_it_runs_then_nobody_reads_the_ground_truth(
             commands = client.listen(TorqueCommand, 'torque_command', qos_profile_sensor_data)
             assert client.wait(lambda: len(commands) > 50)
             node = client.node
-            assert node.count_publishers('ground_truth') == 1
+            assert client.wait(lambda: node.count_publishers('ground_truth') == 1)
             assert node.count_subscribers('ground_truth') == 0
             types = dict(node.get_topic_names_and_types())
             assert types['/lpv/ground_truth'] == ['lpv_msgs/msg/GroundTruth']

@@ -37,12 +37,17 @@ class RecorderNode(ManagedNode):
         self._writer = self._search = None
         self._recorded, self._announced = {}, {}
         self._order = StampOrder(self._write)
+        self._taken = 0
 
     def setup(self):
         """Open the bag."""
         self._writer = BagWriter(required_text(self, 'output'))
         self._wanted = {self.resolve_topic_name(name)
                         for name in self.get_parameter('topics').value}
+
+    def progress(self):
+        """Messages taken so far."""
+        return self._taken
 
     def begin(self):
         """Look for publishers of the wanted topics."""
@@ -93,6 +98,7 @@ class RecorderNode(ManagedNode):
         stamped = self.lockstep and _starts_with_time(message_class)
 
         def store(data):
+            self._taken += 1
             if stamped:
                 self._order.add(topic, _leading_stamp(data), data)
             else:

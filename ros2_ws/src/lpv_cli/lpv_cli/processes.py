@@ -113,8 +113,11 @@ class Graph:
             if code is not None and not (node is finite and code == 0):
                 raise NodeFailure(f'{node.name} ended with code {code}:\n{_tail(node.log)}')
 
-    def stop(self, patience=10.0):
+    def stop(self, patience=15.0):
         """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
+
+        The node that was started first, the recorder where there is one, is stopped last: it takes
+        what the others send until they end.
 
         Parameters
         ----------
@@ -126,14 +129,15 @@ class Graph:
         dict
             Exit code by node name.
         """
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            running = [n for n in self.nodes if n.process.poll() is None]
-            for node in running:
-                _signal(node, number)
-            deadline = time.monotonic() + patience
-            for node in running:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    node.process.wait(max(0.0, deadline - time.monotonic()))
+        for group in (self.nodes[1:], self.nodes[:1]):
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+                running = [n for n in group if n.process.poll() is None]
+                for node in running:
+                    _signal(node, number)
+                deadline = time.monotonic() + patience
+                for node in running:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        node.process.wait(max(0.0, deadline - time.monotonic()))
         return {node.name: node.process.poll() for node in self.nodes}
 
 

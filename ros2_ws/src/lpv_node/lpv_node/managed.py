@@ -6,12 +6,16 @@ import time
 
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from lpv_core.errors import LpvError
 from lpv_node.parameters import Spec, declare
+
+_LONGEST_DRAIN = 10.0
+"""Longest time that stopping may take [s]."""
 
 COMMON = (
     Spec('autostart', True, 'configure and activate at start, without a lifecycle manager',
@@ -41,7 +45,7 @@ class ManagedNode(LifecycleNode):
     Attributes
     ----------
     drain_time : float
-        How long the node still takes what is queued after it was told to stop [s].
+        After it was told to stop, the node goes on until nothing has come for so long [s].
     """
 
     drain_time = 0.0
@@ -120,6 +124,10 @@ class ManagedNode(LifecycleNode):
 
     def setup(self):
         """Read files and parameters, create publishers; may raise LpvError."""
+
+    def progress(self):
+        """A count that grows with every message that was taken while stopping."""
+        return 0
 
     def outputs(self):
         """Publishers, each with the number of graph nodes that consume it."""
@@ -201,7 +209,19 @@ def _spin(node, stop):
     # A time-out lets Python see signals; without one EventsExecutor ignores them.
     while rclpy.ok() and not (node.finished or stop.set):
         executor.spin_once(timeout_sec=0.2)
-    deadline = time.monotonic() + node.drain_time
-    while rclpy.ok() and time.monotonic() < deadline:
-        executor.spin_once(timeout_sec=0.05)
+    _drain(node, executor)
+    if node.lockstep:
+        for publisher in node.outputs():
+            # A reader that lags behind still needs this process to send again.
+            publisher.wait_for_all_acked(Duration(seconds=_LONGEST_DRAIN))
     return node.exit_code
+
+
+def _drain(node, executor):
+    """Take what is still queued: until nothing has come for the node's drain time."""
+    now = time.monotonic()
+    limit, quiet_since, progress = now + _LONGEST_DRAIN, now, node.progress()
+    while rclpy.ok() and time.monotonic() < min(limit, quiet_since + node.drain_time):
+        executor.spin_once(timeout_sec=0.05)
+        if node.progress() != progress:
+            quiet_since, progress = time.monotonic(), node.progress()
