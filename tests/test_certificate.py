@@ -15,9 +15,11 @@ from hypothesis import strategies as st
 from lpv_cli.main import main
 from lpv_core.arm import arm_from_json
 from lpv_core.certificate import corner_arms, delayed_radius, verify
+from lpv_core.error_system import link_errors
 from lpv_core.errors import ConfigError
 from lpv_core.gains import load_gains, save_gains
 from lpv_core.proof import is_positive_definite, prove
+from lpv_design.exact_observer import torque_gains
 from lpv_design.guarantee import draw, guarantee
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -227,6 +229,26 @@ def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_fil
     largest = float(said.split('phi2, phi3 in [')[1].split(',')[0])
     assert 0.94 < largest < 0.96
     assert not (tmp_path / 'g.yaml').exists()
+
+
+def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_design_says_so(
+        paper_arm, tmp_path, capsys):
+    base = (REQUIREMENTS / 'paper.yaml').read_text()
+    norm = 1.0 / (24.5 * 0.3)                           # link 2 at the border of the region
+    for factor, code in ((1.01, 0), (0.99, 1)):
+        asked = tmp_path / 'asked.yaml'
+        bound = f'  torque_gain: {factor * norm}\n  rate_noise'
+        asked.write_text(base.replace('  rate_noise', bound))
+        assert design('--requirement', asked, '--out', tmp_path / 'g.yaml') == code
+    assert 'ask for a smaller region' in capsys.readouterr().err
+    # The norm is that of the designed error system, at any slope.
+    gains = load_gains(tmp_path / 'g.yaml').observer
+    for link, limit in zip(link_errors(paper_arm), torque_gains(paper_arm)):
+        for slope in np.linspace(*link.slopes, 5):
+            n = link.closed(slope, gains.kappa[link.index], gains.mu[link.index])
+            response = [abs(np.linalg.solve(1j * w * np.eye(2) - n, [0.0, 1.0 / link.inertia])[0])
+                        for w in np.logspace(-4, 3, 200)]
+            assert max(response) <= limit * (1.0 + 1e-9)
 
 
 def test_given_what_cannot_be_had_when_designed_then_code_1_and_no_file(tmp_path, capsys):

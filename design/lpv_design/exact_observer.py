@@ -7,6 +7,7 @@ a disc for the poles of every slope (decay rate and fastest pole), and the H2 in
 P^-1 bounds the covariance of the error; its trace is minimised.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -38,6 +39,8 @@ class ExactRequirement:
         Intensity of white noise on theta' (integration of imperfect rates) [rad/s/sqrt(Hz)].
     velocity_weight : float
         Weight of the rate error against the angle error in the H2 criterion [s].
+    torque_gain : float
+        Largest H-infinity norm from an unknown torque to the angle error [rad/(N m)].
     """
 
     decay: float = 0.25
@@ -45,6 +48,7 @@ class ExactRequirement:
     acceleration_noise: tuple = (0.15, 0.15)
     rate_noise: float = 1e-3
     velocity_weight: float = 0.02
+    torque_gain: float = math.inf
 
 
 class LinkProblem:
@@ -130,6 +134,26 @@ def solve_link(link: LinkError, requirement):
     problem = _compiled(noises[0].direct.shape[1], requirement.decay, requirement.fastest,
                         requirement.velocity_weight)
     return problem.solve(link, noises)
+
+
+def torque_gains(arm):
+    """H-infinity norm from an unknown torque to each link's angle error.
+
+    With real poles the error system is positive in suitable coordinates (see
+    `lpv_core.error_bound`), so that its norm is the static gain at the smallest slope, whatever
+    the gains are: gravity, not the observer, sets it.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm and its region.
+
+    Returns
+    -------
+    list of float
+        1/Gamma_i at cos_min [rad/(N m)].
+    """
+    return [1.0 / link.slopes[0] for link in link_errors(arm)]
 
 
 def solve_exact(arm, requirement):

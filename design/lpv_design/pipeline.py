@@ -12,7 +12,7 @@ from lpv_core.gains import ControllerGains, ExactObserverGains, Gains, PaperObse
 from lpv_core.joints import JointMap
 from lpv_design.controller import check_loop, solve_loop
 from lpv_design.detectability import undetectable_point
-from lpv_design.exact_observer import ExactRequirement, solve_exact
+from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
 from lpv_design.solve import SOLVER, InfeasibleError
@@ -103,6 +103,8 @@ def _bound_lines(arm, gains, found):
             '  at rest, both links vertical: threshold '
             f'{pair(found.threshold[middle, middle])}, lasting faults are detected from '
             f'{pair(found.detectable[middle, middle])}',
+            f'  H-infinity norm from unknown torques: {torque_gains(arm)[0]:.3g}, '
+            f'{torque_gains(arm)[1]:.3g} rad/(N m)',
             f'  at rest, gravity bounds both errors in {finite:.0%} of the region']
 
 
@@ -117,6 +119,12 @@ def _versions():
 
 
 def _exact_observer(arm, requirement):
+    gain = max(torque_gains(arm))
+    if gain > requirement.torque_gain:
+        raise InfeasibleError(
+            f'observer: the H-infinity norm from an unknown torque to an angle error is {gain:.3g} '
+            f'rad/(N m), 1/(G cos_min), not {requirement.torque_gain:g}; no observer changes '
+            'that: ask for a smaller region')
     kappa, mu, p, statuses = solve_exact(arm, requirement)
     if kappa is None:
         raise InfeasibleError(

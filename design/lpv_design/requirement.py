@@ -108,7 +108,8 @@ def _observer(section):
         decay=section.number('decay', above=0.0), fastest=_fastest(section, 'decay'),
         acceleration_noise=section.pair('acceleration_noise', above=0.0),
         rate_noise=section.number('rate_noise', above=0.0),
-        velocity_weight=section.number('velocity_weight', 0.02, above=0.0))
+        velocity_weight=section.number('velocity_weight', 0.02, above=0.0),
+        torque_gain=section.number('torque_gain', 1e9, above=0.0))
 
 
 def _controller(section):
