@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from parts import ErrorBound, UnknownTorque, make_estimate
 
 from lpv_core.closed_loop import run_closed_loop
 from lpv_core.diagnosis import (
@@ -14,11 +15,9 @@ from lpv_core.diagnosis import (
     SensorState,
 )
 from lpv_core.dynamics import coupling, inverse_dynamics
-from lpv_core.error_bound import make_bound
 from lpv_core.faults import Fault
 from lpv_core.joints import JointMap
-from lpv_core.observer import NANOSECONDS, Estimate, Mode, UnknownInputObserver
-from lpv_core.unknown_torque import UnknownTorque
+from lpv_core.observer import NANOSECONDS, Mode, UnknownInputObserver
 
 TS = 2_000_000
 PARAMETERS = DiagnosisParameters(dwell=0.01, clear_dwell=0.1, hysteresis=0.5)
@@ -26,18 +25,14 @@ PARAMETERS = DiagnosisParameters(dwell=0.01, clear_dwell=0.1, hysteresis=0.5)
 
 def estimate_at(k, fault=(0.0, 0.0), theta=(0.0, 0.0), held=(False, False),
                 missing=(False, False), mode=Mode.OBSERVING, interval=0.002):
-    zero = np.zeros(2)
-    return Estimate(stamp=k * TS, position=zero, velocity=zero, measured_position=zero,
-                    measured_velocity=zero, fault=np.array(fault, float),
-                    absolute_position=np.array(theta, float), sensor_position=zero,
-                    held=np.array(held), missing=np.array(missing), interval=interval,
-                    absolute_velocity=zero, absolute_acceleration=zero, innovation=zero, mode=mode)
+    return make_estimate(stamp=k * TS, fault=fault, absolute_position=theta, held=held,
+                         missing=missing, mode=mode, interval=interval)
 
 
 @pytest.fixture(scope='module')
 def settled(paper_arm, paper_gains):
     """Bound of an arm that has been upright for long."""
-    bound = make_bound(paper_arm, paper_gains, PARAMETERS.sigmas, PARAMETERS.friction_uncertainty)
+    bound = ErrorBound(paper_arm, paper_gains, PARAMETERS.sigmas, PARAMETERS.friction_uncertainty)
     for k in range(15000):
         bound.update(estimate_at(k))
     return bound
@@ -46,7 +41,7 @@ def settled(paper_arm, paper_gains):
 @pytest.fixture
 def diagnoser(paper_arm, paper_gains, settled):
     made = Diagnoser(paper_arm, paper_gains, PARAMETERS)
-    made.bound.adopt(settled)
+    made.state.bound = settled.state
     return made
 
 
@@ -63,7 +58,7 @@ def feed(diagnoser, first, last, **fields):
 def threshold(paper_arm, paper_gains, settled):
     """Threshold of sensor 1 upright."""
     fresh = Diagnoser(paper_arm, paper_gains, PARAMETERS)
-    fresh.bound.adopt(settled)
+    fresh.state.bound = settled.state
     return fresh.update(estimate_at(0)).threshold[0]
 
 
@@ -252,7 +247,7 @@ def test_given_time_restarts_when_the_fault_is_gone_then_the_alarm_clears_in_its
     feed(diagnoser, 50_051, 50_060)
     events = diagnoser.update(estimate_at(0, mode=Mode.INITIALISING, interval=0.0)).events
     events += feed(diagnoser, 1, 500)[1]
-    assert not any(s.alarm for s in diagnoser.sensors)
+    assert not any(s.alarm for s in diagnoser.state.sensors)
 
 
 def test_given_history_when_reset_then_alarms_and_bounds_are_as_new(paper_arm, paper_gains):
@@ -281,7 +276,7 @@ def test_given_an_alarm_when_retuned_then_it_and_the_bounds_history_stay(diagnos
 
 def test_given_rest_when_bounded_then_unknown_torques_over_gravity_slope_are_it(
         paper_arm, paper_gains):
-    bound = make_bound(paper_arm, paper_gains, 4.0, 0.3)
+    bound = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
     th_1, th_2 = 0.5, -0.8
     # Disturbance through Bd: Xi [0.7*0.2, 0]; 5 % of the gravity torque; no friction.
     off = 2.5 * math.cos(th_1 - th_2)
@@ -298,13 +293,13 @@ def test_given_rest_when_bounded_then_unknown_torques_over_gravity_slope_are_it(
 
 def test_given_the_horizontal_when_bounded_at_rest_then_gravity_cannot_bound_the_error(
         paper_arm, paper_gains):
-    bound = make_bound(paper_arm, paper_gains, 4.0, 0.3)
+    bound = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
     assert np.isinf(bound.static(np.array([math.pi / 2, 0.0]))).tolist() == [True, False]
 
 
 def test_given_rest_when_time_passes_then_the_bound_rises_to_the_static_one_and_stays(
         paper_arm, paper_gains):
-    bound, theta = make_bound(paper_arm, paper_gains, 4.0, 0.3), np.array([0.4, -0.5])
+    bound, theta = ErrorBound(paper_arm, paper_gains, 4.0, 0.3), np.array([0.4, -0.5])
     values = [bound.update(estimate_at(k, theta=theta)) for k in range(15000)]
     static = bound.static(theta)
     assert np.all(np.diff(values, axis=0) > -1e-5)   # a reduction of the set may take some back
@@ -315,10 +310,10 @@ def test_given_rest_when_time_passes_then_the_bound_rises_to_the_static_one_and_
 
 def test_given_relative_encoders_when_bounded_then_encoder_2_carries_both_links(
         real_arm, real_gains):
-    bound = make_bound(real_arm, real_gains, 4.0, 0.3)
+    bound = ErrorBound(real_arm, real_gains, 4.0, 0.3)
     for k in range(500):
         total = bound.update(estimate_at(k, theta=(math.pi + 0.2, math.pi - 0.3)))
-    angles = bound._extent[:2]
+    angles = bound.state.extent[:2]
     np.testing.assert_allclose(total - 4.0 * real_gains.observer.fault_sigma,
                                [angles[0], angles[0] + angles[1]], rtol=1e-12)
 
@@ -339,7 +334,7 @@ def test_given_any_torques_within_the_limits_when_the_arm_moves_then_errors_stay
     """The bound without its noise part, against torques that no model knows."""
     rng, gains, n = np.random.default_rng(seed), gains_of[arm.name], 2500
     arm_constants, dt = arm.constants(), arm.sample_time
-    bound = make_bound(arm, gains, 0.0, 1.0)
+    bound = ErrorBound(arm, gains, 0.0, 1.0)
     joints, observer = JointMap(arm), UnknownInputObserver(arm, gains)
     phase, rest = rng.uniform(0, 6, 2), 0.0 if arm.sign > 0 else math.pi
     size, speed = rng.uniform(0.3, 0.7, 2), rng.uniform(0.5, 1.5, 2)

@@ -11,7 +11,8 @@ from lpv_core.dynamics import acceleration, inverse_dynamics
 from lpv_core.joints import JointMap
 from lpv_core.momentum_uio import output_injection
 from lpv_core.polytope import exact_state_space, exact_vertices, sinc_box
-from lpv_core.recursion import ExactRecursion
+from lpv_core.records import new_record
+from lpv_core.recursion import RECURSION_STATE, advance, recursion
 from lpv_core.state_space import Descriptor, output_matrices, vertex_matrices
 from lpv_core.uio import decoupling, fault_feedthrough, observer_matrices, paper_step
 
@@ -33,22 +34,23 @@ def both_designs(arm):
 
 
 class Exact:
-    """`ExactRecursion`, started anywhere."""
+    """The recursion of method exact, started anywhere."""
 
     def __init__(self, arm, gains):
         self.arm, self.gains = arm, gains.observer
         self.s = JointMap(arm).sensor_matrix
         self.constants = arm.constants()
-        self.recursion = ExactRecursion(arm, gains.observer)
-        self.held = self.recursion.held
+        self.recursion = recursion(arm, gains.observer)
+        self.state = new_record(RECURSION_STATE)
+        self.held = self.state.held
 
     def start(self, x):
-        self.recursion.x[:] = x
+        self.state.x[:] = x
 
     def step(self, y_old, y_new, torque, dt):
-        self.recursion.advance(np.asarray(y_old, float), np.asarray(y_new, float),
-                               np.asarray(torque, float), dt)
-        return self.recursion.x.copy()
+        advance(self.recursion, self.state, np.asarray(y_old, float), np.asarray(y_new, float),
+                np.asarray(torque, float), dt)
+        return self.state.x.copy()
 
     def injection(self, theta, rates):
         return output_injection(theta, rates, self.arm.sign * self.gains.kappa, self.gains.mu,

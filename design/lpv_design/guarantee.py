@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from lpv_core.diagnosis import DiagnosisParameters
-from lpv_core.error_bound import make_bound
+from lpv_core.error_bound import error_bound, static_bound
 
 POINTS = 13
 """Angles of each link in the map."""
@@ -63,11 +63,11 @@ def guarantee(arm, gains, points=POINTS):
         The map.
     """
     tuning = DiagnosisParameters()
-    bound = make_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
+    bound = error_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
     limit = float(np.arccos(min(arm.cos_min)))
     deviation = np.linspace(-limit, limit, points)
     rest = 0.0 if arm.sign > 0 else np.pi
-    values = np.array([[bound.static(rest + np.array([one, two])) for two in deviation]
+    values = np.array([[static_bound(bound, rest + np.array([one, two])) for two in deviation]
                        for one in deviation])
     threshold = np.maximum(tuning.threshold_factor * values, tuning.minimum_threshold)
     return Guarantee(deviation, values, threshold)

@@ -7,6 +7,7 @@ from lpv_bag.messages import BagMessages
 from lpv_bag.run_record import find_topic, open_bag, stamp_of
 from lpv_bag.writing import BagWriter, qos_profile
 from lpv_core.errors import SampleError
+from lpv_core.joints import JointMap
 
 _OUTPUTS = {'state': ('state_estimate', 'lpv_msgs/msg/StateEstimate'),
             'fault': ('fault_estimate', 'lpv_msgs/msg/FaultEstimate'),
@@ -149,7 +150,8 @@ class Replay:
     def _inject(self, message, stamp):
         if self._start is None:
             self._start = stamp
-        arm, joints = self._monitor.arm, self._monitor.observer.joints
+        arm = self._monitor.arm
+        joints = JointMap(arm)
         try:
             columns = [list(message.name).index(name) for name in arm.joint_names]
             reading = joints.sensor_position(message.position[columns])

@@ -103,7 +103,7 @@ def _injector(path, arm):
 
 def _summary(result, monitor, console):
     console.print(f'{result.measurements} measurements, {len(result.events)} alarm events')
-    for name, count in vars(monitor.observer.counters).items():
+    for name, count in vars(monitor.counters).items():
         if count:
             console.print(f'  {name.replace("_", " ")}: {count}')
     for text, count in result.rejected.items():

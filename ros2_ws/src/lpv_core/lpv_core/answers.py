@@ -28,19 +28,13 @@ _MODES = {
 }
 
 
-def state_fields(estimate, diagnosis, mode, joints):
+def state_fields(state):
     """Fields of lpv_msgs/StateEstimate.
 
     Parameters
     ----------
-    estimate : Estimate or None
-        The estimate; all values are zero without one.
-    diagnosis : Diagnosis or None
-        Supplies the confirmed faults.
-    mode : Mode
-        State of the observer.
-    joints : JointMap
-        Conversions.
+    state : numpy.record
+        `lpv_core.monitor.ANSWER`'s; the values are copied.
 
     Returns
     -------
@@ -49,27 +43,17 @@ def state_fields(estimate, diagnosis, mode, joints):
     """
     names = ('position', 'velocity', 'compensated_position', 'measured_position',
              'measured_velocity')
-    if estimate is None:
-        return {**{name: [0.0, 0.0] for name in names}, 'mode': int(Mode.NO_ESTIMATE),
-                'trustworthy': False}
-    healthy = joints.joint_from_sensor(estimate.sensor_position - diagnosis.confirmed_fault)
-    values = (estimate.position, estimate.velocity, healthy, estimate.measured_position,
-              estimate.measured_velocity)
-    return {**dict(zip(names, values)), 'mode': int(mode),
-            'trustworthy': bool(diagnosis.trustworthy)}
+    return {**{name: state[name].copy() for name in names}, 'mode': int(state.mode),
+            'trustworthy': bool(state.trustworthy)}
 
 
-def fault_fields(estimate, diagnosis, states, sensor_names):
+def fault_fields(fault, sensor_names):
     """Fields of lpv_msgs/FaultEstimate.
 
     Parameters
     ----------
-    estimate : Estimate
-        The estimate.
-    diagnosis : Diagnosis
-        Bounds and alarms.
-    states : sequence of SensorState
-        State per sensor.
+    fault : numpy.record
+        `lpv_core.monitor.ANSWER`'s; the values are copied.
     sensor_names : sequence of str
         Names of the sensors.
 
@@ -78,9 +62,9 @@ def fault_fields(estimate, diagnosis, states, sensor_names):
     dict
         Field values.
     """
-    return {'sensor_names': list(sensor_names), 'estimate': estimate.fault,
-            'bound': diagnosis.bound, 'threshold': diagnosis.threshold,
-            'state': [int(s) for s in states], 'alarm': [bool(a) for a in diagnosis.alarm]}
+    return {'sensor_names': list(sensor_names),
+            **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
+            'state': fault.state.tolist(), 'alarm': [bool(a) for a in fault.alarm]}
 
 
 def alarm_fields(alarm):
@@ -99,7 +83,7 @@ def alarm_fields(alarm):
     return {**asdict(alarm), 'event': int(alarm.event)}
 
 
-def diagnostic_fields(name, arm, estimate, diagnosis, mode, values):
+def diagnostic_fields(name, arm, state, fault, inconsistent, values):
     """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
 
     Parameters
@@ -108,12 +92,10 @@ def diagnostic_fields(name, arm, estimate, diagnosis, mode, values):
         Fully qualified node name.
     arm : ArmParameters
         Names of arm and sensors.
-    estimate : Estimate or None
-        Latest estimate.
-    diagnosis : Diagnosis or None
-        Latest decision.
-    mode : Mode
-        State of the observer.
+    state, fault : numpy.record
+        `lpv_core.monitor.ANSWER`'s; ``fault`` is None without an estimate.
+    inconsistent : bool
+        Rates, torques and model contradict each other.
     values : dict
         Key-value pairs of the observer's status.
 
@@ -122,21 +104,21 @@ def diagnostic_fields(name, arm, estimate, diagnosis, mode, values):
     list of dict
         Fields of diagnostic_msgs/DiagnosticStatus; ``values`` is a dict of strings.
     """
-    level, message = _MODES[mode]
-    if diagnosis is not None and level < STALE:
-        if not diagnosis.trustworthy:
+    level, message = _MODES[state.mode]
+    if fault is not None and level < STALE:
+        if not state.trustworthy:
             level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
-        elif diagnosis.inconsistent:
+        elif inconsistent:
             level, message = WARN, ('inconsistent, cause unknown: rates, torques and model '
                                     'contradict each other')
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     for i, sensor in enumerate(arm.sensor_names):
         state, values = SensorState.STALE, {}
-        if diagnosis is not None:
-            state = SensorState.STALE if mode == Mode.STALE else diagnosis.state[i]
-            values = {'fault estimate [rad]': f'{estimate.fault[i]:.6f}',
-                      'bound [rad]': f'{diagnosis.bound[i]:.6f}',
-                      'threshold [rad]': f'{diagnosis.threshold[i]:.6f}'}
+        if fault is not None:
+            state = fault.state[i]
+            values = {'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
+                      'bound [rad]': f'{fault.bound[i]:.6f}',
+                      'threshold [rad]': f'{fault.threshold[i]:.6f}'}
         level, message = _LEVELS[state]
         result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
     return result

@@ -10,11 +10,19 @@ drifts before their size does: a generalised likelihood ratio over the time of o
 import math
 from statistics import NormalDist
 
+from lpv_core.history import FAULT, index_at, median_before
+from lpv_core.jit import njit
+from lpv_core.records import new_record, record_type
+
 WINDOWS = (0.01, 0.05, 0.2, 1.0)
 """Lengths of the windows [s]."""
 
 _ONSET_RESERVE = 1.5
 """Rates' noise also acts through the observer's correction; over that of the rates alone."""
+
+CHANGE_TEST = record_type(('noise', 'f8', (len(WINDOWS),)), ('smallest', 'f8'),
+                          ('sample_time', 'f8'))
+"""Constants: limit by noise alone for each window, smallest limit [rad]; sample time [s]."""
 
 
 def sigmas_for(hours, sample_time):
@@ -39,7 +47,7 @@ def sigmas_for(hours, sample_time):
     return -NormalDist().inv_cdf(0.5 / tests)
 
 
-class ChangeTest:
+def change_test(arm, hours, smallest=0.0):
     """Limits of healthy changes for one arm.
 
     Parameters
@@ -50,58 +58,70 @@ class ChangeTest:
         Mean time between false alarms [h].
     smallest : float, optional
         Changes below are of no interest [rad].
+
+    Returns
+    -------
+    numpy.record
+        Of type `CHANGE_TEST`.
     """
+    z = sigmas_for(hours, arm.sample_time)
+    noise = [z * math.sqrt(2.0 * arm.position_noise**2
+                           + (_ONSET_RESERVE * arm.velocity_noise) ** 2 * arm.sample_time * window)
+             for window in WINDOWS]
+    return new_record(CHANGE_TEST, noise=noise, smallest=smallest, sample_time=arm.sample_time)
 
-    def __init__(self, arm, hours, smallest=0.0):
-        self._smallest = smallest
-        z = sigmas_for(hours, arm.sample_time)
-        self.noise = tuple(
-            z * math.sqrt(2.0 * arm.position_noise**2
-                          + (_ONSET_RESERVE * arm.velocity_noise) ** 2 * arm.sample_time * window)
-            for window in WINDOWS)
 
-    def limit(self, window, speed):
-        """Largest healthy change over a window.
+@njit
+def change_limit(c, window, speed):
+    """Largest healthy change over a window.
 
-        Parameters
-        ----------
-        window : int
-            Index into `WINDOWS`.
-        speed : float
-            Bound on the speed of the estimate's error [rad/s].
+    Parameters
+    ----------
+    c : numpy.record
+        `change_test`.
+    window : int
+        Index into `WINDOWS`.
+    speed : float
+        Bound on the speed of the estimate's error [rad/s].
 
-        Returns
-        -------
-        float
-            [rad].
-        """
-        return max(self._smallest, self.noise[window] + speed * WINDOWS[window])
+    Returns
+    -------
+    float
+        [rad].
+    """
+    return max(c.smallest, c.noise[window] + speed * WINDOWS[window])
 
-    def find(self, history, stamp, fault, speed):
-        """The shortest window over which the estimate changed too much.
 
-        Parameters
-        ----------
-        history : History
-            Of the sensor.
-        stamp : int
-            Present [ns].
-        fault : float
-            Present f^ [rad].
-        speed : float
-            Bound on the speed of the error [rad/s].
+@njit
+def find_change(c, stamps, values, end, stamp, fault, speed):
+    """The shortest window over which the estimate changed too much.
 
-        Returns
-        -------
-        tuple or None
-            Index of the window and f^ before the change [rad].
-        """
-        for index, window in enumerate(WINDOWS):
-            then = stamp - round(window * 1e9)
-            sample, limit = history.at(then), self.limit(index, speed)
-            if sample is None or abs(fault - sample[1]) <= limit:
-                continue
-            before = history.median_at(then)
-            if abs(fault - before) > limit:
-                return index, before
-        return None
+    Parameters
+    ----------
+    c : numpy.record
+        `change_test`.
+    stamps, values, end
+        The sensor's past, see `lpv_core.history`.
+    stamp : int
+        Present [ns].
+    fault : float
+        Present f^ [rad].
+    speed : float
+        Bound on the speed of the error [rad/s].
+
+    Returns
+    -------
+    tuple
+        Index of the window, -1 if there is none, and f^ before the change [rad].
+    """
+    for window in range(len(WINDOWS)):
+        limit = change_limit(c, window, speed)
+        then = stamp - round(WINDOWS[window] * 1e9)
+        # Without gaps the present sample would be row ``end``.
+        row = index_at(stamps, end, then, end - round(WINDOWS[window] / c.sample_time))
+        if row < 0 or abs(fault - values[row, FAULT]) <= limit:
+            continue
+        before = median_before(values, row)
+        if abs(fault - before) > limit:
+            return window, before
+    return -1, 0.0

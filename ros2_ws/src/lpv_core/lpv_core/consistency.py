@@ -12,65 +12,87 @@ import numpy as np
 
 from lpv_core.arm import A_11, C_22
 from lpv_core.dynamics import coupling
+from lpv_core.jit import njit
+from lpv_core.records import NEVER, new_record, record_type
 
 _FILTERS = (0.02, 0.2)
 """Time constants of the averages [s]: a jump of a rate, and a lasting contradiction."""
-_HOLD = 1.0
-"""An inconsistency is believed to last so long after it was seen [s]."""
+_HOLD = 1_000_000_000
+"""An inconsistency is believed to last so long after it was seen [ns]."""
+
+CONSISTENCY_CONSTANTS = record_type(
+    ('used', '?'), ('arm', 'f8', (12,)), ('inertia', 'f8', (2,)),
+    ('noise', 'f8', (len(_FILTERS), 2)), ('tolerance', 'f8', (2,)))
+"""Whether the test is made; constants of the arm; Xi_ii; limits by noise for each average and by
+tolerated torques [rad/s]."""
+CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', 'i8'))
 
 
-class ConsistencyTest:
-    """Averaged momentum innovation against its healthy bound.
+def consistency_test(arm, gains, sigmas):
+    """Healthy bound of the averaged momentum innovation.
 
     Parameters
     ----------
     arm : ArmParameters
         Its inertia, noise and torque tolerance.
     gains : Gains
-        Of method ``exact``.
+        The test is only made for method ``exact``.
     sigmas : float
         Standard deviations of noise in the limit.
+
+    Returns
+    -------
+    numpy.record
+        Of type `CONSISTENCY_CONSTANTS`.
     """
+    if gains.observer.method != 'exact':
+        return new_record(CONSISTENCY_CONSTANTS)
+    constants = arm.constants()
+    inertia = constants[[A_11, C_22]]
+    off = abs(coupling(0.0, 0.0, constants))
+    # White rates of both links enter a momentum; relative sensors add theirs up.
+    rows = np.hypot(1.0, off / inertia) * (1.0 if arm.arrangement == 'absolute'
+                                           else math.sqrt(2.0))
+    noise = [sigmas * rows * arm.velocity_noise * math.sqrt(arm.sample_time / (2.0 * tau))
+             for tau in _FILTERS]
+    tolerance = np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
+    return new_record(CONSISTENCY_CONSTANTS, used=True, arm=constants, inertia=inertia,
+                      noise=noise, tolerance=tolerance)
 
-    def __init__(self, arm, gains, sigmas):
-        c = arm.constants()
-        self._constants = c
-        self._inertia = np.array([c[A_11], c[C_22]])
-        off = abs(coupling(0.0, 0.0, c))
-        # White rates of both links enter a momentum; relative sensors add theirs up.
-        rows = np.hypot(1.0, off / self._inertia) * (1.0 if arm.arrangement == 'absolute'
-                                                     else math.sqrt(2.0))
-        self._noise = [sigmas * rows * arm.velocity_noise
-                       * math.sqrt(arm.sample_time / (2.0 * tau)) for tau in _FILTERS]
-        self._tolerance = np.asarray(arm.torque_tolerance) / (
-            np.asarray(gains.observer.mu) * self._inertia)
-        self.reset()
 
-    def reset(self):
-        """Forget the past."""
-        self._means = np.zeros((len(_FILTERS), 2))
-        self._until = None
+@njit
+def reset_consistency(s):
+    """Forget the past."""
+    s.means[:] = 0.0
+    s.until = NEVER
 
-    def update(self, estimate, healthy):
-        """Judge one sample.
 
-        Parameters
-        ----------
-        estimate : Estimate
-            Latest estimate.
-        healthy : ndarray, shape (2,)
-            Bound on the scaled momentum error of a healthy arm [rad/s].
+@njit
+def is_inconsistent(c, s, e, healthy):
+    """Judge one sample.
 
-        Returns
-        -------
-        bool
-            True if rates, torques and model contradict each other, now or shortly before.
-        """
-        theta, r = estimate.absolute_position, estimate.innovation
-        off = coupling(theta[0], theta[1], self._constants)
-        momentum = r + off * r[::-1] / self._inertia
-        for mean, noise, tau in zip(self._means, self._noise, _FILTERS):
-            mean += min(1.0, estimate.interval / tau) * (momentum - mean)
-            if np.any(np.abs(mean) > healthy + self._tolerance + noise):
-                self._until = estimate.stamp + round(_HOLD * 1e9)
-        return self._until is not None and estimate.stamp < self._until
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+    e : numpy.record
+        Latest estimate.
+    healthy : ndarray, shape (2,)
+        Bound on the scaled momentum error of a healthy arm [rad/s].
+
+    Returns
+    -------
+    bool
+        True if rates, torques and model contradict each other, now or shortly before.
+    """
+    if not c.used:
+        return False
+    off = coupling(e.absolute_position[0], e.absolute_position[1], c.arm)
+    for f in range(len(_FILTERS)):
+        share = min(1.0, e.interval / _FILTERS[f])
+        for i in range(2):
+            momentum = e.innovation[i] + off * e.innovation[1 - i] / c.inertia[i]
+            s.means[f, i] += share * (momentum - s.means[f, i])
+            if abs(s.means[f, i]) > healthy[i] + c.tolerance[i] + c.noise[f, i]:
+                s.until = e.stamp + _HOLD
+    return e.stamp < s.until

@@ -6,12 +6,40 @@ from enum import IntEnum
 
 import numpy as np
 
-from lpv_core.change_test import ChangeTest, sigmas_for
-from lpv_core.consistency import ConsistencyTest
-from lpv_core.error_bound import make_bound
-from lpv_core.joints import JointMap
-from lpv_core.observer import Mode
-from lpv_core.sensor_decision import Sample, SensorDecision
+from lpv_core.change_test import change_test, sigmas_for
+from lpv_core.consistency import (
+    CONSISTENCY_CONSTANTS,
+    CONSISTENCY_STATE,
+    consistency_test,
+    is_inconsistent,
+    reset_consistency,
+)
+from lpv_core.error_bound import (
+    BOUND_CONSTANTS,
+    BOUND_STATE,
+    error_bound,
+    reset_bound,
+    update_bound,
+)
+from lpv_core.fault_kind import DROPOUT, INCONSISTENT, KINDS, NOISE
+from lpv_core.history import new_history
+from lpv_core.jit import njit
+from lpv_core.joints import JointMap, weigh
+from lpv_core.observer import NANOSECONDS, Mode
+from lpv_core.records import NEVER, new_record, record_type
+from lpv_core.sensor_decision import (
+    NOTHING,
+    SENSOR_CONSTANTS,
+    SENSOR_STATE,
+    decide,
+    is_compensable,
+    reset_sensor,
+    restart_sensor,
+    suspected,
+)
+
+_HISTORY = 1.5
+"""Past that is kept of each sensor [s]."""
 
 
 class SensorState(IntEnum):
@@ -110,27 +138,260 @@ class Alarm:
     confidence: float
 
 
+_OK, _WARN, _ERROR, _STALE, _NOT_DIAGNOSABLE = (int(state) for state in SensorState)
+_INITIALISING = int(Mode.INITIALISING)
+
+DIAGNOSIS_CONSTANTS = record_type(
+    ('bound', BOUND_CONSTANTS), ('consistency', CONSISTENCY_CONSTANTS),
+    ('sensor', SENSOR_CONSTANTS), ('sensor_matrix', 'f8', (2, 2)), ('velocity_error', 'f8'),
+    ('threshold_factor', 'f8'), ('minimum_threshold', 'f8'), ('compensation_rate', 'f8'),
+    ('safe_stop_bound', 'f8'))
+
+ALARM_EVENT = record_type(
+    ('happened', 'i8'), ('sensor', 'i8'), ('onset', 'i8'), ('detected', 'i8'), ('amount', 'f8'),
+    ('bound', 'f8'), ('kind', 'i8'), ('by_change', '?'), ('inconsistent', '?'))
+"""What an `Alarm` is made from; ``happened`` is an AlarmEvent, -1 for none."""
+
+DECISION = record_type(
+    ('bound', 'f8', (2,)), ('threshold', 'f8', (2,)), ('state', 'u1', (2,)), ('alarm', 'u1', (2,)),
+    ('confirmed_fault', 'f8', (2,)), ('inconsistent', '?'), ('trustworthy', '?'),
+    ('events', ALARM_EVENT, (2,)))
+"""Decision at one sample.
+
+bound, threshold
+    Per physical sensor [rad].
+state
+    Of `SensorState`, per physical sensor.
+alarm
+    Confirmed faults.
+confirmed_fault
+    What is to be removed from the readings: confirmed faults, faded in and out where their size was
+    not known at once; and jumps that are not confirmed yet, which are bridged for the dwell [rad].
+inconsistent
+    Rates, torques and model contradict each other; the cause is unknown.
+trustworthy
+    False if a confirmed fault cannot be compensated safely: the arm should stop.
+events
+    What happened at this sample, one entry a sensor.
+"""
+
+DIAGNOSIS_STATE = record_type(
+    # Beside the parts' states: last stamp [ns]; what is removed from the readings of each sensor
+    # [rad], and whether it has reached the confirmed fault.
+    ('bound', BOUND_STATE), ('consistency', CONSISTENCY_STATE), ('sensors', SENSOR_STATE, (2,)),
+    ('stamp', 'i8'), ('applied', 'f8', (2,)), ('engaged', 'u1', (2,)),
+    ('decision', DECISION))
+
+
+def diagnosis_constants(arm, gains, parameters):
+    """Constants of `diagnose` for one arm.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Its gains.
+    parameters : DiagnosisParameters
+        Tuning.
+
+    Returns
+    -------
+    numpy.record
+        Of type `DIAGNOSIS_CONSTANTS`.
+    """
+    p = parameters
+    sensor = new_record(
+        SENSOR_CONSTANTS, changes=change_test(arm, p.false_alarm_hours, p.minimum_threshold),
+        noise=arm.position_noise, dwell=math.ceil(p.dwell * NANOSECONDS),
+        clear_dwell=math.ceil(p.clear_dwell * NANOSECONDS), hysteresis=p.hysteresis,
+        latch=p.latch)
+    return new_record(
+        DIAGNOSIS_CONSTANTS, sensor=sensor,
+        bound=error_bound(arm, gains, p.sigmas, p.friction_uncertainty),
+        consistency=consistency_test(arm, gains, sigmas_for(p.false_alarm_hours,
+                                                            arm.sample_time)),
+        sensor_matrix=JointMap(arm).sensor_matrix, velocity_error=arm.velocity_error,
+        threshold_factor=p.threshold_factor, minimum_threshold=p.minimum_threshold,
+        compensation_rate=p.compensation_rate, safe_stop_bound=p.safe_stop_bound)
+
+
+def diagnosis_history(arm):
+    """Empty past of both sensors.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its sample time.
+
+    Returns
+    -------
+    tuple of ndarray
+        Stamps (2, n) [ns] and values (2, n, 3), see `lpv_core.history`.
+    """
+    both = [new_history(round(_HISTORY / arm.sample_time)) for _ in range(2)]
+    return tuple(np.stack(part) for part in zip(*both))
+
+
+@njit
+def reset_diagnosis(s):
+    """Clear alarms and past."""
+    reset_bound(s.bound)
+    reset_consistency(s.consistency)
+    for i in range(2):
+        reset_sensor(s.sensors[i])
+    s.stamp = NEVER
+    s.applied[:] = 0.0
+    s.engaged[:] = 0
+
+
+@njit
+def diagnose(c, s, stamps, values, e):
+    """Decide on one estimate; the decision is in ``s.decision``.
+
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+    stamps, values : ndarray
+        `diagnosis_history`.
+    e : numpy.record
+        Latest estimate.
+    """
+    if e.stamp < s.stamp:
+        for i in range(2):
+            restart_sensor(s.sensors[i])
+    s.stamp = e.stamp
+    d = s.decision
+    update_bound(c.bound, s.bound, e)
+    d.inconsistent = is_inconsistent(c.consistency, s.consistency, e, s.bound.momentum)
+    for i in range(2):
+        d.bound[i] = s.bound.bound[i]
+        d.threshold[i] = max(c.threshold_factor * d.bound[i], c.minimum_threshold)
+    for i in range(2):
+        _decide_one(c, s, stamps[i], values[i], e, i)
+    _compensate(c, s, e.interval)
+    d.trustworthy = _is_trustworthy(c, s)
+
+
+@njit
+def _decide_one(c, s, stamps, values, e, i):
+    d, sensor, matrix = s.decision, s.sensors[i], c.sensor_matrix
+    sample = sensor.sample
+    sample.stamp, sample.fault, sample.reading = e.stamp, e.fault[i], e.sensor_position[i]
+    sample.expected = weigh(matrix, i, e.absolute_position[0], e.absolute_position[1])
+    rate = abs(weigh(matrix, i, e.absolute_velocity[0], e.absolute_velocity[1]))
+    sample.threshold = d.threshold[i]
+    sample.speed = s.bound.speed[i] + c.velocity_error * rate
+    sample.missing, sample.inconsistent = e.missing[i], d.inconsistent
+    sample.lost = _is_lost(c, d, e, i)
+    decided = decide(c.sensor, sensor, stamps, values)
+    event = d.events[i]
+    event.happened = decided
+    if decided != NOTHING:
+        event.sensor, event.onset, event.detected = i, sensor.onset, sensor.detected
+        event.amount, event.bound, event.kind = sensor.amount, d.bound[i], sensor.kind
+        event.by_change, event.inconsistent = sensor.by_change, d.inconsistent
+    d.alarm[i] = sensor.alarm
+    d.state[i] = _state(sensor)
+
+
+@njit
+def _is_lost(c, d, e, i):
+    """Whether a level says nothing: gravity does not renew it, or not closely enough."""
+    if e.mode == _INITIALISING or d.bound[i] > c.safe_stop_bound:
+        return True
+    spread = c.bound.spread
+    return (e.held[0] and spread[i, 0] > 0.0) or (e.held[1] and spread[i, 1] > 0.0)
+
+
+@njit
+def _state(sensor):
+    sample = sensor.sample
+    if sample.missing:
+        return _STALE
+    if sensor.alarm:
+        return _ERROR
+    if sample.lost:
+        return _NOT_DIAGNOSABLE
+    return _WARN if abs(sample.fault) > sample.threshold or sample.inconsistent else _OK
+
+
+@njit
+def _compensate(c, s, interval):
+    """Follow confirmed faults: at once where a jump was seen, otherwise faded in, and out."""
+    step = c.compensation_rate * interval
+    for i in range(2):
+        sensor = s.sensors[i]
+        known = is_compensable(sensor)
+        gap = (sensor.amount if known else 0.0) - s.applied[i]
+        reached = sensor.stepped or sensor.kind == NOISE or abs(gap) <= 2.0 * step
+        # What was reached once is followed whatever it does: a fault may end abruptly.
+        s.engaged[i] = known and (reached or s.engaged[i] != 0)
+        if not s.engaged[i]:
+            gap = min(max(gap, -step), step)
+        s.applied[i] += gap
+        s.decision.confirmed_fault[i] = s.applied[i] + suspected(sensor)
+
+
+@njit
+def _is_trustworthy(c, s):
+    """Not where a level beyond its bound has an unknown cause, or no close enough bound."""
+    for i in range(2):
+        sensor = s.sensors[i]
+        above = abs(sensor.sample.fault) > sensor.sample.threshold
+        if sensor.alarm and sensor.kind == INCONSISTENT and above:
+            return False
+        wide = s.decision.bound[i] > c.safe_stop_bound
+        if is_compensable(sensor) and not sensor.by_change and wide:
+            return False
+    return True
+
+
+def make_alarm(event, arm, parameters):
+    """The alarm of an event.
+
+    Parameters
+    ----------
+    event : numpy.record
+        Of type `ALARM_EVENT`.
+    arm : ArmParameters
+        Names of its sensors.
+    parameters : DiagnosisParameters
+        For the confidence.
+
+    Returns
+    -------
+    Alarm
+        The same, with confidence.
+    """
+    size, bound = float(event.amount), float(event.bound)
+    confidence = math.erf(parameters.sigmas * abs(size) / max(bound, 1e-12) / math.sqrt(2.0))
+    if event.by_change or event.kind == DROPOUT:
+        confidence = 1.0 - 1.0 / (3600.0 * parameters.false_alarm_hours)
+    elif event.inconsistent:
+        confidence *= 0.5
+    index = int(event.sensor)
+    return Alarm(AlarmEvent(event.happened), index, arm.sensor_names[index], int(event.onset),
+                 int(event.detected), size, bound, KINDS[event.kind], confidence)
+
+
 @dataclass
 class Diagnosis:
-    """Decision at one sample.
+    """Decision at one sample as `DECISION` has it, in Python's types.
 
     Attributes
     ----------
-    bound, threshold : ndarray, shape (2,)
+    bound, threshold, confirmed_fault : ndarray, shape (2,)
         Per physical sensor [rad].
-    state : list of SensorState
-        Per physical sensor.
     alarm : ndarray of bool, shape (2,)
         Confirmed faults.
-    confirmed_fault : ndarray, shape (2,)
-        What is to be removed from the readings: confirmed faults, faded in and out where their
-        size was not known at once [rad].
+    state : list of SensorState
+        Per physical sensor.
     events : list of Alarm
         What changed at this sample.
-    inconsistent : bool
-        Rates, torques and model contradict each other; the cause is unknown.
-    trustworthy : bool
-        False if a confirmed fault cannot be compensated safely: the arm should stop.
+    inconsistent, trustworthy : bool
+        As in `DECISION`.
     """
 
     bound: np.ndarray
@@ -139,8 +400,8 @@ class Diagnosis:
     alarm: np.ndarray
     confirmed_fault: np.ndarray
     events: list
-    inconsistent: bool = False
-    trustworthy: bool = True
+    inconsistent: bool
+    trustworthy: bool
 
 
 class Diagnoser:
@@ -154,26 +415,22 @@ class Diagnoser:
         Its gains.
     parameters : DiagnosisParameters, optional
         Tuning.
+
+    Attributes
+    ----------
+    parameters : DiagnosisParameters
+        Present tuning.
+    constants, state : numpy.record
+        Of types `DIAGNOSIS_CONSTANTS` and `DIAGNOSIS_STATE`.
+    history : tuple of ndarray
+        `diagnosis_history`.
     """
 
     def __init__(self, arm, gains, parameters=None):
         self._arm, self._gains = arm, gains
-        self._tune(parameters or DiagnosisParameters())
-        self.sensors = [SensorDecision(arm, self._changes, self.parameters) for _ in range(2)]
-        self._sensor_matrix = JointMap(arm).sensor_matrix
-        self._stamp = None
-        self._applied = np.zeros(2)
-
-    def _tune(self, parameters):
-        self.parameters = parameters
-        self.bound = make_bound(self._arm, self._gains, parameters.sigmas,
-                                parameters.friction_uncertainty)
-        self._changes = ChangeTest(self._arm, parameters.false_alarm_hours,
-                                   parameters.minimum_threshold)
-        self._consistency = None
-        if self._gains.observer.method == 'exact':
-            sigmas = sigmas_for(parameters.false_alarm_hours, self._arm.sample_time)
-            self._consistency = ConsistencyTest(self._arm, self._gains, sigmas)
+        self.state, self.history = new_record(DIAGNOSIS_STATE), diagnosis_history(arm)
+        self.retune(parameters or DiagnosisParameters())
+        self.reset()
 
     def retune(self, parameters):
         """Change the tuning while running; alarms stay as they are.
@@ -183,112 +440,45 @@ class Diagnoser:
         parameters : DiagnosisParameters
             The new tuning.
         """
-        before = self.bound
-        self._tune(parameters)
-        self.bound.adopt(before)
-        for sensor in self.sensors:
-            sensor.parameters, sensor.changes = parameters, self._changes
+        self.parameters = parameters
+        self.constants = diagnosis_constants(self._arm, self._gains, parameters)
 
     def reset(self):
-        """Clear alarms and history."""
-        self.bound.reset()
-        if self._consistency is not None:
-            self._consistency.reset()
-        for sensor in self.sensors:
-            sensor.reset()
-        self._stamp = None
-        self._applied[:] = 0.0
+        """Clear alarms and past."""
+        reset_diagnosis(self.state)
 
     def update(self, estimate):
         """Decide on one estimate.
 
         Parameters
         ----------
-        estimate : Estimate
-            Latest estimate.
+        estimate : numpy.record
+            Latest estimate, `lpv_core.observer.ESTIMATE`.
 
         Returns
         -------
         Diagnosis
             Bounds, states, alarms and events.
         """
-        if self._stamp is not None and estimate.stamp < self._stamp:
-            for sensor in self.sensors:
-                sensor.restart()
-        self._stamp = estimate.stamp
-        bound = self.bound.update(estimate)
-        threshold = np.maximum(self.parameters.threshold_factor * bound,
-                               self.parameters.minimum_threshold)
-        inconsistent = self._consistency is not None and self._consistency.update(
-            estimate, self.bound.momentum())
-        events, state = self._decide(estimate, bound, threshold, inconsistent)
-        alarm = np.array([s.alarm for s in self.sensors])
-        return Diagnosis(bound, threshold, state, alarm, self._compensate(estimate.interval),
-                         events, inconsistent,
-                         self._is_trustworthy(np.abs(estimate.fault) > threshold, bound))
+        diagnose(self.constants, self.state, *self.history, estimate)
+        d = self.state.decision
+        return Diagnosis(
+            d.bound.copy(), d.threshold.copy(), [SensorState(s) for s in d.state],
+            d.alarm.astype(bool), d.confirmed_fault.copy(), self.alarms(d.events),
+            bool(d.inconsistent), bool(d.trustworthy))
 
-    def _decide(self, estimate, bound, threshold, inconsistent):
-        events, state = [], []
-        rates = np.abs(self._sensor_matrix @ estimate.absolute_velocity)
-        lost = self._lost(estimate, bound)
-        speed = self.bound.speed() + self._arm.velocity_error * rates
-        expected = self._sensor_matrix @ estimate.absolute_position
-        for i, sensor in enumerate(self.sensors):
-            sample = Sample(estimate.stamp, float(estimate.fault[i]),
-                            float(estimate.sensor_position[i]), float(expected[i]),
-                            float(threshold[i]), float(speed[i]), bool(estimate.missing[i]),
-                            bool(lost[i]), inconsistent)
-            decided = sensor.update(sample)
-            if decided is not None:
-                events.append(self._alarm(decided, i, bound[i], inconsistent))
-            state.append(_state(sensor, sample))
-        return events, state
+    def alarms(self, events):
+        """Alarms of those entries in which something happened.
 
-    def _lost(self, estimate, bound):
-        """Sensors whose level says nothing: gravity does not renew it, or not closely enough."""
-        if estimate.mode == Mode.INITIALISING:
-            return np.array([True, True])
-        held = (self.bound.spread @ estimate.held) > 0
-        return held | (bound > self.parameters.safe_stop_bound)
+        Parameters
+        ----------
+        events : iterable of numpy.record
+            Of type `ALARM_EVENT`.
 
-    def _compensate(self, interval):
-        """Follow confirmed faults: at once where a step was seen, faded in and out otherwise."""
-        step = self.parameters.compensation_rate * interval
-        for i, sensor in enumerate(self.sensors):
-            target = sensor.size if sensor.compensable else 0.0
-            gap = target - self._applied[i]
-            if not (sensor.compensable and (sensor.by_change or abs(gap) <= 2.0 * step)):
-                gap = min(max(gap, -step), step)
-            self._applied[i] += gap
-        return self._applied.copy()
-
-    def _is_trustworthy(self, above, bound):
-        """Not where a level beyond its bound has an unknown cause, or no close enough bound."""
-        for i, sensor in enumerate(self.sensors):
-            if sensor.alarm and sensor.kind == 'inconsistent' and above[i]:
-                return False
-            wide = bound[i] > self.parameters.safe_stop_bound
-            if sensor.compensable and not sensor.by_change and wide:
-                return False
-        return True
-
-    def _alarm(self, event, index, bound, inconsistent):
-        sensor = self.sensors[index]
-        normalised = self.parameters.sigmas * abs(sensor.size) / max(float(bound), 1e-12)
-        confidence = math.erf(normalised / math.sqrt(2.0))
-        if sensor.by_change or sensor.kind == 'dropout':
-            confidence = 1.0 - 1.0 / (3600.0 * self.parameters.false_alarm_hours)
-        return Alarm(AlarmEvent[event.upper()], index, self._arm.sensor_names[index], sensor.onset,
-                     sensor.detected, float(sensor.size), float(bound), sensor.kind,
-                     0.5 * confidence if inconsistent and not sensor.by_change else confidence)
-
-
-def _state(sensor, sample):
-    if sample.missing:
-        return SensorState.STALE
-    if sensor.alarm:
-        return SensorState.ERROR
-    if sample.lost:
-        return SensorState.NOT_DIAGNOSABLE
-    above = abs(sample.fault) > sample.threshold
-    return SensorState.WARN if above or sample.inconsistent else SensorState.OK
+        Returns
+        -------
+        list of Alarm
+            In the same order.
+        """
+        return [make_alarm(event, self._arm, self.parameters)
+                for event in events if event.happened != NOTHING]

@@ -1,106 +1,138 @@
-"""The last second of one sensor: fault estimate, reading, and the reading that was expected."""
+"""The last second of one sensor: fault estimate, reading, and the reading that was expected.
+
+A buffer is two arrays, stamps (2*size,) and values (2*size, 3), and the number ``end`` of rows in
+use; the newest ``size`` of them count.
+"""
 
 import numpy as np
 
+from lpv_core.jit import njit
 
-class History:
-    """Ring buffer of samples in the order of their stamps.
+FAULT, READING, EXPECTED = range(3)
+"""Columns of the values."""
+
+_MEDIAN_OF = 5
+
+
+def new_history(size):
+    """An empty buffer.
 
     Parameters
     ----------
     size : int
         Samples that are kept.
+
+    Returns
+    -------
+    tuple of ndarray
+        Stamps (2*size,) [ns] and values (2*size, 3) [rad].
     """
+    return np.zeros(2 * size, dtype=np.int64), np.zeros((2 * size, 3))
 
-    FAULT, READING, EXPECTED = range(3)
 
-    def __init__(self, size):
-        self._size = size
-        self._stamps = np.zeros(2 * size, dtype=np.int64)
-        self._values = np.zeros((2 * size, 3))
-        self.clear()
+@njit
+def add_sample(stamps, values, end, stamp, fault, reading, expected):
+    """Add a sample.
 
-    def clear(self):
-        """Forget everything."""
-        self._end = 0
+    Parameters
+    ----------
+    stamps, values : ndarray
+        The buffer.
+    end : int
+        Rows in use.
+    stamp : int
+        [ns], larger than the last one.
+    fault, reading, expected : float
+        f^, y_p and S theta^ of the sensor [rad].
 
-    def add(self, stamp, fault, reading, expected):
-        """Add a sample.
+    Returns
+    -------
+    int
+        Rows in use afterwards.
+    """
+    if end == len(stamps):
+        # Keep the newer half: rows stay contiguous, and copying is rare.
+        end = len(stamps) // 2
+        for k in range(end):
+            stamps[k] = stamps[end + k]
+            for column in range(3):
+                values[k, column] = values[end + k, column]
+    stamps[end] = stamp
+    values[end, FAULT], values[end, READING], values[end, EXPECTED] = fault, reading, expected
+    return end + 1
 
-        Parameters
-        ----------
-        stamp : int
-            [ns], larger than the last one.
-        fault, reading, expected : float
-            f^, y_p and S theta^ of the sensor [rad].
-        """
-        if self._end == len(self._stamps):
-            # Keep the newer half: columns stay contiguous, and copying is rare.
-            self._stamps[:self._size] = self._stamps[self._size:]
-            self._values[:self._size] = self._values[self._size:]
-            self._end = self._size
-        self._stamps[self._end] = stamp
-        row = self._values[self._end]
-        row[0], row[1], row[2] = fault, reading, expected
-        self._end += 1
 
-    def at(self, stamp):
-        """Fault estimate at the latest sample not after a stamp.
+@njit
+def index_at(stamps, end, stamp, guess):
+    """Row of the latest sample not after a stamp.
 
-        Parameters
-        ----------
-        stamp : int
-            [ns].
+    Parameters
+    ----------
+    stamps : ndarray of int64
+        The buffer's.
+    end : int
+        Rows in use.
+    stamp : int
+        [ns].
+    guess : int
+        Where it should be; a good one saves time and does not change the result.
 
-        Returns
-        -------
-        tuple
-            Its stamp [ns] and f^ [rad]; None where the buffer does not reach back so far.
-        """
-        index = int(np.searchsorted(self._stamps[:self._end], stamp, side='right')) - 1
-        if index < max(0, self._end - self._size):
-            return None
-        return int(self._stamps[index]), float(self._values[index, 0])
+    Returns
+    -------
+    int
+        -1 where the buffer does not reach back so far.
+    """
+    oldest = max(0, end - len(stamps) // 2)
+    row = min(max(guess, oldest), end - 1)
+    while row >= oldest and stamps[row] > stamp:
+        row -= 1
+    while row + 1 < end and row >= oldest and stamps[row + 1] <= stamp:
+        row += 1
+    return row if row >= oldest else -1
 
-    def median_at(self, stamp, count=5):
-        """Median of the fault estimates around the latest sample not after a stamp.
 
-        A single bad sample must not be what later ones are compared with.
+@njit
+def first_since(stamps, end, stamp):
+    """First row that is not before a stamp; ``end`` if there is none.
 
-        Parameters
-        ----------
-        stamp : int
-            [ns].
-        count : int, optional
-            Samples that are looked at, ending there.
+    Parameters
+    ----------
+    stamps : ndarray of int64
+        The buffer's.
+    end : int
+        Rows in use.
+    stamp : int
+        [ns].
 
-        Returns
-        -------
-        float
-            [rad].
-        """
-        index = int(np.searchsorted(self._stamps[:self._end], stamp, side='right'))
-        values = sorted(self._values[max(0, index - count):index, 0].tolist())
-        return values[len(values) // 2]
+    Returns
+    -------
+    int
+        Among those that are kept.
+    """
+    row = end
+    oldest = max(0, end - len(stamps) // 2)
+    while row > oldest and stamps[row - 1] >= stamp:
+        row -= 1
+    return row
 
-    def since(self, stamp):
-        """Samples from a stamp on, as far as they are kept.
 
-        Parameters
-        ----------
-        stamp : int
-            [ns].
+@njit
+def median_before(values, row):
+    """Median of up to five fault estimates that end at a row.
 
-        Returns
-        -------
-        tuple of ndarray
-            Stamps (n,) [ns] and values (n, 3): f^, y_p, S theta^ [rad].
-        """
-        first = int(np.searchsorted(self._stamps[:self._end], stamp, side='left'))
-        first = max(first, self._end - self._size, 0)
-        return self._stamps[first:self._end], self._values[first:self._end]
+    A single bad sample must not be what later ones are compared with.
 
-    def last(self, count):
-        """The latest samples, as `since`."""
-        first = max(0, self._end - count)
-        return self._stamps[first:self._end], self._values[first:self._end]
+    Parameters
+    ----------
+    values : ndarray, shape (2*size, 3)
+        The buffer's.
+    row : int
+        Last row.
+
+    Returns
+    -------
+    float
+        [rad].
+    """
+    few = np.sort(values[max(0, row + 1 - _MEDIAN_OF):row + 1, FAULT])
+    return few[len(few) // 2]

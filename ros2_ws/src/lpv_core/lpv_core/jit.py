@@ -68,5 +68,6 @@ def njit(function):
     """
     if _numba_njit is None:
         return function
-    # fastmath stays off: results must not depend on how a loop is vectorised.
-    return _numba_njit(cache=_cache, fastmath=False, error_model='numpy')(function)
+    # fastmath stays off: results must not depend on how a loop is vectorised.  Without the
+    # interpreter's lock, a replay reads and writes while the recursion runs.
+    return _numba_njit(cache=_cache, fastmath=False, error_model='numpy', nogil=True)(function)

@@ -17,10 +17,43 @@ Q = J^T tau, that is Q1 = tau1 - tau2 and Q2 = tau2.
 
 import numpy as np
 
+from lpv_core.jit import njit
+from lpv_core.records import new_record, record_type
+
 J = np.array([[1.0, 0.0], [-1.0, 1.0]])
 """Joint velocities from absolute ones, q' = J theta'."""
 J_INVERSE = np.array([[1.0, 0.0], [1.0, 1.0]])
 
+JOINT_MAP = record_type(
+    ('zero', 'f8'), ('sensor', 'f8', (2, 2)), ('angle', 'f8', (2, 2)), ('from_joint', 'f8', (2, 2)),
+    ('to_joint', 'f8', (2, 2)), ('j', 'f8', (2, 2)), ('j_inverse', 'f8', (2, 2)))
+"""Matrices of a `JointMap` for compiled functions: zero angle [rad]; S, S^-1, S J^-1, J S^-1, J,
+J^-1."""
+
+
+@njit
+def weigh(matrix, row, first, second):
+    """One row of matrix @ (first, second), leaving zero coefficients out as `JointMap` does.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (2, 2)
+        The matrix.
+    row : int
+        Which row.
+    first, second : float
+        The vector.
+
+    Returns
+    -------
+    float
+        The product.
+    """
+    if matrix[row, 0] == 0.0:
+        return matrix[row, 1] * second
+    if matrix[row, 1] == 0.0:
+        return matrix[row, 0] * first
+    return matrix[row, 0] * first + matrix[row, 1] * second
 
 
 def _apply(matrix, values):
@@ -55,6 +88,19 @@ class JointMap:
         self.sensor_matrix = np.eye(2) if arm.arrangement == 'absolute' else J.copy()
         self._from_joint = self.sensor_matrix @ J_INVERSE
         self._to_joint = J @ np.linalg.inv(self.sensor_matrix)
+
+    def record(self):
+        """The matrices for compiled functions.
+
+        Returns
+        -------
+        numpy.record
+            Of type `JOINT_MAP`.
+        """
+        return new_record(
+            JOINT_MAP, zero=self._zero[0], sensor=self.sensor_matrix,
+            angle=np.linalg.inv(self.sensor_matrix), from_joint=self._from_joint,
+            to_joint=self._to_joint, j=J, j_inverse=J_INVERSE)
 
     def absolute_position(self, joint):
         """Absolute angles [rad] from joint positions [rad]."""

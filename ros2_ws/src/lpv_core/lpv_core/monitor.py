@@ -1,19 +1,207 @@
 """Observer and diagnosis together, measurement by measurement: what the UIO node and a replay run.
 
 Everything that decides on content is here and not in the node, so that a replay of a recorded
-bag gives the very bytes that the node published.
+bag gives the very bytes that the node published.  The node takes measurements one by one, a replay
+many at a time; both run `monitor_step`.
 """
 
 from dataclasses import asdict, dataclass, field
 
+import numpy as np
+
 from lpv_core import answers
-from lpv_core.diagnosis import AlarmEvent, Diagnoser, SensorState
+from lpv_core.diagnosis import (
+    ALARM_EVENT,
+    DIAGNOSIS_CONSTANTS,
+    DIAGNOSIS_STATE,
+    AlarmEvent,
+    DiagnosisParameters,
+    SensorState,
+    diagnose,
+    diagnosis_constants,
+    diagnosis_history,
+    make_alarm,
+    reset_diagnosis,
+)
 from lpv_core.errors import SampleError
+from lpv_core.jit import njit
 from lpv_core.joint_order import JointOrder
-from lpv_core.observer import NANOSECONDS, Mode, UnknownInputObserver
+from lpv_core.joints import weigh
+from lpv_core.observer import (
+    COUNTERS,
+    ESTIMATE,
+    NANOSECONDS,
+    OBSERVER_CONSTANTS,
+    OBSERVER_STATE,
+    Mode,
+    counters,
+    observe,
+    observer_constants,
+    pair,
+    reset_observer,
+)
+from lpv_core.records import NEVER, new_record, record_type
+from lpv_core.sensor_decision import NOTHING
 
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
+_STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
+_SENSOR_STALE = int(SensorState.STALE)
+
+MONITOR_CONSTANTS = record_type(('observer', OBSERVER_CONSTANTS),
+                                ('diagnosis', DIAGNOSIS_CONSTANTS))
+MONITOR_STATE = record_type(
+    ('observer', OBSERVER_STATE), ('estimate', ESTIMATE), ('diagnosis', DIAGNOSIS_STATE),
+    ('has_estimate', '?'), ('next_report', 'i8'))
+
+_STATE = record_type(
+    ('position', 'f8', (2,)), ('velocity', 'f8', (2,)), ('compensated_position', 'f8', (2,)),
+    ('measured_position', 'f8', (2,)), ('measured_velocity', 'f8', (2,)), ('mode', 'u1'),
+    ('trustworthy', '?'))
+_FAULT = record_type(
+    ('estimate', 'f8', (2,)), ('bound', 'f8', (2,)), ('threshold', 'f8', (2,)),
+    ('state', 'u1', (2,)), ('alarm', 'u1', (2,)))
+ANSWER = record_type(
+    ('answered', '?'), ('has_fault', '?'), ('restarted', '?'), ('has_events', '?'), ('due', '?'),
+    ('state', _STATE), ('fault', _FAULT))
+"""What one measurement leads to.
+
+answered
+    False for a sample with an old stamp, which needs no answer.
+has_fault
+    Whether there is a fault estimate; a state there is always.
+restarted
+    Time went backwards: observer and alarms started anew.
+has_events, due
+    Whether alarms changed, and whether a diagnostics report is due.
+state, fault
+    Fields of lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate.
+"""
+_REPORT = record_type(('row', 'i8'), ('answer', ANSWER), ('inconsistent', '?'),
+                      ('counters', COUNTERS))
+_EVENT = record_type(('row', 'i8'), ('event', ALARM_EVENT))
+_BUFFER = 64
+"""Events and reports that are passed at a time."""
+
+
+@njit
+def monitor_step(c, s, stamps, values, answer, stamp, position, velocity, effort):
+    """Use one measurement.
+
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+    stamps, values : ndarray
+        `lpv_core.diagnosis.diagnosis_history`.
+    answer : numpy.record
+        Receives the answer, of type `ANSWER`.
+    stamp, position, velocity, effort
+        As `lpv_core.observer.observe`.
+    """
+    restarts = s.observer.counters.restarts
+    fresh = observe(c.observer, s.observer, s.estimate, stamp, position, velocity, effort)
+    answer.restarted = s.observer.counters.restarts > restarts
+    if answer.restarted:
+        forget_estimate(s)
+    answer.answered, answer.has_events = True, False
+    if fresh:
+        s.has_estimate = True
+        diagnose(c.diagnosis, s.diagnosis, stamps, values, s.estimate)
+        events = s.diagnosis.decision.events
+        answer.has_events = events[0].happened != NOTHING or events[1].happened != NOTHING
+        _fill(c, s, answer, s.estimate.mode)
+    elif not s.has_estimate:
+        _fill(c, s, answer, _NO_ESTIMATE)
+    elif s.observer.stamp >= stamp:
+        answer.answered = answer.has_fault = answer.due = False
+        return
+    else:
+        # An unusable sample is answered with the last estimate; never with silence.
+        _fill(c, s, answer, _STALE)
+    # On the clock of the data: replays then report alike.
+    answer.due = answer.has_events or s.next_report == NEVER or stamp >= s.next_report
+    if answer.due:
+        s.next_report = stamp + _REPORT_INTERVAL
+
+
+@njit
+def forget_estimate(s):
+    """Estimates, alarms and the clock of reports start anew."""
+    reset_diagnosis(s.diagnosis)
+    s.has_estimate, s.next_report = False, NEVER
+
+
+@njit
+def _fill(c, s, answer, mode):
+    state, fault, e, d = answer.state, answer.fault, s.estimate, s.diagnosis.decision
+    joints = c.observer.recursion.joints
+    answer.has_fault, state.mode = s.has_estimate, mode
+    if not s.has_estimate:
+        for i in range(2):
+            state.position[i] = state.velocity[i] = state.compensated_position[i] = 0.0
+            state.measured_position[i] = state.measured_velocity[i] = 0.0
+        state.trustworthy = False
+        return
+    healthy_1 = e.sensor_position[0] - d.confirmed_fault[0]
+    healthy_2 = e.sensor_position[1] - d.confirmed_fault[1]
+    for i in range(2):
+        zero = joints.zero if i == 0 else 0.0
+        state.position[i], state.velocity[i] = e.position[i], e.velocity[i]
+        state.compensated_position[i] = weigh(joints.to_joint, i, healthy_1, healthy_2) - zero
+        state.measured_position[i] = e.measured_position[i]
+        state.measured_velocity[i] = e.measured_velocity[i]
+        fault.estimate[i], fault.bound[i] = e.fault[i], d.bound[i]
+        fault.threshold[i], fault.alarm[i] = d.threshold[i], d.alarm[i]
+        fault.state[i] = _SENSOR_STALE if mode == _STALE else d.state[i]
+    state.trustworthy = d.trustworthy
+
+
+@njit
+def _report(s, answer, report):
+    report.answer.state.mode, report.answer.has_fault = answer.state.mode, answer.has_fault
+    report.answer.state.trustworthy = answer.state.trustworthy
+    report.inconsistent = s.diagnosis.decision.inconsistent
+    for i in range(2):
+        report.answer.fault.estimate[i] = answer.fault.estimate[i]
+        report.answer.fault.bound[i] = answer.fault.bound[i]
+        report.answer.fault.threshold[i] = answer.fault.threshold[i]
+        report.answer.fault.state[i] = answer.fault.state[i]
+    to, now = report.counters, s.observer.counters
+    to.duplicates, to.out_of_order, to.restarts = now.duplicates, now.out_of_order, now.restarts
+    to.not_finite, to.implausible = now.not_finite, now.implausible
+    to.gaps, to.late_steps = now.gaps, now.late_steps
+
+
+@njit
+def _steps(c, s, stamps, values, answered, first, stamp, position, velocity, effort, events,
+           reports, found):
+    """`monitor_step` from row ``first`` on, as far as events and reports find room."""
+    found[:] = 0
+    for k in range(first, len(stamp)):
+        if found[0] + 2 > len(events) or found[1] == len(reports):
+            return k
+        answer = answered[k]
+        monitor_step(c, s, stamps, values, answer, stamp[k], position[k], velocity[k], effort[k])
+        if answer.has_events:
+            for i in range(2):
+                event = s.diagnosis.decision.events[i]
+                if event.happened != NOTHING:
+                    _copy_event(event, events[found[0]].event)
+                    events[found[0]].row = k
+                    found[0] += 1
+        if answer.due:
+            reports[found[1]].row = k
+            _report(s, answer, reports[found[1]])
+            found[1] += 1
+    return len(stamp)
+
+
+@njit
+def _copy_event(event, to):
+    to.happened, to.sensor, to.onset = event.happened, event.sensor, event.onset
+    to.detected, to.amount, to.bound = event.detected, event.amount, event.bound
+    to.kind, to.by_change, to.inconsistent = event.kind, event.by_change, event.inconsistent
 
 
 @dataclass
@@ -45,6 +233,31 @@ class Answer:
     restarted: bool = False
 
 
+@dataclass
+class Answers:
+    """What many measurements lead to, one row a measurement.
+
+    Attributes
+    ----------
+    answered, has_fault, restarted : ndarray of bool, shape (n,)
+        As in `ANSWER`.
+    state, fault : numpy.recarray, shape (n,)
+        Fields of lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate as attributes, one row each.
+    events : list of tuple
+        Row and `Alarm` of each alarm event.
+    reports : list of tuple
+        Row and diagnostic_msgs/DiagnosticArray's statuses of each report that is due.
+    """
+
+    answered: np.ndarray
+    has_fault: np.ndarray
+    restarted: np.ndarray
+    state: np.recarray
+    fault: np.recarray
+    events: list
+    reports: list
+
+
 class SensorMonitor:
     """Diagnosis of one arm's position sensors.
 
@@ -63,6 +276,13 @@ class SensorMonitor:
     initial_samples : int, optional
         Samples that the start value is averaged over.
 
+    Attributes
+    ----------
+    rejected : int
+        Messages that did not fit the arm.
+    method : str
+        Of the observer.
+
     Raises
     ------
     ConfigError
@@ -70,25 +290,47 @@ class SensorMonitor:
     """
 
     def __init__(self, name, arm, gains, parameters=None, max_gap=0.1, initial_samples=1):
-        self.name, self.arm = name, arm
-        self.observer = UnknownInputObserver(arm, gains, initial_samples, max_gap)
-        self.diagnoser = Diagnoser(arm, gains, parameters)
+        self.name, self.arm, self._gains = name, arm, gains
+        self.method, self.rejected = gains.observer.method, 0
+        self._constants = new_record(
+            MONITOR_CONSTANTS, observer=observer_constants(arm, gains, initial_samples, max_gap))
+        self._state, self._answer = new_record(MONITOR_STATE), new_record(ANSWER)
+        self._history = diagnosis_history(arm)
         self._order = JointOrder(arm.joint_names)
-        self._estimate = self._diagnosis = self._next_report = None
-        self.rejected = 0
+        self.retune(parameters or DiagnosisParameters())
+        self.reset()
+
+    def retune(self, parameters):
+        """Change the tuning while running; alarms stay as they are.
+
+        Parameters
+        ----------
+        parameters : DiagnosisParameters
+            The new tuning.
+        """
+        self._parameters = parameters
+        self._constants.diagnosis = diagnosis_constants(self.arm, self._gains, parameters)
 
     def reset(self):
         """Forget estimates and alarms; counters stay."""
-        self.observer.reset()
-        self.diagnoser.reset()
-        self._estimate = self._diagnosis = self._next_report = None
+        reset_observer(self._state.observer)
+        forget_estimate(self._state)
 
     def warm_up(self):
         """Compile by two made-up samples, and forget them: the first real ones must not wait."""
+        still = np.zeros(2)
         for stamp in (1, 1 + round(self.arm.sample_time * NANOSECONDS)):
-            estimate = self.observer.update(stamp, [0.0, 0.1], [0.0, 0.0], [0.0, 0.0])
-            self.diagnoser.update(estimate)
+            self._step(stamp, np.array([0.0, 0.1]), still, still)
         self.reset()
+
+    @property
+    def counters(self):
+        """Samples that were not usable as they came: `lpv_core.observer.Counters`."""
+        return counters(self._state.observer.counters)
+
+    def _step(self, stamp, position, velocity, effort):
+        monitor_step(self._constants, self._state, *self._history, self._answer, stamp, position,
+                     velocity, effort)
 
     def take(self, stamp, message, torque=None):
         """Use one measurement.
@@ -112,60 +354,60 @@ class SensorMonitor:
         SampleError
             If joints are unknown or sizes are wrong; it is counted.
         """
-        restarts = self.observer.counters.restarts
         try:
             position, velocity, effort = self._order.pick(message)
-            estimate = self.observer.update(stamp, position, velocity,
-                                            effort if torque is None else torque)
+            effort = pair(effort if torque is None else torque, 'torque')
         except SampleError:
             self.rejected += 1
             raise
-        answer = Answer(stamp)
-        if self.observer.counters.restarts > restarts:
-            answer.restarted = True
-            self.diagnoser.reset()
-            self._estimate = self._diagnosis = self._next_report = None
-        if estimate is not None:
-            self._fresh(answer, estimate)
-        elif not self._repeat(answer):
+        self._step(stamp, pair(position, 'position'), pair(velocity, 'velocity'), effort)
+        now = self._answer
+        if not now.answered:
             return None
+        answer = Answer(stamp, answers.state_fields(now.state), restarted=bool(now.restarted))
+        if now.has_fault:
+            answer.fault = answers.fault_fields(now.fault, self.arm.sensor_names)
+        if now.has_events:
+            answer.events = [self._alarm(event) for event in self._state.diagnosis.decision.events
+                             if event.happened != NOTHING]
+            answer.alarms = [answers.alarm_fields(event) for event in answer.events]
+        if now.due:
+            answer.status = self._status_now()
         return answer
 
-    def _fresh(self, answer, estimate):
-        self._estimate = estimate
-        self._diagnosis = diagnosis = self.diagnoser.update(estimate)
-        answer.events = diagnosis.events
-        answer.state = self._state(estimate.mode)
-        answer.fault = self._fault(diagnosis.state)
-        answer.alarms = [answers.alarm_fields(event) for event in diagnosis.events]
-        self._report(answer, estimate.mode)
+    def take_many(self, stamps, position, velocity, effort):
+        """Use many measurements; the same as `take` one by one.
 
-    def _report(self, answer, mode):
-        """Add a status where one is due, on the clock of the data: replays then report alike."""
-        due = self._next_report is None or answer.stamp >= self._next_report
-        if due or answer.events:
-            self._next_report = answer.stamp + _REPORT_INTERVAL
-            answer.status = self.status(mode)
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (n,)
+            Their times [ns].
+        position, velocity, effort : ndarray, shape (n, 2)
+            Joint positions [rad], rates [rad/s] and torques [N m] in the order of the arm file;
+            NaN where there is none.
 
-    def _repeat(self, answer):
-        """Answer an unusable sample with the last estimate, marked stale; never with silence."""
-        if self._estimate is None:
-            answer.state = self._state(Mode.NO_ESTIMATE)
-            self._report(answer, Mode.NO_ESTIMATE)
-            return True
-        if (self.observer.stamp or 0) >= answer.stamp:
-            return False
-        answer.state = self._state(Mode.STALE)
-        answer.fault = self.stale_fault()
-        self._report(answer, Mode.STALE)
-        return True
+        Returns
+        -------
+        Answers
+            One row a measurement.
+        """
+        given = [np.ascontiguousarray(v, dtype=float) for v in (position, velocity, effort)]
+        stamps = np.ascontiguousarray(stamps, dtype=np.int64)
+        answered = np.zeros(len(stamps), ANSWER).view(np.recarray)
+        events, reports = (np.zeros(_BUFFER, kind).view(np.recarray)
+                           for kind in (_EVENT, _REPORT))
+        found, row = np.zeros(2, np.int64), 0
+        result = Answers(answered.answered, answered.has_fault, answered.restarted,
+                         answered.state, answered.fault, [], [])
+        while row < len(stamps):
+            row = _steps(self._constants, self._state, *self._history, answered, row, stamps,
+                         *given, events, reports, found)
+            result.events += [(int(e.row), self._alarm(e.event)) for e in events[:found[0]]]
+            result.reports += [(int(r.row), self._status(r)) for r in reports[:found[1]]]
+        return result
 
-    def _state(self, mode):
-        return answers.state_fields(self._estimate, self._diagnosis, mode, self.observer.joints)
-
-    def _fault(self, states):
-        return answers.fault_fields(self._estimate, self._diagnosis, states,
-                                    self.arm.sensor_names)
+    def _alarm(self, event):
+        return make_alarm(event, self.arm, self._parameters)
 
     def stale_fault(self):
         """Fields of a FaultEstimate that says that its values are the last ones.
@@ -175,7 +417,10 @@ class SensorMonitor:
         dict or None
             None before the first estimate.
         """
-        return None if self._estimate is None else self._fault([SensorState.STALE] * 2)
+        if not self._state.has_estimate:
+            return None
+        _fill(self._constants, self._state, self._answer, _STALE)
+        return answers.fault_fields(self._answer.fault, self.arm.sensor_names)
 
     def status(self, mode):
         """Statuses for /diagnostics.
@@ -190,10 +435,21 @@ class SensorMonitor:
         list of dict
             As `lpv_core.answers.diagnostic_fields`.
         """
-        values = {**asdict(self.observer.counters), 'rejected messages': self.rejected,
-                  'method': self.observer.method}
-        return answers.diagnostic_fields(self.name, self.arm, self._estimate, self._diagnosis,
-                                         mode, values)
+        _fill(self._constants, self._state, self._answer, int(mode))
+        return self._status_now()
+
+    def _status_now(self):
+        report = new_record(_REPORT)
+        _report(self._state, self._answer, report)
+        return self._status(report)
+
+    def _status(self, report):
+        values = {**asdict(counters(report.counters)), 'rejected messages': self.rejected,
+                  'method': self.method}
+        answer = report.answer
+        return answers.diagnostic_fields(self.name, self.arm, answer.state,
+                                         answer.fault if answer.has_fault else None,
+                                         bool(report.inconsistent), values)
 
 
 def describe(event):

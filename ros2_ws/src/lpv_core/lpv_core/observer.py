@@ -1,18 +1,20 @@
 """The observer as nodes and replay use it: joint-space samples in, estimates out.
 
-All bad input ends here, in a stated degraded mode: see :meth:`UnknownInputObserver.update`.
+All bad input ends here, in a stated degraded mode: see :func:`observe`.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from lpv_core.dynamics import acceleration
 from lpv_core.errors import SampleError
-from lpv_core.joints import JointMap
-from lpv_core.recursion import RECURSIONS
+from lpv_core.jit import njit
+from lpv_core.joints import JointMap, weigh
+from lpv_core.records import NEVER, new_record, record_type
+from lpv_core.recursion import RECURSION_CONSTANTS, RECURSION_STATE, advance, place, recursion
 
 NANOSECONDS = 1_000_000_000
 
@@ -30,6 +32,9 @@ class Mode(IntEnum):
     INITIALISING = 2
     STALE = 3
     NO_ESTIMATE = 4
+
+
+_OBSERVING, _HOLDING, _INITIALISING = (int(m) for m in Mode if m <= Mode.INITIALISING)
 
 
 @dataclass
@@ -53,53 +58,278 @@ class Counters:
     late_steps: int = 0
 
 
-@dataclass
-class Estimate:
-    """One estimate.
+COUNTERS = record_type(*((name, 'i8') for name in Counters.__dataclass_fields__))
 
-    Attributes
+OBSERVER_CONSTANTS = record_type(
+    ('recursion', RECURSION_CONSTANTS), ('sample_time', 'f8'), ('max_gap', 'f8'),
+    ('initial_samples', 'i8'), ('velocity_limit', 'f8', (2,)), ('effort_limit', 'f8', (2,)))
+OBSERVER_STATE = record_type(
+    ('recursion', RECURSION_STATE), ('stamp', 'i8'), ('started', 'i8'), ('counters', COUNTERS),
+    ('y', 'f8', (4,)), ('y_new', 'f8', (4,)), ('before', 'f8', (4,)), ('after', 'f8', (4,)),
+    ('torque', 'f8', (2,)), ('fault', 'f8', (2,)))
+
+ESTIMATE = record_type(
+    ('stamp', 'i8'), ('interval', 'f8'), ('mode', 'u1'), ('position', 'f8', (2,)),
+    ('velocity', 'f8', (2,)), ('measured_position', 'f8', (2,)),
+    ('measured_velocity', 'f8', (2,)), ('fault', 'f8', (2,)), ('absolute_position', 'f8', (2,)),
+    ('sensor_position', 'f8', (2,)), ('held', 'u1', (2,)), ('missing', 'u1', (2,)),
+    ('absolute_velocity', 'f8', (2,)), ('absolute_acceleration', 'f8', (2,)),
+    ('innovation', 'f8', (2,)))
+"""One estimate.
+
+stamp, interval
+    Time of the measurement [ns], and since the previous estimate [s].
+mode
+    Of `Mode`.
+position, velocity, measured_position, measured_velocity
+    Estimated and measured joint positions and rates, ROS joint coordinates [rad], [rad/s].
+fault, sensor_position
+    f^ and readings of the physical position sensors [rad].
+absolute_position
+    Estimated absolute angles theta^ [rad].
+held
+    Links whose configuration carries no gravity information: dead reckoning.
+missing
+    Position sensors that delivered no finite value; their fault estimate is held.
+absolute_velocity, absolute_acceleration
+    Measured theta' and the model's theta'' at the estimate [rad/s], [rad/s2].
+innovation
+    Estimated minus measured theta' [rad/s].
+"""
+
+
+def observer_constants(arm, gains, initial_samples=1, max_gap=0.1):
+    """Constants of `observe` for one arm.
+
+    Parameters
     ----------
-    stamp : int
-        Time of the measurement [ns].
-    position, velocity : ndarray, shape (2,)
-        Estimated joint positions and rates, ROS joint coordinates [rad], [rad/s].
-    measured_position, measured_velocity : ndarray, shape (2,)
-        The measurement it belongs to, joint coordinates.
-    fault : ndarray, shape (2,)
-        f^ of the physical position sensors [rad].
-    absolute_position : ndarray, shape (2,)
-        Estimated absolute angles theta^ [rad].
-    sensor_position : ndarray, shape (2,)
-        Readings of the physical position sensors [rad].
-    held : ndarray of bool, shape (2,)
-        Links whose configuration carries no gravity information: dead reckoning.
-    missing : ndarray of bool, shape (2,)
-        Position sensors that delivered no finite value; their fault estimate is held.
-    interval : float
-        Time since the previous estimate [s].
-    absolute_velocity, absolute_acceleration : ndarray, shape (2,)
-        Measured theta' and the model's theta'' at the estimate [rad/s], [rad/s2].
-    innovation : ndarray, shape (2,)
-        Estimated minus measured theta' [rad/s].
-    mode : Mode
-        Summary.
-    """
+    arm, gains, initial_samples, max_gap
+        As `UnknownInputObserver`.
 
-    stamp: int
-    position: np.ndarray
-    velocity: np.ndarray
-    measured_position: np.ndarray
-    measured_velocity: np.ndarray
-    fault: np.ndarray
-    absolute_position: np.ndarray
-    sensor_position: np.ndarray
-    held: np.ndarray
-    missing: np.ndarray
-    interval: float
-    absolute_velocity: np.ndarray
-    absolute_acceleration: np.ndarray
-    innovation: np.ndarray
-    mode: Mode = field(default=Mode.OBSERVING)
+    Returns
+    -------
+    numpy.record
+        Of type `OBSERVER_CONSTANTS`.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+    gains.check_arm(arm)
+    return new_record(
+        OBSERVER_CONSTANTS, recursion=recursion(arm, gains.observer),
+        sample_time=arm.sample_time, max_gap=max_gap,
+        initial_samples=max(1, int(initial_samples)), velocity_limit=arm.velocity_limit,
+        effort_limit=_EFFORT_MARGIN * np.asarray(arm.torque_limit))
+
+
+@njit
+def reset_observer(s):
+    """Forget everything but the counters; the next sample starts anew."""
+    s.stamp, s.started = NEVER, 0
+    s.recursion.held[:] = False
+    s.y[:] = 0.0
+
+
+@njit
+def observe(c, s, e, stamp, position, velocity, effort):
+    """Take one measurement; the estimate at its time goes into ``e``.
+
+    Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s back
+    means that time restarted, and so does the observer; a position that is not finite, or absurd,
+    is bridged with the last fault estimate of that sensor (the state estimate does not need it); a
+    velocity or effort that is not finite, or beyond what the arm can do, drops the sample; an
+    interval above ``max_gap`` re-anchors the estimate.
+
+    Parameters
+    ----------
+    c, s, e : numpy.record
+        `observer_constants`, state (`OBSERVER_STATE`) and estimate (`ESTIMATE`).
+    stamp : int
+        Time of measurement [ns].
+    position, velocity : ndarray, shape (2,)
+        Joint positions [rad] and rates [rad/s] as in ``sensor_msgs/JointState``, in the order of
+        the arm file.
+    effort : ndarray, shape (2,)
+        Joint torques that acted over the interval that ends at ``stamp`` [N m].
+
+    Returns
+    -------
+    bool
+        False if the sample was dropped; ``e`` then stays as it was.
+    """
+    r = s.recursion
+    if not _usable(c, s, velocity, effort):
+        return False
+    interval = _interval(s, stamp)
+    if interval < 0.0:
+        return False
+    missing_1, missing_2 = _outputs(c.recursion.joints, s, position, velocity)
+    missing = missing_1 or missing_2
+    s.fault[0], s.fault[1] = r.x[4], r.x[5]
+    s.torque[0], s.torque[1] = effort[0] - effort[1], effort[1]  # Q = J^T tau
+    if s.stamp == NEVER:
+        if missing:
+            return False  # a start value needs both sensors
+        _start(c, s)
+    elif interval > c.max_gap:
+        _bridge(c, s)
+    else:
+        _advance(c, s, interval)
+    if missing:
+        _keep_fault(c, s, missing_1, missing_2)
+    if s.started < c.initial_samples:
+        _average_start(c, s)
+    for i in range(6):
+        if not math.isfinite(r.x[i]):
+            # Can only follow from absurd input (1e300 rad/s); never let it out.
+            s.counters.not_finite += 1
+            reset_observer(s)
+            return False
+    s.stamp = stamp
+    s.y[:] = s.y_new
+    s.started += 1
+    e.stamp, e.interval = stamp, interval
+    e.missing[0], e.missing[1] = missing_1, missing_2
+    _fill(c, s, e)
+    return True
+
+
+@njit
+def _interval(s, stamp):
+    """Time since the last sample [s]; negative if this one is to be dropped."""
+    if s.stamp == NEVER:
+        return 0.0
+    delta = stamp - s.stamp
+    if delta > 0:
+        return delta / NANOSECONDS
+    if delta < -NANOSECONDS:
+        s.counters.restarts += 1
+        reset_observer(s)
+        return 0.0
+    if delta == 0:
+        s.counters.duplicates += 1
+    else:
+        s.counters.out_of_order += 1
+    return -1.0
+
+
+@njit
+def _usable(c, s, velocity, effort):
+    for i in range(2):
+        if not (math.isfinite(velocity[i]) and math.isfinite(effort[i])):
+            s.counters.not_finite += 1
+            return False
+    for i in range(2):
+        if abs(velocity[i]) > c.velocity_limit[i] or abs(effort[i]) > c.effort_limit[i]:
+            s.counters.implausible += 1
+            return False
+    return True
+
+
+@njit
+def _outputs(joints, s, position, velocity):
+    """Readings of the sensors into ``y_new``; whether the first and the second one are silent."""
+    y = s.y_new
+    for i in range(2):
+        y[i] = weigh(joints.from_joint, i, position[0] + joints.zero, position[1])
+        y[2 + i] = weigh(joints.from_joint, i, velocity[0], velocity[1])
+    missing_1, missing_2 = not abs(y[0]) <= _LARGEST_ANGLE, not abs(y[1]) <= _LARGEST_ANGLE
+    if missing_1 or missing_2:
+        if math.isfinite(y[0]) and math.isfinite(y[1]):
+            s.counters.implausible += 1
+        else:
+            s.counters.not_finite += 1
+        y[0] = s.y[0] if missing_1 else y[0]
+        y[1] = s.y[1] if missing_2 else y[1]
+    return missing_1, missing_2
+
+
+@njit
+def _keep_fault(c, s, missing_1, missing_2):
+    """A silent sensor reads S theta^ + f^, as if its fault stayed what it was."""
+    r = s.recursion
+    for i in range(2):
+        if (missing_1 if i == 0 else missing_2):
+            r.x[4 + i] = s.fault[i]
+            s.y_new[i] = weigh(c.recursion.joints.sensor, i, r.x[0], r.x[1]) + s.fault[i]
+    place(c.recursion, r, s.y_new)
+
+
+@njit
+def _average_start(c, s):
+    """Move the start value to the mean of the samples so far; their mean fault is zero."""
+    r = s.recursion
+    share_1, share_2 = r.x[4] / (s.started + 1), r.x[5] / (s.started + 1)
+    for i in range(2):
+        r.x[i] += weigh(c.recursion.joints.angle, i, share_1, share_2)
+    r.x[4] -= share_1
+    r.x[5] -= share_2
+    place(c.recursion, r, s.y_new)
+
+
+@njit
+def _anchor(c, s):
+    """Angles from the readings without their fault estimates, rates as measured."""
+    r, y, angle = s.recursion, s.y_new, c.recursion.joints.angle
+    for i in range(2):
+        r.x[i] = weigh(angle, i, y[0] - r.x[4], y[1] - r.x[5])
+        r.x[2 + i] = weigh(angle, i, y[2], y[3])
+    place(c.recursion, r, y)
+
+
+@njit
+def _start(c, s):
+    s.recursion.x[4:] = 0.0
+    _anchor(c, s)
+    s.y[:] = s.y_new
+    s.started = 0
+
+
+@njit
+def _bridge(c, s):
+    """Re-anchor after a gap: the encoder's increment is all that is known of it."""
+    s.counters.gaps += 1
+    _anchor(c, s)
+
+
+@njit
+def _advance(c, s, interval):
+    steps = max(1, math.ceil(interval / (1.5 * c.sample_time)))
+    if steps == 1:
+        advance(c.recursion, s.recursion, s.y, s.y_new, s.torque, interval)
+        return
+    s.counters.late_steps += 1
+    s.before[:] = s.y
+    for k in range(1, steps + 1):
+        for i in range(4):
+            s.after[i] = s.y_new[i] if k == steps else (
+                s.before[i] + (s.y_new[i] - s.y[i]) / steps)
+        advance(c.recursion, s.recursion, s.before, s.after, s.torque, interval / steps)
+        s.before[:] = s.after
+
+
+@njit
+def _fill(c, s, e):
+    r, y, joints = s.recursion, s.y_new, c.recursion.joints
+    if s.started <= c.initial_samples:
+        e.mode = _INITIALISING
+    else:
+        e.mode = _HOLDING if r.held[0] or r.held[1] else _OBSERVING
+    for i in range(2):
+        zero = joints.zero if i == 0 else 0.0
+        e.position[i] = weigh(joints.j, i, r.x[0], r.x[1]) - zero
+        e.velocity[i] = weigh(joints.j, i, r.x[2], r.x[3])
+        e.measured_position[i] = weigh(joints.to_joint, i, y[0], y[1]) - zero
+        e.measured_velocity[i] = weigh(joints.to_joint, i, y[2], y[3])
+        e.fault[i], e.absolute_position[i] = r.x[4 + i], r.x[i]
+        e.sensor_position[i], e.held[i] = y[i], r.held[i]
+        e.absolute_velocity[i] = weigh(joints.angle, i, y[2], y[3])
+        e.innovation[i] = r.x[2 + i] - e.absolute_velocity[i]
+    e.absolute_acceleration[0], e.absolute_acceleration[1] = acceleration(
+        r.x[0], r.x[1], e.absolute_velocity[0], e.absolute_velocity[1], s.torque[0], s.torque[1],
+        c.recursion.arm)
 
 
 class UnknownInputObserver:
@@ -125,190 +355,86 @@ class UnknownInputObserver:
     """
 
     def __init__(self, arm, gains, initial_samples=1, max_gap=0.1):
-        gains.check_arm(arm)
-        self.arm = arm
-        self.joints = JointMap(arm)
-        self.counters = Counters()
-        self.method = gains.observer.method
-        self._max_gap = max_gap
-        self._initial_samples = max(1, int(initial_samples))
-        self._s = self.joints.sensor_matrix
-        self._s_inv = np.linalg.inv(self._s)
-        self._constants = arm.constants()
-        self._recursion = RECURSIONS[self.method](arm, gains.observer)
-        self._x, self._held = self._recursion.x, self._recursion.held
-        self._y = np.zeros(4)
-        self._torque = np.zeros(2)
+        self._constants = observer_constants(arm, gains, initial_samples, max_gap)
+        self._state, self._estimate = new_record(OBSERVER_STATE), new_record(ESTIMATE)
+        self.arm, self.joints = arm, JointMap(arm)
         self.reset()
 
     def reset(self):
         """Forget everything but the counters; the next sample starts anew."""
-        self._stamp = None
-        self._started = 0
-        self._held[:] = False
+        reset_observer(self._state)
+
+    @property
+    def counters(self):
+        """What was not usable so far, as `Counters`."""
+        return counters(self._state.counters)
 
     @property
     def stamp(self):
         """Stamp of the last accepted sample [ns], or None."""
-        return self._stamp
+        return None if self._state.stamp == NEVER else int(self._state.stamp)
 
     def update(self, stamp, position, velocity, effort):
-        """Take one measurement and return the estimate at its time.
-
-        Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s
-        back means that time restarted, and so does the observer; a position that is not finite,
-        or absurd, is bridged with the last fault estimate of that sensor (the state estimate does
-        not need it); a velocity or effort that is not finite, or beyond what the arm can do, drops
-        the sample; an interval above ``max_gap`` re-anchors the estimate.
+        """Take one measurement and return the estimate at its time, see :func:`observe`.
 
         Parameters
         ----------
-        stamp : int
-            Time of measurement [ns].
-        position, velocity : sequence of two floats
-            Joint positions [rad] and rates [rad/s] as in ``sensor_msgs/JointState``, in the
-            order of the arm file.
-        effort : sequence of two floats
-            Joint torques that acted over the interval that ends at ``stamp`` [N m].
+        stamp, position, velocity, effort
+            As `observe`; any sequences of two floats.
 
         Returns
         -------
-        Estimate or None
-            None if the sample was dropped.
+        numpy.record or None
+            `ESTIMATE`; None if the sample was dropped.
 
         Raises
         ------
         SampleError
             If a vector has not two elements.
         """
-        position, velocity, effort = (_two(position, 'position'), _two(velocity, 'velocity'),
-                                      _two(effort, 'effort'))
-        if not self._usable(velocity, effort):
-            return None
-        interval = self._interval(stamp)
-        if interval is None:
-            return None
-        y, missing = self._outputs(position, velocity)
-        fault = self._x[4:].copy()
-        self._torque[:] = self.joints.absolute_torque(effort)
-        if self._stamp is None:
-            if missing.any():
-                return None  # a start value needs both sensors
-            self._start(y)
-        elif interval > self._max_gap:
-            self._bridge(y)
-        else:
-            self._advance(y, interval)
-        if missing.any():
-            self._keep_fault(y, missing, fault)
-        if self._started < self._initial_samples:
-            self._average_start(y)
-        if not np.isfinite(self._x).all():
-            # Can only follow from absurd input (1e300 rad/s); never let it out.
-            self.counters.not_finite += 1
-            self.reset()
-            return None
-        self._stamp = stamp
-        self._y[:] = y
-        self._started += 1
-        return self._result(stamp, y, missing, interval)
-
-    def _interval(self, stamp):
-        if self._stamp is None:
-            return 0.0
-        delta = stamp - self._stamp
-        if delta > 0:
-            return delta / NANOSECONDS
-        if delta < -NANOSECONDS:
-            self.counters.restarts += 1
-            self.reset()
-            return 0.0
-        if delta == 0:
-            self.counters.duplicates += 1
-        else:
-            self.counters.out_of_order += 1
-        return None
-
-    def _outputs(self, position, velocity):
-        y = np.empty(4)
-        y[:2] = self.joints.sensor_position(position)
-        y[2:] = self.joints.sensor_velocity(velocity)
-        missing = ~(np.abs(y[:2]) <= _LARGEST_ANGLE)
-        if missing.any():
-            if np.isfinite(y[:2]).all():
-                self.counters.implausible += 1
-            else:
-                self.counters.not_finite += 1
-            y[:2] = np.where(missing, self._y[:2], y[:2])
-        return y, missing
-
-    def _usable(self, velocity, effort):
-        if not (np.isfinite(velocity).all() and np.isfinite(effort).all()):
-            self.counters.not_finite += 1
-            return False
-        possible = (np.abs(velocity) <= self.arm.velocity_limit).all() and (
-            np.abs(effort) <= _EFFORT_MARGIN * np.asarray(self.arm.torque_limit)).all()
-        self.counters.implausible += not possible
-        return possible
-
-    def _keep_fault(self, y, missing, fault):
-        """A silent sensor reads S theta^ + f^, as if its fault stayed what it was."""
-        self._x[4:] = np.where(missing, fault, self._x[4:])
-        y[:2] = np.where(missing, self._s @ self._x[:2] + fault, y[:2])
-        self._recursion.place(y)
-
-    def _average_start(self, y):
-        """Move the start value to the mean of the samples so far; their mean fault is zero."""
-        share = self._x[4:] / (self._started + 1)
-        self._x[:2] += self._s_inv @ share
-        self._x[4:] -= share
-        self._recursion.place(y)
-
-    def _start(self, y):
-        theta = self._s_inv @ y[:2]
-        self._x[:] = np.concatenate([theta, self._s_inv @ y[2:], np.zeros(2)])
-        self._recursion.place(y)
-        self._y[:] = y
-        self._started = 0
-
-    def _bridge(self, y):
-        """Re-anchor after a gap: the encoder's increment is all that is known of it."""
-        self.counters.gaps += 1
-        theta = self._s_inv @ (y[:2] - self._x[4:])
-        self._x[:2], self._x[2:4] = theta, self._s_inv @ y[2:]
-        self._recursion.place(y)
-
-    def _advance(self, y, interval):
-        steps = max(1, math.ceil(interval / (1.5 * self.arm.sample_time)))
-        if steps > 1:
-            self.counters.late_steps += 1
-        before = self._y.copy()
-        dt = interval / steps
-        for i in range(1, steps + 1):
-            after = y if i == steps else before + (y - self._y) / steps
-            self._recursion.advance(before, after, self._torque, dt)
-            before = after
-
-    def _result(self, stamp, y, missing, interval):
-        if self._started <= self._initial_samples:
-            mode = Mode.INITIALISING
-        else:
-            mode = Mode.HOLDING if self._held.any() else Mode.OBSERVING
-        x, rate = self._x, self._s_inv @ y[2:]
-        return Estimate(
-            stamp=stamp, position=self.joints.joint_position(x[:2]),
-            velocity=self.joints.joint_velocity(x[2:4]),
-            measured_position=self.joints.joint_from_sensor(y[:2]),
-            measured_velocity=self.joints.joint_velocity_from_sensor(y[2:]),
-            fault=x[4:].copy(), absolute_position=x[:2].copy(), sensor_position=y[:2].copy(),
-            held=self._held.copy(), missing=missing, interval=interval, absolute_velocity=rate,
-            absolute_acceleration=np.array(acceleration(
-                x[0], x[1], rate[0], rate[1], self._torque[0], self._torque[1],
-                self._constants)), innovation=x[2:4] - rate, mode=mode)
+        used = observe(self._constants, self._state, self._estimate, stamp,
+                       pair(position, 'position'), pair(velocity, 'velocity'),
+                       pair(effort, 'effort'))
+        return self._estimate.copy() if used else None
 
 
-def _two(values, name):
-    array = np.asarray(values, dtype=float)
+def counters(record):
+    """`Counters` of a record.
+
+    Parameters
+    ----------
+    record : numpy.record
+        Of type `COUNTERS`.
+
+    Returns
+    -------
+    Counters
+        Plain numbers.
+    """
+    return Counters(*record.tolist())
+
+
+def pair(values, name):
+    """Two numbers as an array.
+
+    Parameters
+    ----------
+    values : sequence of two floats
+        The numbers.
+    name : str
+        For the message.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        The same.
+
+    Raises
+    ------
+    SampleError
+        If it has another shape.
+    """
+    array = np.ascontiguousarray(values, dtype=float)
     if array.shape != (2,):
         raise SampleError(f'{name} must have 2 values, one a joint, got shape {array.shape}')
     return array

@@ -3,323 +3,356 @@
 Three kinds of evidence count: the level of the fault estimate against its guaranteed bound, its
 change over several windows (`lpv_core.change_test`), and missing data.  Evidence must last for the
 dwell; shorter excursions are spikes.
+
+All functions take the constants ``c`` (`SENSOR_CONSTANTS`), the state ``s`` (`SENSOR_STATE`), the
+sensor's past ``stamps`` and ``values`` (`lpv_core.history`) and the present sample ``d``
+(`SAMPLE`).  A decision is `NOTHING`, `RAISED`, `UPDATED` or `CLEARED`.
 """
 
-from dataclasses import dataclass
-
-import numpy as np
-
-from lpv_core.change_test import WINDOWS
-from lpv_core.fault_kind import classify, is_stuck, noise_level
-from lpv_core.history import History
+from lpv_core.change_test import CHANGE_TEST, WINDOWS, change_limit, find_change
+from lpv_core.fault_kind import (
+    BIAS,
+    DROPOUT,
+    INCONSISTENT,
+    NOISE,
+    SCALE,
+    SPIKE,
+    STUCK,
+    UNCLASSIFIED,
+    classify,
+    fits_better,
+    is_stuck,
+    noise_level,
+    span,
+)
+from lpv_core.history import FAULT, READING, add_sample, first_since, median_before
+from lpv_core.jit import njit
+from lpv_core.records import NEVER, record_type
 
 NANOSECONDS = 1_000_000_000
+NOTHING, RAISED, UPDATED, CLEARED = range(-1, 3)
 _SPIKES = 3
 """So many excursions shorter than the dwell within `_SPIKE_TIME` are a fault of kind spike."""
-_SPIKE_TIME = 1.0
-_COURSES = ('unclassified', 'bias', 'drift', 'scale')
-"""Kinds that wrong rates, torques or a wrong model can feign, as long as there is no step."""
-_DECIDED = 1.0
-"""The kind is settled so long after the alarm [s]."""
-_LOOK = 0.05
-"""Interval of classification and of the test for noise and stuck readings [s]."""
+_SPIKE_TIME = NANOSECONDS
+_DECIDED = NANOSECONDS
+"""The kind is settled so long after the alarm [ns]."""
+_LOOK = 50_000_000
+"""Interval of classification and of the test for noise and stuck readings [ns]."""
+_RECENT = 50
+"""Samples that show noise and standstill."""
+
+SENSOR_CONSTANTS = record_type(
+    ('changes', CHANGE_TEST), ('noise', 'f8'), ('dwell', 'i8'), ('clear_dwell', 'i8'),
+    ('hysteresis', 'f8'), ('latch', '?'))
+"""Limits of changes; standard deviation of readings [rad]; dwells [ns]; the rest as in
+`DiagnosisParameters`."""
+
+SAMPLE = record_type(
+    ('stamp', 'i8'), ('fault', 'f8'), ('reading', 'f8'), ('expected', 'f8'), ('threshold', 'f8'),
+    ('speed', 'f8'), ('missing', '?'), ('lost', '?'), ('inconsistent', '?'))
+"""What is known of one sensor at one sample.
+
+stamp [ns]; f^, y_p, S theta^ [rad]; the level that a healthy estimate stays below [rad]; bound on
+the speed of the estimate's healthy error [rad/s]; no reading; gravity does not renew the estimate,
+its level is no evidence; rates, torques and model contradict each other.
+"""
+
+SENSOR_STATE = record_type(
+    # The alarm: whether there is one, its kind (index into KINDS), first and deciding sample [ns],
+    # amount: change since the onset, or level [rad]; whether it rests on a change, and on a jump.
+    ('alarm', '?'), ('kind', 'i8'), ('onset', 'i8'), ('detected', 'i8'), ('amount', 'f8'),
+    ('by_change', '?'), ('stepped', '?'), ('reported', 'f8'), ('peak', 'f8'), ('baseline', 'f8'),
+    # Evidence that is not confirmed: since when, over which window, f^ before it [rad].
+    ('since', 'i8'), ('window', 'i8'), ('before', 'f8'), ('missing_since', 'i8'),
+    ('below_since', 'i8'), ('look_at', 'i8'), ('spikes', 'i8', (_SPIKES,)),
+    ('spike_count', 'i8'), ('end', 'i8'), ('sample', SAMPLE))
 
 
-@dataclass
-class Sample:
-    """What is known of one sensor at one sample.
+@njit
+def reset_sensor(s):
+    """Clear alarm and past."""
+    s.end = 0
+    s.alarm, s.kind, s.by_change, s.stepped = False, UNCLASSIFIED, False, False
+    s.onset = s.detected = 0
+    s.amount = s.reported = s.peak = s.baseline = 0.0
+    forget(s)
 
-    Attributes
-    ----------
-    stamp : int
-        [ns].
-    fault, reading, expected : float
-        f^, y_p, S theta^ [rad].
-    threshold : float
-        Level that a healthy estimate stays below [rad].
-    speed : float
-        Bound on the speed of the estimate's healthy error [rad/s].
-    missing : bool
-        No reading.
-    lost : bool
-        Gravity does not renew the estimate: its level is no evidence.
-    inconsistent : bool
-        Rates, torques and model contradict each other.
+
+@njit
+def forget(s):
+    """Drop evidence that is not confirmed yet, and what depends on old stamps."""
+    s.since = s.below_since = s.missing_since = s.look_at = NEVER
+    s.window, s.before, s.spike_count = -1, 0.0, 0
+
+
+@njit
+def restart_sensor(s):
+    """Time started anew: stamps of before mean nothing; an alarm stays."""
+    s.end = 0
+    forget(s)
+
+
+@njit
+def is_compensable(s):
+    """Whether ``size`` is a fault that may be removed from the reading."""
+    return s.alarm and s.kind != DROPOUT and s.kind != INCONSISTENT and s.kind != SPIKE
+
+
+@njit
+def suspected(s):
+    """What an abrupt change that is not confirmed yet would be as a fault [rad], else 0."""
+    if s.alarm or s.since == NEVER or s.window != 0:
+        return 0.0
+    return s.sample.fault - s.before
+
+
+@njit
+def decide(c, s, stamps, values):
+    """Decide on the sample in ``s.sample``.
+
+    Returns
+    -------
+    int
+        What happened now.
     """
+    d = s.sample
+    if d.missing:
+        return _silent(c, s)
+    s.missing_since = NEVER
+    if s.alarm and s.kind == DROPOUT:
+        return _wait(c, s, True)
+    if s.alarm:
+        decided = _decide_alarm(c, s, stamps, values)
+    else:
+        decided = _decide_healthy(c, s, stamps, values)
+    s.end = add_sample(stamps, values, s.end, d.stamp, d.fault, d.reading, d.expected)
+    return decided
 
-    stamp: int
-    fault: float
-    reading: float
-    expected: float
-    threshold: float
-    speed: float
-    missing: bool
-    lost: bool
-    inconsistent: bool
+
+@njit
+def _lasts(since, d, time):
+    return d.stamp - since >= time
 
 
-class SensorDecision:
-    """Running decision of one sensor.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Noise and sample time.
-    change_test : ChangeTest
-        Limits of healthy changes.
-    parameters : DiagnosisParameters
-        Dwell, hysteresis and the like.
-
-    Attributes
-    ----------
-    alarm : bool
-        Whether a fault is confirmed.
-    kind : str
-        Of the present or last alarm.
-    onset, detected : int
-        Of the present or last alarm [ns].
-    size : float
-        Fault of the present alarm: change since the onset, or level [rad].
-    """
-
-    def __init__(self, arm, change_test, parameters):
-        self.parameters, self.changes = parameters, change_test
-        self._noise = arm.position_noise
-        self._history = History(round(1.5 / arm.sample_time))
-        self.reset()
-
-    def reset(self):
-        """Clear alarm and past."""
-        self._history.clear()
-        self.alarm, self.kind = False, 'unclassified'
-        self.onset = self.detected = 0
-        self.size = self._reported = self._peak = self._baseline = 0.0
-        self._by_change = self._stepped = False
-        self.forget()
-
-    def forget(self):
-        """Drop evidence that is not confirmed yet, and what depends on old stamps."""
-        self._since = self._below_since = self._missing_since = self._look_at = None
-        self._before, self._level = 0.0, False
-        self._spikes = []
-
-    def restart(self):
-        """Time started anew: stamps of before mean nothing; an alarm stays."""
-        self._history.clear()
-        self.forget()
-
-    @property
-    def compensable(self):
-        """Whether `size` is a fault that may be removed from the reading."""
-        return self.alarm and self.kind not in ('dropout', 'inconsistent', 'spike')
-
-    @property
-    def by_change(self):
-        """Whether the alarm rests on a change, so that its size is known at once."""
-        return self._by_change
-
-    def update(self, sample):
-        """Decide on one sample.
-
-        Parameters
-        ----------
-        sample : Sample
-            Present data.
-
-        Returns
-        -------
-        str or None
-            'raised', 'updated' or 'cleared' if that happened now.
-        """
-        if sample.missing:
-            return self._silent(sample)
-        self._missing_since = None
-        if self.alarm and self.kind == 'dropout':
-            return self._wait(sample, True)
-        decided = self._decide_alarm(sample) if self.alarm else self._decide_healthy(sample)
-        self._history.add(sample.stamp, sample.fault, sample.reading, sample.expected)
-        return decided
-
-    # -------------------------------------------------------------- no reading
-
-    def _silent(self, sample):
-        self._since = self._below_since = None  # what comes next is new evidence
-        if self._missing_since is None:
-            self._missing_since = sample.stamp
-        if self.alarm or not self._lasts(self._missing_since, sample, self.parameters.dwell):
-            return None
-        self._baseline = sample.fault
-        return self._raise(sample, 'dropout', self._missing_since, False)
-
-    # -------------------------------------------------------------- without an alarm
-
-    def _decide_healthy(self, sample):
-        if self._since is not None:
-            return self._pending(sample)
-        found = self.changes.find(self._history, sample.stamp, sample.fault, sample.speed)
-        self._level = not sample.lost and abs(sample.fault) > sample.threshold
-        if found is None and not self._level:
-            return self._look(sample)
-        self._since = sample.stamp
-        self._window, self._before = found if found is not None else (None, 0.0)
-        return self._pending(sample)
-
-    def _pending(self, sample):
-        """Evidence since ``_since``: confirm it after the dwell, or drop it."""
-        level = not sample.lost and abs(sample.fault) > sample.threshold
-        change = (self._window is not None and abs(sample.fault - self._before)
-                  > self.changes.limit(self._window, sample.speed))
-        if not (level if self._window is None else change or level):
-            return self._drop(sample)
-        if not self._lasts(self._since, sample, self.parameters.dwell):
-            return None
-        if not level and abs(sample.fault) < 0.5 * abs(self._before):
-            # Back towards zero: more likely the end of a fault that stayed unnoticed than a new
-            # one that cancels a healthy error.
-            self._since = None
-            self._history.clear()
-            return None
-        self._baseline = self._before if self._window is not None else 0.0
-        stepped = self._is_step(sample)
-        kind = 'inconsistent' if sample.inconsistent and not stepped else 'unclassified'
-        return self._raise(sample, kind, self._since, self._window is not None, stepped)
-
-    def _is_step(self, sample):
-        """Whether most of a change came from one sample to the next.
-
-        A reading can jump; what wrong rates, torques or models do to the estimate takes time.
-        """
-        if self._window is None:
-            return False
-        start = self._since - round(1.5 * WINDOWS[self._window] * NANOSECONDS)
-        _, values = self._history.since(start)
-        steps = np.abs(np.diff(values[:, History.FAULT], append=sample.fault))
-        return bool(steps.max(initial=0.0) >= 0.5 * abs(sample.fault - self._before))
-
-    def _drop(self, sample):
-        """An excursion shorter than the dwell is a spike if it was one of the shortest window."""
-        if self._window == 0:
-            oldest = sample.stamp - round(_SPIKE_TIME * NANOSECONDS)
-            self._spikes = [s for s in self._spikes if s > oldest] + [sample.stamp]
-        self._since = None
-        if len(self._spikes) >= _SPIKES:
-            onset, self._spikes = self._spikes[0], []
-            self._baseline = self._before
-            return self._raise(sample, 'spike', onset, True)
-        return None
-
-    def _look(self, sample):
-        """From time to time: readings that stand still, and noise."""
-        if not self._due(sample):
-            return None
-        _, values = self._history.last(50)
-        if len(values) < 50:
-            return None
-        kind = ('stuck' if is_stuck(values, self._noise)
-                else 'noise' if noise_level(values) > 3.0 * self._noise else None)
-        if kind is None:
-            return None
-        self._baseline = float(np.median(values[:, History.FAULT]))
-        return self._raise(sample, kind, sample.stamp, True)
-
-    def _raise(self, sample, kind, onset, by_change, stepped=False):
-        self.alarm, self.kind = True, kind
-        self._by_change, self._stepped = by_change, stepped
-        self.onset, self.detected = onset, sample.stamp
-        self.size = self._reported = sample.fault - self._baseline
-        self._peak, self._since, self._below_since = abs(self.size), None, None
-        self._look_at = None
-        if kind == 'unclassified':
-            self._classify(sample)
-        return 'raised'
-
-    # -------------------------------------------------------------- with an alarm
-
-    def _decide_alarm(self, sample):
-        self.size = sample.fault - self._baseline
-        self._peak = max(self._peak, abs(self.size))
-        if sample.inconsistent and not self._stepped and self.kind in _COURSES:
-            self.kind = 'inconsistent'
-            return 'updated'
-        if self.kind in ('spike', 'noise', 'stuck'):
-            over = self._quiet(sample)
-        else:
-            # A link without gravity information does not renew a level; a change it still sees.
-            known = self._by_change or not sample.lost
-            over = known and abs(self.size) <= self._clear_level(sample)
-        decided = self._wait(sample, over)
-        if over:
-            return decided
-        if decided is None and self._due(sample):
-            decided = self._classify(sample)
-        step = max(sample.threshold, 0.5 * abs(self._reported))
-        if self.kind in ('spike', 'noise'):
-            return decided
-        if decided is None and abs(self.size - self._reported) > step:
-            decided = 'updated'
-        if decided == 'updated':
-            self._reported = self.size
-        return decided
-
-    def _clear_level(self, sample):
-        level = sample.threshold
-        if self._by_change:
-            level = min(level, max(2.0 * self.changes.limit(0, sample.speed), 0.5 * self._peak))
-        return self.parameters.hysteresis * level
-
-    def _quiet(self, sample):
-        """Whether a fault without a lasting size is over."""
-        _, values = self._history.last(50)
-        if len(values) < 10:
-            return False
-        if self.kind == 'stuck' and np.ptp(values[:, History.READING]) < self._noise:
-            return False  # a healthy reading shows its noise even at rest
-        calm = noise_level(values) < 2.0 * self._noise
-        small = abs(self.size) < max(self.changes.limit(0, sample.speed),
-                                     self.parameters.hysteresis * sample.threshold)
-        return calm and small and not is_stuck(values, self._noise)
-
-    def _wait(self, sample, over):
-        if not over or self.parameters.latch:
-            self._below_since = None
-            return None
-        if self._below_since is None:
-            self._below_since = sample.stamp
-        if not self._lasts(self._below_since, sample, self.parameters.clear_dwell):
-            return None
-        self.alarm, self._below_since, self._look_at = False, None, None
-        # Changes are counted from here on: the end of a fault is not the start of one.
-        self._history.clear()
-        return 'cleared'
-
-    def _classify(self, sample):
-        """Name the kind anew; 'updated' if it is another one."""
-        if self.kind in ('inconsistent', 'dropout', 'stuck'):
-            return None
-        if self.kind == 'spike':
-            _, values = self._history.last(50)
-            if noise_level(values) <= 3.0 * self._noise:
-                return None
-            self.kind = 'noise'
-            return 'updated'
-        if self.kind != 'unclassified' and self._lasts(self.detected, sample, _DECIDED):
-            return None  # what comes later is the course of the arm more than of the fault
-        stamps, values = self._history.since(self.onset)
-        kind = classify(stamps, values, self.onset, self._baseline, self._noise)
-        if kind in (self.kind, 'unclassified'):
-            return None
-        self.kind = kind
-        return 'updated'
-
-    # -------------------------------------------------------------- time
-
-    def _due(self, sample):
-        if self._look_at is None or sample.stamp >= self._look_at:
-            first = self._look_at is None
-            self._look_at = sample.stamp + round(_LOOK * NANOSECONDS)
-            return not first
+@njit
+def _due(s):
+    if s.look_at != NEVER and s.sample.stamp < s.look_at:
         return False
+    first = s.look_at == NEVER
+    s.look_at = s.sample.stamp + _LOOK
+    return not first
 
-    @staticmethod
-    def _lasts(since, sample, time):
-        return sample.stamp - since >= time * NANOSECONDS
+
+# ------------------------------------------------------------------ no reading
+
+
+@njit
+def _silent(c, s):
+    d = s.sample
+    s.since = s.below_since = NEVER  # what comes next is new evidence
+    if s.missing_since == NEVER:
+        s.missing_since = d.stamp
+    if s.alarm or not _lasts(s.missing_since, d, c.dwell):
+        return NOTHING
+    s.baseline = d.fault
+    return _raise(c, s, DROPOUT, s.missing_since, False, False)
+
+
+# ------------------------------------------------------------------ without an alarm
+
+
+@njit
+def _decide_healthy(c, s, stamps, values):
+    d = s.sample
+    if s.since != NEVER:
+        return _pending(c, s, stamps, values)
+    window, before = find_change(c.changes, stamps, values, s.end, d.stamp, d.fault, d.speed)
+    if window < 0 and not _above(d):
+        return _look(c, s, values)
+    s.since, s.window, s.before = d.stamp, window, before
+    return _pending(c, s, stamps, values)
+
+
+@njit
+def _above(d):
+    return not d.lost and abs(d.fault) > d.threshold
+
+
+@njit
+def _pending(c, s, stamps, values):
+    """Evidence since ``since``: confirm it after the dwell, or drop it."""
+    d, level = s.sample, _above(s.sample)
+    change = s.window >= 0 and (abs(d.fault - s.before)
+                                > change_limit(c.changes, s.window, d.speed))
+    if not (change or level):
+        return _drop(c, s)
+    if not _lasts(s.since, d, c.dwell):
+        return NOTHING
+    if not level and abs(d.fault) < 0.5 * abs(s.before):
+        # Back towards zero: more likely the end of a fault that stayed unnoticed than a new
+        # one that cancels a healthy error.
+        s.since = NEVER
+        s.end = 0
+        return NOTHING
+    s.baseline = s.before if s.window >= 0 else 0.0
+    stepped = s.window >= 0 and _is_step(s, stamps, values)
+    kind = INCONSISTENT if d.inconsistent and not stepped else UNCLASSIFIED
+    decided = _raise(c, s, kind, s.since, s.window >= 0, stepped)
+    if kind == UNCLASSIFIED:
+        _name(c, s, stamps, values)
+    return decided
+
+
+@njit
+def _is_step(s, stamps, values):
+    """Whether most of a change came from one sample to the next.
+
+    A reading can jump; what wrong rates, torques or models do to the estimate takes time.
+    """
+    start = s.since - round(1.5 * WINDOWS[s.window] * NANOSECONDS)
+    row = first_since(stamps, s.end, start)
+    largest = 0.0
+    for k in range(row, s.end):
+        after = values[k + 1, FAULT] if k + 1 < s.end else s.sample.fault
+        largest = max(largest, abs(after - values[k, FAULT]))
+    return largest >= 0.5 * abs(s.sample.fault - s.before)
+
+
+@njit
+def _drop(c, s):
+    """An excursion shorter than the dwell is a spike if it was one of the shortest window."""
+    d = s.sample
+    if s.window == 0:
+        kept = 0
+        for k in range(s.spike_count):
+            if s.spikes[k] > d.stamp - _SPIKE_TIME:
+                s.spikes[kept] = s.spikes[k]
+                kept += 1
+        s.spikes[kept] = d.stamp
+        s.spike_count = kept + 1
+    s.since = NEVER
+    if s.spike_count < _SPIKES:
+        return NOTHING
+    s.spike_count = 0
+    s.baseline = s.before
+    return _raise(c, s, SPIKE, s.spikes[0], True, False)
+
+
+@njit
+def _look(c, s, values):
+    """From time to time: readings that stand still, and noise."""
+    if not _due(s) or s.end < _RECENT:
+        return NOTHING
+    recent = values[s.end - _RECENT:s.end]
+    if is_stuck(recent, c.noise):
+        kind = STUCK
+    elif noise_level(recent) > 3.0 * c.noise:
+        kind = NOISE
+    else:
+        return NOTHING
+    s.baseline = median_before(values, s.end - 1)
+    return _raise(c, s, kind, s.sample.stamp, True, False)
+
+
+@njit
+def _raise(c, s, kind, onset, by_change, stepped):
+    d = s.sample
+    s.alarm, s.kind, s.by_change, s.stepped = True, kind, by_change, stepped
+    s.onset, s.detected = onset, d.stamp
+    s.amount = s.reported = d.fault - s.baseline
+    s.peak = abs(s.amount)
+    s.since = s.below_since = s.look_at = NEVER
+    return RAISED
+
+
+# ------------------------------------------------------------------ with an alarm
+
+
+@njit
+def _decide_alarm(c, s, stamps, values):
+    d = s.sample
+    s.amount = d.fault - s.baseline
+    s.peak = max(s.peak, abs(s.amount))
+    course = s.kind <= SCALE or s.kind == UNCLASSIFIED
+    if d.inconsistent and not s.stepped and course:
+        # Wrong rates, torques or a wrong model feign courses, as long as there is no step.
+        s.kind = INCONSISTENT
+        return UPDATED
+    if s.kind == SPIKE or s.kind == NOISE or s.kind == STUCK:
+        over = _quiet(c, s, values)
+    else:
+        # A link without gravity information does not renew a level; a change it still sees.
+        over = (s.by_change or not d.lost) and abs(s.amount) <= _clear_level(c, s)
+    decided = _wait(c, s, over)
+    if over:
+        return decided
+    if decided == NOTHING and _due(s) and _name(c, s, stamps, values):
+        decided = UPDATED
+    if s.kind == SPIKE or s.kind == NOISE:
+        return decided
+    if abs(s.amount - s.reported) > max(d.threshold, 0.5 * abs(s.reported)):
+        decided = UPDATED
+    if decided == UPDATED:
+        s.reported = s.amount
+    return decided
+
+
+@njit
+def _clear_level(c, s):
+    level = s.sample.threshold
+    if s.by_change:
+        change = 2.0 * change_limit(c.changes, 0, s.sample.speed)
+        level = min(level, max(change, 0.5 * s.peak))
+    return c.hysteresis * level
+
+
+@njit
+def _quiet(c, s, values):
+    """Whether a fault without a lasting size is over."""
+    d, recent = s.sample, values[max(0, s.end - _RECENT):s.end]
+    if len(recent) < 10:
+        return False
+    if s.kind == STUCK and span(recent, READING, 0) < c.noise:
+        return False  # a healthy reading shows its noise even at rest
+    if abs(s.amount) >= max(change_limit(c.changes, 0, d.speed), c.hysteresis * d.threshold):
+        return False
+    return noise_level(recent) < 2.0 * c.noise and not is_stuck(recent, c.noise)
+
+
+@njit
+def _wait(c, s, over):
+    if not over or c.latch:
+        s.below_since = NEVER
+        return NOTHING
+    if s.below_since == NEVER:
+        s.below_since = s.sample.stamp
+    if not _lasts(s.below_since, s.sample, c.clear_dwell):
+        return NOTHING
+    s.alarm, s.below_since, s.look_at = False, NEVER, NEVER
+    # Changes are counted from here on: the end of a fault is not the start of one.
+    s.end = 0
+    return CLEARED
+
+
+@njit
+def _name(c, s, stamps, values):
+    """Name the kind anew; whether it is another one."""
+    if s.kind == INCONSISTENT or s.kind == DROPOUT or s.kind == STUCK:
+        return False
+    if s.kind == SPIKE:
+        if noise_level(values[max(0, s.end - _RECENT):s.end]) <= 3.0 * c.noise:
+            return False
+        s.kind = NOISE
+        return True
+    # Later courses are those of the arm more than of the fault; but motion tells a scale error.
+    late = s.kind != UNCLASSIFIED and _lasts(s.detected, s.sample, _DECIDED)
+    if late and s.kind != BIAS and s.kind != SCALE:
+        return False
+    row = first_since(stamps, s.end, s.onset)
+    kind = classify(stamps[row:s.end], values[row:s.end], s.onset, s.baseline, c.noise)
+    if kind == s.kind or kind == UNCLASSIFIED:
+        return False
+    if late and not fits_better(kind, s.kind, values[row:s.end], s.baseline):
+        return False
+    s.kind = kind
+    return True

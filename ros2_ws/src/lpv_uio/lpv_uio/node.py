@@ -108,7 +108,7 @@ class UioNode(ManagedNode):
         if not self.lockstep:
             self._watch = self.steady_timer(0.1, self._check_silence)
         self.get_logger().info(f'observing {self._arm.name!r} with method '
-                               f'{self._monitor.observer.method!r}')
+                               f'{self._monitor.method!r}')
 
     def end(self):
         """Unsubscribe."""
@@ -183,7 +183,7 @@ class UioNode(ManagedNode):
     def _retune(self, parameters):
         changed = {p.name: p.value for p in parameters if p.name.startswith('diagnosis.')}
         if changed and hasattr(self, '_monitor'):
-            self._monitor.diagnoser.retune(self._diagnosis_parameters(changed))
+            self._monitor.retune(self._diagnosis_parameters(changed))
         return SetParametersResult(successful=True)
 
 

@@ -1,0 +1,134 @@
+"""Parts of the compiled diagnosis as objects, one by one: each holds what its functions work on."""
+
+import numpy as np
+
+from lpv_core import change_test, error_bound, fault_kind, history, sensor_decision
+from lpv_core.diagnosis import diagnosis_constants
+from lpv_core.observer import ESTIMATE
+from lpv_core.records import new_record
+from lpv_core.unknown_torque import healthy_arm, unknown_torque
+
+
+def make_estimate(**fields):
+    """An estimate with some fields; the others are zero."""
+    return new_record(ESTIMATE, **fields)
+
+
+class History:
+    """Buffer of one sensor."""
+
+    def __init__(self, size):
+        self.stamps, self.values = history.new_history(size)
+        self.end = 0
+
+    def clear(self):
+        self.end = 0
+
+    def add(self, stamp, fault, reading, expected):
+        self.end = history.add_sample(self.stamps, self.values, self.end, stamp, fault, reading,
+                                      expected)
+
+    def row(self, stamp):
+        """Row of a stamp: the same wherever the search starts."""
+        rows = {history.index_at(self.stamps, self.end, stamp, guess)
+                for guess in (-5, 0, self.end // 2, self.end, self.end + 7)}
+        assert len(rows) == 1
+        return rows.pop()
+
+    def at(self, stamp):
+        row = self.row(stamp)
+        return None if row < 0 else (self.stamps[row], self.values[row, history.FAULT])
+
+    def median_at(self, stamp):
+        return history.median_before(self.values, self.row(stamp))
+
+    def since(self, stamp):
+        first = history.first_since(self.stamps, self.end, stamp)
+        return self.stamps[first:self.end], self.values[first:self.end]
+
+
+class ChangeTest:
+    """Limits of changes of one arm."""
+
+    def __init__(self, arm, hours, smallest=0.0):
+        self.constants = change_test.change_test(arm, hours, smallest)
+
+    def limit(self, window, speed):
+        return change_test.change_limit(self.constants, window, speed)
+
+    def find(self, past, stamp, fault, speed):
+        window, before = change_test.find_change(self.constants, past.stamps, past.values,
+                                                 past.end, stamp, fault, speed)
+        return None if window < 0 else (window, before)
+
+
+class SensorDecision:
+    """Decision about one sensor; fields of its state are attributes."""
+
+    _WORDS = {sensor_decision.NOTHING: None, sensor_decision.RAISED: 'raised',
+              sensor_decision.UPDATED: 'updated', sensor_decision.CLEARED: 'cleared'}
+
+    def __init__(self, arm, gains, parameters):
+        self.constants = diagnosis_constants(arm, gains, parameters).sensor
+        self.state = new_record(sensor_decision.SENSOR_STATE)
+        self.past = history.new_history(round(1.5 / arm.sample_time))
+        self.reset()
+
+    def __getattr__(self, name):
+        return getattr(self.state, name)
+
+    @property
+    def kind(self):
+        return fault_kind.KINDS[self.state.kind]
+
+    @property
+    def compensable(self):
+        return sensor_decision.is_compensable(self.state)
+
+    @property
+    def suspected(self):
+        return sensor_decision.suspected(self.state)
+
+    def reset(self):
+        sensor_decision.reset_sensor(self.state)
+
+    def restart(self):
+        sensor_decision.restart_sensor(self.state)
+
+    def update(self, **sample):
+        for name, value in sample.items():
+            self.state.sample[name] = value
+        return self._WORDS[sensor_decision.decide(self.constants, self.state, *self.past)]
+
+
+class ErrorBound:
+    """Bound of one arm with its past."""
+
+    def __init__(self, arm, gains, sigmas, friction_uncertainty):
+        self.constants = error_bound.error_bound(arm, gains, sigmas, friction_uncertainty)
+        self.state = new_record(error_bound.BOUND_STATE)
+
+    def static(self, theta):
+        return error_bound.static_bound(self.constants, theta)
+
+    def update(self, estimate):
+        error_bound.update_bound(self.constants, self.state, estimate)
+        return self.state.bound.copy()
+
+
+class UnknownTorque:
+    """Bound on the unknown torques of one arm."""
+
+    def __init__(self, arm, friction_uncertainty):
+        self.constants = healthy_arm(arm, friction_uncertainty)
+
+    def __call__(self, theta, rate, acceleration, margin):
+        out = np.zeros(2)
+        unknown_torque(self.constants, *(np.asarray(v, float) for v in
+                                         (theta, rate, acceleration, margin)), out)
+        return out
+
+
+def classify(*arguments):
+    """Name of the kind."""
+    return fault_kind.KINDS[fault_kind.classify(*arguments)]
