@@ -1,13 +1,164 @@
-"""The whole loop in one process, in the order in which the lockstep graph runs it."""
+"""The whole loop in one process, in the order in which the lockstep graph runs it.
 
-from dataclasses import dataclass, field
+Simulator, monitor and controller are the very functions that the nodes call.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.diagnosis import Diagnoser
-from lpv_core.observer import NANOSECONDS, UnknownInputObserver
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController, feedback_position
+from lpv_core.diagnosis import ALARM_EVENT
+from lpv_core.jit import njit
+from lpv_core.monitor import SensorMonitor, copy_event, monitor_step
+from lpv_core.observer import NANOSECONDS
+from lpv_core.records import NEVER, new_record, record_type
+from lpv_core.sensor_decision import NOTHING
+from lpv_core.simulation import ArmSimulator, brake, integrate, read_sensors, take_torque
+from lpv_core.tracking import COMPENSATION, TRACKING_STATE, track, tracking_constants
+
+_OFF, _CONFIRMED, _ALWAYS = range(len(COMPENSATION))
+_SENSE, _COMMAND, _ADVANCE = range(3)
+_MOST_DELAY = 64
+"""Commands that can be on their way."""
+_EVENTS = 64
+
+_LOOP = record_type(
+    ('phase', 'i8'), ('external', '?'), ('compensation', 'i8'), ('literal', '?'), ('delay', 'i8'),
+    ('loss', 'f8'), ('started', '?'), ('previous', 'i8'), ('offset', 'i8'), ('found', 'i8'),
+    ('queue', 'f8', (_MOST_DELAY, 2)), ('stops', 'u1', (_MOST_DELAY,)), ('stop', '?'))
+"""Where to go on; whether the plant is advanced from outside; compensation; whether eq. (59)
+integrates the measurement; samples between a command and its effect; probability that a measurement
+is lost; whether a command was given, and the stamp of the last one; samples by which the path is
+late; alarm events found; commands on their way: torques [N m], and whether they are safe stops;
+whether the last command is one."""
+
+_ROW = record_type(
+    ('time', 'f8'), ('position', 'f8', (2,)), ('velocity', 'f8', (2,)), ('measured', 'f8', (2,)),
+    ('estimate', 'f8', (2,)), ('estimated_velocity', 'f8', (2,)), ('reference', 'f8', (2,)),
+    ('fault', 'f8', (2,)), ('fault_estimate', 'f8', (2,)), ('threshold', 'f8', (2,)),
+    ('torque', 'f8', (2,)), ('alarm', 'u1', (2,)), ('inconsistent', '?'), ('trustworthy', '?'),
+    ('braked', '?'))
+
+
+@njit
+def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, monitor, stamps,
+         values, answer, c_track, controller, positions, velocities, accelerations, rows, events,
+         first):
+    """Go on from sample ``first``; returns the sample at which something is needed from outside.
+
+    That is room for alarm events, references for a path that starts or goes on (phase _COMMAND), or
+    the advance of an external plant (phase _ADVANCE).
+    """
+    period = c_plant.sample_time
+    # Arrays of their own: the monitor is then compiled for one kind of arrays only.
+    position, velocity, effort = np.empty(2), np.empty(2), np.empty(2)
+    for k in range(first, len(rows)):
+        row = rows[k]
+        if loop.phase == _SENSE:
+            if loop.found + 2 > len(events):
+                return k
+            read_sensors(c_plant, plant, faults, noise, chance)
+            _record_truth(plant, row, k * period)
+            lost = loop.loss > 0.0 and losses.random() < loop.loss
+            if not lost:
+                position[:] = plant.measured_position
+                velocity[:] = plant.measured_velocity
+                effort[:] = plant.torque
+                monitor_step(c_monitor, monitor, stamps, values, answer, round(k * period * 1e9),
+                             position, velocity, effort)
+                _keep_events(loop, monitor, answer, events)
+                if not answer.state.trustworthy:
+                    # No start value yet, or a fault that cannot be compensated: brake.
+                    _stop(loop, controller)
+                elif loop.previous == NEVER:
+                    loop.phase = _COMMAND
+                    return k
+                else:
+                    _command(loop, answer, c_track, controller, positions[k - loop.offset],
+                             velocities[k - loop.offset], accelerations[k - loop.offset], k, period)
+        elif loop.phase == _COMMAND:
+            loop.previous = k
+            loop.started = True
+            _command(loop, answer, c_track, controller, positions[k - loop.offset],
+                     velocities[k - loop.offset], accelerations[k - loop.offset], k, period)
+        if loop.phase != _ADVANCE:
+            if loop.stop and loop.started:
+                loop.offset += 1  # the clock of the path stands still
+            place = min(max(k - loop.offset, 0), len(positions) - 1)
+            _record_answer(answer, monitor.diagnosis.decision, row, positions[place])
+            slot = k % _MOST_DELAY
+            loop.queue[slot, 0], loop.queue[slot, 1] = controller.torque[0], controller.torque[1]
+            loop.stops[slot] = loop.stop
+            acting = (k - loop.delay) % _MOST_DELAY
+            row.braked = k < loop.delay or loop.stops[acting] != 0
+            loop.phase = _SENSE
+            if row.braked:
+                brake(c_plant, plant)
+            else:
+                take_torque(c_plant, plant, loop.queue[acting, 0], loop.queue[acting, 1], push)
+                if loop.external:
+                    loop.phase = _ADVANCE
+                    return k
+                integrate(c_plant, plant)
+        loop.phase = _SENSE
+        row.torque[0], row.torque[1] = plant.torque[0], plant.torque[1]
+    return len(rows)
+
+
+@njit
+def _stop(loop, controller):
+    loop.stop, loop.previous = True, NEVER
+    controller.integral[:] = 0.0
+    controller.torque[:] = 0.0
+
+
+@njit
+def _command(loop, answer, c, controller, position, velocity, acceleration, k, period):
+    """Answer an estimate as the tracker node does."""
+    state = answer.state
+    if loop.compensation == _ALWAYS:
+        feedback = state.position
+    elif loop.compensation == _CONFIRMED:
+        feedback = state.compensated_position
+    else:
+        feedback = state.measured_position
+    # Eq. (59) literally integrates the faulty measurement; the exact loop does not.
+    integrated = state.measured_position if loop.literal else feedback
+    interval = (round(k * period * 1e9) - round(loop.previous * period * 1e9)) / NANOSECONDS
+    track(c, controller, position, velocity, acceleration, feedback, state.velocity, integrated,
+          interval)
+    loop.stop, loop.previous = False, k
+
+
+@njit
+def _keep_events(loop, monitor, answer, events):
+    if not answer.has_events:
+        return
+    for i in range(2):
+        event = monitor.diagnosis.decision.events[i]
+        if event.happened != NOTHING:
+            copy_event(event, events[loop.found])
+            loop.found += 1
+
+
+@njit
+def _record_truth(plant, row, time):
+    row.time = time
+    for i in range(2):
+        row.position[i], row.velocity[i] = plant.position[i], plant.velocity[i]
+        row.measured[i], row.fault[i] = plant.measured_position[i], plant.fault[i]
+
+
+@njit
+def _record_answer(answer, decision, row, reference):
+    row.inconsistent, row.trustworthy = decision.inconsistent, answer.state.trustworthy
+    for i in range(2):
+        row.estimate[i] = answer.state.position[i]
+        row.estimated_velocity[i] = answer.state.velocity[i]
+        row.fault_estimate[i] = answer.fault.estimate[i]
+        row.threshold[i] = answer.fault.threshold[i]
+        row.alarm[i] = answer.fault.alarm[i]
+        row.reference[i] = reference[i]
 
 
 @dataclass
@@ -25,7 +176,13 @@ class Run:
     fault, fault_estimate, threshold : ndarray, shape (n, 2)
         Of the physical sensors [rad].
     torque : ndarray, shape (n, 2)
-        Commanded joint torques [N m].
+        Joint torques over the step after the sample [N m].
+    alarm : ndarray, shape (n, 2)
+        Confirmed faults.
+    inconsistent, trustworthy : ndarray of bool, shape (n,)
+        As in `lpv_core.diagnosis.DECISION`.
+    braked : ndarray of bool, shape (n,)
+        Whether the brakes held the arm over the step after the sample.
     alarms : list of Alarm
         Events.
     """
@@ -41,10 +198,15 @@ class Run:
     fault_estimate: np.ndarray
     threshold: np.ndarray
     torque: np.ndarray
-    alarms: list = field(default_factory=list)
+    alarm: np.ndarray
+    inconsistent: np.ndarray
+    trustworthy: np.ndarray
+    braked: np.ndarray
+    alarms: list
 
 
-def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=None, substeps=2):
+def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=None, substeps=2,
+                    delay=0, loss=0.0):
     """Simulate a scenario with observer, diagnosis and tracking.
 
     Parameters
@@ -61,52 +223,34 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
         Tuning of the diagnosis.
     substeps : int, optional
         Plant steps per sample.
+    delay : int, optional
+        Samples from a measurement to the effect of the command that answers it, at most 63.
+    loss : float, optional
+        Probability that a measurement is lost; the last command then goes on.
 
     Returns
     -------
     Run
         All signals.
     """
+    if not 0 <= delay < _MOST_DELAY:
+        raise ValueError(f'delay must be 0 to {_MOST_DELAY - 1} samples, got {delay}')
     plant = ArmSimulator(arm, scenario, substeps)
-    observer = UnknownInputObserver(arm, gains)
-    diagnoser = Diagnoser(arm, gains, parameters)
-    controller = TrackingController(arm, gains)
+    monitor = SensorMonitor('loop', arm, gains, parameters)
+    rows = np.zeros(round(scenario.duration / arm.sample_time) + 1, _ROW).view(np.recarray)
     path = scenario.path(arm)
-    n = int(round(scenario.duration / arm.sample_time)) + 1
-    names = [f for f in Run.__dataclass_fields__ if f not in ('time', 'alarms')]
-    rows = {name: np.zeros((n, 2)) for name in names}
-    time, alarms = np.zeros(n), []
-    estimate = previous = None
-    for k in range(n):
-        measurement, truth = plant.sense()
-        stamp = round(plant.time * NANOSECONDS)
-        fresh = observer.update(stamp, measurement.position, measurement.velocity,
-                                measurement.effort)
-        reference = path.sample(stamp / NANOSECONDS)
-        rows['measured'][k], rows['reference'][k] = measurement.position, reference.position
-        rows['position'][k], rows['velocity'][k] = truth.position, truth.velocity
-        rows['fault'][k], time[k] = truth.fault, plant.time
-        if fresh is not None:
-            estimate, diagnosis = fresh, diagnoser.update(fresh)
-            alarms += diagnosis.events
-        # No start value yet, or a fault that cannot be compensated: the brakes engage.
-        if estimate is None or not diagnosis.trustworthy:
-            plant.hold()
-            controller.reset()
-            previous = None
-            continue
-        position = feedback_position(compensation, estimate, diagnosis.confirmed_fault,
-                                     observer.joints)
-        # Eq. (59) literally integrates the faulty measurement; the exact loop does not.
-        integrated = (estimate.measured_position if gains.controller.method == 'paper'
-                      else position)
-        command = controller.update(reference, position, estimate.velocity, integrated,
-                                    0.0 if previous is None else (stamp - previous) / NANOSECONDS)
-        previous = stamp
-        for name, value in (
-                ('estimate', estimate.position), ('estimated_velocity', estimate.velocity),
-                ('fault_estimate', estimate.fault), ('threshold', diagnosis.threshold),
-                ('torque', command.torque)):
-            rows[name][k] = value
-        plant.step(command.torque)
-    return Run(time=time, alarms=alarms, **rows)
+    reference = path.sample(arm.sample_time * np.arange(len(rows)))
+    loop = new_record(_LOOP, compensation=COMPENSATION.index(compensation), delay=delay, loss=loss,
+                      literal=gains.controller.method == 'paper', previous=NEVER, stop=True)
+    # A stream of its own: losses must not change noise and disturbance.
+    losses = np.random.default_rng([scenario.seed, 1])
+    controller, c_track = new_record(TRACKING_STATE), tracking_constants(arm, gains)
+    events = np.zeros(_EVENTS, ALARM_EVENT).view(np.recarray)
+    alarms, k = [], 0
+    while k < len(rows):
+        k = _run(loop, plant.constants, plant.state, plant.injector.records, plant.noise,
+                 plant.push, plant.injector.generator, losses, *monitor.parts, c_track, controller,
+                 reference.position, reference.velocity, reference.acceleration, rows, events, k)
+        alarms += monitor.alarms(events[:loop.found])
+        loop.found = 0
+    return Run(**{name: rows[name] for name in rows.dtype.names}, alarms=alarms)

@@ -187,7 +187,7 @@ def _steps(c, s, stamps, values, answered, first, stamp, position, velocity, eff
             for i in range(2):
                 event = s.diagnosis.decision.events[i]
                 if event.happened != NOTHING:
-                    _copy_event(event, events[found[0]].event)
+                    copy_event(event, events[found[0]].event)
                     events[found[0]].row = k
                     found[0] += 1
         if answer.due:
@@ -198,7 +198,8 @@ def _steps(c, s, stamps, values, answered, first, stamp, position, velocity, eff
 
 
 @njit
-def _copy_event(event, to):
+def copy_event(event, to):
+    """Copy an alarm event, of type `lpv_core.diagnosis.ALARM_EVENT`."""
     to.happened, to.sensor, to.onset = event.happened, event.sensor, event.onset
     to.detected, to.amount, to.bound = event.detected, event.amount, event.bound
     to.kind, to.by_change, to.inconsistent = event.kind, event.by_change, event.inconsistent
@@ -328,9 +329,28 @@ class SensorMonitor:
         """Samples that were not usable as they came: `lpv_core.observer.Counters`."""
         return counters(self._state.observer.counters)
 
+    @property
+    def parts(self):
+        """What `monitor_step` works on: constants, state, past of both sensors, answer."""
+        return (self._constants, self._state, *self._history, self._answer)
+
+    def alarms(self, events):
+        """Alarms of events.
+
+        Parameters
+        ----------
+        events : iterable of numpy.record
+            Of type `lpv_core.diagnosis.ALARM_EVENT`.
+
+        Returns
+        -------
+        list of Alarm
+            In the same order.
+        """
+        return [make_alarm(event, self.arm, self._parameters) for event in events]
+
     def _step(self, stamp, position, velocity, effort):
-        monitor_step(self._constants, self._state, *self._history, self._answer, stamp, position,
-                     velocity, effort)
+        monitor_step(*self.parts, stamp, position, velocity, effort)
 
     def take(self, stamp, message, torque=None):
         """Use one measurement.
@@ -368,8 +388,8 @@ class SensorMonitor:
         if now.has_fault:
             answer.fault = answers.fault_fields(now.fault, self.arm.sensor_names)
         if now.has_events:
-            answer.events = [self._alarm(event) for event in self._state.diagnosis.decision.events
-                             if event.happened != NOTHING]
+            answer.events = self.alarms(event for event in self._state.diagnosis.decision.events
+                                        if event.happened != NOTHING)
             answer.alarms = [answers.alarm_fields(event) for event in answer.events]
         if now.due:
             answer.status = self._status_now()
@@ -402,12 +422,10 @@ class SensorMonitor:
         while row < len(stamps):
             row = _steps(self._constants, self._state, *self._history, answered, row, stamps,
                          *given, events, reports, found)
-            result.events += [(int(e.row), self._alarm(e.event)) for e in events[:found[0]]]
+            new = events[:found[0]]
+            result.events += zip(new.row.tolist(), self.alarms(e.event for e in new))
             result.reports += [(int(r.row), self._status(r)) for r in reports[:found[1]]]
         return result
-
-    def _alarm(self, event):
-        return make_alarm(event, self.arm, self._parameters)
 
     def stale_fault(self):
         """Fields of a FaultEstimate that says that its values are the last ones.

@@ -1,14 +1,129 @@
-"""The simulated arm with its sensors: plant, disturbance, noise and faults, step by step."""
+"""The simulated arm with its sensors: plant, disturbance, noise and faults, step by step.
 
+All functions take the constants ``c`` (`PLANT_CONSTANTS`) and the state ``s`` (`PLANT_STATE`).
+"""
+
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from lpv_core.dynamics import inverse_dynamics, rk4_step
-from lpv_core.faults import FaultInjector
-from lpv_core.joints import JointMap
+from lpv_core.faults import FaultInjector, apply_faults, is_frozen, rate_bias
+from lpv_core.jit import njit
+from lpv_core.joints import JOINT_MAP, JointMap, weigh
 from lpv_core.polytope import sinc_box
+from lpv_core.records import new_record, record_type
 from lpv_core.state_space import lpv_rk4_step, vertex_matrices
+
+_LPV = record_type(('box', 'f8', (3, 2)), ('a', 'f8', (8, 4, 4)), ('b', 'f8', (8, 4, 2)))
+PLANT_CONSTANTS = record_type(
+    ('joints', JOINT_MAP), ('arm', 'f8', (12,)), ('is_lpv', '?'), ('lpv', _LPV),
+    ('sample_time', 'f8'), ('substeps', 'i8'), ('torque_limit', 'f8', (2,)),
+    ('direction', 'f8', (2,)), ('push_mean', 'f8'), ('push_deviation', 'f8'),
+    ('disturbed', '?'), ('noisy', '?'), ('position_noise', 'f8'), ('velocity_noise', 'f8'))
+"""Conversions; constants of the true arm; the paper's LPV plant; time step [s]; limits [N m];
+direction, mean and standard deviation of d; standard deviations of noise [rad], [rad/s]."""
+
+PLANT_STATE = record_type(
+    ('state', 'f8', (4,)), ('step_count', 'i8'), ('torque', 'f8', (2,)), ('disturbance', 'f8'),
+    ('position', 'f8', (2,)), ('velocity', 'f8', (2,)), ('measured_position', 'f8', (2,)),
+    ('measured_velocity', 'f8', (2,)), ('fault', 'f8', (2,)), ('reading', 'f8', (2,)),
+    ('rho', 'f8', (8,)))
+"""Absolute angles and rates [rad], [rad/s]; number of the sample; what acted over the step before:
+joint torque [N m] and d; true and measured joint positions and rates; fault of the physical
+sensors, NaN in a dropout [rad]; work space."""
+
+
+@njit
+def take_torque(c, s, first, second, generator):
+    """Take a joint torque for the coming step, within limits, and draw the disturbance.
+
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+    first, second : float
+        Joint torques [N m].
+    generator : numpy.random.Generator
+        Of the disturbance.
+    """
+    s.torque[0] = min(max(first, -c.torque_limit[0]), c.torque_limit[0])
+    s.torque[1] = min(max(second, -c.torque_limit[1]), c.torque_limit[1])
+    s.disturbance = 0.0
+    if c.disturbed:
+        s.disturbance = c.push_mean + c.push_deviation * generator.standard_normal()
+
+
+@njit
+def integrate(c, s):
+    """Advance the plant by one sample time."""
+    q_1, q_2 = s.torque[0] - s.torque[1], s.torque[1]  # Q = J^T tau
+    push_1, push_2 = c.direction[0] * s.disturbance, c.direction[1] * s.disturbance
+    dt, x = c.sample_time / c.substeps, s.state
+    for _ in range(c.substeps):
+        if c.is_lpv:
+            x[0], x[1], x[2], x[3] = lpv_rk4_step(
+                x[0], x[1], x[2], x[3], q_1, q_2, push_1, push_2, dt, c.lpv.a, c.lpv.b, c.lpv.box,
+                s.rho)
+        else:
+            x[0], x[1], x[2], x[3] = rk4_step(x[0], x[1], x[2], x[3], q_1, q_2, push_1, push_2,
+                                              dt, c.arm)
+    s.step_count += 1
+
+
+@njit
+def brake(c, s):
+    """Let one sample time pass with the brakes engaged: no motion, no disturbance felt.
+
+    The torque sensors then read what holds the arm.
+    """
+    x = s.state
+    x[2] = x[3] = 0.0
+    q_1, q_2 = inverse_dynamics(x[0], x[1], 0.0, 0.0, 0.0, 0.0, c.arm)
+    s.torque[0], s.torque[1] = q_1 + q_2, q_2
+    s.disturbance = 0.0
+    s.step_count += 1
+
+
+@njit
+def read_sensors(c, s, faults, noise, chance):
+    """Read the sensors at the present sample.
+
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+    faults : numpy.recarray
+        Scheduled faults.
+    noise, chance : numpy.random.Generator
+        Of the sensors' noise and of random faults.
+    """
+    x, joints, time = s.state, c.joints, s.step_count * c.sample_time
+    for i in range(2):
+        zero = joints.zero if i == 0 else 0.0
+        s.position[i] = weigh(joints.j, i, x[0], x[1]) - zero
+        s.velocity[i] = weigh(joints.j, i, x[2], x[3])
+        s.reading[i] = weigh(joints.sensor, i, x[0], x[1])
+    true_1, true_2 = s.reading[0], s.reading[1]
+    apply_faults(faults, time, s.reading, c.sample_time, chance)
+    s.fault[0], s.fault[1] = s.reading[0] - true_1, s.reading[1] - true_2
+    rate_1 = weigh(joints.sensor, 0, x[2], x[3]) + rate_bias(faults, 0, time)
+    rate_2 = weigh(joints.sensor, 1, x[2], x[3]) + rate_bias(faults, 1, time)
+    # Numbers are drawn with or without noise, so that both runs share the later ones.
+    draw_1, draw_2 = noise.standard_normal(), noise.standard_normal()
+    draw_3, draw_4 = noise.standard_normal(), noise.standard_normal()
+    if c.noisy:
+        if not is_frozen(faults, 0, time):
+            s.reading[0] += c.position_noise * draw_1
+        if not is_frozen(faults, 1, time):
+            s.reading[1] += c.position_noise * draw_2
+        rate_1 += c.velocity_noise * draw_3
+        rate_2 += c.velocity_noise * draw_4
+    for i in range(2):
+        zero = joints.zero if i == 0 else 0.0
+        s.measured_position[i] = weigh(joints.to_joint, i, s.reading[0], s.reading[1]) - zero
+        s.measured_velocity[i] = weigh(joints.to_joint, i, rate_1, rate_2)
 
 
 @dataclass(frozen=True)
@@ -62,36 +177,33 @@ class ArmSimulator:
 
     Attributes
     ----------
-    step_count : int
-        Number of the present sample.
     injector : FaultInjector
         Faults, scheduled and injected while running.
+    constants, state : numpy.record
+        Of types `PLANT_CONSTANTS` and `PLANT_STATE`.
+    noise, push : numpy.random.Generator
+        Of the sensors' noise and of the disturbance.
     """
 
     def __init__(self, arm, scenario, substeps=2):
         self.arm, self.scenario = arm, scenario
         self.sample_time = arm.sample_time
         self.joints = JointMap(arm)
-        self._substeps = substeps
         streams = np.random.SeedSequence(scenario.seed).spawn(3)
         # One stream a purpose: injecting a fault must not change noise and disturbance.
-        self._noise, self._push, fault_stream = (np.random.default_rng(s) for s in streams)
+        self.noise, self.push, fault_stream = (np.random.default_rng(s) for s in streams)
         self.injector = FaultInjector(arm.sensor_names, scenario.faults, fault_stream)
-        self._set_plant(scenario.true_arm(arm), scenario)
-        start = scenario.path(arm).sample(0.0)
-        self._state = np.concatenate([self.joints.absolute_position(start.position), np.zeros(2)])
-        self.step_count = 0
-        self._torque = np.zeros(2)
-        self._disturbance = 0.0
-        self._reading = None
+        true_arm = scenario.true_arm(arm)
+        self.constants = _plant_constants(arm, true_arm, scenario, self.joints, substeps)
+        self.state = new_record(PLANT_STATE)
+        self.state.state[:2] = self.joints.absolute_position(
+            scenario.path(arm).sample(0.0).position)
+        self._sensed = False
 
-    def _set_plant(self, true_arm, scenario):
-        self._constants = true_arm.constants(scenario.plant == 'nonlinear')
-        self._box = None
-        if scenario.plant == 'lpv':
-            self._box = sinc_box(scenario.sinc_min)
-            self._a, self._b = vertex_matrices(self._box, true_arm.constants(False))
-            self._rho = np.zeros(8)
+    @property
+    def step_count(self):
+        """Number of the present sample."""
+        return int(self.state.step_count)
 
     @property
     def time(self):
@@ -114,40 +226,17 @@ class ArmSimulator:
         torque = np.asarray(joint_torque, float)
         if torque.shape != (2,) or not np.isfinite(torque).all():
             raise ValueError(f'torque must be two finite numbers, got {joint_torque}')
-        self._torque = np.clip(torque, -np.array(self.arm.torque_limit), self.arm.torque_limit)
-        self._disturbance = 0.0
-        if self.scenario.disturbance:
-            self._disturbance = (self.arm.disturbance_mean + np.sqrt(self.arm.disturbance_variance)
-                                 * self._push.standard_normal())
-        self._integrate()
-        self.step_count += 1
-        self._reading = None
+        take_torque(self.constants, self.state, torque[0], torque[1], self.push)
+        integrate(self.constants, self.state)
+        self._sensed = False
 
     def hold(self):
-        """Let one sample time pass with the brakes engaged: no motion, no disturbance felt.
+        """Let one sample time pass with the brakes engaged, see `brake`.
 
-        Drives brake until the first command and after a safe stop; the torque sensors then read
-        what holds the arm.
+        Drives brake until the first command and after a safe stop.
         """
-        self._state[2:] = 0.0
-        holding = inverse_dynamics(*self._state, 0.0, 0.0, self._constants)
-        self._torque = self.joints.joint_torque(np.array(holding))
-        self._disturbance = 0.0
-        self.step_count += 1
-        self._reading = None
-
-    def _integrate(self):
-        q_1, q_2 = self.joints.absolute_torque(self._torque)
-        push_1, push_2 = np.array(self.arm.disturbance_direction) * self._disturbance
-        dt = self.sample_time / self._substeps
-        state = tuple(self._state)
-        for _ in range(self._substeps):
-            if self._box is None:
-                state = rk4_step(*state, q_1, q_2, push_1, push_2, dt, self._constants)
-            else:
-                state = lpv_rk4_step(*state, q_1, q_2, push_1, push_2, dt,
-                                     self._a, self._b, self._box, self._rho)
-        self._state = np.array(state)
+        brake(self.constants, self.state)
+        self._sensed = False
 
     def sense(self):
         """Readings at the present sample; the same ones when asked again.
@@ -157,24 +246,27 @@ class ArmSimulator:
         tuple
             ``(Measurement, Truth)``.
         """
-        if self._reading is None:
-            self._reading = self._read()
-        return self._reading
+        s = self.state
+        if not self._sensed:
+            read_sensors(self.constants, s, self.injector.records, self.noise,
+                         self.injector.generator)
+            self._sensed = True
+        measurement = Measurement(s.measured_position.copy(), s.measured_velocity.copy(),
+                                  s.torque.copy())
+        return measurement, Truth(s.position.copy(), s.velocity.copy(), s.fault.copy(),
+                                  float(s.disturbance))
 
-    def _read(self):
-        position = self.joints.joint_position(self._state[:2])
-        velocity = self.joints.joint_velocity(self._state[2:])
-        true_reading = self.joints.sensor_position(position)
-        faulty = self.injector.apply(self.time, true_reading, self.sample_time)
-        # Numbers are drawn with or without noise, so that both runs share the later ones.
-        draw = self._noise.standard_normal(4)
-        rates = self.joints.sensor_velocity(velocity)
-        noisy, noisy_rates = faulty, rates
-        if self.scenario.noise:
-            noise = self.arm.position_noise * draw[:2]
-            noisy = faulty + np.where(self.injector.stuck(self.time), 0.0, noise)
-            noisy_rates = rates + self.arm.velocity_noise * draw[2:]
-        measurement = Measurement(self.joints.joint_from_sensor(noisy),
-                                  self.joints.joint_velocity_from_sensor(noisy_rates),
-                                  self._torque.copy())
-        return measurement, Truth(position, velocity, faulty - true_reading, self._disturbance)
+
+def _plant_constants(arm, true_arm, scenario, joints, substeps):
+    c = new_record(
+        PLANT_CONSTANTS, joints=joints.record(),
+        arm=true_arm.constants(scenario.plant == 'nonlinear'), sample_time=arm.sample_time,
+        substeps=substeps, torque_limit=arm.torque_limit, direction=arm.disturbance_direction,
+        push_mean=arm.disturbance_mean, push_deviation=math.sqrt(arm.disturbance_variance),
+        disturbed=scenario.disturbance, noisy=scenario.noise, position_noise=arm.position_noise,
+        velocity_noise=arm.velocity_noise)
+    if scenario.plant == 'lpv':
+        box = sinc_box(scenario.sinc_min)
+        a, b = vertex_matrices(box, true_arm.constants(False))
+        c.is_lpv, c.lpv = True, new_record(_LPV, box=box, a=a, b=b)
+    return c

@@ -5,10 +5,107 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_core.dynamics import inverse_dynamics
-from lpv_core.joints import JointMap
+from lpv_core.jit import njit
+from lpv_core.joints import JOINT_MAP, JointMap
+from lpv_core.records import new_record, record_type
 
 COMPENSATION = ('off', 'confirmed', 'always')
 """Which position the loop closes on: measured, with confirmed faults removed, or estimated."""
+
+TRACKING_CONSTANTS = record_type(
+    ('joints', JOINT_MAP), ('arm', 'f8', (12,)), ('limit', 'f8', (2,)), ('m1', 'f8', (2, 4)),
+    ('m2', 'f8', (2, 2)), ('feed_forward', '?'))
+"""Conversions; constants of the arm; torque limits [N m]; gains; whether to feed forward."""
+
+TRACKING_STATE = record_type(
+    ('integral', 'f8', (2,)), ('torque', 'f8', (2,)), ('saturated', '?'), ('x', 'f8', (4,)),
+    ('w', 'f8', (2,)), ('step', 'f8', (2,)))
+"""eps [rad s]; joint torques of the last command [N m], and whether they met a limit; work space:
+deviation of the state, absolute reference, step of eps."""
+
+
+def tracking_constants(arm, gains):
+    """Constants of `track`.
+
+    Parameters
+    ----------
+    arm, gains
+        As `TrackingController`.
+
+    Returns
+    -------
+    numpy.record
+        Of type `TRACKING_CONSTANTS`.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+    gains.check_arm(arm)
+    controller = gains.controller
+    return new_record(
+        TRACKING_CONSTANTS, joints=JointMap(arm).record(), arm=arm.constants(),
+        limit=arm.torque_limit, m1=controller.m1, m2=controller.m2,
+        feed_forward=controller.method == 'exact')
+
+
+@njit
+def _absolute(position, i):
+    """Absolute angle of link i without the zero angle, or its rate: J^-1 q."""
+    return position[0] if i == 0 else position[0] + position[1]
+
+
+@njit
+def track(c, s, position_ref, velocity_ref, acceleration_ref, position, velocity, integrated,
+          interval):
+    """One torque command, see `TrackingController`; it is in ``s.torque``.
+
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+    position_ref, velocity_ref, acceleration_ref : ndarray, shape (2,)
+        References, joint coordinates [rad], [rad/s], [rad/s2].
+    position, velocity, integrated : ndarray, shape (2,)
+        State to feed back, and the position y of eq. (59), joint coordinates [rad], [rad/s].
+    interval : float
+        Time since the previous command [s]; 0 at the first.
+    """
+    x, zero = s.x, c.joints.zero
+    for i in range(2):
+        s.w[i] = _absolute(position_ref, i) + zero
+        s.step[i] = interval * (s.w[i] - (_absolute(integrated, i) + zero))
+        x[i], x[2 + i] = _absolute(position, i) + zero, _absolute(velocity, i)
+    forward_1 = forward_2 = 0.0
+    if c.feed_forward:
+        rate_1, rate_2 = _absolute(velocity_ref, 0), _absolute(velocity_ref, 1)
+        forward_1, forward_2 = inverse_dynamics(
+            s.w[0], s.w[1], rate_1, rate_2, _absolute(acceleration_ref, 0),
+            _absolute(acceleration_ref, 1), c.arm)
+        x[0], x[1], x[2], x[3] = x[0] - s.w[0], x[1] - s.w[1], x[2] - rate_1, x[3] - rate_2
+    q_1 = forward_1 + _feedback(c, s, 0)
+    q_2 = forward_2 + _feedback(c, s, 1)
+    s.saturated = False
+    for i in range(2):
+        wanted = q_1 + q_2 if i == 0 else q_2  # tau = J^-T Q
+        s.torque[i] = min(max(wanted, -c.limit[i]), c.limit[i])
+        if s.torque[i] != wanted:
+            s.saturated = True
+    if not s.saturated:
+        # Conditional integration: no wind-up at the limit.
+        s.integral[0] += s.step[0]
+        s.integral[1] += s.step[1]
+
+
+@njit
+def _feedback(c, s, i):
+    total = 0.0
+    for j in range(4):
+        total += c.m1[i, j] * s.x[j]
+    for j in range(2):
+        total += c.m2[i, j] * (s.integral[j] + s.step[j])
+    return total
 
 
 @dataclass(frozen=True)
@@ -48,17 +145,17 @@ class TrackingController:
     """
 
     def __init__(self, arm, gains):
-        gains.check_arm(arm)
-        self._joints = JointMap(arm)
-        self._constants = arm.constants()
-        self._limit = np.array(arm.torque_limit)
-        self._m1, self._m2 = gains.controller.m1, gains.controller.m2
-        self._feed_forward = gains.controller.method == 'exact'
-        self.integral = np.zeros(2)
+        self._constants = tracking_constants(arm, gains)
+        self._state = new_record(TRACKING_STATE)
+
+    @property
+    def integral(self):
+        """eps of eq. (59), shape (2,) [rad s]."""
+        return self._state.integral
 
     def reset(self):
         """Empty the integrator."""
-        self.integral[:] = 0.0
+        self._state.integral[:] = 0.0
 
     def update(self, reference, position, velocity, integrated_position, interval):
         """Torque for the present sample.
@@ -79,26 +176,10 @@ class TrackingController:
         Command
             Joint torques.
         """
-        to_absolute = self._joints.absolute_position
-        w = to_absolute(reference.position)
-        rate = self._joints.absolute_velocity(reference.velocity)
-        x = np.concatenate([to_absolute(position), self._joints.absolute_velocity(velocity)])
-        step = interval * (w - to_absolute(integrated_position))
-        feed_forward = np.zeros(2)
-        if self._feed_forward:
-            acceleration = self._joints.absolute_velocity(reference.acceleration)
-            feed_forward = np.array(inverse_dynamics(*w, *rate, *acceleration, self._constants))
-            x = x - np.concatenate([w, rate])
-        wanted = self._torque(feed_forward, x, self.integral + step)
-        torque = np.clip(wanted, -self._limit, self._limit)
-        saturated = bool(np.any(torque != wanted))
-        if not saturated:
-            self.integral += step  # conditional integration: no wind-up at the limit
-        return Command(torque, saturated)
-
-    def _torque(self, feed_forward, x, integral):
-        absolute = feed_forward + self._m1 @ x + self._m2 @ integral
-        return self._joints.joint_torque(absolute)
+        track(self._constants, self._state, *(np.ascontiguousarray(v, dtype=float) for v in (
+            reference.position, reference.velocity, reference.acceleration, position, velocity,
+            integrated_position)), float(interval))
+        return Command(self._state.torque.copy(), bool(self._state.saturated))
 
 
 def feedback_position(compensation, estimate, confirmed_fault, joints):
