@@ -1,6 +1,6 @@
 """How good is the diagnosis: false alarms, delays, kinds, tracking, over random closed-loop runs.
 
-    python benchmarks/diagnosis_campaign.py --hours 2 --faults 1000
+    python benchmarks/diagnosis_campaign.py --hours 2 --faults 1050 --steps 1000 --wild 1000
 
 Runs on all cores; every run follows from its number alone.  Paths are random inside the certified
 region; the true arm differs from the model within what the arm file states: masses and inertias
@@ -34,6 +34,8 @@ PAYLOAD = 0.25
 LENGTH = 20.0
 """Length of a run [s]."""
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout')
+DIVERGED = 1.0
+"""True tracking error that counts as lost control [rad]."""
 
 
 def prepare():
@@ -79,11 +81,16 @@ def random_fault(rng, kind, sensors):
                  rate)
 
 
-def tracking_rms(arm, run, after=1.0):
-    """RMS of the true tracking error, absolute angles [rad]."""
+def tracking_error(arm, run):
+    """True tracking error of the absolute angles [rad], shape (n, 2)."""
     joints = JointMap(arm)
-    error = joints.absolute_position(run.position) - joints.absolute_position(run.reference)
-    return float(np.sqrt(np.mean(error[run.time > after] ** 2)))
+    return joints.absolute_position(run.position) - joints.absolute_position(run.reference)
+
+
+def tracking_rms(arm, run, since=1.0, until=LENGTH):
+    """RMS of the true tracking error over a part of the run [rad]."""
+    part = (run.time >= since) & (run.time < until)
+    return float(np.sqrt(np.mean(tracking_error(arm, run)[part] ** 2)))
 
 
 def healthy_run(number, spread=True):
@@ -100,8 +107,15 @@ def exact_run(number):
     return healthy_run(number, spread=False)
 
 
+def events_of(run, fault):
+    """Alarm events of a fault's own sensor while it acts."""
+    begin, end = fault.onset * 1e9, (fault.onset + fault.duration) * 1e9
+    return [a for a in run.alarms
+            if a.sensor == fault.sensor and a.onset >= begin - 1e8 and a.detected < end]
+
+
 def fault_run(number, kind=None, rate=None):
-    """What one random fault leads to."""
+    """What one random fault leads to, beside the same run without it."""
     arm, gains, base = _shared
     rng = np.random.default_rng([2, number])
     kind = KINDS[number % len(KINDS)] if kind is None else kind
@@ -110,17 +124,63 @@ def fault_run(number, kind=None, rate=None):
     if rate is not None:
         fault = replace(fault, rate=rate, size=0.0)
     run = run_closed_loop(arm, gains, replace(scenario, faults=(fault,)))
-    before = [a for a in run.alarms if a.detected < fault.onset * 1e9]
-    own = [a for a in run.alarms if a.sensor == fault.sensor and a.onset >= fault.onset * 1e9 - 1e8
-           and a.detected < (fault.onset + fault.duration) * 1e9]
+    own = events_of(run, fault)
     wrong = [a for a in run.alarms if a.sensor != fault.sensor and a.event == AlarmEvent.RAISED]
     found = own[0] if own else None
     kinds = [a.kind for a in own if a.event != AlarmEvent.CLEARED]
-    return {'kind': kind, 'said': kinds[-1] if kinds else 'nothing', 'wrong': len(wrong),
-            'early': len(before), 'rms': tracking_rms(arm, run),
-            'delay': (found.detected / 1e9 - fault.onset) if found else np.nan,
-            'size': abs(found.size) if found else np.nan,
-            'error': (abs(found.size - fault.size) if found and kind == 'bias' else np.nan)}
+    result = {'kind': kind, 'said': kinds[-1] if kinds else 'nothing', 'wrong': len(wrong),
+              'delay': (found.detected / 1e9 - fault.onset) if found else np.nan,
+              'size': abs(found.size) if found else np.nan,
+              'error': (abs(found.size - fault.size) if found and kind == 'bias' else np.nan),
+              'ratio': np.nan, 'after': np.nan}
+    if found:
+        twin = run_closed_loop(arm, gains, scenario)
+        for name, since in (('ratio', 0.0), ('after', found.detected / 1e9)):
+            until = fault.onset + fault.duration if since else LENGTH
+            result[name] = (tracking_rms(arm, run, since, until)
+                            / tracking_rms(arm, twin, since, until))
+    return result
+
+
+def step_run(number):
+    """Steps just above what is guaranteed to be detected, on one sensor or on both at once."""
+    arm, gains, base = _shared
+    rng = np.random.default_rng([3, number])
+    scenario = random_scenario(arm, base, rng)
+    onset = float(rng.uniform(2.0, LENGTH - 3.0))
+    healthy = run_closed_loop(arm, gains, scenario)
+    # A step of twice the threshold is beyond it whatever the estimate's healthy error is.
+    sizes = 2.0 * healthy.threshold[round(onset / arm.sample_time)] * rng.uniform(1.0, 1.2, 2)
+    hit = [(0,), (1,), (0, 1)][number % 3]
+    faults = tuple(Fault(arm.sensor_names[i], 'bias', onset, 2.0,
+                         float(sizes[i] * rng.choice([-1.0, 1.0]))) for i in hit)
+    run = run_closed_loop(arm, gains, replace(scenario, faults=faults))
+    delays = []
+    for fault in faults:
+        own = events_of(run, fault)
+        delays.append(own[0].detected / 1e9 - onset if own else np.inf)
+    sensors = {a.sensor_index for a in run.alarms if a.event == AlarmEvent.RAISED}
+    return max(delays), sensors == set(hit), len(hit)
+
+
+def wild_run(number):
+    """A random fault of any kind, rate sensors included, on an arm with +-10 % of model error."""
+    arm, gains, base = _shared
+    rng = np.random.default_rng([4, number])
+    scenario = random_scenario(arm, base, rng, error=0.1)
+    kind = (*KINDS, 'rate_bias')[number % (len(KINDS) + 1)]
+    if kind == 'rate_bias':
+        fault = Fault(str(rng.choice(arm.sensor_names)), kind, float(rng.uniform(2.0, 14.0)), 5.0,
+                      float(rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 1.0)))
+    else:
+        fault = random_fault(rng, kind, arm.sensor_names)
+    run = run_closed_loop(arm, gains, replace(scenario, faults=(fault,)))
+    largest = float(np.abs(tracking_error(arm, run)).max())
+    stops = int(np.sum(np.diff(run.braked.astype(int)) == 1))
+    before = sum(a.event == AlarmEvent.RAISED and a.detected < fault.onset * 1e9
+                 for a in run.alarms)
+    finite = np.isfinite(run.position).all() and np.isfinite(run.torque).all()
+    return kind, largest if finite else np.inf, stops, before
 
 
 def drift_run(job):
@@ -152,10 +212,47 @@ def show_faults(results, console):
         table.add_row(kind, *(str(said[n] or '') for n in names), f'{np.nanmedian(delays):.0f}',
                       f'{np.nanmax(delays):.0f}', str(sum(r['wrong'] > 0 for r in group)))
     console.print(table)
-    rms = np.array([r['rms'] for r in results])
-    console.print(f'true tracking RMS over all faults: median {np.median(rms):.4f}, 95 % '
-                  f'{np.percentile(rms, 95):.4f}, max {rms.max():.4f} rad; largest error of a '
-                  f'bias {np.nanmax([r["error"] for r in results]):.4f} rad')
+    console.print(f'largest error of a bias {np.nanmax([r["error"] for r in results]):.4f} rad')
+    table = Table(title='true tracking RMS over that of the same run without the fault')
+    for name in ('fault', 'while confirmed: median', '95 %', 'max', 'whole run: median', '95 %',
+                 'max'):
+        table.add_column(name, justify='right')
+    for kind, group in by_kind.items():
+        row = []
+        for name in ('after', 'ratio'):
+            values = np.array([r[name] for r in group])
+            values = values[np.isfinite(values)]
+            row += ([f'{v:.2f}' for v in (np.median(values), np.percentile(values, 95),
+                                          values.max())] if len(values) else [''] * 3)
+        table.add_row(kind, *row)
+    console.print(table)
+
+
+def show_steps(results, console):
+    """Detection of steps above the guaranteed size."""
+    delays = np.array([delay for delay, _, _ in results])
+    right = sum(ok for _, ok, _ in results)
+    both = sum(count == 2 for _, _, count in results)
+    console.print(f'steps above the guaranteed size: {len(results)} runs, {both} of them with both '
+                  f'sensors; detected {np.isfinite(delays).sum()}, all and only the right sensors '
+                  f'{right}, largest delay {1e3 * delays.max():.0f} ms')
+
+
+def show_wild(results, console):
+    """Robustness: divergence and safe stops."""
+    table = Table(title=f'+-10 % model error, {len(results)} runs')
+    for name in ('fault', 'runs', 'lost control', 'largest error [rad]', 'runs with safe stops',
+                 'safe stops', 'alarms before the fault'):
+        table.add_column(name, justify='right')
+    by_kind = defaultdict(list)
+    for kind, *rest in results:
+        by_kind[kind].append(rest)
+    for kind, group in by_kind.items():
+        error, stops, before = (np.array(column) for column in zip(*group))
+        table.add_row(kind, str(len(group)), str(int(np.sum(error > DIVERGED))),
+                      f'{error.max():.3f}', str(int(np.sum(stops > 0))), str(int(stops.sum())),
+                      str(int(before.sum())))
+    console.print(table)
 
 
 def show_drifts(results, console):
@@ -182,6 +279,8 @@ def main():
     parser.add_argument('--hours', type=float, default=0.05, help='healthy motion [h] (0.05)')
     parser.add_argument('--faults', type=int, default=42, help='random faults of all kinds (42)')
     parser.add_argument('--drifts', type=int, default=4, help='drifts of each rate (4)')
+    parser.add_argument('--steps', type=int, default=30, help='steps of guaranteed size (30)')
+    parser.add_argument('--wild', type=int, default=40, help='runs with +-10 % model error (40)')
     arguments = parser.parse_args()
     console, began = Console(width=160), time.monotonic()
     runs = max(1, round(arguments.hours * 3600.0 / LENGTH))
@@ -196,6 +295,8 @@ def main():
                       f'{sum(len(f) for f, _ in few)}, largest estimate over threshold '
                       f'{max(s for _, s in few):.2f}')
         show_faults(pool.map(fault_run, range(arguments.faults), chunksize=1), console)
+        show_steps(pool.map(step_run, range(arguments.steps), chunksize=1), console)
+        show_wild(pool.map(wild_run, range(arguments.wild), chunksize=1), console)
         rates = (0.02, 0.05, 0.1, 0.2)
         jobs = [(n, rate) for rate in rates for n in range(arguments.drifts)]
         show_drifts(pool.map(drift_run, jobs, chunksize=1), console)

@@ -175,7 +175,7 @@ def test_given_a_compensated_fault_when_it_is_over_then_compensation_fades_out(
         diagnoser.update(estimate_at(k))
     for k in range(300, 400):
         last = diagnoser.update(estimate_at(k, (0.4, 0.0)))
-    assert last.confirmed_fault[0] == 0.4
+    assert last.confirmed_fault[0] == pytest.approx(0.4)
     # By change, the compensation follows the fault while the alarm stays ...
     assert diagnoser.update(estimate_at(400, (0.0, 0.0))).confirmed_fault[0] == 0.0
     # ... and what is left of it when the alarm clears goes slowly.

@@ -21,7 +21,7 @@ from lpv_core.error_bound import (
     reset_bound,
     update_bound,
 )
-from lpv_core.fault_kind import DROPOUT, INCONSISTENT, KINDS, NOISE
+from lpv_core.fault_kind import DROPOUT, INCONSISTENT, KINDS, NOISE, SPIKE
 from lpv_core.history import new_history
 from lpv_core.jit import njit
 from lpv_core.joints import JointMap, weigh
@@ -33,12 +33,13 @@ from lpv_core.sensor_decision import (
     SENSOR_STATE,
     decide,
     is_compensable,
+    removable,
     reset_sensor,
     restart_sensor,
     suspected,
 )
 
-_HISTORY = 1.5
+_HISTORY = 3.0
 """Past that is kept of each sensor [s]."""
 
 
@@ -324,8 +325,9 @@ def _compensate(c, s, interval):
     for i in range(2):
         sensor = s.sensors[i]
         known = is_compensable(sensor)
-        gap = (sensor.amount if known else 0.0) - s.applied[i]
-        reached = sensor.stepped or sensor.kind == NOISE or abs(gap) <= 2.0 * step
+        gap = (removable(c.sensor, sensor) if known else 0.0) - s.applied[i]
+        at_once = sensor.stepped or sensor.kind == NOISE or sensor.kind == SPIKE
+        reached = at_once or abs(gap) <= 2.0 * step
         # What was reached once is followed whatever it does: a fault may end abruptly.
         s.engaged[i] = known and (reached or s.engaged[i] != 0)
         if not s.engaged[i]:

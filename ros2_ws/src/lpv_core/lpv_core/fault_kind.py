@@ -14,9 +14,11 @@ BIAS, DRIFT, SCALE, STUCK, NOISE, SPIKE, DROPOUT, INCONSISTENT, UNCLASSIFIED = r
 _SETTLED = 0.1
 """Shortest time since the onset for a judgement of the course [s]."""
 _STUCK_SAMPLES = 20
-_TELLING = 50.0
+_TELLING = 30.0
 """A scale error shows in motion that changes it by so many standard deviations of a reading: the
 error of a healthy estimate changes, too."""
+_EXPLAINED = 0.1
+"""Part of the change that a scale error may leave unexplained."""
 _CLEARLY = 4.0
 """Ratio of residuals at which one course fits clearly better than another."""
 
@@ -118,17 +120,17 @@ def classify(stamps, values, onset, baseline, position_noise):
     if count < 10 or (stamps[count - 1] - onset) / 1e9 < _SETTLED:
         return UNCLASSIFIED
     time = (stamps - onset) / 1e9
-    return _course(time, values[:, FAULT] - baseline, values[:, EXPECTED], values, position_noise)
+    return _course(time, values, baseline, position_noise)
 
 
 @njit
 def fits_better(kind, than, values, baseline):
-    """Whether a bias fits clearly better than a scale error, or the other way round.
+    """Whether one course of a fault is to replace another one that was named before.
 
     Parameters
     ----------
     kind, than : int
-        ``BIAS`` and ``SCALE``, in either order.
+        ``BIAS``, ``DRIFT`` or ``SCALE``; what `classify` says now, and what was said.
     values : ndarray, shape (n, 3)
         f^, y_p, S theta^ [rad].
     baseline : float
@@ -137,33 +139,96 @@ def fits_better(kind, than, values, baseline):
     Returns
     -------
     bool
-        Also false of other kinds.
+        A scale error shows late, in motion; it does not turn into a bias by standing still.
     """
-    if kind + than != BIAS + SCALE or kind == than:
+    if kind == SCALE:
+        return True
+    if kind != BIAS or than != SCALE:
         return False
     fault = values[:, FAULT] - baseline
-    bias, scale = _residual(np.ones(len(fault)), fault), _residual(values[:, EXPECTED], fault)
-    return _CLEARLY * bias < scale if kind == BIAS else _CLEARLY * scale < bias
+    return _CLEARLY * _residual(np.ones(len(fault)), fault) < _residual(values[:, EXPECTED], fault)
 
 
 @njit
-def _course(time, fault, expected, values, position_noise):
+def _course(time, values, baseline, position_noise):
     """Bias, drift or scale: the model that leaves the smallest residual, simplest first."""
+    fault, expected = values[:, FAULT] - baseline, values[:, EXPECTED]
     floor = len(time) * position_noise**2
     bias = _residual(np.ones(len(time)), fault)
     drift, scale = _residual(time, fault), _residual(expected, fault)
+    if (shows_scale(values, baseline, position_noise) and scale < _EXPLAINED * bias
+            and scale < drift):
+        return SCALE
     best, left = BIAS, bias
-    if drift < left:
+    if drift < left and bias >= drift + 2.0 * floor:
         best, left = DRIFT, drift
-    if scale < left and (abs(_weight(expected, fault)) * span(values, EXPECTED, 0)
-                         > _TELLING * position_noise):
-        best, left = SCALE, scale
-    if best != BIAS and bias < left + 2.0 * floor:
-        best, left = BIAS, bias
     if left > 4.0 * (_residual_of_ramp(time, fault) + floor):
         # Neither fits alone, a ramp from an offset does: it grows, whatever it started from.
         return DRIFT
     return best
+
+
+@njit
+def shows_scale(values, baseline, position_noise):
+    """Whether the arm has moved so far that a scale error would have shown itself.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 3)
+        f^, y_p, S theta^ since the onset [rad].
+    baseline : float
+        f^ before the onset [rad].
+    position_noise : float
+        Standard deviation of a healthy reading [rad].
+
+    Returns
+    -------
+    bool
+        Also where the fault is no scale error.
+    """
+    scale = _weight(values[:, EXPECTED], values[:, FAULT] - baseline)
+    return abs(scale) * span(values, EXPECTED, 0) > _TELLING * position_noise
+
+
+@njit
+def _mean(values, first, last):
+    # In one fixed order of additions, which NumPy's own does not promise.
+    total = 0.0
+    for k in range(first, last):
+        total += values[k]
+    return total / (last - first)
+
+
+@njit
+def step_of(stamps, values, row):
+    """Height of a step: two levels with one common slope, by least squares.
+
+    The slope is that of the healthy estimate's error, which goes on beside the fault.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (n,)
+        Samples before and after the step [ns].
+    values : ndarray, shape (n, 3)
+        f^, y_p, S theta^ [rad].
+    row : int
+        First sample after the step, with some on either side.
+
+    Returns
+    -------
+    float
+        [rad].
+    """
+    time, fault = (stamps - stamps[row]) / 1e9, values[:, FAULT]
+    square = cross = height = middle = 0.0
+    for first, last, sign in ((0, row, -1.0), (row, len(time), 1.0)):
+        mean_time, mean = _mean(time, first, last), _mean(fault, first, last)
+        for k in range(first, last):
+            square += (time[k] - mean_time) * (time[k] - mean_time)
+            cross += (time[k] - mean_time) * (fault[k] - mean)
+        height += sign * mean
+        middle += sign * mean_time
+    return height - middle * cross / square
 
 
 @njit
@@ -190,8 +255,4 @@ def _residual(basis, values):
 @njit
 def _residual_of_ramp(time, values):
     """Sum of squares that a straight line leaves."""
-    mean_time = mean = 0.0
-    for k in range(len(time)):
-        mean_time += time[k] / len(time)
-        mean += values[k] / len(time)
-    return _residual(time - mean_time, values - mean)
+    return _residual(time - _mean(time, 0, len(time)), values - _mean(values, 0, len(values)))

@@ -23,9 +23,11 @@ from lpv_core.fault_kind import (
     fits_better,
     is_stuck,
     noise_level,
+    shows_scale,
     span,
+    step_of,
 )
-from lpv_core.history import FAULT, READING, add_sample, first_since, median_before
+from lpv_core.history import EXPECTED, FAULT, READING, add_sample, first_since, median_before
 from lpv_core.jit import njit
 from lpv_core.records import NEVER, record_type
 
@@ -40,6 +42,14 @@ _LOOK = 50_000_000
 """Interval of classification and of the test for noise and stuck readings [ns]."""
 _RECENT = 50
 """Samples that show noise and standstill."""
+_AROUND = 50
+"""Samples before a step that its height is measured from."""
+_MEAN_SHARE = 0.005
+"""Share of a sample in the mean of a noisy reading."""
+_DOUBT = 10.0
+"""What f^ may differ by from the formula, over the noise, until the arm has moved."""
+_DOUBTED, _UNMEASURED, _MEASURED, _IMPOSSIBLE = range(-4, 0)
+"""Why there is no formula (yet)."""
 
 SENSOR_CONSTANTS = record_type(
     ('changes', CHANGE_TEST), ('noise', 'f8'), ('dwell', 'i8'), ('clear_dwell', 'i8'),
@@ -65,7 +75,12 @@ SENSOR_STATE = record_type(
     # Evidence that is not confirmed: since when, over which window, f^ before it [rad].
     ('since', 'i8'), ('window', 'i8'), ('before', 'f8'), ('missing_since', 'i8'),
     ('below_since', 'i8'), ('look_at', 'i8'), ('spikes', 'i8', (_SPIKES,)),
-    ('spike_count', 'i8'), ('end', 'i8'), ('sample', SAMPLE))
+    ('spike_count', 'i8'), ('end', 'i8'),
+    # The fault as a formula of the reading: kind (or why there is none), whether motion has shown
+    # which, height of the step and true reading at it [rad], by what f^ differs from the formula,
+    # mean of a noisy reading [rad].
+    ('formula', 'i8'), ('told', '?'), ('height', 'f8'), ('level', 'f8'), ('rest', 'f8'),
+    ('average', 'f8'), ('sample', SAMPLE))
 
 
 @njit
@@ -74,7 +89,8 @@ def reset_sensor(s):
     s.end = 0
     s.alarm, s.kind, s.by_change, s.stepped = False, UNCLASSIFIED, False, False
     s.onset = s.detected = 0
-    s.amount = s.reported = s.peak = s.baseline = 0.0
+    s.amount = s.reported = s.peak = s.baseline = s.average = 0.0
+    s.formula = _UNMEASURED
     forget(s)
 
 
@@ -94,8 +110,41 @@ def restart_sensor(s):
 
 @njit
 def is_compensable(s):
-    """Whether ``size`` is a fault that may be removed from the reading."""
-    return s.alarm and s.kind != DROPOUT and s.kind != INCONSISTENT and s.kind != SPIKE
+    """Whether `removable` may be removed from the reading."""
+    return s.alarm and s.kind != DROPOUT and s.kind != INCONSISTENT
+
+
+@njit
+def removable(c, s):
+    """What is to be removed from the reading of a sensor with an alarm.
+
+    A step or a scale error whose size is known leaves a reading as good as that of a healthy
+    sensor; of noise, its mean remains; spikes go one by one; else f^ itself, so that the loop
+    closes on the state estimate.
+
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+
+    Returns
+    -------
+    float
+        [rad].
+    """
+    if s.kind == SPIKE:
+        away = s.amount - s.average
+        return away if abs(away) > change_limit(c.changes, 0, s.sample.speed) else 0.0
+    if s.kind == NOISE:
+        return s.amount - s.average
+    return _by_formula(s) if s.formula >= 0 else s.amount
+
+
+@njit
+def _by_formula(s):
+    if s.formula == BIAS:
+        return s.height
+    return s.sample.reading * s.height / (s.level + s.height)
 
 
 @njit
@@ -123,6 +172,7 @@ def decide(c, s, stamps, values):
         return _wait(c, s, True)
     if s.alarm:
         decided = _decide_alarm(c, s, stamps, values)
+        _follow_fault(c, s)
     else:
         decided = _decide_healthy(c, s, stamps, values)
     s.end = add_sample(stamps, values, s.end, d.stamp, d.fault, d.reading, d.expected)
@@ -262,6 +312,7 @@ def _raise(c, s, kind, onset, by_change, stepped):
     s.amount = s.reported = d.fault - s.baseline
     s.peak = abs(s.amount)
     s.since = s.below_since = s.look_at = NEVER
+    s.formula, s.told, s.average = _UNMEASURED, False, 0.0
     return RAISED
 
 
@@ -286,8 +337,11 @@ def _decide_alarm(c, s, stamps, values):
     decided = _wait(c, s, over)
     if over:
         return decided
-    if decided == NOTHING and _due(s) and _name(c, s, stamps, values):
-        decided = UPDATED
+    if decided == NOTHING and _due(s):
+        if _name(c, s, stamps, values):
+            decided = UPDATED
+        if s.kind != UNCLASSIFIED:
+            _find_formula(c, s, stamps, values)
     if s.kind == SPIKE or s.kind == NOISE:
         return decided
     if abs(s.amount - s.reported) > max(d.threshold, 0.5 * abs(s.reported)):
@@ -356,3 +410,55 @@ def _name(c, s, stamps, values):
         return False
     s.kind = kind
     return True
+
+
+# ------------------------------------------------------------------ size of a known fault
+
+
+@njit
+def _measure_step(s, stamps, values):
+    """Height of a step and the true reading at it, as soon as there are samples around it."""
+    row = first_since(stamps, s.end, s.onset)
+    first = max(row - _AROUND, 0, s.end - len(stamps) // 2)
+    if row - first < _AROUND // 2 or s.end - row < _AROUND // 2:
+        s.formula = _IMPOSSIBLE
+        return
+    last = min(row + _AROUND, s.end)
+    s.height = step_of(stamps[first:last], values[first:last], row - first)
+    s.level = values[row - 1, EXPECTED] + s.baseline
+    s.formula = _MEASURED
+
+
+@njit
+def _find_formula(c, s, stamps, values):
+    """Take the formula of the kind; motion has to tell a bias from a scale error."""
+    if s.formula == _UNMEASURED and s.stepped:
+        _measure_step(s, stamps, values)
+    if not s.told:
+        row = first_since(stamps, s.end, s.onset)
+        s.told = shows_scale(values[row:s.end], s.baseline, c.noise)
+        if s.formula == _DOUBTED and s.told:
+            s.formula = _MEASURED
+    if s.formula != _MEASURED or (s.kind != BIAS and s.kind != SCALE):
+        return
+    if abs(s.level + s.height) > 0.1 * abs(s.height):
+        s.formula = s.kind
+        s.rest = s.amount - _by_formula(s)
+
+
+@njit
+def _follow_fault(c, s):
+    """Drop the formula when f^ leaves it: the fault is over, or another one has come."""
+    d, limit = s.sample, change_limit(c.changes, 0, s.sample.speed)
+    if s.kind == NOISE or (s.kind == SPIKE and abs(s.amount - s.average) <= limit):
+        s.average += _MEAN_SHARE * (s.amount - s.average)
+    if s.formula < 0:
+        return
+    rest = s.amount - _by_formula(s)
+    if abs(rest - s.rest) > limit or abs(rest) > d.threshold:
+        s.formula = _IMPOSSIBLE
+    elif s.kind != s.formula:
+        s.formula = _MEASURED
+    elif not s.told and abs(rest) > _DOUBT * c.noise:
+        s.formula = _DOUBTED
+    s.rest = rest
