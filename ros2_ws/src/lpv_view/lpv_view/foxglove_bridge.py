@@ -49,6 +49,7 @@ class FoxgloveBridge:
         self._context = foxglove.Context()
         typestore = make_typestore()
         self._channels, self._kept, self._by_id = {}, {}, {}
+        self._newest = 0
         for topic, (msgtype, keep) in topics.items():
             add_type(typestore, msgtype)
             text, _ = typestore.generate_msgdef(msgtype, ros_version=2)
@@ -83,6 +84,7 @@ class FoxgloveBridge:
         stamp : int
             Time of the message [ns].
         """
+        self._newest = max(self._newest, stamp)
         kept = self._kept[topic]
         if kept.maxlen:
             kept.append((data, stamp))
@@ -111,13 +113,15 @@ class FoxgloveBridge:
         """Time started anew: clients forget what they have."""
         for kept in self._kept.values():
             kept.clear()
+        self._newest = 0
         self._server[0].clear_session()
 
     def on_subscribe(self, client, channel):
         """Called by the SDK: a late client gets what was latched."""
         topic = self._by_id.get(channel.id)
         for data, stamp in list(self._kept.get(topic, ())):
-            self._channels[topic].log(data, log_time=stamp, sink_id=client.id)
+            # As of now, or the client's time line would begin with the first of them.
+            self._channels[topic].log(data, log_time=max(stamp, self._newest), sink_id=client.id)
 
     def stop(self):
         """Close all connections."""

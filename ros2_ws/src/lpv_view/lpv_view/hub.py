@@ -30,7 +30,7 @@ class Client:
         self._socket = socket
         self._waiting, self._frame = deque(), None
         self._wake = asyncio.Event()
-        self.granted = self.welcomed = self.lost = False
+        self.granted = self.welcomed = self.lost = self._ending = False
         self.wrong_tokens = 0
 
     def put(self, text):
@@ -52,9 +52,16 @@ class Client:
         self.lost = True
         self._wake.set()
 
+    def finish(self):
+        """Send what must arrive, then no more."""
+        self._ending, self._frame = True, None
+        self._wake.set()
+
     async def write(self):
-        """Send what is queued until the client is lost."""
+        """Send what is queued until the client is lost or all is said."""
         while not self.lost and not self._socket.closed:
+            if self._ending and not self._waiting:
+                return
             await self._wake.wait()
             self._wake.clear()
             while not self.lost and (self._waiting or self._frame):

@@ -1,6 +1,7 @@
 """Live view node: the page, the Foxglove protocol, markers and transforms."""
 
 import os
+import socket
 import struct
 import sys
 import time
@@ -43,6 +44,8 @@ SPECS = (
          read_only=True),
     Spec('rate', 25.0, 'frames, markers and transforms [1/s]', 1.0, 60.0, read_only=True),
 )
+_ALARM_INTERVAL = 0.2
+"""Shortest time between two lists of alarms [s]."""
 _TOKEN_VARIABLE = 'LPV_VIEW_TOKEN'
 _GREEN = '0.13 0.55 0.30 0.5', '0.25 0.65 0.40 0.5'
 _DESCRIPTIONS = ('robot_description', 'true_robot_description')
@@ -58,9 +61,10 @@ class ViewNode(ManagedNode):
     ``arm_sim/clear_faults`` and ``uio/reset`` when a button is pressed.
     """
 
+    _server = _foxglove = _requests = _ticker = None  # also if the constructor fails
+
     def __init__(self):
         super().__init__(ONLOOKER, SPECS)
-        self._server = self._foxglove = self._requests = self._ticker = None
         self._inboxes, self._subscriptions_in = [], []
 
     def setup(self):
@@ -72,7 +76,7 @@ class ViewNode(ManagedNode):
         typestore = make_typestore()
         add_type(typestore, MARKERS)
         self._scene = Scene(arm, typestore, path)
-        self._ticks, self._stamp = 0, None
+        self._ticks, self._stamp, self._alarms_due = 0, None, 0.0
         self._requests = Requests(self)
         self._create_publishers()
         self._open(arm)
@@ -110,7 +114,8 @@ class ViewNode(ManagedNode):
             sites.append((gate(origins, self._foxglove.address, self._foxglove.port), address,
                           value['foxglove_port']))
         ports = self._server.start(sites)
-        shown = f'[{address}]' if ':' in address else address
+        shown = socket.gethostname() if address in ('0.0.0.0', '::') else address
+        shown = f'[{shown}]' if ':' in shown else shown
         self.get_logger().info(f'page: http://{shown}:{ports[0]}/')
         if access.token:
             # Printed, not logged: logs are published on /rosout and kept in files.
@@ -132,13 +137,14 @@ class ViewNode(ManagedNode):
 
         def forward(data):
             stamp = _leading_stamp(data)
-            if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
-                if topic.every:
+            if self._stamp is None or stamp < self._stamp - NANOSECONDS:
+                if topic.every and self._stamp is not None:
                     return  # latched long ago
-                self._foxglove.restart()
-                self._describe_again()
+                if self._stamp is not None:
+                    self._foxglove.restart()
                 self._stamp = stamp
-            self._stamp = max(stamp, self._stamp or 0)
+                self._describe_again()
+            self._stamp = max(stamp, self._stamp)
             self._foxglove.send(name, data, stamp)
         return forward
 
@@ -155,7 +161,7 @@ class ViewNode(ManagedNode):
 
     def _describe_again(self):
         for name, data in zip(_DESCRIPTIONS, self._described):
-            self._publish(name, data, self._stamp or 0)
+            self._publish(name, data, self._stamp)
 
     def begin(self):
         """Subscribe."""
@@ -200,8 +206,9 @@ class ViewNode(ManagedNode):
         if every_second:
             self._model.services = self._requests.available()
         frame = self._model.frame(now)
-        if self._model.alarms.changed:
-            self._model.alarms.changed = False
+        # In a storm of alarms, no client is to drown in lists.
+        if self._model.alarms.changed and now >= self._alarms_due:
+            self._model.alarms.changed, self._alarms_due = False, now + _ALARM_INTERVAL
             self._server.tell({'type': 'alarms', 'alarms': self._model.alarms.rows()})
         if self._server.newcomers:
             self._server.welcome(self._model.hello())
@@ -221,7 +228,8 @@ class ViewNode(ManagedNode):
         publisher, _ = self._outputs[name]
         if publisher is not None:
             publisher.publish(data)
-        if self._foxglove is not None:
+        # Without a stamp there is no time yet that Foxglove could show.
+        if self._foxglove is not None and stamp is not None:
             self._foxglove.send(self.resolve_topic_name(name), data, stamp)
 
 

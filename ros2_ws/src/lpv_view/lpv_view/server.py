@@ -172,6 +172,10 @@ class ViewServer:
             await asyncio.wait((writer, reader), return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._hub.clients.discard(client)
+            client.finish()
+            await asyncio.wait((writer,), timeout=1.0)
+            # Until Python 3.12 a cancelled wait_for may go on: the flag ends it in any case.
+            client.close()
             for task in (writer, reader):
                 task.cancel()
             await asyncio.gather(writer, reader, return_exceptions=True)
