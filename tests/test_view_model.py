@@ -95,6 +95,19 @@ def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_withou
     assert len(model.hello()['history']) == 1, 'time started anew'
 
 
+def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then_it_goes_on(
+        paper_arm):
+    model = LiveModel(paper_arm)
+    model.take('ground_truth', message(50.0, position=[1.0, 0.0], fault=[0.0, 0.0]), 0.0)
+    model.take('state_estimate', state_estimate(50.0), 0.0)
+    assert model.frame(0.0)['sample']['t'] == 50.0
+    for k in range(30):
+        model.take('state_estimate', state_estimate(1.0 + 0.1 * k), 0.1 * k)
+        frame = model.frame(0.1 * k)
+    assert frame['sample']['t'] == pytest.approx(3.9)
+    assert max(sample['t'] for sample in model.hello()['history']) < 4.0
+
+
 def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(paper_arm):
     model = LiveModel(paper_arm)
     for k in range(100):

@@ -161,8 +161,12 @@ class LiveModel:
 
     def stamp(self):
         """Stamp of the newest measurement, estimate or command [ns], None before the first."""
-        stamps = [_stamp(m) for m in self._latest.values()]
-        return max(stamps) if stamps else None
+        if not self._latest:
+            return None
+        # What fell silent is left out: its clock may be one that has started anew since.
+        newest = max(self._received.values())
+        return max(_stamp(message) for source, message in self._latest.items()
+                   if self._received[source] > newest - QUIET)
 
     def _live(self, now):
         return {name: name in self._received and now - self._received[name] < QUIET

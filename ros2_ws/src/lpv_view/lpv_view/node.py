@@ -137,15 +137,14 @@ class ViewNode(ManagedNode):
 
         def forward(data):
             stamp = _leading_stamp(data)
-            if self._stamp is None or stamp < self._stamp - NANOSECONDS:
-                if topic.every and self._stamp is not None:
-                    return  # latched long ago
-                if self._stamp is not None:
-                    self._foxglove.restart()
+            restarted = self._stamp is not None and stamp < self._stamp - NANOSECONDS
+            if restarted and not topic.every:  # those of the latter are latched, and may be old
+                self._foxglove.restart()
+            if self._stamp is None or restarted and not topic.every:
                 self._stamp = stamp
                 self._describe_again()
             self._stamp = max(stamp, self._stamp)
-            self._foxglove.send(name, data, stamp)
+            self._foxglove.send(name, data, self._stamp if topic.every else stamp)
         return forward
 
     def _describe(self, arm):
