@@ -23,7 +23,9 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from lpv_core.gains import save_gains  # noqa: E402
 from lpv_core.urdf import arm_urdf  # noqa: E402
+from lpv_msgs.msg import StateEstimate  # noqa: E402
 from lpv_msgs.srv import ClearFaults  # noqa: E402
+from lpv_node.qos import stream  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -35,12 +37,11 @@ BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which
 
 
 class Running:
-    """A graph with its view: domain, ports, log folder."""
+    """A graph with its view: domain, address of the page, log folder."""
 
-    def __init__(self, graph, domain, log):
+    def __init__(self, graph, domain, log, page=r'page: (http://\S+)'):
         self.graph, self.domain, self.log = graph, domain, log
-        self.page, self.foxglove = self.find(r'page: (http://\S+)'), self.find(
-            r'Foxglove: ws://127\.0\.0\.1:(\d+)')
+        self.page = self.find(page)
 
     def find(self, pattern, timeout=60.0):
         deadline = time.monotonic() + timeout
@@ -103,14 +104,17 @@ def live(gains_file, tmp_path_factory):
         graph.start('view', ros.command('view', f'arm_file:={ARM}', f'scenario_file:={scenario}',
                                         'port:=0', f'foxglove_port:={free_port()}'))
         running = Running(graph, domain, folder / 'log')
+        running.foxglove = running.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)')
         steps = start(graph, gains_file, scenario)
         next(steps)
         with ros.client(domain) as client:
             service = client.node.create_client(ClearFaults, 'arm_sim/clear_faults')
             assert client.wait(service.service_is_ready, 60.0)
             client.wait(lambda: False, 1.0)
-        assert 'lockstep, ' not in text(folder / 'log' / 'simulator.log'), 'it began for the view'
-        next(steps)
+            assert 'lockstep, ' not in text(folder / 'log' / 'simulator.log'), 'not for the view'
+            next(steps)
+            estimates = client.listen(StateEstimate, 'state_estimate', stream(False))
+            assert client.wait(lambda: estimates, 240.0), 'no estimates'  # compiles at first
         yield running
         codes = graph.stop()
     assert set(codes.values()) == {0}, codes
@@ -268,19 +272,44 @@ def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_de
     assert tips['true'][1] == pytest.approx(1.5893, abs=0.05), 'the path is a line at this height'
 
 
-def test_given_a_view_that_others_may_see_when_started_then_the_token_is_printed_once(tmp_path):
-    domain = ros.next_domain()
-    with ros.graph(tmp_path, domain) as graph:
+def test_given_a_view_that_others_may_see_when_opened_then_its_buttons_need_the_printed_token(
+        live, tmp_path, request):
+    with ros.graph(tmp_path, live.domain) as graph:
         graph.start('view', ros.command('view', f'arm_file:={ARM}', 'address:=0.0.0.0', 'port:=0',
                                         'foxglove_port:=0'))
-        deadline = time.monotonic() + 60.0
-        while '#token=' not in text(tmp_path / 'view.log'):
-            assert time.monotonic() < deadline, text(tmp_path / 'view.log')
-            time.sleep(0.1)
+        shown = Running(graph, live.domain, tmp_path, r'(http://\S+/)#token=')
+        log = text(tmp_path / 'view.log')
+        token = re.search(r'need the token (\S+)', log).group(1)
+        assert len(token) >= 20 and log.count('need the token') == 1
+        try_token(request.getfixturevalue('browser').new_page(), shown.page, token)
         assert graph.stop() == {'view': 0}
-    log = (tmp_path / 'view.log').read_text()
-    token = re.search(r'need the token (\S+)', log).group(1)
-    assert len(token) >= 20 and log.count('need the token') == 1
+
+
+def try_token(page, address, token):
+    """Look without it, fail without it, type it, then come by the link that carries it."""
+    address = f'http://127.0.0.1:{address.rsplit(":", 1)[1]}'
+    reply = page.locator('#reply')
+    page.goto(address)
+    page.wait_for_selector('#clock:not([hidden])', timeout=20_000)
+    assert page.is_visible('#token-form')
+    until(page, lambda: page.is_enabled('#inject'))
+    page.click('#clear')
+    until(page, lambda: 'the token is needed' in reply.inner_text())
+    page.fill('#token', 'a wrong one')
+    page.click('#token-form button')
+    until(page, lambda: 'not the token' in reply.inner_text())
+    page.fill('#token', token)
+    page.click('#token-form button')
+    until(page, lambda: 'accepted' in reply.inner_text())
+    assert not page.is_visible('#token-form')
+    page.click('#clear')
+    until(page, lambda: 'faults cleared' in reply.inner_text())
+    page.goto('about:blank')
+    page.goto(f'{address}#token={token}')
+    until(page, lambda: 'accepted' in reply.inner_text())
+    assert page.url == address, 'the token is gone from the address bar'
+    assert not page.is_visible('#token-form')
+    page.close()
 
 
 @pytest.mark.parametrize(('parameters', 'told'), [
