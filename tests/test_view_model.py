@@ -2,6 +2,8 @@
 
 import json
 import math
+import re
+from importlib import resources
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 pytest.importorskip('lpv_view', reason='the workspace is not built')
 
+from lpv_core.faults import KINDS  # noqa: E402
 from lpv_view.alarm_list import CLEARED, RAISED, UPDATED, AlarmList  # noqa: E402
 from lpv_view.commands import CommandError, parse_command  # noqa: E402
 from lpv_view.model import WINDOW, LiveModel  # noqa: E402
@@ -172,6 +175,12 @@ def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
 def test_given_malformed_commands_when_parsed_then_the_reason_is_told(text, told):
     with pytest.raises(CommandError, match=told):
         parse_command(text, SENSORS)
+
+
+def test_given_the_kinds_of_faults_when_the_page_is_made_then_its_form_knows_them_all():
+    script = (resources.files('lpv_view') / 'static' / 'view.js').read_text()
+    fields = script.split('const FIELDS = {', 1)[1].split('\n};', 1)[0]
+    assert set(re.findall(r'(\w+): \{', fields)) == set(KINDS)
 
 
 def test_given_a_command_when_parsed_then_only_known_fields_remain():

@@ -10,8 +10,10 @@ const byId = (id) => document.getElementById(id);
 const FIELDS = {
   bias: { size: 0.3 }, drift: { size: 0.25, rate: 0.08 }, scale: { size: 0.2 }, stuck: {},
   noise: { size: 0.05 }, spike: { size: 0.5, rate: 2 }, dropout: {},
+  rate_bias: { size: 0.3 },
 };
-const LABELS = { size: { drift: 'Up to [rad], 0: no end', scale: 'Factor minus 1' },
+const LABELS = { size: { drift: 'Up to [rad], 0: no end', scale: 'Factor minus 1',
+  rate_bias: 'Size [rad/s]' },
   rate: { drift: 'Rate [rad/s]', spike: 'Spikes a second' } };
 
 let hello = null, frame = null, samples = [], alarms = [], waiting = false, token = null;
