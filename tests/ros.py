@@ -13,7 +13,8 @@ NAMESPACE = '/lpv'
 _DOMAINS = itertools.cycle(range(1 + os.getpid() % 90, 1 + os.getpid() % 90 + 10))
 
 PROGRAMS = {'recorder': ('lpv_bag', 'recorder'), 'uio': ('lpv_uio', 'uio'),
-            'tracker': ('lpv_tracker', 'tracker'), 'simulator': ('lpv_arm_sim', 'simulator')}
+            'tracker': ('lpv_tracker', 'tracker'), 'simulator': ('lpv_arm_sim', 'simulator'),
+            'view': ('lpv_view', 'view')}
 
 
 def command(name, *parameters, files=()):

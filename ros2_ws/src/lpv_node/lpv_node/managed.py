@@ -14,6 +14,8 @@ from rclpy.signals import SignalHandlerOptions
 from lpv_core.errors import LpvError
 from lpv_node.parameters import Spec, declare
 
+ONLOOKER = 'view'
+"""Name of the live view's node: the graph does not wait for it, nor start because of it."""
 _LONGEST_DRAIN = 10.0
 """Longest time that stopping may take [s]."""
 
@@ -89,11 +91,21 @@ class ManagedNode(LifecycleNode):
 
     def _try_begin(self):
         recorders = self.get_parameter('await_recorders').value
-        if all(publisher.get_subscription_count() >= recorders + self.lockstep * consumers
+        if all(self._matched(publisher) >= recorders + self.lockstep * consumers
                for publisher, consumers in self.outputs().items()):
             self.destroy_timer(self._gate)
             self._gate = None
             self.begin()
+
+    def _matched(self, publisher):
+        """Readers of an output, without those that only look on.
+
+        These are the live view, and nodes with hidden names, as those of the ros2 command; a node
+        whose name has not been heard of yet has a hidden name as well.
+        """
+        readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
+        onlookers = sum(r.node_name == ONLOOKER or r.node_name.startswith('_') for r in readers)
+        return publisher.get_subscription_count() - onlookers
 
     def steady_timer(self, period, callback):
         """Create a timer on the steady clock, which runs whatever /clock does.

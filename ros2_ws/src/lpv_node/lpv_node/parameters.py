@@ -8,7 +8,11 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import ParameterUninitializedException
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterUninitializedException,
+)
 from rclpy.parameter import Parameter
 
 from lpv_core.certificate import require
@@ -88,11 +92,14 @@ def declare(node, specs):
     Raises
     ------
     ConfigError
-        If an override of a choice is not among its choices.
+        If an override has the wrong type, is out of range or not among the choices.
     """
     choices = {spec.name: spec.choices for spec in specs if spec.choices}
     for spec in specs:
-        value = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
+        try:
+            value = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
+        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+            raise ConfigError(spec.name, str(error), node.get_name()) from error
         if spec.choices and value not in spec.choices:
             raise ConfigError(spec.name, f'must be one of {", ".join(spec.choices)}, got {value!r}',
                               node.get_name())

@@ -1,0 +1,110 @@
+"""What a browser may ask for, checked before anything else sees it."""
+
+import json
+import math
+from dataclasses import dataclass, field
+
+from lpv_core.errors import LpvError
+from lpv_core.faults import KINDS
+
+_LARGEST = 1e6
+_MOST_TEXT = 256
+
+
+class CommandError(LpvError):
+    """A message of a client that is not understood; the text is sent back to it."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """One request.
+
+    Attributes
+    ----------
+    name : {'token', 'inject', 'clear', 'reset'}
+        What is asked for.
+    number : int
+        Chosen by the client; the reply carries it.
+    fields : dict
+        ``inject``: sensor, kind, size, rate, duration; ``clear``: sensor, empty for all;
+        ``token``: token.
+    """
+
+    name: str
+    number: int = 0
+    fields: dict = field(default_factory=dict)
+
+
+def parse_command(text, sensors):
+    """Read a client's message.
+
+    Parameters
+    ----------
+    text : str
+        JSON of one object with ``type``, ``id`` and the fields of `Command`.
+    sensors : sequence of str
+        Names of the arm's sensors.
+
+    Returns
+    -------
+    Command
+        Only known fields, of the right types, finite and in range.
+
+    Raises
+    ------
+    CommandError
+        Saying what is wrong.
+    """
+    data = _decode(text)
+    name = data.get('type')
+    number = data.get('id', 0)
+    if type(number) is not int or not 0 <= number < 2**53:
+        raise CommandError('id: must be a whole number, not negative')
+    if name == 'token':
+        return Command(name, number, {'token': _text(data, 'token')})
+    if name == 'reset':
+        return Command(name, number)
+    if name == 'clear':
+        return Command(name, number, {'sensor': _choice(data, 'sensor', ('', *sensors), '')})
+    if name == 'inject':
+        fields = {'sensor': _choice(data, 'sensor', sensors), 'kind': _choice(data, 'kind', KINDS)}
+        fields.update({key: _number(data, key) for key in ('size', 'rate', 'duration')})
+        return Command(name, number, fields)
+    raise CommandError('type: must be one of token, inject, clear, reset')
+
+
+def _decode(text):
+    try:
+        data = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise CommandError(f'this is not JSON ({type(error).__name__})') from None
+    if not isinstance(data, dict):
+        raise CommandError('must be an object')
+    return data
+
+
+def _refuse_constant(name):
+    raise ValueError(f'{name} is not JSON')
+
+
+def _text(data, key):
+    value = data.get(key)
+    if not isinstance(value, str) or len(value) > _MOST_TEXT:
+        raise CommandError(f'{key}: must be text of at most {_MOST_TEXT} characters')
+    return value
+
+
+def _choice(data, key, choices, default=None):
+    value = data.get(key, default)
+    if not isinstance(value, str) or value not in choices:
+        raise CommandError(f'{key}: must be one of ' + ', '.join(c for c in choices if c))
+    return value
+
+
+def _number(data, key):
+    value = data.get(key, 0.0)
+    # Comparison comes first: an enormous int has no float.
+    if (isinstance(value, bool) or not isinstance(value, (int, float))
+            or not -_LARGEST <= value <= _LARGEST or not math.isfinite(value)):
+        raise CommandError(f'{key}: must be a number between {-_LARGEST:g} and {_LARGEST:g}')
+    return float(value)

@@ -1,0 +1,227 @@
+"""What the live view knows of the running graph, as plain values that JSON can carry."""
+
+import math
+from collections import deque
+
+from lpv_core.errors import SampleError
+from lpv_core.faults import KINDS
+from lpv_core.joint_order import JointOrder
+from lpv_core.urdf import frame_angles
+from lpv_view.alarm_list import NANOSECONDS, AlarmList, seconds
+
+MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
+STATES = ('OK', 'WARN', 'ERROR', 'STALE', 'NOT_DIAGNOSABLE')
+LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
+WINDOW = 30.0
+"""Length of the history that a new client gets [s]."""
+QUIET = 1.0
+"""A source that said nothing for so long is no longer shown as live [s]."""
+_MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 16, 300
+_SOURCES = ('joint_states', 'state_estimate', 'fault_estimate', 'torque_command', 'ground_truth',
+            'reference')
+
+
+class LiveModel:
+    """Latest messages, a short history and the list of alarms.
+
+    Takes any objects with the fields of the messages, so that it needs no ROS.  Not thread safe:
+    one thread takes messages and makes frames.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm that is shown.
+    path : CartesianPath, optional
+        Path of the scenario, with its obstacle.
+
+    Attributes
+    ----------
+    alarms : AlarmList
+        Alarms as one row each.
+    services : dict
+        Whether each of ``inject``, ``clear`` and ``reset`` is there to be called.
+    """
+
+    def __init__(self, arm, path=None):
+        self._arm, self._path = arm, path
+        self._order = JointOrder(arm.joint_names)
+        self.alarms = AlarmList()
+        self.services = {'inject': False, 'clear': False, 'reset': False}
+        self._latest, self._received = {}, {}
+        self._history = deque(maxlen=_MOST_SAMPLES)
+        self._statuses = {}
+        self._stamp = None
+
+    def take(self, source, message, now):
+        """Take one message.
+
+        Parameters
+        ----------
+        source : str
+            Topic name as in the documentation, e.g. ``state_estimate``.
+        message : object
+            With the fields of the topic's message.
+        now : float
+            Steady time of reception [s].
+        """
+        if source == 'fault_alarm':
+            self.alarms.take(message)
+        elif source == 'diagnostics':
+            self._take_statuses(message)
+        elif source in _SOURCES:
+            self._latest[source], self._received[source] = message, now
+            if source == 'fault_estimate':
+                self.alarms.follow(message)
+        else:
+            raise KeyError(source)
+
+    def _take_statuses(self, message):
+        for status in message.status:
+            level = _index(status.level)
+            if status.name not in self._statuses and len(self._statuses) >= _MOST_STATUSES:
+                continue
+            self._statuses[status.name[:_MOST_TEXT]] = {
+                'name': status.name[:_MOST_TEXT], 'level': _name(LEVELS, level),
+                'message': status.message[:_MOST_TEXT]}
+
+    def hello(self):
+        """What a client is told first.
+
+        Returns
+        -------
+        dict
+            Constants of the arm, history and alarms.
+        """
+        arm = self._arm
+        return {'type': 'hello', 'arm': arm.name, 'lengths': list(arm.lengths),
+                'joints': list(arm.joint_names), 'sensors': list(arm.sensor_names),
+                'torque_limit': [v if v < 1e8 else None for v in arm.torque_limit],
+                'kinds': list(KINDS), 'window': WINDOW, 'scene': self._scene(),
+                'history': list(self._history), 'alarms': self.alarms.rows()}
+
+    def _scene(self):
+        if self._path is None:
+            return {'path': [], 'obstacle': None}
+        start, end = self._path.start, self._path.end
+        times = [start + (end - start) * i / 150 for i in range(151)]
+        obstacle = self._path.obstacle
+        return {'path': [[round(float(v), 4) for v in p] for p in self._path.sample(times).tip],
+                'obstacle': obstacle and {'center': _numbers(obstacle.center),
+                                          'radius': obstacle.radius}}
+
+    def frame(self, now):
+        """The present, for the clients that are connected; also adds it to the history.
+
+        Parameters
+        ----------
+        now : float
+            Steady time [s].
+
+        Returns
+        -------
+        dict
+            Values are None where they are not known or not finite.
+        """
+        state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
+        angles = {name: None if q is None else _numbers(frame_angles(self._arm, q), 5)
+                  for name, q in self.arms(now).items()}
+        result = {'type': 'frame', 'live': self._live(now), 'services': dict(self.services),
+                  'age': self._age(now), 'sample': self._sample(now), 'arms': angles,
+                  'diagnostics': list(self._statuses.values())}
+        result['mode'] = _name(MODES, state.mode) if state is not None else None
+        result['trustworthy'] = bool(state.trustworthy) if state is not None else None
+        result['safe_stop'] = bool(command.safe_stop) if command is not None else None
+        fault = self._latest.get('fault_estimate')
+        result['states'] = ([_name(STATES, int(s)) for s in fault.state] if fault is not None
+                            else [None, None])
+        return result
+
+    def arms(self, now):
+        """Joint positions of the arms to draw.
+
+        Parameters
+        ----------
+        now : float
+            Steady time [s].
+
+        Returns
+        -------
+        dict
+            ``true``, ``estimated``, ``measured``: two joint positions [rad], or None.
+        """
+        live = self._live(now)
+        found = {'true': self._field('ground_truth', 'position', live),
+                 'estimated': self._field('state_estimate', 'position', live),
+                 'measured': self._measured(live)}
+        state = self._latest.get('state_estimate')
+        if state is not None and _name(MODES, state.mode) == 'NO_ESTIMATE':
+            found['estimated'] = None
+        return {name: q if q is not None and None not in q else None
+                for name, q in found.items()}
+
+    def stamp(self):
+        """Stamp of the newest measurement, estimate or command [ns], None before the first."""
+        if not self._latest:
+            return None
+        # What fell silent is left out: its clock may be one that has started anew since.
+        newest = max(self._received.values())
+        return max(_stamp(message) for source, message in self._latest.items()
+                   if self._received[source] > newest - QUIET)
+
+    def _live(self, now):
+        return {name: name in self._received and now - self._received[name] < QUIET
+                for name in _SOURCES}
+
+    def _age(self, now):
+        newest = max(self._received.values(), default=None)
+        return None if newest is None else round(max(0.0, now - newest), 1)
+
+    def _field(self, source, field, live):
+        message = self._latest.get(source) if live[source] else None
+        return None if message is None else _numbers(getattr(message, field))
+
+    def _measured(self, live):
+        message = self._latest.get('joint_states') if live['joint_states'] else None
+        if message is None:
+            return None
+        try:
+            return _numbers(self._order.pick(message)[0])
+        except SampleError:
+            return None
+
+    def _sample(self, now):
+        """One point of the charts; enters the history when time has gone on."""
+        live = self._live(now)
+        stamp = self.stamp()
+        none = [None, None]
+        fields = (('estimate', 'fault_estimate', 'estimate'), ('bound', 'fault_estimate', 'bound'),
+                  ('threshold', 'fault_estimate', 'threshold'), ('fault', 'ground_truth', 'fault'),
+                  ('torque', 'torque_command', 'torque'), ('tip', 'reference', 'tip_position'))
+        sample = {'t': seconds(stamp) if stamp is not None else None}
+        sample.update({name: self._field(source, field, live) or none
+                       for name, source, field in fields})
+        if stamp is not None and stamp != self._stamp:
+            if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
+                self._history.clear()  # time started anew
+            self._stamp = stamp
+            self._history.append(sample)
+            while self._history[0]['t'] < sample['t'] - WINDOW:
+                self._history.popleft()
+        return sample
+
+
+def _stamp(message):
+    return message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+
+
+def _index(level):
+    """diagnostic_msgs/DiagnosticStatus.level is a byte, which Python sees as bytes."""
+    return level[0] if isinstance(level, (bytes, bytearray)) and level else int(level or 0)
+
+
+def _name(names, index):
+    return names[index] if 0 <= index < len(names) else 'UNKNOWN'
+
+
+def _numbers(values, digits=6):
+    return [round(float(v), digits) if math.isfinite(v) else None for v in values]

@@ -1,0 +1,248 @@
+"""Live view node: the page, the Foxglove protocol, markers and transforms."""
+
+import os
+import socket
+import struct
+import sys
+import time
+
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from lpv_bag.interfaces import add_type, make_typestore
+from lpv_core.arm import load_arm
+from lpv_core.errors import ConfigError
+from lpv_core.scenario import load_scenario
+from lpv_core.urdf import arm_urdf
+from lpv_node.managed import ONLOOKER, ManagedNode, run_node
+from lpv_node.parameters import Spec, required_text
+from lpv_node.stamps import NANOSECONDS
+from lpv_view.access import Access
+from lpv_view.foxglove_bridge import BAND, FoxgloveBridge
+from lpv_view.foxglove_gate import gate
+from lpv_view.model import LiveModel
+from lpv_view.requests import Requests
+from lpv_view.scene import MARKERS, TRANSFORMS, Scene
+from lpv_view.server import ViewServer
+from lpv_view.topics import TOPICS, Inbox
+
+SPECS = (
+    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
+    Spec('scenario_file', '', 'scenario file (YAML) whose path and obstacle are drawn; may be '
+         'empty', read_only=True),
+    Spec('address', '127.0.0.1', 'where to listen; anything but a loopback address lets others '
+         'see the page, and its buttons then need the token', read_only=True),
+    Spec('port', 8090, 'port of the page; 0 takes a free one', 0, 65535, read_only=True),
+    Spec('foxglove_port', 8765, 'port of the Foxglove WebSocket protocol; 0: off', 0, 65535,
+         read_only=True),
+    Spec('foxglove_rate', 100.0, 'most messages of a fast topic sent to Foxglove [1/s]', 1.0,
+         1000.0, read_only=True),
+    Spec('foxglove_origins', ['https://app.foxglove.dev', 'file://'],
+         'web origins that may connect to the Foxglove port', read_only=True),
+    Spec('hosts', [''], 'further names of this machine under which the page is called',
+         read_only=True),
+    Spec('rate', 25.0, 'frames, markers and transforms [1/s]', 1.0, 60.0, read_only=True),
+)
+_ALARM_INTERVAL = 0.2
+"""Shortest time between two lists of alarms [s]."""
+_TOKEN_VARIABLE = 'LPV_VIEW_TOKEN'
+_GREEN = '0.13 0.55 0.30 0.5', '0.25 0.65 0.40 0.5'
+_DESCRIPTIONS = ('robot_description', 'true_robot_description')
+
+
+class ViewNode(ManagedNode):
+    """Live view of the running graph.
+
+    Topics: subscribes all that the graph publishes, the ground truth included, but only looks;
+    publishes ``arm_markers`` (visualization_msgs/MarkerArray), ``robot_description`` and
+    ``true_robot_description`` (std_msgs/String, latched) and, where tf2_msgs is installed, ``/tf``
+    with the frames ``true/...`` and ``estimated/...``.  Calls ``arm_sim/inject_fault``,
+    ``arm_sim/clear_faults`` and ``uio/reset`` when a button is pressed.
+    """
+
+    _server = _foxglove = _requests = _ticker = None  # also if the constructor fails
+
+    def __init__(self):
+        super().__init__(ONLOOKER, SPECS)
+        self._inboxes, self._subscriptions_in = [], []
+
+    def setup(self):
+        """Read the files, open the ports, create publishers."""
+        arm = load_arm(required_text(self, 'arm_file'))
+        scenario = self.get_parameter('scenario_file').value
+        path = load_scenario(scenario).path(arm) if scenario else None
+        self._model = LiveModel(arm, path)
+        typestore = make_typestore()
+        add_type(typestore, MARKERS)
+        self._scene = Scene(arm, typestore, path)
+        self._ticks, self._stamp, self._alarms_due = 0, None, 0.0
+        self._requests = Requests(self)
+        self._create_publishers()
+        self._open(arm)
+        self._describe(arm)
+        forward = self._forwarder if self._foxglove is not None else lambda _: None
+        period = 1.0 / self.get_parameter('foxglove_rate').value
+        self._inboxes = [Inbox(topic, forward(topic), period) for topic in TOPICS]
+        self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
+
+    def _create_publishers(self):
+        once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._outputs = {name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
+                         for name in _DESCRIPTIONS}
+        self._outputs['arm_markers'] = (self.create_publisher(MarkerArray, 'arm_markers', 1),
+                                        MARKERS)
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            self.get_logger().info('tf2_msgs is not installed: /tf goes to Foxglove only')
+            self._outputs['/tf'] = (None, TRANSFORMS)
+        else:
+            self._outputs['/tf'] = (self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS)
+
+    def _open(self, arm):
+        """Open the ports; says once where they are."""
+        value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
+        address = value['address']
+        access = Access(address, os.environ.get(_TOKEN_VARIABLE, ''), value['hosts'])
+        self._server = ViewServer(access, arm.sensor_names, self._requests.submit)
+        sites = [(self._server.application(), address, value['port'])]
+        if value['foxglove_port']:
+            self._foxglove = FoxgloveBridge(f'lpv {self.get_namespace()}', self._forwarded(),
+                                            self.resolve_topic_name(BAND))
+            origins = Access(address, '', value['hosts'], value['foxglove_origins'])
+            sites.append((gate(origins, self._foxglove.address, self._foxglove.port), address,
+                          value['foxglove_port']))
+        ports = self._server.start(sites)
+        shown = socket.gethostname() if address in ('0.0.0.0', '::') else address
+        shown = f'[{shown}]' if ':' in shown else shown
+        self.get_logger().info(f'page: http://{shown}:{ports[0]}/')
+        if access.token:
+            # Printed, not logged: logs are published on /rosout and kept in files.
+            print(f'buttons of the page need the token {access.token}\n'
+                  f'  http://{shown}:{ports[0]}/#token={access.token}', flush=True)
+        if len(ports) > 1:
+            self.get_logger().info(f'Foxglove: ws://{shown}:{ports[1]}')
+
+    def _forwarded(self):
+        """Topics for Foxglove: type and number of messages kept for late clients."""
+        keep = {'fault_alarm': 50, **dict.fromkeys(_DESCRIPTIONS, 1)}
+        types = {topic.name: topic.msgtype for topic in TOPICS}
+        types.update({name: msgtype for name, (_, msgtype) in self._outputs.items()})
+        return {self.resolve_topic_name(name): (msgtype, keep.get(name, 0))
+                for name, msgtype in types.items()}
+
+    def _forwarder(self, topic):
+        name = self.resolve_topic_name(topic.name)
+
+        def forward(data):
+            stamp = _leading_stamp(data)
+            restarted = self._stamp is not None and stamp < self._stamp - NANOSECONDS
+            if restarted and not topic.every:  # those of the latter are latched, and may be old
+                self._foxglove.restart()
+            if self._stamp is None or restarted and not topic.every:
+                self._stamp = stamp
+                self._describe_again()
+            self._stamp = max(stamp, self._stamp)
+            self._foxglove.send(name, data, self._stamp if topic.every else stamp)
+        return forward
+
+    def _describe(self, arm):
+        descriptions = []
+        for colours in ((), (_GREEN,)):
+            try:
+                descriptions.append(arm_urdf(arm, True, *colours))
+            except ConfigError as error:
+                self.get_logger().warning(f'robot description without inertias: {error}')
+                descriptions.append(arm_urdf(arm, False, *colours))
+        self._described = [self._scene.text(text) for text in descriptions]
+        self._describe_again()
+
+    def _describe_again(self):
+        for name, data in zip(_DESCRIPTIONS, self._described):
+            self._publish(name, data, self._stamp)
+
+    def begin(self):
+        """Subscribe."""
+        self._subscriptions_in = [
+            self.create_subscription(inbox.topic.kind, inbox.topic.name, inbox.store,
+                                     inbox.topic.qos, raw=True) for inbox in self._inboxes]
+
+    def end(self):
+        """Unsubscribe; the page stays, and says that nothing comes."""
+        for subscription in self._subscriptions_in:
+            self.destroy_subscription(subscription)
+        self._subscriptions_in = []
+
+    def teardown(self):
+        """Close the ports and destroy what `setup` created."""
+        if self._ticker is not None:
+            self.destroy_timer(self._ticker)
+        if self._server is not None:
+            self._server.stop()
+        if self._foxglove is not None:
+            self._foxglove.stop()
+        if self._requests is not None:
+            self._requests.close()
+            for publisher, _ in self._outputs.values():
+                if publisher is not None:
+                    self.destroy_publisher(publisher)
+        self._server = self._foxglove = self._requests = self._ticker = None
+
+    def destroy_node(self):
+        """Close the ports, however the node ends."""
+        self.teardown()
+        super().destroy_node()
+
+    def _tick(self):
+        self._requests.work()
+        for inbox in self._inboxes:
+            for received, message in inbox.take():
+                self._model.take(inbox.topic.source, message, received)
+        now = time.monotonic()
+        every_second = self._ticks % round(self.get_parameter('rate').value) == 0
+        self._ticks += 1
+        if every_second:
+            self._model.services = self._requests.available()
+        frame = self._model.frame(now)
+        # In a storm of alarms, no client is to drown in lists.
+        if self._model.alarms.changed and now >= self._alarms_due:
+            self._model.alarms.changed, self._alarms_due = False, now + _ALARM_INTERVAL
+            self._server.tell({'type': 'alarms', 'alarms': self._model.alarms.rows()})
+        if self._server.newcomers:
+            self._server.welcome(self._model.hello())
+        self._server.frame(frame)
+        self._publish_arms(self._model.arms(now), frame['sample'], every_second)
+
+    def _publish_arms(self, arms, sample, with_path):
+        stamp = self._model.stamp()
+        if stamp is None or not any(arms.values()):
+            return
+        if self._foxglove is not None:
+            self._foxglove.send_band(sample, stamp)
+        self._publish('arm_markers', self._scene.markers(arms, stamp, with_path), stamp)
+        self._publish('/tf', self._scene.tree(arms, stamp), stamp)
+
+    def _publish(self, name, data, stamp):
+        publisher, _ = self._outputs[name]
+        if publisher is not None:
+            publisher.publish(data)
+        # Without a stamp there is no time yet that Foxglove could show.
+        if self._foxglove is not None and stamp is not None:
+            self._foxglove.send(self.resolve_topic_name(name), data, stamp)
+
+
+def _leading_stamp(data):
+    """Stamp of a CDR message whose first field is a Header [ns]."""
+    order = '<' if data[1] & 1 else '>'
+    seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
+    return max(0, seconds) * NANOSECONDS + nanoseconds
+
+
+def main(argv=None):
+    """Entry point of ``ros2 run lpv_view view``."""
+    sys.exit(run_node(ViewNode, argv))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,267 @@
+"""Web server of the live view: the page, and the WebSocket that keeps it moving."""
+
+import asyncio
+import contextlib
+import threading
+import time
+from importlib import resources
+
+from aiohttp import WSMsgType, web
+
+from lpv_core.errors import ConfigError
+from lpv_view.commands import CommandError, parse_command
+from lpv_view.hub import Client, Hub, encode
+
+LARGEST_MESSAGE = 4096
+"""Largest message of a client [byte]."""
+_MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
+_MOST_RATE, _BURST = 10.0, 30.0
+"""Messages of one client [1/s], and how many at once."""
+_FILES = {'/': ('index.html', 'text/html'), '/view.css': ('view.css', 'text/css'),
+          '/icon.svg': ('icon.svg', 'image/svg+xml'),
+          **{f'/{name}.js': (f'{name}.js', 'text/javascript')
+             for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')}}
+HEADERS = {
+    'Content-Security-Policy': "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    'Cache-Control': 'no-store', 'X-Content-Type-Options': 'nosniff',
+    'Referrer-Policy': 'no-referrer', 'X-Frame-Options': 'DENY',
+    'Cross-Origin-Opener-Policy': 'same-origin', 'Cross-Origin-Resource-Policy': 'same-origin',
+    'Server': 'lpv_view'}
+
+
+class ViewServer:
+    """Serves the live view from a thread of its own.
+
+    Methods without ``async`` may be called from any thread and never wait for a client.
+
+    Parameters
+    ----------
+    access : Access
+        Who may do what.
+    sensors : sequence of str
+        The arm's sensors.
+    submit : callable
+        Called in the server's thread with a `Command` and a function ``reply(ok, text)`` that may
+        be called once, from any thread; returns False if it can take no more commands now.
+    max_clients : int, optional
+        More are refused.
+    """
+
+    def __init__(self, access, sensors, submit, max_clients=16):
+        self._access, self._sensors, self._submit = access, tuple(sensors), submit
+        self._max_clients = max_clients
+        self._hub = Hub()
+        self._pages = _load_pages()
+        self._loop = asyncio.new_event_loop()
+        self._runners, self._thread = [], None
+
+    def start(self, sites):
+        """Open the ports and start serving.
+
+        Parameters
+        ----------
+        sites : sequence of tuple
+            ``(application, address, port)``; port 0 takes a free one.
+
+        Returns
+        -------
+        list of int
+            The ports.
+
+        Raises
+        ------
+        ConfigError
+            If a port cannot be had.
+        """
+        try:
+            ports = [self._loop.run_until_complete(self._open(*site)) for site in sites]
+        except ConfigError:
+            self._loop.run_until_complete(self._close())
+            self._loop.close()
+            raise
+        self._thread = threading.Thread(target=self._run, name='view server', daemon=True)
+        self._thread.start()
+        return ports
+
+    async def _open(self, application, address, port):
+        runner = web.AppRunner(application, access_log=None, handle_signals=False,
+                               shutdown_timeout=1.0)
+        await runner.setup()
+        self._runners.append(runner)
+        try:
+            await web.TCPSite(runner, '127.0.0.1' if address == 'localhost' else address,
+                              port).start()
+        except (OSError, OverflowError) as error:
+            raise ConfigError('port', f'cannot listen on {address}, port {port}: '
+                              f'{getattr(error, "strerror", None) or error}') from error
+        return runner.addresses[0][1]
+
+    def _run(self):
+        asyncio.set_event_loop(self._loop)
+        self._loop.run_forever()
+        self._loop.run_until_complete(self._close())
+        self._loop.close()
+
+    async def _close(self):
+        for client in self._hub.clients:
+            client.close()
+        for runner in self._runners:
+            await runner.cleanup()
+
+    def stop(self):
+        """Close all connections and ports; may be called twice."""
+        if self._thread is not None:
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join(5.0)
+            self._thread = None
+
+    def application(self):
+        """The page and its WebSocket.
+
+        Returns
+        -------
+        aiohttp.web.Application
+            For `start`.
+        """
+        application = web.Application(middlewares=[guard(self._access)])
+        application.router.add_get('/ws', self._on_socket)
+        for path in self._pages:
+            application.router.add_get(path, self._on_page)
+        return application
+
+    @property
+    def newcomers(self):
+        """Whether a client waits for its first message; see `welcome`."""
+        return self._hub.newcomers
+
+    def welcome(self, hello):
+        """Send new clients their first message: they get frames from then on."""
+        self._call(self._hub.welcome,
+                   {**hello, 'token_needed': bool(self._access.token)})
+
+    def frame(self, message):
+        """Send a frame to all clients; those that are slow skip some."""
+        self._call(self._hub.frame, message)
+
+    def tell(self, message):
+        """Send a message to all clients that none of them may miss."""
+        self._call(self._hub.tell, message)
+
+    def _call(self, function, *arguments):
+        with contextlib.suppress(RuntimeError):  # closed meanwhile
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    async def _on_page(self, request):
+        body, kind = self._pages[request.path]
+        return web.Response(body=body, content_type=kind, charset='utf-8')
+
+    async def _on_socket(self, request):
+        if len(self._hub.clients) >= self._max_clients:
+            raise web.HTTPServiceUnavailable(text='too many clients')
+        socket = web.WebSocketResponse(max_msg_size=LARGEST_MESSAGE, heartbeat=20.0,
+                                       compress=False, timeout=2.0)
+        await socket.prepare(request)
+        client = Client(socket)
+        client.granted = not self._access.token
+        self._hub.clients.add(client)
+        writer = asyncio.ensure_future(client.write())
+        reader = asyncio.ensure_future(self._read(socket, client))
+        try:
+            await asyncio.wait((writer, reader), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._hub.clients.discard(client)
+            client.finish()
+            await asyncio.wait((writer,), timeout=1.0)
+            # Until Python 3.12 a cancelled wait_for may go on: the flag ends it in any case.
+            client.close()
+            for task in (writer, reader):
+                task.cancel()
+            await asyncio.gather(writer, reader, return_exceptions=True)
+            with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
+                await asyncio.wait_for(socket.close(), 3.0)
+        return socket
+
+    async def _read(self, socket, client):
+        allowance, last = _BURST, time.monotonic()
+        async for message in socket:
+            now = time.monotonic()
+            allowance, last = min(_BURST, allowance + (now - last) * _MOST_RATE) - 1.0, now
+            if allowance < 0.0:
+                client.put(encode({'type': 'error', 'message': 'too many messages'}))
+                return
+            if message.type != WSMsgType.TEXT:
+                client.put(encode({'type': 'error', 'message': 'text messages only'}))
+                continue
+            try:
+                command = parse_command(message.data, self._sensors)
+            except CommandError as error:
+                client.put(encode({'type': 'error', 'message': str(error)}))
+                continue
+            if not await self._obey(client, command):
+                return
+
+    async def _obey(self, client, command):
+        """Carry a command out; False ends the connection."""
+        if command.name == 'token':
+            return await self._on_token(client, command)
+        if not client.granted:
+            client.put(_reply(command, False, 'the token is needed for this'))
+            return True
+
+        def reply(ok, text):
+            self._call(client.put, _reply(command, ok, text))
+
+        if not self._submit(command, reply):
+            client.put(_reply(command, False, 'busy with earlier commands: try again'))
+        return True
+
+    async def _on_token(self, client, command):
+        client.granted = self._access.accepts(command.fields['token'])
+        if client.granted:
+            client.put(_reply(command, True, 'token accepted'))
+            return True
+        client.wrong_tokens += 1
+        await asyncio.sleep(_WRONG_TOKEN_DELAY)
+        client.put(_reply(command, False, 'this is not the token'))
+        return client.wrong_tokens < _MOST_WRONG_TOKENS
+
+
+def guard(access):
+    """Middleware that refuses requests from elsewhere and adds security headers.
+
+    Parameters
+    ----------
+    access : Access
+        Decides.
+
+    Returns
+    -------
+    callable
+        For `aiohttp.web.Application`.
+    """
+    @web.middleware
+    async def middleware(request, handler):
+        refusal = access.refusal(request.headers)
+        if refusal:
+            return web.Response(status=403, text=f'refused: {refusal}\n', headers=HEADERS)
+        try:
+            response = await handler(request)
+        except web.HTTPException as error:
+            error.headers.update(HEADERS)
+            raise
+        if not response.prepared:
+            response.headers.update(HEADERS)
+        return response
+    return middleware
+
+
+def _reply(command, ok, text):
+    return encode({'type': 'reply', 'id': command.number, 'command': command.name, 'ok': ok,
+                   'message': text})
+
+
+def _load_pages():
+    folder = resources.files('lpv_view') / 'static'
+    return {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}

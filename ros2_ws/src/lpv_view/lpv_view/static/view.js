@@ -1,0 +1,162 @@
+// The live view: takes frames from the node, keeps a short history, draws.
+
+import { ArmDrawing } from '/arm.js';
+import { Chart } from '/chart.js';
+import { Link } from '/link.js';
+import { showAlarms, showFrame, showLink } from '/panels.js';
+import { startTheme } from '/theme.js';
+
+const byId = (id) => document.getElementById(id);
+const FIELDS = {
+  bias: { size: 0.3 }, drift: { size: 0.25, rate: 0.08 }, scale: { size: 0.2 }, stuck: {},
+  noise: { size: 0.05 }, spike: { size: 0.5, rate: 2 }, dropout: {},
+  rate_bias: { size: 0.3 },
+};
+const LABELS = { size: { drift: 'Up to [rad], 0: no end', scale: 'Factor minus 1',
+  rate_bias: 'Size [rad/s]' },
+  rate: { drift: 'Rate [rad/s]', spike: 'Spikes a second' } };
+
+let hello = null, frame = null, samples = [], alarms = [], waiting = false, token = null;
+const arm = new ArmDrawing(byId('arm'));
+const charts = [0, 1].map((i) => new Chart(document.querySelector(`#sensor-${i} canvas`), {
+  unit: 'rad', smallest: 0.1,
+  series: [
+    { values: (s) => s.threshold[i], colour: 'threshold', dash: [6, 5], width: 1.5 },
+    { values: (s) => s.threshold[i] && -s.threshold[i], colour: 'threshold', dash: [6, 5],
+      width: 1.5 },
+    { values: (s) => s.fault[i], colour: 'true', dash: [2, 4], width: 2.5 },
+    { values: (s) => s.estimate[i], colour: 'estimated' }],
+  band: (s) => (s.estimate[i] == null || s.bound[i] == null ? null
+    : [s.estimate[i] - s.bound[i], s.estimate[i] + s.bound[i]]),
+  marks: () => alarms.filter((row) => row.sensor === hello?.sensors[i])
+    .map((row) => [row.detected, row.ended]),
+}));
+charts.push(new Chart(byId('torque'), {
+  unit: 'N m', smallest: 1,
+  series: [0, 1].map((i) => ({ values: (s) => s.torque[i], colour: `torque${i}`,
+    dash: i ? [7, 4] : [] })),
+}));
+
+function draw() {
+  waiting = false;
+  if (!hello) return;
+  if (frame) showFrame(frame, alarms, hello);
+  arm.draw(frame);
+  for (const chart of charts) chart.draw(samples, hello.window);
+}
+
+function redraw() {
+  if (waiting) return;
+  waiting = true;
+  requestAnimationFrame(draw);
+}
+
+function start(message) {
+  hello = message;
+  samples = message.history;
+  byId('arm-name').textContent = message.arm;
+  document.title = `${message.arm}, live`;
+  message.sensors.forEach((name, i) => { byId(`sensor-${i}-name`).textContent = name; });
+  message.joints.forEach((name, i) => { byId(`joint-${i}`).textContent = name; });
+  byId('key-path').hidden = !message.scene.path.length;
+  options(byId('sensor'), message.sensors);
+  options(byId('kind'), message.kinds);
+  byId('token-form').hidden = !message.token_needed || token != null;
+  arm.start(message);
+  showFields();
+  takeAlarms(message.alarms);
+}
+
+function options(select, names) {
+  const chosen = select.value;
+  select.replaceChildren(...names.map((name) => new Option(name, name)));
+  if (names.includes(chosen)) select.value = chosen;
+}
+
+function takeFrame(message) {
+  frame = message;
+  const { sample } = message;
+  const last = samples.at(-1)?.t;
+  if (sample.t != null && sample.t !== last) {
+    if (last != null && sample.t < last - 1) samples = [];  // time started anew
+    samples.push(sample);
+    while (samples.length > 4000 || samples[0].t < sample.t - hello.window) samples.shift();
+  }
+  const { inject, clear, reset } = message.services;
+  byId('inject').disabled = !inject;
+  byId('clear').disabled = !clear;
+  byId('reset').disabled = !reset;
+  byId('no-simulator').hidden = inject || clear;
+}
+
+function takeAlarms(rows) {
+  alarms = rows;
+  showAlarms(rows);
+  const open = rows.filter((row) => row.ended == null).length;
+  document.title = `${open ? `(${open} ALARM) ` : ''}${hello?.arm ?? 'Arm'}, live`;
+}
+
+// A token in the link's fragment never leaves the browser; it is kept in this tab's memory only.
+const given = new URLSearchParams(location.hash.slice(1)).get('token');
+if (given) {
+  token = given;
+  history.replaceState(null, '', location.pathname);
+}
+const link = new Link((message) => {
+  if (message.type === 'hello') start(message);
+  else if (message.type === 'frame' && hello) takeFrame(message);
+  else if (message.type === 'alarms') takeAlarms(message.alarms);
+  else if (message.type === 'error') say(message.message, true);
+  redraw();
+}, (state) => {
+  showLink(state);
+  if (state === 'connected' && token) unlock(token);
+});
+
+function say(text, bad = false) {
+  byId('reply').textContent = text;
+  byId('reply').classList.toggle('bad', bad);
+}
+
+function ask(fields) {
+  say('…');
+  link.send(fields).then((text) => say(text), (error) => say(error.message, true));
+}
+
+function showFields() {
+  const kind = byId('kind').value, fields = FIELDS[kind] ?? { size: 0, rate: 0 };
+  for (const name of ['size', 'rate']) {
+    document.querySelector(`[data-field=${name}]`).hidden = !(name in fields);
+    byId(name).value = fields[name] ?? 0;
+    byId(`${name}-label`).textContent = LABELS[name][kind] ?? 'Size [rad]';
+  }
+}
+
+function unlock(attempt) {
+  link.send({ type: 'token', token: attempt }).then((text) => {
+    token = attempt;
+    byId('token-form').hidden = true;
+    say(text);
+  }, (error) => {
+    token = null;
+    byId('token-form').hidden = !hello?.token_needed;
+    say(error.message, true);
+  });
+}
+
+byId('kind').addEventListener('change', showFields);
+byId('fault-form').addEventListener('submit', (event) => {
+  event.preventDefault();
+  const number = (id) => Number(byId(id).value) || 0;
+  ask({ type: 'inject', sensor: byId('sensor').value, kind: byId('kind').value,
+    size: number('size'), rate: number('rate'), duration: number('duration') });
+});
+byId('clear').addEventListener('click', () => ask({ type: 'clear', sensor: '' }));
+byId('reset').addEventListener('click', () => ask({ type: 'reset' }));
+byId('token-form').addEventListener('submit', (event) => {
+  event.preventDefault();
+  unlock(byId('token').value.trim());
+  byId('token').value = '';
+});
+startTheme(redraw);
+addEventListener('resize', redraw);

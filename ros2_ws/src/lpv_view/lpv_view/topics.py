@@ -1,0 +1,104 @@
+"""Topics that the live view listens to, and how."""
+
+import time
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from lpv_msgs.msg import (
+    FaultAlarm,
+    FaultEstimate,
+    GroundTruth,
+    JointReference,
+    StateEstimate,
+    TorqueCommand,
+)
+from lpv_node.qos import latched
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic.
+
+    Attributes
+    ----------
+    name : str
+        As it is resolved in the node's namespace.
+    kind : type
+        Message class.
+    qos : rclpy.qos.QoSProfile
+        Of the subscription.
+    every : bool
+        Whether every message counts; of the others the latest one is enough.
+    """
+
+    name: str
+    kind: type
+    qos: QoSProfile = field(default_factory=lambda: qos_profile_sensor_data)
+    every: bool = False
+
+    @property
+    def source(self):
+        """Name by which `LiveModel` knows it."""
+        return self.name.lstrip('/')
+
+    @property
+    def msgtype(self):
+        """ROS name of the message type."""
+        return f'{self.kind.__module__.split(".")[0]}/msg/{self.kind.__name__}'
+
+
+TOPICS = (
+    Topic('joint_states', JointState), Topic('state_estimate', StateEstimate),
+    Topic('fault_estimate', FaultEstimate), Topic('torque_command', TorqueCommand),
+    Topic('reference', JointReference), Topic('ground_truth', GroundTruth),
+    Topic('fault_alarm', FaultAlarm, latched(), every=True),
+    Topic('/diagnostics', DiagnosticArray, QoSProfile(depth=10), every=True),
+)
+
+
+class Inbox:
+    """Keeps the latest bytes of a topic, and passes some of them on at once.
+
+    Messages of fast topics are not deserialised when they come: most of them are never looked at.
+
+    Parameters
+    ----------
+    topic : Topic
+        The topic.
+    forward : callable or None
+        Called with the bytes of a message.
+    period : float
+        Shortest time between two that are forwarded, unless every one counts [s].
+    """
+
+    def __init__(self, topic, forward, period):
+        self.topic = topic
+        self._forward, self._period = forward, period
+        self._waiting, self._due = [], 0.0
+
+    def store(self, data):
+        """Callback of the subscription."""
+        now = time.monotonic()
+        if self.topic.every:
+            self._waiting.append((now, data))
+            del self._waiting[:-100]
+        else:
+            self._waiting = [(now, data)]
+        if self._forward is not None and (self.topic.every or now >= self._due):
+            self._due = max(self._due + self._period, now - self._period)
+            self._forward(data)
+
+    def take(self):
+        """Messages since the last call.
+
+        Returns
+        -------
+        list of tuple
+            Steady time of reception [s] and message.
+        """
+        waiting, self._waiting = self._waiting, []
+        return [(now, deserialize_message(data, self.topic.kind)) for now, data in waiting]

@@ -1,0 +1,25 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'lpv_view'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+        ('share/' + PACKAGE, ['package.xml']),
+        (f'share/{PACKAGE}/layout', glob('layout/*.json')),
+    ],
+    package_data={PACKAGE: ['static/*']},
+    install_requires=['setuptools', 'aiohttp>=3.9'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='lpv-arm-fdi maintainers',
+    maintainer_email='maintainers@example.org',
+    description='Live view: web page, Foxglove protocol, markers and transforms.',
+    license='Apache-2.0',
+    entry_points={'console_scripts': ['view = lpv_view.node:main']},
+)
