@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+PACKAGE = 'lpv_ros2cli'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+        ('share/' + PACKAGE, ['package.xml']),
+    ],
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='lpv-arm-fdi maintainers',
+    maintainer_email='maintainers@example.org',
+    description='The everyday part of the ros2 command, where there is no ros2cli.',
+    license='Apache-2.0',
+    entry_points={'console_scripts': ['ros2 = lpv_ros2cli.main:main']},
+)
