@@ -43,10 +43,17 @@ def executables(parsed_args, **_):
     return [path.name for path in index.executables(parsed_args.package)]
 
 
-def launch_files(parsed_args, **_):
-    """Completer: launch files of the package that was typed."""
-    from lpv_ros2cli.launch.files import launch_files_of
-    return [path.name for path in launch_files_of(parsed_args.package_or_file)]
+def launch_words(parsed_args, **_):
+    """Completer: launch files of the package that was typed, then the file's arguments."""
+    from lpv_ros2cli.launch.arguments import declared
+    from lpv_ros2cli.launch.context import Context
+    from lpv_ros2cli.launch.files import find_launch_file, launch_files_of
+    names = [path.name for path in launch_files_of(parsed_args.package_or_file)]
+    chosen = [word for word in parsed_args.rest or () if word in names]
+    if not chosen:
+        return names
+    path = find_launch_file(parsed_args.package_or_file, chosen[0])
+    return [f'{name}:=' for name in declared(path, Context({}))]
 
 
 def topics(**_):

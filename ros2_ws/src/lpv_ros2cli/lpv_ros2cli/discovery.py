@@ -14,7 +14,7 @@ from lpv_ros2cli.errors import CliError
 
 LONGEST = 5.0
 """Longest wait for a name of the graph, or for the whole graph [s]."""
-_QUIET = 0.25
+_QUIET = 0.4
 """A graph that has not changed for so long is taken as known [s]."""
 _POLL = 0.02
 _EVERY_NODE_PUBLISHES = '/parameter_events'
@@ -145,7 +145,8 @@ def _all_found(node):
         return False  # who is on the network cannot be known: take the whole time
     participants = {bytes(info.endpoint_gid[:12])
                     for info in node.get_publishers_info_by_topic(_EVERY_NODE_PUBLISHES)}
-    return len(participants) >= _local_participants(node.context.get_domain_id())
+    wanted = _local_participants(node.context.get_domain_id())
+    return min(len(participants), len(node.get_node_names())) >= wanted
 
 
 def _local_participants(domain):

@@ -29,7 +29,7 @@ def add_arguments(parser):
                         ).completer = completion.packages
     parser.add_argument('rest', nargs=argparse.REMAINDER, metavar='[file] name:=value ...',
                         help='launch file of the package, and launch arguments'
-                        ).completer = completion.launch_files
+                        ).completer = completion.launch_words
 
 
 def run(arguments):

@@ -1,6 +1,7 @@
 """``ros2 lifecycle get``."""
 
 from lpv_ros2cli import completion, discovery
+from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.lifecycle.client import Lifecycle, managed_nodes
 
 
@@ -18,8 +19,14 @@ def run(arguments):
         if arguments.node_name:
             state = Lifecycle(node, arguments.node_name, arguments.spin_time).state()
             print(f'{state.label} [{state.id}]')
-            return
+            return 0
         discovery.settle(node, arguments.spin_time)
+        code = 0
         for name in managed_nodes(node, arguments.include_hidden_nodes):
-            state = Lifecycle(node, name).state()
-            print(f'{name}: {state.label} [{state.id}]')
+            try:
+                state = Lifecycle(node, name).state()
+                print(f'{name}: {state.label} [{state.id}]')
+            except CliError as error:  # a node that hangs must not hide the others
+                print(f'{name}: {error}')
+                code = 1
+        return code
