@@ -4,15 +4,13 @@ from lpv_ros2cli.discovery import find
 from lpv_ros2cli.errors import CliError
 
 
-def absolute(name, node):
+def absolute(name):
     """Absolute form of a topic or service name.
 
     Parameters
     ----------
     name : str
-        As typed.
-    node : rclpy.node.Node
-        Expands it.
+        As typed; relative ones are in the root namespace, as the node of a command is.
 
     Returns
     -------
@@ -28,7 +26,7 @@ def absolute(name, node):
     from rclpy.expand_topic_name import expand_topic_name
     from rclpy.validate_full_topic_name import validate_full_topic_name
     try:
-        expanded = expand_topic_name(name, node.get_name(), node.get_namespace())
+        expanded = expand_topic_name(name, 'ros2', '/')
         validate_full_topic_name(expanded)
     except (InvalidTopicNameException, InvalidServiceNameException, ValueError) as error:
         raise CliError(f'{name!r} is no valid name: {str(error).splitlines()[0]}') from error
@@ -123,7 +121,7 @@ def find_topic(node, name, spin_time=None):
     CliError
         If it does not appear.
     """
-    full = absolute(name, node)
+    full = absolute(name)
     types = find(node, lambda: dict(node.get_topic_names_and_types()).get(full), spin_time)
     if not types:
         raise CliError(f"Unknown topic '{full}': nobody publishes or subscribes to it")

@@ -24,7 +24,7 @@ class Style:
     no_arr, no_str : bool
         Do not show arrays; do not show texts.
     flow : bool
-        One line a list.
+        One line a message.
     """
 
     truncate: int = DEFAULT_LENGTH
@@ -57,7 +57,7 @@ def to_yaml(value, style=Style()):  # noqa: B008 - immutable
     """
     plain = to_plain(value, style)
     text = yaml.dump(plain, Dumper=_Dumper, width=sys.maxsize, sort_keys=False,
-                     default_flow_style=None if style.flow else False, allow_unicode=True)
+                     default_flow_style=style.flow, allow_unicode=True)
     return text.removesuffix('...\n')  # the end mark of a bare scalar
 
 

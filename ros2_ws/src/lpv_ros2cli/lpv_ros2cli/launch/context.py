@@ -102,9 +102,27 @@ class Context:
         return self._join(parse(text))
 
     def _join(self, parts):
-        return ''.join(part if isinstance(part, str) else self._one(part) for part in parts)
+        return ''.join(part if isinstance(part, str) else self.perform_one(part)
+                       for part in parts)
 
-    def _one(self, substitution):
+    def perform_one(self, substitution):
+        """The text that one substitution stands for.
+
+        Parameters
+        ----------
+        substitution : Substitution
+            Parsed.
+
+        Returns
+        -------
+        str
+            Plain text.
+
+        Raises
+        ------
+        CliError
+            If it is unknown or fails.
+        """
         function = _FUNCTIONS.get(substitution.name)
         if function is None:
             raise CliError(f"substitution '$({substitution.name} ...)' is not covered by this "

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 from lpv_ros2cli.launch.names import join_namespaces
 from lpv_ros2cli.launch.parameters import parameter_sources
+from lpv_ros2cli.launch.substitutions import parse
 from lpv_ros2cli.packages import executable
 
+_PRIVATE_USE = 0xE000  # characters that no text has
 _OUTPUTS = ('screen', 'log', 'both', 'own_log', 'full')
 
 
@@ -91,7 +93,8 @@ def node_process(context, entity):
         for r in entity.all('remap'))]
     for old, new in remaps:
         command += ['-r', f'{old}:={new}']
-    return _process(context, entity, program, command, f'{package}/{program}')
+    label = context.perform(entity.text('exec_name') or program)
+    return _process(context, entity, label, command, f'{package}/{program}')
 
 
 def program_process(context, entity):
@@ -124,13 +127,23 @@ def program_process(context, entity):
 
 
 def _words(context, entity, attribute):
+    """Words of a command line; what a substitution gives is never split, as upstream."""
     text = entity.text(attribute)
     if text is None:
         return []
+    values, template = {}, ''
+    for part in parse(text):
+        if isinstance(part, str):
+            template += part
+        else:
+            mark = chr(_PRIVATE_USE + len(values))
+            values[mark] = context.perform_one(part)
+            template += mark
     try:
-        return shlex.split(context.perform(text))
+        words = shlex.split(template)
     except ValueError as error:
         raise entity.error(f"'{attribute}': {error}") from error
+    return [''.join(values.get(c, c) for c in word) for word in words]
 
 
 def _process(context, entity, name, command, outline):

@@ -30,7 +30,7 @@ def run(arguments):
     text = sys.stdin.read() if arguments.stdin else arguments.values
     request = message_from_text(service_class.Request, text)
     with discovery.command_node() as node:
-        name = absolute(arguments.service_name, node)
+        name = absolute(arguments.service_name)
         _check_type(node, name, full_type(arguments.service_type, 'srv'))
         client = ready_client(node, service_class, name)
         while True:

@@ -21,7 +21,7 @@ def add_arguments(parser):
                         help=f'length to which they are shortened ({DEFAULT_LENGTH})')
     parser.add_argument('--no-arr', action='store_true', help='do not show arrays')
     parser.add_argument('--no-str', action='store_true', help='do not show texts')
-    parser.add_argument('--flow-style', action='store_true', help='one line an array')
+    parser.add_argument('--flow-style', action='store_true', help='one line a message')
     parser.add_argument('--once', action='store_true', help='leave after the first message')
     parser.add_argument('--timeout', type=float, metavar='SECONDS',
                         help='leave after this time')

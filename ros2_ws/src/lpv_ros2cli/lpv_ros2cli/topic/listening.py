@@ -31,7 +31,7 @@ def topic_and_class(node, arguments):
         If there is no such topic, it has several types, or the type is not installed.
     """
     if getattr(arguments, 'message_type', None):
-        return absolute(arguments.topic_name, node), load(arguments.message_type, 'msg')
+        return absolute(arguments.topic_name), load(arguments.message_type, 'msg')
     name, types = find_topic(node, arguments.topic_name, arguments.spin_time)
     if len(types) > 1:
         raise CliError(f"Topic '{name}' has more than one type: {', '.join(types)}; give one")

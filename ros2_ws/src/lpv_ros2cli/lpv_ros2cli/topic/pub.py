@@ -49,7 +49,7 @@ def run(arguments):
     count = 1 if arguments.once else arguments.times
     with discovery.command_node(arguments.node_name) as node:
         publisher = node.create_publisher(
-            message_class, absolute(arguments.topic_name, node),
+            message_class, absolute(arguments.topic_name),
             qos.chosen_profile(arguments, QoSProfile(depth=10)))
         _await_subscriptions(publisher, arguments, count)
         print('publisher: beginning loop', flush=True)
