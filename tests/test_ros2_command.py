@@ -48,10 +48,17 @@ class Running:
             [str(ROS2), *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             text=True, start_new_session=True, **options)
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:  # a test has failed
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.communicate()
+
     def until(self, pattern, timeout=60.0):
         """Read lines until one matches; all lines so far as one text."""
         deadline = time.monotonic() + timeout
-        os.set_blocking(self.process.stdout.fileno(), True)
         while time.monotonic() < deadline:
             line = self.process.stdout.readline()
             if not line:
@@ -187,17 +194,18 @@ def test_given_a_topic_when_echoed_then_messages_are_yaml_fields_or_values(out):
 
 def test_given_a_topic_when_rate_and_bandwidth_are_asked_then_they_are_told_until_interrupted(
         pipeline):
-    rate, bandwidth = (Running('topic', verb, '/lpv/joint_states') for verb in ('hz', 'bw'))
-    text = rate.until('window')
-    assert re.search(r'average rate: \d+\.\d{3}\n\tmin: [\d.]+s max: [\d.]+s std dev: [\d.]+s '
-                     r'window: \d+\n', text)
-    text = bandwidth.until('Message size')
-    assert text.startswith('Subscribed to [/lpv/joint_states]\n')
-    assert re.search(r'[\d.]+ [KM]?B/s from \d+ messages\n\tMessage size mean: ', text)
-    for command in (rate, bandwidth):
-        code, text = command.interrupt()
-        assert code == 2
-        assert 'Traceback' not in text
+    with (Running('topic', 'hz', '/lpv/joint_states') as rate,
+          Running('topic', 'bw', '/lpv/joint_states') as bandwidth):
+        text = rate.until('window')
+        assert re.search(r'average rate: \d+\.\d{3}\n\tmin: [\d.]+s max: [\d.]+s '
+                         r'std dev: [\d.]+s window: \d+\n', text)
+        text = bandwidth.until('Message size')
+        assert text.startswith('Subscribed to [/lpv/joint_states]\n')
+        assert re.search(r'[\d.]+ [KM]?B/s from \d+ messages\n\tMessage size mean: ', text)
+        for command in (rate, bandwidth):
+            code, text = command.interrupt()
+            assert code == 2
+            assert 'Traceback' not in text
 
 
 def test_given_a_message_when_published_then_subscribers_get_it_as_often_as_asked(pipeline, out):
@@ -220,12 +228,9 @@ def test_given_a_fault_injected_by_a_call_when_the_alarm_topic_is_echoed_then_it
     assert 'response:\nlpv_msgs.srv.InjectFault_Response(success=True' in answer
     alarm = yaml.safe_load(out('topic', 'echo', '--once', '/lpv/fault_alarm').split('---')[0])
     assert alarm['sensor'] in ('link1_angle', 'link2_angle')
-    alarms = Running('topic', 'echo', '/lpv/fault_alarm', '--csv')
-    try:
+    with Running('topic', 'echo', '/lpv/fault_alarm', '--csv') as alarms:
         alarms.until(',link2_angle,1,0,')  # RAISED
-    finally:
-        code, _ = alarms.interrupt()
-    assert code == 2
+        assert alarms.interrupt()[0] == 2
     assert 'success=True' in out('service', 'call', '/lpv/arm_sim/clear_faults',
                                  'lpv_msgs/srv/ClearFaults')
     answer = out('service', 'call', '/lpv/arm_sim/inject_fault', 'lpv_msgs/srv/InjectFault',
@@ -277,10 +282,10 @@ def test_given_a_managed_node_when_its_state_is_changed_then_it_follows(out, ros
 
 def test_given_topics_when_recorded_then_the_bag_is_described_and_played(pipeline, out, tmp_path):
     bag = tmp_path / 'bag'
-    recorder = Running('bag', 'record', '-o', bag, '/lpv/joint_states', 'lpv/fault_alarm')
-    recorder.until(r'rosbag2_recorder\]: recording 2 topics')
-    time.sleep(1.5)
-    code, text = recorder.interrupt()
+    with Running('bag', 'record', '-o', bag, '/lpv/joint_states', 'lpv/fault_alarm') as recorder:
+        recorder.until(r'rosbag2_recorder\]: recording 2 topics')
+        time.sleep(1.5)
+        code, text = recorder.interrupt()
     assert code == 0, text
     with open_bag(bag) as reader:
         count = next(c.msgcount for c in reader.connections if c.topic == '/lpv/joint_states')
@@ -337,10 +342,12 @@ def test_given_what_is_not_there_when_asked_for_then_one_line_says_so(ros2, word
 
 def test_given_no_nodes_when_listed_then_nothing_is_printed(tmp_path):
     environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.next_domain()))
-    for words in (('node', 'list'), ('lifecycle', 'nodes'), ('service', 'list')):
-        result = subprocess.run([str(ROS2), *words], env=environment, capture_output=True,
-                                text=True, timeout=60)
-        assert (result.returncode, result.stdout, result.stderr) == (0, '', '')
+    commands = [subprocess.Popen([str(ROS2), *words], env=environment, text=True,
+                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+                for words in (('node', 'list'), ('lifecycle', 'nodes'), ('service', 'list'))]
+    for command in commands:
+        assert command.communicate(timeout=60) == ('', '')
+        assert command.returncode == 0
 
 
 @pytest.mark.parametrize(('words', 'told'), [

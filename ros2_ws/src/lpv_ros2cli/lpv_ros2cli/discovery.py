@@ -12,10 +12,12 @@ from pathlib import Path
 
 from lpv_ros2cli.errors import CliError
 
-LONGEST = 5.0
+LONGEST = 10.0
 """Longest wait for a name of the graph, or for the whole graph [s]."""
 _QUIET = 0.4
 """A graph that has not changed for so long is taken as known [s]."""
+_SURELY_QUIET = 1.0
+"""The same, before something is said to be missing: a busy machine is slower [s]."""
 _POLL = 0.02
 _EVERY_NODE_PUBLISHES = '/parameter_events'
 
@@ -83,10 +85,10 @@ def settle(node, spin_time=None):
     spin_time : float, optional
         Wait so long [s] instead.
     """
-    find(node, lambda: None, spin_time)
+    find(node, lambda: None, spin_time, _QUIET)
 
 
-def find(node, look, spin_time=None):
+def find(node, look, spin_time=None, quiet=_SURELY_QUIET):
     """Look for something until it is found or the whole graph is known.
 
     Parameters
@@ -97,6 +99,8 @@ def find(node, look, spin_time=None):
         Returns something true when it is there.
     spin_time : float, optional
         Look so long [s] instead, whether the graph is known or not.
+    quiet : float, optional
+        A graph that has not changed for so long is taken as known [s].
 
     Returns
     -------
@@ -113,7 +117,7 @@ def find(node, look, spin_time=None):
                 len(node.get_service_names_and_types()))
         if seen != known:
             known, changed = seen, now
-        elif spin_time is None and now > changed + _QUIET and _all_found(node):
+        elif spin_time is None and now > changed + quiet and _all_found(node):
             return found
         time.sleep(_POLL)
 

@@ -38,7 +38,7 @@ def run(arguments):
         player = Player(node, reader, arguments)
         print(f'playing {len(player.publishers)} topics of {arguments.bag_path} at '
               f'{arguments.rate:g} x the recorded speed', flush=True)
-        player.await_subscribers(min(1.0, discovery.LONGEST))
+        player.await_subscribers(1.0)
         time.sleep(arguments.delay)
         while player.play() and arguments.loop:
             pass

@@ -2,11 +2,14 @@
 
 import time
 
-from lpv_ros2cli.discovery import LONGEST, wait_for
+from lpv_ros2cli.discovery import wait_for
 from lpv_ros2cli.errors import CliError
 
+_PATIENCE = 5.0
+"""Longest wait for a service, and for its answer [s]."""
 
-def call(node, client, request, timeout=LONGEST):
+
+def call(node, client, request, timeout=_PATIENCE):
     """Call a service that is there.
 
     Parameters
@@ -41,7 +44,7 @@ def call(node, client, request, timeout=LONGEST):
     return future.result()
 
 
-def ready_client(node, service_class, name, timeout=LONGEST):
+def ready_client(node, service_class, name, timeout=_PATIENCE):
     """Client of a service, as soon as the service is there.
 
     Parameters
