@@ -27,6 +27,7 @@ def main(argv=None):
     # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     signal.signal(signal.SIGTERM, _terminate)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # also in the background of a script
     try:
         arguments = parse(sys.argv[1:] if argv is None else argv)
         if arguments.run is None:
