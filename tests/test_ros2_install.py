@@ -89,6 +89,20 @@ def test_given_a_real_ros2cli_when_set_up_then_ours_is_not_built_and_an_old_one_
     assert [path for path in stale if path.exists()] == []
 
 
+@pytest.mark.parametrize(('real', 'scripts'), [
+    (True, []), (False, ['ros2 = lpv_ros2cli.main:main'])])
+def test_given_a_workspace_built_by_hand_when_ros2cli_is_there_then_no_ros2_command_is_made(
+        tmp_path, real, scripts):
+    if real:
+        script(tmp_path / 'ros2cli' / '__init__.py', '')
+    code = ('import runpy, setuptools; setuptools.setup = lambda **given: '
+            'print(given["entry_points"]["console_scripts"]); runpy.run_path("setup.py")')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True,
+                          cwd=ROOT / 'ros2_ws' / 'src' / 'lpv_ros2cli',
+                          env=dict(os.environ, PYTHONPATH=str(tmp_path)))
+    assert done.stdout.strip() == str(scripts)
+
+
 # ------------------------------------------------------------------ completion
 
 

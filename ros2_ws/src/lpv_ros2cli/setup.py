@@ -1,6 +1,10 @@
+import importlib.util
+
 from setuptools import find_packages, setup
 
 PACKAGE = 'lpv_ros2cli'
+# A workspace on top of a real ros2cli must not hide its command.
+SCRIPTS = [] if importlib.util.find_spec('ros2cli') else ['ros2 = lpv_ros2cli.main:main']
 
 setup(
     name=PACKAGE,
@@ -17,5 +21,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='The everyday part of the ros2 command, where there is no ros2cli.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['ros2 = lpv_ros2cli.main:main']},
+    entry_points={'console_scripts': SCRIPTS},
 )

@@ -37,7 +37,7 @@ def main(argv=None):
         sys.stdout.flush()
         return code
     except CliError as error:
-        print(f'ros2: {error}', file=sys.stderr)
+        print(error, file=sys.stderr)
         return error.code
     except KeyboardInterrupt:
         return int(signal.SIGINT)
