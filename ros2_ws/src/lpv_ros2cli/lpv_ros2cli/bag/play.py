@@ -41,7 +41,7 @@ def run(arguments):
         player.await_subscribers(1.0)
         time.sleep(arguments.delay)
         while player.play() and arguments.loop:
-            pass
+            time.sleep(_LONGEST_NAP)  # a bag of one message must not flood the graph
         player.finish()
         print(f'published {player.count} messages')
 
