@@ -185,8 +185,12 @@ def test_given_a_launch_file_when_read_then_what_it_starts_exists(path):
     tree = ElementTree.parse(path)
     arguments = {a.get('name') for a in tree.iter('arg')} | {a.get('name')
                                                               for a in tree.iter('let')}
-    nodes = list(tree.iter('node'))
-    assert nodes
+    nodes, includes = list(tree.iter('node')), list(tree.iter('include'))
+    assert nodes or includes
+    for include in includes:
+        included = ElementTree.parse(BRINGUP / 'launch' / Path(include.get('file')).name)
+        assert {a.get('name') for a in include.iter('arg')} <= {
+            a.get('name') for a in included.iter('arg')}
     for node in nodes:
         assert executable(node.get('pkg'), node.get('exec')).is_file()
     text = path.read_text()

@@ -79,10 +79,30 @@ install_requirements() {
   mark_done "$name" "$id"
 }
 
+# Whether there is a ros2 command already; our stand-in in some environment is none.
+has_ros2cli() {
+  local found
+  [ "$source" = sourced ] && return 0
+  "$python" -c 'import ros2cli' 2>/dev/null && return 0
+  found=$(command -v ros2) && ! grep -q lpv_ros2cli "$found"
+}
+
+# Our ros2 command and a real one must not meet.
+remove_stand_in() {
+  rm -rf "$venv/bin/ros2" "$venv"/lib/python*/site-packages/lpv_ros2cli* \
+    "$venv/share/lpv_ros2cli" "$venv/share/ament_index/resource_index/packages/lpv_ros2cli"
+}
+
 build_workspace() {
-  local id
-  id=$(source_hash)
+  local id skipped=()
+  if has_ros2cli; then
+    skipped=(--packages-skip lpv_ros2cli)
+  fi
+  id="$(source_hash)${skipped[*]}"
   done_already workspace "$id" && return 0
+  if [ ${#skipped[@]} -gt 0 ]; then
+    remove_stand_in
+  fi
   say "building the workspace"
   local options=()
   export PATH="$venv/bin:$PATH"
@@ -93,7 +113,7 @@ build_workspace() {
   mkdir -p "$build"
   # Into the environment itself: programs then run with nothing sourced.
   if ! (cd "$root/ros2_ws" && "$venv/bin/python" -m colcon --log-base "$build/log" build \
-      --merge-install --install-base "$venv" --build-base "$build/build" \
+      --merge-install --install-base "$venv" --build-base "$build/build" "${skipped[@]}" \
       --event-handlers console_cohesion- console_direct- console_stderr- \
       --cmake-args "${options[@]}" -DBUILD_TESTING=OFF \
       "-DPython3_EXECUTABLE=$venv/bin/python") > "$build/colcon.txt" 2>&1; then
@@ -120,4 +140,6 @@ main() {
   build_workspace
 }
 
-main "$@"
+if [ "${BASH_SOURCE[0]}" = "$0" ]; then  # tests source this file
+  main "$@"
+fi

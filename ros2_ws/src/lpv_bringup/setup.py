@@ -14,6 +14,7 @@ setup(
         (f'share/{PACKAGE}/arms', glob('arms/*')),
         (f'share/{PACKAGE}/columns', glob('columns/*')),
         (f'share/{PACKAGE}/config', glob('config/*')),
+        (f'share/{PACKAGE}/gains', glob('gains/*')),
         (f'share/{PACKAGE}/launch', glob('launch/*')),
         (f'share/{PACKAGE}/scenarios', glob('scenarios/*')),
     ],
@@ -22,6 +23,6 @@ setup(
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',
-    description='Launch files, arm files, scenarios and parameters.',
+    description='Launch files, arm files, gains, scenarios and parameters.',
     license='Apache-2.0',
 )

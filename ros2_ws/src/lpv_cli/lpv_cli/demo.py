@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from lpv_cli.completion import shipped
 from lpv_cli.processes import Graph, NodeFailure
 from lpv_core.arm import load_arm
 from lpv_core.gains import save_gains
@@ -31,11 +32,13 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
+    parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)'
+                        ).completer = shipped('arms')
     parser.add_argument('--requirement', default='paper',
                         help='shipped requirement or requirement file (paper)')
     parser.add_argument('--scenario', default='two_faults',
-                        help='shipped scenario or scenario file (two_faults)')
+                        help='shipped scenario or scenario file (two_faults)'
+                        ).completer = shipped('scenarios')
     parser.add_argument('--mode', choices=('lockstep', 'realtime'), default='lockstep',
                         help='step on /clock as fast as the transport allows, reproducibly, or '
                         'run on the wall clock (lockstep)')

@@ -4,6 +4,7 @@ import argparse
 import importlib
 import sys
 
+from lpv_cli.completion import complete
 from lpv_core.errors import LpvError
 
 COMMANDS = {
@@ -59,6 +60,7 @@ def main(argv=None):
     int
         Exit code; 2 for bad input.
     """
+    complete(build_parser, COMMANDS)
     argv = sys.argv[1:] if argv is None else argv
     chosen = next((a for a in argv if a in COMMANDS), None)
     arguments = build_parser(chosen).parse_args(argv)

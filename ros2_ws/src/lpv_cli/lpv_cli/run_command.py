@@ -3,6 +3,7 @@
 import argparse
 import os
 
+from lpv_cli.completion import packages, programs
 from lpv_core.resources import executable
 
 
@@ -14,8 +15,10 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('package', help='ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_bag)')
-    parser.add_argument('program', help='its program (simulator, uio, tracker, recorder)')
+    parser.add_argument('package', help='ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_bag)'
+                        ).completer = packages
+    parser.add_argument('program', help='its program (simulator, uio, tracker, recorder)'
+                        ).completer = programs
     parser.add_argument('rest', nargs=argparse.REMAINDER, metavar='...',
                         help='passed on: --ros-args -p name:=value -r from:=to --params-file FILE')
 

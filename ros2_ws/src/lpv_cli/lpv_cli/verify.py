@@ -1,5 +1,6 @@
 """``lpv verify``: check the certificate of a gains file, without any solver."""
 
+from lpv_cli.completion import shipped
 from lpv_core.arm import arm_from_json, load_arm
 from lpv_core.certificate import verify
 from lpv_core.errors import ConfigError
@@ -17,7 +18,8 @@ def add_arguments(parser):
     """
     parser.add_argument('gains', help='gains file as written by lpv design')
     parser.add_argument('--arm', help='arm that the gains are to be used with: file or name of a '
-                        'shipped one; without, the arm that the file itself describes')
+                        'shipped one; without, the arm that the file itself describes'
+                        ).completer = shipped('arms')
     parser.add_argument('--proof', action='store_true', help='also prove the inequalities in '
                         'exact rational arithmetic')
 

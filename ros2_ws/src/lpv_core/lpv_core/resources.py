@@ -42,6 +42,28 @@ def executable(package, name):
     return path
 
 
+def shipped_files(kind):
+    """Files of one kind that are installed with lpv_bringup.
+
+    Parameters
+    ----------
+    kind : {'arms', 'scenarios', 'columns', 'gains'}
+        Folder of lpv_bringup.
+
+    Returns
+    -------
+    dict of str to pathlib.Path
+        File by bare name, sorted.
+
+    Raises
+    ------
+    ConfigError
+        If lpv_bringup is not installed.
+    """
+    folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
+    return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
+
+
 def bringup_file(kind, name):
     """An arm, scenario or column file: a path, or the bare name of a shipped one.
 
@@ -65,9 +87,8 @@ def bringup_file(kind, name):
     path = Path(name)
     if path.suffix in ('.yaml', '.yml') and path.is_file():
         return path.resolve()
-    folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
     # A bare name cannot leave the folder.
-    shipped = {file.stem: file for file in sorted(folder.glob('*.yaml'))}
+    shipped = shipped_files(kind)
     if path.name == name and path.suffix in ('', '.yaml') and path.stem in shipped:
         return shipped[path.stem]
     raise ConfigError(kind.rstrip('s'), f'{name!r} is neither a file nor shipped; shipped: '

@@ -9,9 +9,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
-from rclpy.signals import SignalHandlerOptions
 
 from lpv_core.errors import LpvError
+from lpv_node.arguments import initialise
 from lpv_node.parameters import Spec, declare
 
 ONLOOKER = 'view'
@@ -181,11 +181,10 @@ def run_node(node_class, argv=None):
     int
         Exit code: 0 after SIGINT, SIGTERM or a finished run; 1 if the node could not start.
     """
-    # rclpy's own handler shuts the context down at once, with messages still in the queues.
-    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     stop = _StopRequest()
     node, code = None, 1
     try:
+        initialise(argv)
         node = node_class()
         code = _spin(node, stop)
     except LpvError as error:

@@ -1,0 +1,69 @@
+"""Tab completion of ``lpv``, by argcomplete."""
+
+import os
+
+from lpv_core.errors import LpvError
+from lpv_core.resources import executable, shipped_files
+
+_PROGRAMS = {'lpv_arm_sim': 'simulator', 'lpv_bag': 'recorder', 'lpv_tracker': 'tracker',
+             'lpv_uio': 'uio'}
+
+
+def complete(build_parser, commands):
+    """Answer a request of the shell for completions and leave; otherwise do nothing.
+
+    Parameters
+    ----------
+    build_parser : callable
+        Parser for a command that was typed, or None.
+    commands : collection of str
+        Known commands.
+    """
+    if '_ARGCOMPLETE' not in os.environ:
+        return
+    import argcomplete
+
+    words = os.environ.get('COMP_LINE', '').split()[1:]
+    chosen = next((word for word in words if word in commands), None)
+    argcomplete.autocomplete(build_parser(chosen), exclude=['-h', '--help'])
+
+
+def shipped(kind):
+    """Completer: names of shipped files, and YAML files here.
+
+    Parameters
+    ----------
+    kind : {'arms', 'scenarios', 'columns'}
+        Folder of lpv_bringup.
+
+    Returns
+    -------
+    callable
+        Completer.
+    """
+    def names(prefix, **_):
+        import argcomplete
+        files = argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix)
+        return [*_shipped_names(kind), *files]
+    return names
+
+
+def _shipped_names(kind):
+    try:
+        return list(shipped_files(kind))
+    except LpvError:  # not installed
+        return []
+
+
+def packages(**_):
+    """Completer: packages with nodes."""
+    return list(_PROGRAMS)
+
+
+def programs(parsed_args, **_):
+    """Completer: the programs of the package that was typed."""
+    try:
+        folder = executable(parsed_args.package, _PROGRAMS[parsed_args.package]).parent
+    except (KeyError, LpvError):
+        return []
+    return sorted(path.name for path in folder.iterdir())

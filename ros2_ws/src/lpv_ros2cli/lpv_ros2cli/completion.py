@@ -1,0 +1,110 @@
+"""Tab completion: hooks argcomplete in, and says what packages, topics and nodes there are."""
+
+import os
+import shlex
+
+
+def complete():
+    """Answer a request of the shell for completions and leave; otherwise do nothing."""
+    if '_ARGCOMPLETE' not in os.environ:
+        return
+    import argcomplete
+
+    from lpv_ros2cli.errors import CliError
+    from lpv_ros2cli.parsing import build_parser, chosen
+
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    try:
+        parser = build_parser(*chosen(_words()))
+    except CliError:
+        parser = build_parser()
+    argcomplete.autocomplete(parser, exclude=['-h', '--help'])
+
+
+def _words():
+    """Finished words of the line that is being typed, without the program."""
+    line = os.environ.get('COMP_LINE', '')[:int(os.environ.get('COMP_POINT', '0'))]
+    try:
+        words = shlex.split(line)
+    except ValueError:  # an open quote
+        words = line.split()
+    return words[1:] if line.endswith(' ') else words[1:-1]
+
+
+def packages(**_):
+    """Completer: names of packages."""
+    from lpv_ros2cli import packages as index
+    return index.names()
+
+
+def executables(parsed_args, **_):
+    """Completer: programs of the package that was typed."""
+    from lpv_ros2cli import packages as index
+    return [path.name for path in index.executables(parsed_args.package)]
+
+
+def launch_words(parsed_args, **_):
+    """Completer: launch files of the package that was typed, then the file's arguments."""
+    from lpv_ros2cli.launch.arguments import declared
+    from lpv_ros2cli.launch.context import Context
+    from lpv_ros2cli.launch.files import find_launch_file, launch_files_of
+    names = [path.name for path in launch_files_of(parsed_args.package_or_file)]
+    chosen = [word for word in parsed_args.rest or () if word in names]
+    if not chosen:
+        return names
+    path = find_launch_file(parsed_args.package_or_file, chosen[0])
+    return [f'{name}:=' for name in declared(path, Context({}))]
+
+
+def topics(**_):
+    """Completer: topics of the running graph."""
+    return _from_graph(lambda node: [name for name, _ in node.get_topic_names_and_types()])
+
+
+def services(**_):
+    """Completer: services of the running graph."""
+    return _from_graph(lambda node: [name for name, _ in node.get_service_names_and_types()])
+
+
+def nodes(**_):
+    """Completer: nodes of the running graph."""
+    from lpv_ros2cli.names import node_names
+    return _from_graph(lambda node: node_names(node, hidden=False))
+
+
+def interface_types(kind):
+    """Make a completer of interface types.
+
+    Parameters
+    ----------
+    kind : {'msg', 'srv'}
+        Kind.
+
+    Returns
+    -------
+    callable
+        Completer.
+    """
+    def types(**_):
+        from lpv_ros2cli.interfaces import installed
+        return [name for name in installed() if f'/{kind}/' in name]
+    return types
+
+
+def parameters(parsed_args, **_):
+    """Completer: parameters of the node that was typed."""
+    from lpv_ros2cli.discovery import command_node
+    from lpv_ros2cli.errors import CliError
+    from lpv_ros2cli.param.client import ParameterAccess
+    try:
+        with command_node() as node:
+            return ParameterAccess(node, parsed_args.node_name).names()
+    except CliError:
+        return []
+
+
+def _from_graph(ask):
+    from lpv_ros2cli.discovery import command_node, settle
+    with command_node() as node:
+        settle(node)
+        return [name for name in ask(node) if '/_' not in name]

@@ -1,0 +1,64 @@
+"""``ros2 interface show``."""
+
+import re
+import sys
+
+from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.interfaces import definition, full_type, installed
+
+_FIELD = re.compile(r'([A-Za-z][A-Za-z0-9_/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-zA-Z]\w*\s*(?![=\w])')
+_DEEPEST = 20
+
+
+def add_arguments(parser):
+    """Declare the verb's arguments."""
+    parser.add_argument('type', help='interface type, or - to read it from stdin'
+                        ).completer = lambda **_: installed()
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument('--all-comments', action='store_true',
+                       help='also the comments of nested types')
+    group.add_argument('--no-comments', action='store_true', help='no comments and blank lines')
+
+
+def run(arguments):
+    """Print a definition, with nested types indented below the fields that have them."""
+    name = arguments.type if arguments.type != '-' else sys.stdin.readline().strip()
+    _show(_existing(name), arguments, 0)
+
+
+def _existing(name):
+    if name.count('/') == 1:
+        package, short = name.split('/')
+        for kind in ('msg', 'srv', 'action'):
+            if f'{package}/{kind}/{short}' in installed([package]):
+                return f'{package}/{kind}/{short}'
+        raise CliError(f"Unknown interface '{name}'")
+    return full_type(name)
+
+
+def _show(name, arguments, depth):
+    comments = arguments.all_comments or (depth == 0 and not arguments.no_comments)
+    for line in definition(name).splitlines():
+        code = line.partition('#')[0] if '"' not in line and "'" not in line else line
+        shown = line.rstrip() if comments else code.rstrip()
+        if shown.strip() or comments:
+            print('\t' * depth + shown)
+        nested = _nested_type(code.strip(), name)
+        if nested is not None and depth < _DEEPEST:
+            _show(nested, arguments, depth + 1)
+
+
+def _nested_type(line, owner):
+    """Message type of a field, None for built-in types, constants and separators."""
+    found = _FIELD.match(line)
+    if not found:
+        return None
+    kind = found.group(1)
+    package = owner.split('/')[0]
+    if kind == 'Header':
+        kind = 'std_msgs/Header'
+    if '/' not in kind:
+        kind = f'{package}/{kind}'
+        if kind.replace('/', '/msg/') not in installed([package]):
+            return None
+    return full_type(kind, 'msg')

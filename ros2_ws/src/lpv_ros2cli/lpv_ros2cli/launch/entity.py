@@ -1,0 +1,88 @@
+"""One element of a launch file, the same for XML and YAML."""
+
+from lpv_ros2cli.errors import CliError
+
+_TRUE, _FALSE = ('true', '1'), ('false', '0')
+
+
+class LaunchFileError(CliError):
+    """Something in a launch file is wrong; the message names file and element."""
+
+
+class Entity:
+    """An element with attributes, lists of elements, and children.
+
+    Every attribute and every kind of nested element must be read: what nobody read is a typing
+    error, or something that this engine does not cover.
+
+    Parameters
+    ----------
+    tag : str
+        Name of the element.
+    attributes : dict of str to object
+        Scalars; texts from XML, also numbers, booleans and lists of them from YAML.
+    nested : list of Entity
+        Elements inside.
+    source : str
+        The file, for messages.
+    """
+
+    def __init__(self, tag, attributes, nested, source):
+        self.tag, self.source = tag, source
+        self._attributes, self._nested = attributes, nested
+        self._read = set()
+
+    def error(self, reason):
+        """A LaunchFileError (to be raised by the caller) that names file and element."""
+        name = self._attributes.get('name') or self._attributes.get('exec')
+        where = f'<{self.tag}>' if name is None else f'<{self.tag} {name}>'
+        return LaunchFileError(f'{self.source}: {where}: {reason}')
+
+    def get(self, name, default=None):
+        """An optional attribute as text, or as YAML gave it."""
+        self._read.add(name)
+        return self._attributes.get(name, default)
+
+    def text(self, name, default=None):
+        """An optional attribute as text."""
+        value = self.get(name, default)
+        if isinstance(value, bool):
+            return str(value).lower()
+        if isinstance(value, (dict, list)):
+            raise self.error(f"attribute '{name}' must be a text")
+        return value if value is None else str(value)
+
+    def required(self, name):
+        """An attribute that must be there, as text."""
+        value = self.text(name)
+        if value is None:
+            raise self.error(f"attribute '{name}' is missing")
+        return value
+
+    def flag(self, name, default):
+        """An optional attribute that is true or false."""
+        return self.boolean(name, self.text(name, str(default)))
+
+    def boolean(self, name, text):
+        """Truth of a text: true, false, 1 or 0."""
+        lowered = text.strip().lower()
+        if lowered not in (*_TRUE, *_FALSE):
+            raise self.error(f"'{name}' must be true or false, got {text!r}")
+        return lowered in _TRUE
+
+    def all(self, tag):
+        """Nested elements of one kind."""
+        self._read.add(tag)
+        return [entity for entity in self._nested if entity.tag == tag]
+
+    def children(self):
+        """All nested elements, as actions in their order."""
+        self._read.update(entity.tag for entity in self._nested)
+        return list(self._nested)
+
+    def finish(self):
+        """Refuse what nobody read."""
+        unknown = [name for name in (*self._attributes, *(e.tag for e in self._nested))
+                   if name not in self._read]
+        if unknown:
+            raise self.error(f"'{unknown[0]}' is unknown here, or not covered by this ros2")

@@ -1,0 +1,84 @@
+"""Where launch files are, and reading them whatever their form."""
+
+from pathlib import Path
+
+from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.launch.xml_file import read_xml
+from lpv_ros2cli.launch.yaml_file import read_yaml_launch
+from lpv_ros2cli.packages import share_of
+
+_READERS = {'.xml': read_xml, '.yaml': read_yaml_launch, '.yml': read_yaml_launch}
+
+
+def launch_files_of(package):
+    """Launch files of a package.
+
+    Parameters
+    ----------
+    package : str
+        Name.
+
+    Returns
+    -------
+    list of pathlib.Path
+        Sorted.
+    """
+    share = share_of(package)
+    return sorted(path for pattern in ('*launch.xml', '*launch.yaml', '*launch.yml')
+                  for path in share.rglob(pattern))
+
+
+def find_launch_file(package, name):
+    """A launch file of a package.
+
+    Parameters
+    ----------
+    package, name : str
+        Package, and name of the file somewhere below its share folder.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    CliError
+        If there is none, or there are several.
+    """
+    share = share_of(package)
+    found = sorted(path for path in share.rglob('*') if path.name == name and path.is_file())
+    if not found:
+        known = ', '.join(path.name for path in launch_files_of(package)) or 'none'
+        raise CliError(f"file '{name}' was not found in the share directory of package "
+                       f"'{package}' which is at '{share}'; its launch files: {known}")
+    if len(found) > 1:
+        raise CliError(f"file '{name}' was found more than once in package '{package}': "
+                       + ', '.join(map(str, found)))
+    return found[0]
+
+
+def read_launch_file(path):
+    """Read a launch file in XML or YAML.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+
+    Returns
+    -------
+    Entity
+        Its ``launch`` element.
+
+    Raises
+    ------
+    CliError
+        If it cannot be read, or is of another form.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix)
+    if reader is None:
+        raise CliError(f'{path}: launch files in {path.suffix or "this form"} are not covered by '
+                       'this ros2; covered are XML and YAML')
+    return reader(path)

@@ -1,0 +1,203 @@
+"""Runs the processes of a launch until all have ended."""
+
+import itertools
+import os
+import queue
+import shlex
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+from lpv_ros2cli.launch.parameters import file_content
+
+_ESCALATION = {signal.SIGINT: signal.SIGTERM, signal.SIGTERM: signal.SIGKILL}
+
+
+class _Process:
+    """One process of a launch, perhaps started several times."""
+
+    def __init__(self, spec, number):
+        self.spec, self.name = spec, f'{spec.name}-{number}'
+        self.popen = None
+        self.retries = 0
+        self.start_at = None
+        self.signal_sent, self.escalate_at = None, None
+
+    @property
+    def running(self):
+        return self.popen is not None
+
+    def send(self, number):
+        """A signal to the process and its children."""
+        self.signal_sent = number
+        patience = {signal.SIGINT: self.spec.sigterm_timeout,
+                    signal.SIGTERM: self.spec.sigkill_timeout}.get(number)
+        self.escalate_at = None if patience is None else time.monotonic() + patience
+        try:
+            os.killpg(self.popen.pid, number)
+        except ProcessLookupError:
+            self.escalate_at = None
+
+
+class Runner:
+    """Starts processes, shows what they print, stops them together.
+
+    Processes lead groups of their own, so that each gets exactly the signals that are sent here,
+    whether SIGINT came from the terminal or from a program.
+
+    Parameters
+    ----------
+    specs : list of ProcessSpec
+        What to start.
+    log : LaunchLog
+        Receives lines.
+    """
+
+    def __init__(self, specs, log):
+        self._log = log
+        numbers = itertools.count(1)
+        self._processes = [_Process(spec, next(numbers)) for spec in specs]
+        self._events = queue.Queue()
+        self._stopping = False
+        self._failed = False
+
+    def run(self):
+        """Run until all have ended.
+
+        Returns
+        -------
+        int
+            0; 1 if a process ended with an error before it was told to end.
+        """
+        previous = {number: signal.signal(number, self._on_signal)
+                    for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            with tempfile.TemporaryDirectory(prefix='launch_params_') as folder:
+                self._folder = Path(folder)
+                for process in self._processes:
+                    self._start(process)
+                self._loop()
+        finally:
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+            for process in self._processes:  # only after an error in here
+                if process.running:
+                    process.send(signal.SIGKILL)
+        return int(self._failed)
+
+    def _on_signal(self, number, _frame):
+        # Only a note: the handler may interrupt whatever the main thread does.
+        self._events.put((None, signal.Signals(number)))
+
+    def _loop(self):
+        while any(p.running or p.start_at is not None for p in self._processes):
+            try:
+                process, what = self._events.get(timeout=0.1)
+            except queue.Empty:
+                pass
+            else:
+                if process is None:
+                    self._interrupted(what)
+                else:
+                    self._ended(process, what)
+            self._on_time()
+
+    def _on_time(self):
+        now = time.monotonic()
+        for process in self._processes:
+            if process.escalate_at is not None and now > process.escalate_at:
+                self._escalate(process)
+            if process.start_at is not None and now >= process.start_at:
+                process.start_at = None
+                self._start(process)
+
+    def _start(self, process):
+        command = self._write_parameters(process)
+        try:
+            process.popen = subprocess.Popen(
+                command, env=process.spec.environment, cwd=process.spec.cwd, text=True,
+                errors='replace', stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE, start_new_session=True)
+        except OSError as error:
+            self._log.note('ERROR', process.name, f'cannot be started: {error}')
+            self._failed = True
+            if process.spec.shutdown_on_exit:
+                self._shut_down('process cannot be started')
+            return
+        process.signal_sent = process.escalate_at = None
+        self._log.note('INFO', process.name, f'process started with pid [{process.popen.pid}]')
+        self._log.debug(process.name, shlex.join(command))
+        threading.Thread(target=self._follow, args=(process, process.popen), daemon=True).start()
+
+    def _write_parameters(self, process):
+        command = []
+        for index, word in enumerate(process.spec.command):
+            if isinstance(word, dict):
+                path = self._folder / f'{process.name}_{index}.yaml'
+                path.write_text(file_content(word), encoding='utf-8')
+                word = str(path)
+            command.append(word)
+        return command
+
+    def _follow(self, process, popen):
+        """Thread: hand on the lines of a process, then that it ended."""
+        pumps = [threading.Thread(target=self._pump, args=(process, stream, is_error), daemon=True)
+                 for stream, is_error in ((popen.stdout, False), (popen.stderr, True))]
+        for pump in pumps:
+            pump.start()
+        code = popen.wait()
+        for pump in pumps:  # a grandchild may keep the pipes open
+            pump.join(timeout=1.0)
+        self._events.put((process, code))
+
+    def _pump(self, process, stream, is_error):
+        for line in stream:
+            self._log.line(process.name, process.spec.output, line.rstrip('\n'), is_error)
+
+    def _ended(self, process, code):
+        pid, process.popen, process.escalate_at = process.popen.pid, None, None
+        if code == 0:
+            self._log.note('INFO', process.name, f'process has finished cleanly [pid {pid}]')
+        else:
+            words = [w if isinstance(w, str) else '(parameters)' for w in process.spec.command]
+            self._log.note('ERROR', process.name, f'process has died [pid {pid}, exit code {code}, '
+                           f"cmd '{' '.join(words)}'].")
+        if self._stopping:
+            return
+        self._failed |= code != 0
+        spec = process.spec
+        if spec.respawn and not 0 <= spec.respawn_max_retries <= process.retries:
+            process.retries += 1
+            process.start_at = time.monotonic() + spec.respawn_delay
+        elif spec.shutdown_on_exit:
+            self._shut_down(f'{process.name} has ended')
+
+    def _interrupted(self, number):
+        name = ('ctrl-c (SIGINT)' if number == signal.SIGINT else number.name)
+        again = ' again, ignoring...' if self._stopping else ''
+        self._log.note('WARNING', 'launch', f'user interrupted with {name}{again}')
+        self._shut_down()
+
+    def _shut_down(self, reason=None):
+        if self._stopping:
+            return
+        self._stopping = True
+        if reason is not None:
+            self._log.note('INFO', 'launch', f'{reason}: shutting down')
+        for process in self._processes:
+            process.start_at = None
+            if process.running:
+                process.send(signal.SIGINT)
+
+    def _escalate(self, process):
+        last = process.signal_sent
+        following = _ESCALATION[last]
+        patience = (process.spec.sigterm_timeout if last == signal.SIGINT
+                    else process.spec.sigkill_timeout)
+        self._log.note('ERROR', process.name,
+                       f"process[{process.name}] failed to terminate '{patience:g}' seconds after "
+                       f"receiving '{last.name}', escalating to '{following.name}'")
+        process.send(following)

@@ -1,0 +1,32 @@
+"""``ros2 lifecycle get``."""
+
+from lpv_ros2cli import completion, discovery
+from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.lifecycle.client import Lifecycle, managed_nodes
+
+
+def add_arguments(parser):
+    """Declare the verb's arguments."""
+    discovery.add_arguments(parser)
+    parser.add_argument('node_name', nargs='?', help='node; otherwise all managed ones'
+                        ).completer = completion.nodes
+    parser.add_argument('--include-hidden-nodes', action='store_true')
+
+
+def run(arguments):
+    """Print the state of one node or of all managed ones."""
+    with discovery.command_node() as node:
+        if arguments.node_name:
+            state = Lifecycle(node, arguments.node_name, arguments.spin_time).state()
+            print(f'{state.label} [{state.id}]')
+            return 0
+        discovery.settle(node, arguments.spin_time)
+        code = 0
+        for name in managed_nodes(node, arguments.include_hidden_nodes):
+            try:
+                state = Lifecycle(node, name).state()
+                print(f'{name}: {state.label} [{state.id}]')
+            except CliError as error:  # a node that hangs must not hide the others
+                print(f'{name}: {error}')
+                code = 1
+        return code

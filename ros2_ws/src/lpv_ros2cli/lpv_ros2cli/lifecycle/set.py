@@ -1,0 +1,28 @@
+"""``ros2 lifecycle set``."""
+
+from lpv_ros2cli import completion, discovery
+from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.lifecycle.client import Lifecycle
+
+
+def add_arguments(parser):
+    """Declare the verb's arguments."""
+    discovery.add_arguments(parser)
+    parser.add_argument('node_name', help='node').completer = completion.nodes
+    parser.add_argument('transition', help='name or number of the transition').completer = (
+        lambda **_: ['configure', 'activate', 'deactivate', 'cleanup', 'shutdown'])
+    parser.add_argument('--include-hidden-nodes', action='store_true')
+
+
+def run(arguments):
+    """Trigger a transition."""
+    with discovery.command_node() as node:
+        lifecycle = Lifecycle(node, arguments.node_name, arguments.spin_time)
+        available = lifecycle.transitions()
+        chosen = [t for t in available if arguments.transition in (t.label, str(t.id))]
+        if not chosen:
+            raise CliError('Unknown transition requested, available ones are: ' + (
+                ', '.join(f'{t.label} [{t.id}]' for t in available) or 'none'))
+        if not lifecycle.change(chosen[0]):
+            raise CliError('Transitioning failed')
+    print('Transitioning successful')

@@ -1,0 +1,54 @@
+"""The ``ros2`` command of machines without ros2cli."""
+
+import os
+import signal
+import sys
+
+from lpv_ros2cli.completion import complete
+from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.parsing import parse
+
+
+def main(argv=None):
+    """Entry point.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments without the program name.
+
+    Returns
+    -------
+    int
+        Exit code: 0; 1 where what was asked cannot be done; 2 after SIGINT, as upstream, and for
+        a wrong command line.
+    """
+    complete()
+    # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    signal.signal(signal.SIGTERM, _terminate)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # also in the background of a script
+    try:
+        arguments = parse(sys.argv[1:] if argv is None else argv)
+        if arguments.run is None:
+            arguments.parser.print_help()
+            return 0
+        code = arguments.run(arguments) or 0
+        sys.stdout.flush()
+        return code
+    except CliError as error:
+        print(error, file=sys.stderr)
+        return error.code
+    except KeyboardInterrupt:
+        return int(signal.SIGINT)
+    except BrokenPipeError:  # the reader, head for instance, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _terminate(_number, _frame):
+    raise SystemExit(128 + signal.SIGTERM)  # through the clean-up of contexts and nodes
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,30 @@
+"""``ros2 node list``."""
+
+import sys
+
+from lpv_ros2cli import discovery
+from lpv_ros2cli.names import node_names
+
+
+def add_arguments(parser):
+    """Declare the verb's arguments."""
+    discovery.add_arguments(parser)
+    parser.add_argument('-a', '--all', action='store_true',
+                        help='also nodes whose name begins with an underscore')
+    parser.add_argument('-c', '--count-nodes', action='store_true',
+                        help='only show the number of nodes')
+
+
+def run(arguments):
+    """Print the nodes of the graph."""
+    with discovery.command_node() as node:
+        discovery.settle(node, arguments.spin_time)
+        names = node_names(node, arguments.all)
+    if arguments.count_nodes:
+        print(len(names))
+        return
+    if len(set(names)) < len(names):
+        print('WARNING: Be aware that there are nodes in the graph that share an exact name, '
+              'which can have unintended side effects.', file=sys.stderr)
+    for name in names:
+        print(name)

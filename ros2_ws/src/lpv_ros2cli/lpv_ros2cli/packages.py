@@ -1,0 +1,136 @@
+"""Installed packages: the ament index, with a ROS 2 sourced or in this Python's environment."""
+
+import os
+import sys
+from pathlib import Path
+
+from lpv_ros2cli.errors import CliError
+
+
+def prefixes():
+    """Prefixes in which packages are looked for.
+
+    Returns
+    -------
+    list of pathlib.Path
+        Of the environment, then this Python's own: programs run with nothing sourced.
+    """
+    named = [Path(p) for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    return list(dict.fromkeys((*named, Path(sys.prefix))))
+
+
+def resources(kind):
+    """Entries of the ament index.
+
+    Parameters
+    ----------
+    kind : str
+        Resource type, for instance ``packages``.
+
+    Returns
+    -------
+    dict of str to pathlib.Path
+        Prefix by resource name, sorted; earlier prefixes come first.
+    """
+    found = {}
+    for prefix in prefixes():
+        folder = prefix / 'share' / 'ament_index' / 'resource_index' / kind
+        for entry in sorted(folder.glob('[!.]*')):
+            found.setdefault(entry.name, prefix)
+    return dict(sorted(found.items()))
+
+
+def names():
+    """Names of the packages.
+
+    Returns
+    -------
+    list of str
+        Sorted.
+    """
+    return list(resources('packages'))
+
+
+def prefix_of(package):
+    """Prefix of a package.
+
+    Parameters
+    ----------
+    package : str
+        Name.
+
+    Returns
+    -------
+    pathlib.Path
+        Prefix.
+
+    Raises
+    ------
+    CliError
+        If it is not installed.
+    """
+    for prefix in prefixes():
+        entry = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / package
+        if Path(package).name == package and entry.is_file():
+            return prefix
+    raise CliError(f'Package {package!r} not found')
+
+
+def share_of(package):
+    """Share folder of a package.
+
+    Parameters
+    ----------
+    package : str
+        Name.
+
+    Returns
+    -------
+    pathlib.Path
+        Folder.
+    """
+    return prefix_of(package) / 'share' / package
+
+
+def executables(package):
+    """Programs of a package.
+
+    Parameters
+    ----------
+    package : str
+        Name.
+
+    Returns
+    -------
+    list of pathlib.Path
+        Sorted.
+    """
+    folder = prefix_of(package) / 'lib' / package
+    return sorted(path for path in folder.rglob('*') if path.is_file() and os.access(path, os.X_OK))
+
+
+def executable(package, name):
+    """One program of a package.
+
+    Parameters
+    ----------
+    package, name : str
+        Package and program.
+
+    Returns
+    -------
+    pathlib.Path
+        Its file.
+
+    Raises
+    ------
+    CliError
+        If there is none or there are several of this name.
+    """
+    found = [path for path in executables(package) if path.name == name]
+    if not found:
+        known = ', '.join(sorted({path.name for path in executables(package)})) or 'none'
+        raise CliError(f'No executable found: package {package!r} has no {name!r}; it has: {known}')
+    if len(found) > 1:
+        raise CliError(f'Multiple executables found: {", ".join(map(str, found))}')
+    return found[0]

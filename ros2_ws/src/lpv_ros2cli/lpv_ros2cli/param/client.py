@@ -1,0 +1,154 @@
+"""Access to another node's parameters through its services."""
+
+from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.names import find_node
+from lpv_ros2cli.service.calling import call, ready_client
+
+_TYPE_NAMES = ('not set', 'boolean', 'integer', 'double', 'string', 'byte array',
+               'boolean array', 'integer array', 'double array', 'string array')
+"""Names by rcl_interfaces/ParameterType."""
+
+
+class ParameterAccess:
+    """Parameters of one node.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Calls.
+    name : str
+        Name of the other node, as typed.
+    spin_time : float, optional
+        Longest wait for that node [s].
+
+    Attributes
+    ----------
+    name : str
+        Absolute name of the other node.
+
+    Raises
+    ------
+    CliError
+        If there is no such node.
+    """
+
+    def __init__(self, node, name, spin_time=None):
+        self._node = node
+        self.name = find_node(node, name, spin_time)
+
+    def _call(self, service, service_name, **fields):
+        client = ready_client(self._node, service, f'{self.name}/{service_name}')
+        try:
+            return call(self._node, client, service.Request(**fields))
+        finally:
+            self._node.destroy_client(client)
+
+    def names(self):
+        """Names of the declared parameters, sorted."""
+        from rcl_interfaces.srv import ListParameters
+        return sorted(self._call(ListParameters, 'list_parameters').result.names)
+
+    def values(self, names):
+        """Values (rcl_interfaces/ParameterValue) of parameters, in the order of the names."""
+        from rcl_interfaces.srv import GetParameters
+        values = self._call(GetParameters, 'get_parameters', names=list(names)).values
+        # A node that lacks one of the parameters answers with fewer values, or none.
+        return values if len(values) == len(names) else [self._value(name) for name in names]
+
+    def _value(self, name):
+        from rcl_interfaces.msg import ParameterValue
+        from rcl_interfaces.srv import GetParameters
+        found = self._call(GetParameters, 'get_parameters', names=[name]).values
+        return found[0] if found else ParameterValue()
+
+    def value(self, name):
+        """Value of one declared parameter.
+
+        Parameters
+        ----------
+        name : str
+            Parameter.
+
+        Returns
+        -------
+        rcl_interfaces.msg.ParameterValue
+            Its value.
+
+        Raises
+        ------
+        CliError
+            If the node does not declare it.
+        """
+        from rcl_interfaces.msg import ParameterType
+        found = self._value(name)
+        if found.type == ParameterType.PARAMETER_NOT_SET and name not in self.names():
+            raise CliError(f"Parameter not set: node {self.name} declares no '{name}'; "
+                           f'ros2 param list {self.name} shows what it has')
+        return found
+
+    def describe(self, names):
+        """Descriptors (rcl_interfaces/ParameterDescriptor) of declared parameters."""
+        from rcl_interfaces.srv import DescribeParameters
+        return self._call(DescribeParameters, 'describe_parameters', names=list(names)).descriptors
+
+    def set(self, values):
+        """Set parameters, one by one.
+
+        Parameters
+        ----------
+        values : dict of str to rcl_interfaces.msg.ParameterValue
+            Value by name.
+
+        Returns
+        -------
+        dict of str to rcl_interfaces.msg.SetParametersResult
+            What became of each.
+        """
+        from rcl_interfaces.msg import Parameter
+        from rcl_interfaces.srv import SetParameters
+        wanted = [Parameter(name=name, value=value) for name, value in values.items()]
+        results = self._call(SetParameters, 'set_parameters', parameters=wanted).results
+        if len(results) != len(wanted):
+            raise CliError(f'node {self.name} gave no answer for each of the parameters')
+        return dict(zip(values, results))
+
+
+def type_name(kind):
+    """Name of a parameter type.
+
+    Parameters
+    ----------
+    kind : int
+        Of rcl_interfaces/ParameterType.
+
+    Returns
+    -------
+    str
+        Name.
+    """
+    return _TYPE_NAMES[kind] if kind < len(_TYPE_NAMES) else f'type {kind}'
+
+
+def fitted(value, kind):
+    """A whole number as double where the parameter is one: ``1`` is then as good as ``1.0``.
+
+    Parameters
+    ----------
+    value : rcl_interfaces.msg.ParameterValue
+        As typed.
+    kind : int
+        Type of the parameter as declared.
+
+    Returns
+    -------
+    rcl_interfaces.msg.ParameterValue
+        Value of that type where nothing is lost by it.
+    """
+    from rcl_interfaces.msg import ParameterType, ParameterValue
+    if (value.type, kind) == (ParameterType.PARAMETER_INTEGER, ParameterType.PARAMETER_DOUBLE):
+        return ParameterValue(type=kind, double_value=float(value.integer_value))
+    if (value.type, kind) == (ParameterType.PARAMETER_INTEGER_ARRAY,
+                              ParameterType.PARAMETER_DOUBLE_ARRAY):
+        return ParameterValue(type=kind,
+                              double_array_value=[float(v) for v in value.integer_array_value])
+    return value

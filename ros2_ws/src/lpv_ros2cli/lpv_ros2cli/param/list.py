@@ -1,0 +1,46 @@
+"""``ros2 param list``."""
+
+from lpv_ros2cli import completion, discovery
+from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.names import node_names
+from lpv_ros2cli.param.client import ParameterAccess, type_name
+
+
+def add_arguments(parser):
+    """Declare the verb's arguments."""
+    discovery.add_arguments(parser)
+    parser.add_argument('node_name', nargs='?', help='node; otherwise all'
+                        ).completer = completion.nodes
+    parser.add_argument('--include-hidden-nodes', action='store_true')
+    parser.add_argument('--param-prefixes', nargs='+', default=[], metavar='PREFIX',
+                        help='only parameters below these prefixes')
+    parser.add_argument('--param-type', action='store_true', help='show the types')
+
+
+def run(arguments):
+    """Print the parameters of one node or of all."""
+    with discovery.command_node() as node:
+        if arguments.node_name:
+            _print(node, arguments, arguments.node_name, '  ')
+            return 0
+        discovery.settle(node, arguments.spin_time)
+        code = 0
+        for name in dict.fromkeys(node_names(node, arguments.include_hidden_nodes)):
+            print(f'{name}:')
+            try:
+                _print(node, arguments, name, '  ')
+            except CliError as error:  # a node that hangs must not hide the others
+                print(f'  ({error})')
+                code = 1
+        return code
+
+
+def _print(node, arguments, name, indent):
+    access = ParameterAccess(node, name, arguments.spin_time)
+    names = [parameter for parameter in access.names() if not arguments.param_prefixes or any(
+        f'{parameter}.'.startswith(f'{prefix.rstrip(".")}.')
+        for prefix in arguments.param_prefixes)]
+    types = {d.name: d.type for d in access.describe(names)} if arguments.param_type else {}
+    for parameter in names:
+        kind = f' (type: {type_name(types[parameter])})' if parameter in types else ''
+        print(f'{indent}{parameter}{kind}')

@@ -1,0 +1,13 @@
+"""``ros2 pkg list``."""
+
+from lpv_ros2cli.packages import names
+
+
+def add_arguments(parser):
+    """Declare the verb's arguments: there are none."""
+
+
+def run(_arguments):
+    """Print the names of the packages."""
+    for name in names():
+        print(name)

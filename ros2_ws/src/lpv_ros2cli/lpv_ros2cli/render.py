@@ -1,0 +1,187 @@
+"""Messages as YAML and as comma-separated values."""
+
+import array
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import yaml
+
+from lpv_ros2cli.errors import CliError
+
+DEFAULT_LENGTH = 128
+"""Elements and characters that are shown of a long field."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How messages are shown.
+
+    Attributes
+    ----------
+    truncate : int or None
+        Longest list, text or bytes; None shows all.
+    no_arr, no_str : bool
+        Do not show arrays; do not show texts.
+    flow : bool
+        One line a message.
+    """
+
+    truncate: int = DEFAULT_LENGTH
+    no_arr: bool = False
+    no_str: bool = False
+    flow: bool = False
+
+
+class _Dumper(yaml.SafeDumper):
+    """Block style, lists not indented, no aliases."""
+
+    def ignore_aliases(self, data):
+        return True
+
+
+def to_yaml(value, style=Style()):  # noqa: B008 - immutable
+    """A message, or a field of one, as YAML.
+
+    Parameters
+    ----------
+    value : object
+        Message or value of a field.
+    style : Style, optional
+        How.
+
+    Returns
+    -------
+    str
+        Ends with a newline.
+    """
+    plain = to_plain(value, style)
+    text = yaml.dump(plain, Dumper=_Dumper, width=sys.maxsize, sort_keys=False,
+                     default_flow_style=style.flow, allow_unicode=True)
+    return text.removesuffix('...\n')  # the end mark of a bare scalar
+
+
+def to_plain(value, style=Style()):  # noqa: B008 - immutable
+    """A message as nested dicts, lists and scalars.
+
+    Parameters
+    ----------
+    value : object
+        Message or value of a field.
+    style : Style, optional
+        What is left out.
+
+    Returns
+    -------
+    object
+        Plain value.
+    """
+    if is_message(value):
+        kinds = value.get_fields_and_field_types()
+        return {name: _field(getattr(value, name), kind, style) for name, kind in kinds.items()}
+    if isinstance(value, (list, tuple, array.array, np.ndarray)):
+        return _list(value, style)
+    if isinstance(value, bytes):
+        value = value.decode('latin-1')
+    if isinstance(value, str) and style.truncate is not None and len(value) > style.truncate:
+        return value[:style.truncate] + '...'
+    return value
+
+
+def _field(value, kind, style):
+    if style.no_arr and kind.startswith('sequence<'):
+        element, _, bound = kind.removeprefix('sequence<').removesuffix('>').partition(', ')
+        return f'<sequence type: {element}{f"[{bound}]" if bound else ""}, length: {len(value)}>'
+    if style.no_arr and kind.endswith(']'):
+        return f'<array type: {kind}>'
+    if style.no_str and isinstance(value, str):
+        return f'<string length: <{len(value)}>>'
+    return to_plain(value, style)
+
+
+def _list(values, style):
+    limit = style.truncate
+    shown = values if limit is None else values[:limit]
+    shown = shown.tolist() if isinstance(shown, (np.ndarray, array.array)) else shown
+    plain = [to_plain(v, style) for v in shown]
+    return plain if len(plain) == len(values) else [*plain, '...']
+
+
+def to_csv(value, style=Style()):  # noqa: B008 - immutable
+    """A message, or a field of one, as comma-separated values of all its fields.
+
+    Parameters
+    ----------
+    value : object
+        Message or value of a field.
+    style : Style, optional
+        What is left out.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    return ','.join(_flat(to_plain(value, style)))
+
+
+def _flat(plain):
+    if isinstance(plain, dict):
+        plain = plain.values()
+    elif not isinstance(plain, list):
+        yield str(plain)
+        return
+    for item in plain:
+        yield from _flat(item)
+
+
+def field_of(message, path):
+    """A field of a message.
+
+    Parameters
+    ----------
+    message : object
+        Message.
+    path : str
+        ``field.subfield``, with ``[i]`` for elements of arrays.
+
+    Returns
+    -------
+    object
+        Its value.
+
+    Raises
+    ------
+    CliError
+        If there is no such field.
+    """
+    value = message
+    for part in path.replace('[', '.[').split('.'):
+        try:
+            if part.startswith('['):
+                value = value[int(part.removeprefix('[').removesuffix(']'))]
+                value = value.item() if isinstance(value, np.generic) else value
+            elif part not in value.get_fields_and_field_types():
+                raise AttributeError(part)
+            else:
+                value = getattr(value, part)
+        except (AttributeError, IndexError, TypeError, ValueError) as error:
+            raise CliError(f"Invalid field '{path}': {type(message).__name__} has no such field"
+                           ) from error
+    return value
+
+
+def is_message(value):
+    """Whether a value is a message.
+
+    Parameters
+    ----------
+    value : object
+        Anything.
+
+    Returns
+    -------
+    bool
+        True for instances of message classes.
+    """
+    return hasattr(value, 'get_fields_and_field_types')

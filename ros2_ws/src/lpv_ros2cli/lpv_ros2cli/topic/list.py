@@ -1,0 +1,40 @@
+"""``ros2 topic list``."""
+
+from lpv_ros2cli import discovery
+from lpv_ros2cli.names import without_hidden
+
+
+def add_arguments(parser):
+    """Declare the verb's arguments."""
+    discovery.add_arguments(parser)
+    parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
+    parser.add_argument('-c', '--count-topics', action='store_true',
+                        help='only show the number of topics')
+    parser.add_argument('-v', '--verbose', action='store_true',
+                        help='show publishers and subscribers')
+    parser.add_argument('--include-hidden-topics', action='store_true',
+                        help='also names with a part that begins with an underscore')
+
+
+def run(arguments):
+    """Print the topics of the graph."""
+    with discovery.command_node() as node:
+        discovery.settle(node, arguments.spin_time)
+        topics = without_hidden(node.get_topic_names_and_types(), arguments.include_hidden_topics)
+        if arguments.count_topics:
+            print(len(topics))
+        elif arguments.verbose:
+            _print_side(topics, 'Published', 'publisher', node.count_publishers)
+            _print_side(topics, 'Subscribed', 'subscriber', node.count_subscribers)
+        else:
+            for name, types in topics:
+                print(f'{name} [{", ".join(types)}]' if arguments.show_types else name)
+
+
+def _print_side(topics, heading, who, count):
+    print(f'{heading} topics:')
+    for name, types in topics:
+        number = count(name)
+        if number:
+            print(f' * {name} [{", ".join(types)}] {number} {who}{"s" if number > 1 else ""}')
+    print()

@@ -1,0 +1,134 @@
+"""Processes of ``ros2 launch``: output, ends, signals; small shell programs in place of nodes."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
+
+ROS2 = Path(sys.prefix) / 'bin' / 'ros2'
+
+
+@pytest.fixture
+def launch(tmp_path, monkeypatch):
+    """Start the text of a launch file with some options."""
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+    started = []
+
+    def start(text, *words):
+        path = tmp_path / 'some.launch.xml'
+        path.write_text(f'<launch>{text}</launch>')
+        process = subprocess.Popen([str(ROS2), 'launch', str(path), *words], text=True,
+                                   stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def log_of(tmp_path):
+    return next((tmp_path / 'log').glob('*/launch.log')).read_text()
+
+
+def shell(program, attributes='output="screen"', name='p'):
+    return f'<executable cmd="sh -c \'{program}\'" name="{name}" {attributes}/>'
+
+
+def ended(process):
+    text, _ = process.communicate(timeout=30)
+    return process.returncode, text
+
+
+def test_given_processes_that_end_when_launched_then_lines_and_ends_are_shown(launch, tmp_path):
+    code, text = ended(launch(
+        '<log message="hello"/>' + shell('echo one; echo two >&amp;2', name='a')
+        + shell('echo hidden; echo shown >&amp;2', '', name='b')))
+    assert code == 0
+    assert '[INFO] [launch]: All log files can be found below ' in text
+    assert '[INFO] [launch.user]: hello\n' in text
+    assert re.search(r'\[INFO\] \[a-1\]: process started with pid \[\d+\]\n', text)
+    assert '[a-1] one\n' in text
+    assert '[a-1] two\n' in text
+    assert '[b-2] shown\n' in text
+    assert 'hidden' not in text
+    assert 'hidden' in log_of(tmp_path)
+    assert re.search(r'\[INFO\] \[b-2\]: process has finished cleanly \[pid \d+\]\n', text)
+    assert '[b-2] hidden\n' in ended(launch(shell('echo hidden', '', 'b') * 2, '-a'))[1]
+
+
+def test_given_a_process_that_fails_when_launched_then_the_others_go_on_and_the_code_is_1(launch):
+    code, text = ended(launch(shell('exit 3') + shell('sleep 0.3; echo still there')
+                              + '<executable cmd="/nowhere/program" name="q"/>'))
+    assert code == 1
+    assert re.search(r"\[ERROR\] \[p-1\]: process has died \[pid \d+, exit code 3, cmd 'sh -c exit "
+                     r"3'\]\.", text)
+    assert '[p-2] still there\n' in text
+    assert '[ERROR] [q-3]: cannot be started: ' in text
+
+
+def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again(launch):
+    code, text = ended(launch(shell('echo turn; exit 1', 'output="screen" respawn="true" '
+                                    'respawn_delay="0.1" respawn_max_retries="2"')))
+    assert code == 1
+    assert text.count('[p-1] turn\n') == 3
+
+
+def test_given_a_required_process_when_it_ends_then_all_are_stopped(launch):
+    start = time.monotonic()
+    code, text = ended(launch(shell('sleep 0.3', 'on_exit="shutdown"')
+                              + shell('exec sleep 60', name='q')))
+    assert code == 0
+    assert 'p-1 has ended: shutting down' in text
+    assert time.monotonic() - start < 20
+
+
+def wait_for_line(process, pattern):
+    for line in process.stdout:
+        if re.search(pattern, line):
+            return
+    raise AssertionError(f'no {pattern!r}')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_given_a_signal_when_launched_then_every_process_gets_sigint_once(launch, number):
+    trap = 'trap "echo caught; exit 0" INT; echo ready; while true; do sleep 0.05; done'
+    process = launch(shell(trap.replace('"', '&quot;')))
+    wait_for_line(process, 'ready')
+    process.send_signal(number)
+    code, text = ended(process)
+    assert code == 0
+    assert text.count('[p-1] caught\n') == 1
+    assert f'user interrupted with {"ctrl-c (SIGINT)" if number == signal.SIGINT else "SIGTERM"}' \
+        in text
+
+
+def test_given_a_process_that_ignores_signals_when_stopped_then_it_is_killed_in_the_end(launch):
+    trap = 'trap &quot;&quot; INT TERM; echo ready; while true; do sleep 0.05; done'
+    process = launch(shell(trap, 'output="screen" sigterm_timeout="0.3" sigkill_timeout="0.3"'))
+    wait_for_line(process, 'ready')
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    code, text = ended(process)
+    assert code == 0
+    assert "failed to terminate '0.3' seconds after receiving 'SIGINT', escalating to 'SIGTERM'" \
+        in text
+    assert "failed to terminate '0.3' seconds after receiving 'SIGTERM', escalating to 'SIGKILL'" \
+        in text
+    assert 'user interrupted with ctrl-c (SIGINT) again, ignoring...' in text
+
+
+def test_given_a_launch_file_when_only_shown_then_nothing_is_started(launch, tmp_path):
+    code, text = ended(launch('<arg name="a" default="1"/><group>'
+                              + shell('touch started') + '</group>', '--print', 'a:=2'))
+    assert code == 0
+    assert text == "arg a = '2'\ngroup\n    executable sh -c 'touch started'\n"
+    assert not (tmp_path / 'log').exists()
