@@ -131,6 +131,33 @@ def test_given_no_disturbance_when_a_bias_is_compensated_then_millimetres_are_al
     assert np.abs(tracking_error(run, 2.0)).max() < 0.003
 
 
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_a_bias_and_a_wrong_model_when_compensated_then_tracking_is_that_of_a_healthy_arm(
+        simulate, paper_arm, index):
+    wrong = {'mass_factors': (1.04, 0.97), 'inertia_factors': (0.96, 1.03)}
+    fault = Fault(paper_arm.sensor_names[index], 'bias', onset=2.0, size=0.3)
+    with_fault, healthy = (tracking_error(simulate(*f, duration=8.0, **wrong), 1.0)
+                           for f in ((fault,), ()))
+    assert rms(with_fault) < 1.5 * rms(healthy)
+    assert np.abs(with_fault).max() < 0.01         # nor does the arm jerk at the onset
+
+
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_a_compensated_bias_when_it_ends_or_changes_then_the_arm_does_not_jerk(
+        simulate, paper_arm, index):
+    name = paper_arm.sensor_names[index]
+    ends = Fault(name, 'bias', onset=1.0, duration=2.0, size=0.3)
+    grows = Fault(name, 'bias', onset=2.5, size=0.2)
+    assert np.abs(tracking_error(simulate(ends, duration=4.0))).max() < 0.03
+    assert np.abs(tracking_error(simulate(ends, grows, duration=2.8))).max() < 0.03
+
+
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_spikes_when_confirmed_then_the_arm_does_not_see_them(simulate, paper_arm, index):
+    fault = Fault(paper_arm.sensor_names[index], 'spike', onset=1.0, size=0.4, rate=30.0)
+    assert np.abs(tracking_error(simulate(fault, duration=4.0))).max() < 0.01
+
+
 def test_given_a_jump_when_it_comes_then_it_is_bridged_until_it_is_confirmed_and_compensated(
         paper_arm, paper_gains):
     diagnoser = Diagnoser(paper_arm, paper_gains)

@@ -12,6 +12,7 @@ from lpv_core.change_test import WINDOWS, sigmas_for
 from lpv_core.diagnosis import DiagnosisParameters
 from lpv_core.fault_kind import is_stuck, noise_level
 from lpv_core.history import EXPECTED, FAULT, READING
+from lpv_core.sensor_decision import removable
 
 TS = 2_000_000
 SIGMA = 0.001
@@ -53,6 +54,50 @@ def noise(n, sigma=0.5 * SIGMA, seed=0):
 
 def raised(news):
     return [n for n in news if n[1] == 'raised']
+
+
+# ------------------------------------------------------------------ what is removed
+
+
+def removed(sensor):
+    return removable(sensor.constants, sensor.state)
+
+
+def test_given_a_step_when_its_height_is_known_then_the_estimates_own_error_is_not_removed(sensor):
+    """The healthy error of the estimate drifts by 4 mrad; the fault does not."""
+    own = np.linspace(0.0, 0.004, 1000)
+    feed(sensor, 0, own[:300] + noise(300, SIGMA))
+    feed(sensor, 300, own[300:] + 0.3 + noise(700, SIGMA, seed=1))
+    assert sensor.kind == 'bias'
+    assert removed(sensor) == pytest.approx(0.3, abs=0.0007)
+    assert sensor.amount == pytest.approx(0.3 + own[-1] - own[299], abs=0.004)
+
+
+def test_given_a_step_that_changes_later_when_seen_then_the_estimate_is_removed_at_once(sensor):
+    feed(sensor, 0, noise(300))
+    feed(sensor, 300, 0.3 + noise(300, seed=1))
+    feed(sensor, 600, [0.1])
+    assert removed(sensor) == sensor.amount == pytest.approx(0.1, abs=0.003)
+
+
+def test_given_a_scale_error_when_the_arm_has_moved_then_what_is_removed_follows_the_reading(
+        sensor):
+    feed(sensor, 0, noise(300))
+    for k in range(300, 1100):
+        true = 0.5 + 0.2 * math.sin(0.004 * (k - 300))
+        sensor.update(**sample_at(k, 0.4 * true, reading=1.4 * true, expected=true))
+    assert sensor.kind == 'scale'
+    sensor.update(**sample_at(1100, 0.4 * true + 0.005, reading=1.4 * true, expected=true - 0.005))
+    assert removed(sensor) == pytest.approx(0.4 * true, abs=0.002)
+
+
+def test_given_noise_when_removed_then_its_mean_stays(sensor):
+    feed(sensor, 0, noise(300))
+    course = 0.02 * np.random.default_rng(3).standard_normal(3000)
+    feed(sensor, 300, course)
+    assert sensor.kind == 'noise'
+    kept = sensor.amount - removed(sensor) + sensor.baseline
+    assert abs(kept) < 0.004 < np.abs(course).max()
 
 
 # ------------------------------------------------------------------ history

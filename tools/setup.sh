@@ -120,6 +120,8 @@ build_workspace() {
     cat "$build/colcon.txt" >&2
     fail "the workspace did not build; see $build/log"
   fi
+  say "compiling the recursions"
+  "$venv/bin/python" -m lpv_core.precompile
   mark_done workspace "$id"
 }
 

@@ -15,8 +15,8 @@ _SETTLED = 0.1
 """Shortest time since the onset for a judgement of the course [s]."""
 _STUCK_SAMPLES = 20
 _TELLING = 30.0
-"""A scale error shows in motion that changes it by so many standard deviations of a reading: the
-error of a healthy estimate changes, too."""
+"""Drifts and scale errors show in a change of so many standard deviations of a reading: the error
+of a healthy estimate changes, too."""
 _EXPLAINED = 0.1
 """Part of the change that a scale error may leave unexplained."""
 _CLEARLY = 4.0
@@ -162,7 +162,10 @@ def _course(time, values, baseline, position_noise):
     best, left = BIAS, bias
     if drift < left and bias >= drift + 2.0 * floor:
         best, left = DRIFT, drift
-    if left > 4.0 * (_residual_of_ramp(time, fault) + floor):
+    middle = time - _mean(time, 0, len(time))
+    growth = _weight(middle, fault) * (time[-1] - time[0])
+    if abs(growth) > _TELLING * position_noise and left > 4.0 * (
+            _residual(middle, fault - _mean(fault, 0, len(fault))) + floor):
         # Neither fits alone, a ramp from an offset does: it grows, whatever it started from.
         return DRIFT
     return best
@@ -250,9 +253,3 @@ def _residual(basis, values):
         rest = values[k] - weight * basis[k]
         total += rest * rest
     return total
-
-
-@njit
-def _residual_of_ramp(time, values):
-    """Sum of squares that a straight line leaves."""
-    return _residual(time - _mean(time, 0, len(time)), values - _mean(values, 0, len(values)))

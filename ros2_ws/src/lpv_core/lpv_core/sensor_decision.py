@@ -47,7 +47,7 @@ _AROUND = 50
 _MEAN_SHARE = 0.005
 """Share of a sample in the mean of a noisy reading."""
 _DOUBT = 10.0
-"""What f^ may differ by from the formula, over the noise, until the arm has moved."""
+"""A bias from which f^ differs by so much, over the noise, may be a scale error where that fits."""
 _DOUBTED, _UNMEASURED, _MEASURED, _IMPOSSIBLE = range(-4, 0)
 """Why there is no formula (yet)."""
 
@@ -142,8 +142,11 @@ def removable(c, s):
 
 @njit
 def _by_formula(s):
-    if s.formula == BIAS:
-        return s.height
+    return s.height if s.formula == BIAS else _by_scale(s)
+
+
+@njit
+def _by_scale(s):
     return s.sample.reading * s.height / (s.level + s.height)
 
 
@@ -459,6 +462,7 @@ def _follow_fault(c, s):
         s.formula = _IMPOSSIBLE
     elif s.kind != s.formula:
         s.formula = _MEASURED
-    elif not s.told and abs(rest) > _DOUBT * c.noise:
+    elif not s.told and abs(rest) > _DOUBT * c.noise and (
+            2.0 * abs(s.amount - _by_scale(s)) < abs(rest)):
         s.formula = _DOUBTED
     s.rest = rest
