@@ -88,7 +88,8 @@ class DiagnosisParameters:
     compensation_rate : float
         How fast a compensation without a known step is faded in and out [rad/s].
     safe_stop_bound : float
-        A confirmed fault with a wider bound than this cannot be compensated safely [rad].
+        A confirmed fault that did not begin with a jump cannot be compensated safely if its size
+        and bound together are larger [rad]; a level with a wider bound is no evidence.
     """
 
     threshold_factor: float = 1.0
@@ -178,10 +179,11 @@ events
 
 DIAGNOSIS_STATE = record_type(
     # Beside the parts' states: last stamp [ns]; what is removed from the readings of each sensor
-    # [rad], and whether it has reached the confirmed fault.
+    # [rad], and whether it has reached the confirmed fault; since when a level is beyond its bound
+    # without an alarm [ns].
     ('bound', BOUND_STATE), ('consistency', CONSISTENCY_STATE), ('sensors', SENSOR_STATE, (2,)),
     ('stamp', 'i8'), ('applied', 'f8', (2,)), ('engaged', 'u1', (2,)),
-    ('decision', DECISION))
+    ('above_since', 'i8', (2,)), ('decision', DECISION))
 
 
 def diagnosis_constants(arm, gains, parameters):
@@ -271,8 +273,8 @@ def diagnose(c, s, stamps, values, e):
         d.threshold[i] = max(c.threshold_factor * d.bound[i], c.minimum_threshold)
     for i in range(2):
         _decide_one(c, s, stamps[i], values[i], e, i)
-    _compensate(c, s, e.interval)
     d.trustworthy = _is_trustworthy(c, s)
+    _compensate(c, s, e.interval)
 
 
 @njit
@@ -330,7 +332,8 @@ def _compensate(c, s, interval):
         reached = at_once or abs(gap) <= 2.0 * step
         # What was reached once is followed whatever it does: a fault may end abruptly.
         s.engaged[i] = known and (reached or s.engaged[i] != 0)
-        if not s.engaged[i]:
+        # An arm that is stopped feels no step.
+        if not s.engaged[i] and s.decision.trustworthy:
             gap = min(max(gap, -step), step)
         s.applied[i] += gap
         s.decision.confirmed_fault[i] = s.applied[i] + suspected(sensor)
@@ -338,16 +341,23 @@ def _compensate(c, s, interval):
 
 @njit
 def _is_trustworthy(c, s):
-    """Not where a level beyond its bound has an unknown cause, or no close enough bound."""
+    """Whether the loop may go on, see `DECISION`."""
+    trusted = True
     for i in range(2):
         sensor = s.sensors[i]
         above = abs(sensor.sample.fault) > sensor.sample.threshold
+        if not (above and sensor.sample.lost and not sensor.alarm):
+            s.above_since[i] = s.stamp
+        # Beyond its bound where gravity tells nothing: something is wrong, not known what.
+        if s.stamp - s.above_since[i] >= c.sensor.dwell > 0:
+            trusted = False
         if sensor.alarm and sensor.kind == INCONSISTENT and above:
-            return False
-        wide = s.decision.bound[i] > c.safe_stop_bound
-        if is_compensable(sensor) and not sensor.by_change and wide:
-            return False
-    return True
+            trusted = False
+        # What did not begin with a jump rests on the estimate alone.
+        relied = abs(sensor.amount) + s.decision.bound[i]
+        if is_compensable(sensor) and not sensor.stepped and relied > c.safe_stop_bound:
+            trusted = False
+    return trusted
 
 
 def make_alarm(event, arm, parameters):

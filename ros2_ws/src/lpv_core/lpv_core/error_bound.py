@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from lpv_core.arm import A_11, B_12, C_22, G_1, G_2
+from lpv_core.change_test import WINDOWS
 from lpv_core.jit import njit
 from lpv_core.joints import JointMap
 from lpv_core.records import new_record, record_type
@@ -39,12 +40,13 @@ noise of the rates [rad/sqrt(s)] and by their bias [rad/s]; G_i, Xi_ii, region; 
 
 BOUND_STATE = record_type(
     ('count', 'i8'), ('columns', 'f8', (SIZE, COLUMNS)), ('extent', 'f8', (SIZE,)),
-    ('held_for', 'f8', (2,)), ('bound', 'f8', (2,)), ('speed', 'f8', (2,)),
+    ('held_for', 'f8', (2,)), ('alone', 'f8', (2,)), ('bound', 'f8', (2,)), ('speed', 'f8', (2,)),
     ('momentum', 'f8', (2,)), ('torque', 'f8', (2,)), ('margin', 'f8', (2,)),
     ('map', 'f8', (SIZE, SIZE)), ('n', 'f8', (SIZE, SIZE)))
 """The set of the errors (e_1, e_2, r_1, r_2), r_i = s m_i/Xi_ii the momentum error in units of a
-rate (method paper: ``extent`` alone); how long links are held [s]; results: bounds on the error per
-sensor [rad], on its speed without noise [rad/s], on r of a healthy arm [rad/s]; work space."""
+rate (method paper: ``extent`` alone); how long links have been held, less what was unlearnt, and
+now [s]; results: bounds on the error per sensor [rad], on its speed without noise [rad/s], on r of
+a healthy arm [rad/s]; work space."""
 
 
 def error_bound(arm, gains, sigmas, friction_uncertainty):
@@ -92,7 +94,7 @@ def reset_bound(s):
     """Forget the past: the next estimate is a first one."""
     s.columns[:] = 0.0
     s.extent[:] = 0.0
-    s.held_for[:] = 0.0
+    s.held_for[:] = s.alone[:] = 0.0
     s.count = 0
 
 
@@ -129,12 +131,24 @@ def _follow_set(c, s, e):
     _reckon(c, s, e)
     error_1 = min(s.extent[0] + c.drift[0] * math.sqrt(s.held_for[0]), _LARGEST)
     error_2 = min(s.extent[1] + c.drift[1] * math.sqrt(s.held_for[1]), _LARGEST)
-    speed_1 = c.kappa[0] * c.inertia[0] * min(s.extent[2], _FASTEST) + c.bias[0]
-    speed_2 = c.kappa[1] * c.inertia[1] * min(s.extent[3], _FASTEST) + c.bias[1]
+    speed_1, speed_2 = _angle_speed(c, s, e, 0), _angle_speed(c, s, e, 1)
     for i in range(2):
         s.bound[i] = _spread(c, error_1, error_2, i) + c.noise[i]
         s.speed[i] = _spread(c, speed_1, speed_2, i)
         s.momentum[i] = s.extent[2 + i]
+
+
+@njit
+def _angle_speed(c, s, e, i):
+    """Speed of a link's angle error: the correction by its momentum error, and bias of the rates.
+
+    A link that is held has no correction; it counts once that has been so for every window of the
+    change test.
+    """
+    s.alone[i] = s.alone[i] + e.interval if e.held[i] else 0.0
+    if s.alone[i] > WINDOWS[-1]:
+        return c.bias[i]
+    return c.kappa[i] * c.inertia[i] * min(s.extent[2 + i], _FASTEST) + c.bias[i]
 
 
 @njit
