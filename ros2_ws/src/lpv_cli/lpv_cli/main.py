@@ -16,6 +16,7 @@ COMMANDS = {
     'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),
     'view': ('lpv_cli.view', 'show the running graph: web page, Foxglove, markers'),
     'urdf': ('lpv_cli.urdf', 'print the URDF of an arm'),
+    'recover': ('lpv_cli.recover', 'repair a bag that is cut off or damaged'),
     'report': ('lpv_cli.report_command', 'write the report of a bag'),
 }
 """Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""
