@@ -1,22 +1,21 @@
 """A recorded run as NumPy arrays, from any rosbag2 bag."""
 
-import contextlib
+import logging
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
-from rosbags.highlevel import AnyReader
 
-from lpv_bag.interfaces import make_typestore
+from lpv_bag.definitions import check_definition
+from lpv_bag.errors import BagError
+from lpv_bag.reading import BagReader, open_bag
 from lpv_core.diagnosis import Alarm, AlarmEvent
-from lpv_core.errors import LpvError
 from lpv_core.observer import Mode
 
+__all__ = ['BagError', 'BagReader', 'RecordedAlarm', 'RunRecord', 'STREAMS', 'find_connections',
+           'find_topic', 'load_run', 'open_bag', 'stamp_of']
+_LOG = logging.getLogger(__name__)
+
 NANOSECONDS = 1_000_000_000
-
-
-class BagError(LpvError):
-    """A bag cannot be read, or does not hold what is needed."""
 
 
 # Stream: (message type, array fields); the name is the last part of the topic's usual name.
@@ -37,6 +36,11 @@ STREAMS = {
 
 ALARMS = 'fault_alarm'
 ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
+_NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
+_NEEDED['sensor_msgs/msg/JointState'] += ('name',)
+_NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
+_NEEDED[ALARM_TYPE] = ('header', 'event', 'sensor_index', 'sensor', 'onset', 'detected', 'size',
+                       'bound', 'kind', 'confidence')
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,8 @@ class RunRecord:
         Joints of the columns of joint_states.
     sensor_names : tuple of str
         Sensors of the columns of fault_estimate; empty without that stream.
+    warnings : list of str
+        What is wrong with the bag or its messages, and was put up with.
     """
 
     stamps: dict = field(default_factory=dict)
@@ -84,6 +90,7 @@ class RunRecord:
     topics: dict = field(default_factory=dict)
     joint_names: tuple = ()
     sensor_names: tuple = ()
+    warnings: list = field(default_factory=list)
 
     def get(self, stream, name):
         """Field of a stream on the stream's own stamps.
@@ -146,100 +153,12 @@ class RunRecord:
         return (stamps - self.stamps['joint_states'][0]) / NANOSECONDS
 
 
-class BagReader(AnyReader):
-    """rosbags' reader; what it raises on a damaged bag is a BagError."""
-
-    def messages(self, *args, **kwargs):
-        """As ``AnyReader.messages``.
-
-        Yields
-        ------
-        tuple
-            Connection, log time [ns], raw data.
-
-        Raises
-        ------
-        BagError
-            If the bag is damaged.
-        """
-        with _damage(self.paths[0]):
-            yield from super().messages(*args, **kwargs)
-
-    def deserialize(self, rawdata, typ):
-        """As ``AnyReader.deserialize``.
-
-        Parameters
-        ----------
-        rawdata : bytes
-            CDR.
-        typ : str
-            Message type.
-
-        Returns
-        -------
-        object
-            Message.
-
-        Raises
-        ------
-        BagError
-            If the data does not fit the type.
-        """
-        with _damage(self.paths[0]):
-            return super().deserialize(rawdata, typ)
-
-
-@contextlib.contextmanager
-def _damage(path):
-    try:
-        yield
-    except LpvError:
-        raise
-    except Exception as error:  # readers and decompressors raise many kinds on damaged files
-        text = ' '.join(str(error).split()) or type(error).__name__
-        raise BagError(f'{path}: cannot be read, the bag is damaged or incomplete ({text})'
-                       ) from error
-
-
-@contextlib.contextmanager
-def open_bag(path, typestore=None):
-    """Open a bag; whatever goes wrong in reading is a BagError with a message.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory or single ``.mcap`` or ``.db3`` file.
-    typestore : rosbags typestore, optional
-        For bags that carry no message definitions; the standard types and lpv_msgs if not given.
-
-    Yields
-    ------
-    BagReader
-        Open reader.
-
-    Raises
-    ------
-    BagError
-        If there is no such bag, or it is damaged.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise BagError(f'{path}: there is no such bag')
-    if path.is_dir() and not (path / 'metadata.yaml').is_file():
-        raise BagError(f'{path}: is not a complete rosbag2 bag, it has no metadata.yaml')
-    with contextlib.ExitStack() as stack:
-        with _damage(path):
-            reader = stack.enter_context(
-                BagReader([path], default_typestore=typestore or make_typestore()))
-        yield reader
-
-
 def find_topic(reader, msgtype, name, wanted=None, required=True, namespace=None):
     """The one connection that carries a stream.
 
     Parameters
     ----------
-    reader : AnyReader
+    reader : BagReader
         Open bag.
     msgtype : str
         Message type.
@@ -303,6 +222,8 @@ def find_connections(reader, msgtype, name, wanted=None, required=True, namespac
         there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
         raise BagError(f'{reader.paths[0]}: the bag has no topic {wanted or name!r} of type '
                        f'{msgtype}{place}; it has {there or "no topic at all"}')
+    if found:
+        check_definition(reader, msgtype, _NEEDED.get(msgtype, ()))
     return found
 
 
@@ -345,10 +266,14 @@ def load_run(path, namespace=None, joint_names=None):
         for connection, _, data in reader.messages([c for cs in chosen.values() for c in cs]):
             collector.add(names[connection.topic],
                           reader.deserialize(data, connection.msgtype))
+        record.warnings += reader.warnings
     try:
         collector.finish()
     except BagError as error:
         raise BagError(f'{path}: {error}') from None
+    for text in collector.warnings:
+        _LOG.warning('%s: %s', path, text)
+    record.warnings += collector.warnings
     return record
 
 
@@ -377,6 +302,7 @@ class _Collector:
         self._alarms = {}
         record.joint_names = tuple(joint_names or ())
         self._names, self._index, self._missing = None, None, None
+        self.warnings = []
 
     def add(self, name, message):
         if name == ALARMS:
@@ -421,6 +347,7 @@ class _Collector:
     def finish(self):
         for name, rows in self._rows.items():
             stamps = np.array([stamp for stamp, _ in rows], dtype=np.int64)
+            self._judge(name, stamps)
             # np.unique gives the first of equal ones: reversed, that is the last message.
             stamps, last = np.unique(stamps[::-1], return_index=True)
             rows = [rows[len(rows) - 1 - i][1] for i in last]
@@ -437,6 +364,19 @@ class _Collector:
         if count == 1:
             raise BagError(f'all messages of {self._record.topics["joint_states"]} have the same '
                            'stamp, or there is one only')
+
+
+    def _judge(self, name, stamps):
+        """Say where stamps run backwards or stand still."""
+        backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
+        same = len(stamps) - len(np.unique(stamps))
+        topic = self._record.topics[name]
+        if backwards:
+            self.warnings.append(f'{topic}: time goes backwards {backwards} times, messages are '
+                                 'sorted by their stamps')
+        if same:
+            self.warnings.append(f'{topic}: {same} messages have the stamp of another one, the '
+                                 'last one of each stamp counts')
 
 
 def _alarm(message):
