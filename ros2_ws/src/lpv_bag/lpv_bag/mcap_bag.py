@@ -1,5 +1,6 @@
 """A bag of MCAP files, one or several, whole or damaged."""
 
+import functools
 import heapq
 import logging
 from collections import Counter
@@ -16,8 +17,9 @@ from rosbags.rosbag2.metadata import parse_qos
 from lpv_bag.counting import RECORD_NAME, from_metadata
 from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap_blocks import records
-from lpv_bag.mcap_survey import McapFile, read_metadata, survey
-from lpv_bag.metadata import FILE_NAME, read_metadata as read_bag_metadata
+from lpv_bag.mcap_file import McapFile
+from lpv_bag.mcap_survey import read_metadata, survey
+from lpv_bag.metadata import FILE_NAME
 
 _LOG = logging.getLogger(__name__)
 _FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL,
@@ -157,10 +159,7 @@ class McapBag:
 
     def _connection(self, channel, schema):
         metadata = dict(channel.metadata)
-        try:
-            profiles = parse_qos(metadata.get('offered_qos_profiles', ''))
-        except Exception:  # noqa: BLE001  a parser's many kinds; QoS matters to nothing here
-            profiles = []
+        profiles = list(_profiles(metadata.get('offered_qos_profiles', '')))
         definition = MessageDefinition(MessageDefinitionFormat.NONE, '')
         if schema is not None and schema.data and schema.encoding in _FORMATS:
             try:
@@ -185,6 +184,21 @@ class McapBag:
             if there[topic] != count:
                 self._warn(f'{topic}: {FILE_NAME} says {count} messages, the files hold '
                            f'{there[topic]}')
+
+    def connections_of(self, part):
+        """Connection by the channel number of a file.
+
+        Parameters
+        ----------
+        part : int
+            Index into ``parts``.
+
+        Returns
+        -------
+        dict of int to rosbags.interfaces.Connection
+            Of all its channels.
+        """
+        return self._maps[part]
 
     # -------------------------------------------------------------- messages
 
@@ -264,6 +278,15 @@ class McapBag:
             return []
         found.sort(key=lambda message: message.log_time)
         return [(connections[message.channel], message) for message in found]
+
+
+@functools.lru_cache(maxsize=256)
+def _profiles(text):
+    """Offered QoS; none where the text is damaged: it matters to nothing that is computed."""
+    try:
+        return tuple(parse_qos(text))
+    except Exception:  # many kinds
+        return ()
 
 
 def _counts(result):

@@ -32,6 +32,8 @@ from lpv_bag.mcap_format import HEADER, MAGIC
 
 _MESSAGE = struct.Struct('<BQHIQQ')
 _INDEX = struct.Struct('<BQHI')
+LIBRARY = 'lpv_bag'
+"""In the header of a file: its messages are numbered as `McapWriter.write` says."""
 REPEAT = 16
 """Every so many chunks the definitions of all topics are repeated: a damaged chunk then never
 costs more than the chunks up to the next repetition."""
@@ -98,7 +100,7 @@ class McapWriter:
         self._indexes, self._metadata = [], []
         self._begin_chunk()
         self._file = open(path, 'xb', buffering=0)  # noqa: SIM115
-        self._put(MAGIC + _bytes(Header('ros2', 'lpv_bag')))
+        self._put(MAGIC + _bytes(Header('ros2', LIBRARY)))
 
     def _begin_chunk(self):
         self._content, self._chunk_start, self._chunk_end = bytearray(), None, 0

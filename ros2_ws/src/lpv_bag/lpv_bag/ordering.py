@@ -2,8 +2,11 @@
 
 import heapq
 
-WINDOW = 1_000_000_000
-"""How far stamps may run ahead of a message that is still to come [ns]."""
+WINDOW = 500_000_000
+"""How far stamps may run ahead of a message that is still to come [ns].
+
+What is held back is lost if the recorder is killed.  In a loop that waits for each answer a message
+comes some ten milliseconds of stamps late at the most."""
 
 
 class StampOrder:

@@ -37,6 +37,11 @@ class BagReader:
         self._types = {}
 
     @property
+    def source(self):
+        """What reads: an `McapBag`, or an AnyReader of rosbags."""
+        return self._source
+
+    @property
     def connections(self):
         """Topics of the bag."""
         return self._source.connections

@@ -169,8 +169,17 @@ class BagWriter:
         ----------
         connection : rosbags.interfaces.Connection
             Of the other bag; further connections of one topic are the same topic here.
+
+        Raises
+        ------
+        ConfigError
+            If the topic is known with another type, or the definition is nowhere.
         """
-        if connection.topic in self._topics:
+        known = self._topics.get(connection.topic)
+        if known is not None:
+            if known.msgtype != connection.msgtype:
+                raise ConfigError('topic', f'{connection.topic} has two types, {known.msgtype} '
+                                  f'and {connection.msgtype}', str(self.path))
             return
         kind, definition = connection.msgdef
         if not definition:  # bags of older distributions carry no definitions
@@ -264,10 +273,22 @@ class BagWriter:
         """
         self._file.cut()
 
+    def add_metadata(self, name, values):
+        """Store a metadata record in the present file.
+
+        Parameters
+        ----------
+        name : str
+            Of the record.
+        values : dict of str to str
+            Content.
+        """
+        self._file.add_metadata(name, values)
+
     @property
     def size(self):
         """Bytes handed to the operating system, of all files."""
-        return self._file.size + sum(entry.size for entry in self._files)
+        return (self._file.size if self._file else 0) + sum(file.size for file in self._files)
 
     @property
     def files(self):

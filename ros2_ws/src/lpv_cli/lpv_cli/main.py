@@ -13,6 +13,7 @@ COMMANDS = {
     'run': ('lpv_cli.run_command', 'start a node, as ros2 run does'),
     'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),
+    'recover': ('lpv_cli.recover', 'repair a bag that is cut off or damaged'),
     'report': ('lpv_cli.report_command', 'write the report of a bag'),
 }
 """Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""

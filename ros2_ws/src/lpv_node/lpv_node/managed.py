@@ -129,6 +129,9 @@ class ManagedNode(LifecycleNode):
         """A count that grows with every message that was taken while stopping."""
         return 0
 
+    def stopping(self):
+        """The node was told to stop, and goes on until nothing has come for its drain time."""
+
     def outputs(self):
         """Publishers, each with the number of graph nodes that consume it."""
         return {}
@@ -209,6 +212,7 @@ def _spin(node, stop):
     # A time-out lets Python see signals; without one EventsExecutor ignores them.
     while rclpy.ok() and not (node.finished or stop.set):
         executor.spin_once(timeout_sec=0.2)
+    node.stopping()
     _drain(node, executor)
     if node.lockstep:
         for publisher in node.outputs():
