@@ -16,7 +16,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from lpv_bag.counting import RECORD_NAME, from_metadata
 from lpv_bag.errors import BagError, DamageError
-from lpv_bag.mcap_blocks import records
+from lpv_bag.mcap_content import records
 from lpv_bag.mcap_file import McapFile
 from lpv_bag.mcap_survey import read_metadata, survey
 from lpv_bag.metadata import FILE_NAME
@@ -227,28 +227,28 @@ class McapBag:
         """Messages by log time; blocks are read when their time has come, not before."""
         blocks = []
         for part, (_, found) in enumerate(self.parts):
-            for place, block in enumerate(found.blocks):
+            for block in found.blocks:
                 if ((start is None or block.end >= start)
                         and (stop is None or block.start < stop)):
-                    blocks.append((block.start, part, place, block))
+                    blocks.append((block.start, part, block.offset, block))
         blocks.sort(key=lambda entry: entry[:3])
-        heap, number = [], 0
-        for _, part, _, block in blocks:
+        heap = []
+        for _, part, place, block in blocks:
             while heap and heap[0][0] < block.start:
                 yield from self._step(heap, block.start)
             messages = self._block(part, block, wanted)
             if messages:
-                number += 1
                 rest = iter(messages)
                 connection, message = next(rest)
-                heapq.heappush(heap, (message.log_time, number, connection, message, rest))
+                # Messages of one time come in the order of the files.
+                heapq.heappush(heap, (message.log_time, (part, place), connection, message, rest))
         while heap:
             yield from self._step(heap, None)
 
     @staticmethod
     def _step(heap, limit):
         """Messages of the block that is due, until another one is."""
-        _, number, connection, message, rest = heapq.heappop(heap)
+        _, place, connection, message, rest = heapq.heappop(heap)
         bound = heap[0][:2] if heap else None
         while True:
             yield connection, message
@@ -256,8 +256,8 @@ class McapBag:
             if message is None:
                 return
             if ((limit is not None and message.log_time >= limit)
-                    or (bound is not None and (message.log_time, number) > bound)):
-                heapq.heappush(heap, (message.log_time, number, connection, message, rest))
+                    or (bound is not None and (message.log_time, place) > bound)):
+                heapq.heappush(heap, (message.log_time, place, connection, message, rest))
                 return
 
     def _block(self, part, block, wanted):

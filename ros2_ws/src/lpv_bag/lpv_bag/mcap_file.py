@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lpv_bag.errors import BagError, DamageError
-from lpv_bag.mcap_blocks import inflate, inflate_part
+from lpv_bag.mcap_content import inflate, inflate_part
 
 
 @dataclass

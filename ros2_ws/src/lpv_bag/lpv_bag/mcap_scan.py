@@ -10,7 +10,7 @@ import re
 from mcap.opcode import Opcode
 
 from lpv_bag.errors import BagError, DamageError
-from lpv_bag.mcap_blocks import inflate, records
+from lpv_bag.mcap_content import inflate, records
 from lpv_bag.mcap_file import Block, Survey
 from lpv_bag.mcap_format import HEADER, MAGIC, MAX_RECORD, PARSERS, parse_chunk, parse_statistics
 from lpv_bag.mcap_summary import summary_span, walk_summary
@@ -41,6 +41,9 @@ def scan(file, reason):
         If nothing can be used.
     """
     result = _Scan(file, reason).run()
+    if not result.blocks and not result.lost_blocks:
+        # No chunk and no message was met before the damage: it may be a file without chunks.
+        result = _Scan(file, reason, loose=True).run()
     if not result.blocks and not result.channels and not result.complete:
         raise BagError(f'{file.path}: cannot be read, the bag is damaged or incomplete: {reason}, '
                        'and nothing in it can be recovered')
@@ -50,11 +53,11 @@ def scan(file, reason):
 class _Scan:
     """One pass over a file, from record to record; behind damage, to the next good record."""
 
-    def __init__(self, file, reason):
+    def __init__(self, file, reason, loose=False):
         self._file, self._data = file, file.data
         self._result = Survey(damages=[reason])
         self._loose = None  # messages outside of chunks: first and last byte
-        self._has_loose, self._trusted = False, True
+        self._has_loose, self._trusted = loose, True
         self._last_chunk = None
         self._doubtful = None
 

@@ -34,9 +34,7 @@ _MESSAGE = struct.Struct('<BQHIQQ')
 _INDEX = struct.Struct('<BQHI')
 LIBRARY = 'lpv_bag'
 """In the header of a file: its messages are numbered as `McapWriter.write` says."""
-REPEAT = 16
-"""Every so many chunks the definitions of all topics are repeated: a damaged chunk then never
-costs more than the chunks up to the next repetition."""
+_REPEAT = 64
 
 
 class Preset(NamedTuple):
@@ -188,7 +186,7 @@ class McapWriter:
         content, entries = bytes(self._content), self._entries
         start, end = self._chunk_start, self._chunk_end
         self._begin_chunk()
-        if len(self._indexes) % REPEAT == REPEAT - 1:
+        if _is_repeated(len(self._indexes) + 1):
             self._new = [*self._schemas, *self._channels]
         data = content if self._compress is None else self._compress(content)
         compression = '' if self._compress is None else 'zstd'
@@ -309,6 +307,11 @@ class McapWriter:
         return Statistics(0, len(self._channels), dict(self.counts), len(self._indexes),
                           sum(self.counts.values()), self.end, self.start, len(self._metadata),
                           len(self._schemas))
+
+
+def _is_repeated(chunk):
+    """Whether a chunk repeats all definitions: no damaged one then costs the others theirs."""
+    return chunk % _REPEAT == 0 or chunk & (chunk - 1) == 0
 
 
 def _bytes(record):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from lpv_bag.counting import RECORD_NAME
 from lpv_bag.errors import BagError, DamageError
-from lpv_bag.mcap_blocks import records
+from lpv_bag.mcap_content import records
 from lpv_bag.mcap_survey import read_metadata
 from lpv_bag.mcap_writer import LIBRARY
 from lpv_bag.reading import open_bag

@@ -1,0 +1,42 @@
+"""Small bags that tests of reading and recovery share."""
+
+from lpv_bag.messages import BagMessages
+from lpv_bag.reading import open_bag
+from lpv_bag.writing import BagWriter, qos_profile
+
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+START, STEP = 10**9, 2_000_000
+JOINTS = '/joint_states'
+CHATTER = '/chatter'
+
+
+def write_small(path, count=20, **options):
+    """A bag of some measurements and, every fifth step, a text; a chunk every 10 ms."""
+    options = {'preset': 'zstd_fast', 'chunk_time': 10_000_000, **options}
+    known = options.pop('known', None)
+    with BagWriter(path, **options) as writer:
+        messages = BagMessages(writer.typestore, 'arm')
+        writer.add_topic(JOINTS, JOINT_STATE, [qos_profile(True, False, 10)])
+        writer.add_topic(CHATTER, 'std_msgs/msg/String')
+        for k in range(count):
+            stamp = START + k * STEP
+            writer.write(JOINTS, stamp, messages.joint_state(
+                stamp, ('a', 'b'), [k, 1.0], [2.0, 3.0], [4.0, 5.0]))
+            if k % 5 == 0:
+                text = writer.typestore.types['std_msgs/msg/String'](f'hello {k}')
+                writer.write(CHATTER, stamp, text)
+        writer.close(known)
+    return path
+
+
+def contents(path):
+    """Topic, log time and bytes of all messages of a bag, and the warnings."""
+    with open_bag(path) as reader:
+        found = [(c.topic, time, bytes(data)) for c, time, data in reader.messages()]
+        return found, list(reader.warnings)
+
+
+def storage(bag):
+    """The one MCAP file of a bag."""
+    file, = bag.glob('*.mcap')
+    return file
