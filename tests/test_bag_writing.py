@@ -208,7 +208,7 @@ def test_given_no_room_for_even_an_end_when_closed_then_the_reader_says_so(tmp_p
     assert any('not finished' in text for text in warnings)
 
 
-ROOM = f'''
+ROOM = '''
 import resource, sys
 from lpv_bag.writing import BagWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))

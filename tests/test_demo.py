@@ -144,6 +144,9 @@ def test_given_one_seed_when_run_twice_then_the_bags_are_identical_and_with_anot
     assert bags[0].keys() == bags[1].keys()
     for topic, messages in bags[0].items():
         assert messages == bags[1][topic], topic
+    for name in ('bag.mcap', 'metadata.yaml'):
+        files = [(tmp_path / run / 'bag' / name).read_bytes() for run in 'ab']
+        assert files[0] == files[1], name
     assert bags[0]['/lpv/joint_states'] != bags[2]['/lpv/joint_states']
     assert len(bags[0]['/lpv/joint_states']) == 1001
 

@@ -1,5 +1,6 @@
-"""Bags that are cut off, damaged or odd: what can be had is had, and nothing wrong is let through."""
+"""Bags that are cut off, damaged or odd: what can be had is had, nothing wrong is let through."""
 
+import contextlib
 import random
 import re
 import shutil
@@ -108,14 +109,10 @@ def test_given_a_cut_bag_with_a_wrong_byte_when_read_then_only_bag_errors_come_o
                 at = rng.randrange(len(broken) or 1)
                 broken[at:at + rng.randrange(9)] = rng.randbytes(rng.randrange(9))
             file.write_bytes(broken)
-            try:
+            with contextlib.suppress(BagError):
                 load_run(bag)
-            except BagError:
-                pass
-            try:
+            with contextlib.suppress(BagError):
                 recover(file)
-            except BagError:
-                pass
 
 
 def test_given_metadata_that_is_wrong_at_any_byte_when_read_then_nothing_is_silently_missing(bag):
@@ -144,7 +141,8 @@ def foreign(path, **options):
         schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data\n')
         channel = writer.register_channel('/chatter', 'cdr', schema)
         for k in range(100):
-            writer.add_message(channel, START + k, struct.pack('<IIII', 256, 4, 808464432 + k, 0), START)
+            writer.add_message(channel, START + k, struct.pack('<III', 256, 4, 0x30 + k),
+                               START)
         writer.finish()
     return path
 
@@ -174,11 +172,9 @@ def test_given_a_file_of_another_writer_when_damaged_then_it_is_read_in_parts(tm
         broken = bytearray(data)
         broken[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         file.write_bytes(broken)
-        try:
+        with contextlib.suppress(BagError):
             contents(file)
             recover(file)
-        except BagError:
-            pass
 
 
 def test_given_garbage_between_loose_messages_when_read_then_those_behind_it_are_found(tmp_path):
@@ -208,9 +204,8 @@ def test_given_a_bomb_when_read_then_it_is_not_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr(mcap_format, 'MAX_CHUNK', 1000)
     bag = write_small(tmp_path / 'bag', 100, chunk_time=0)
     storage(bag).write_bytes(storage(bag).read_bytes()[:-10])
-    found, warnings = contents(bag)
-    assert found == []
-    assert any('claims to hold' in text for text in warnings)
+    with pytest.raises(BagError, match='claims to hold'):
+        contents(bag)
 
 
 # ------------------------------------------------------------------ directories

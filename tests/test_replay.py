@@ -584,14 +584,29 @@ def truncated(share, folder):
 DAMAGED = {
     'missing': ('bag', lambda place, bag: None), 'missing file': ('a.mcap', lambda *_: None),
     'empty folder': ('bag', empty_folder), 'no storage': ('bag', metadata_only),
-    'garbage metadata': ('bag', garbage_metadata), 'wrong metadata': ('bag', wrong_metadata),
     'garbage storage': ('bag', garbage_storage), 'empty storage': ('bag', empty_storage),
     'garbage mcap': ('bag.mcap', text_file), 'garbage db3': ('bag.db3', text_file),
     'ros 1': ('bag.bag', text_file), 'text': ('bag.txt', text_file),
-    **{f'cut at {share}': ('bag', truncated(share, True)) for share in (0.001, 0.3, 0.7, 0.999)},
-    **{f'file cut at {share}': ('bag.mcap', truncated(share, False))
-       for share in (0.0, 0.001, 0.3, 0.7, 0.999)},
+    'cut at 0.001': ('bag', truncated(0.001, True)),
+    **{f'file cut at {share}': ('bag.mcap', truncated(share, False)) for share in (0.0, 0.001)},
 }
+DAMAGED_IN_PART = {
+    'garbage metadata': ('bag', garbage_metadata), 'wrong metadata': ('bag', wrong_metadata),
+    **{f'cut at {share}': ('bag', truncated(share, True)) for share in (0.3, 0.7, 0.999)},
+    **{f'file cut at {share}': ('bag.mcap', truncated(share, False)) for share in (0.3, 0.999)},
+}
+
+
+@pytest.mark.parametrize('case', DAMAGED_IN_PART)
+def test_given_a_bag_that_is_damaged_in_part_when_replayed_then_the_rest_is_and_it_is_said(
+        bag, monitor, tmp_path, caplog, case):
+    name, make = DAMAGED_IN_PART[case]
+    make(tmp_path / name, bag)
+    result = Replay(monitor).run(tmp_path / name, tmp_path / 'out')
+    assert 100 < result.measurements <= 1001
+    assert (result.measurements == 1001) == (case not in ('cut at 0.3', 'cut at 0.7',
+                                                          'file cut at 0.3'))
+    assert any(str(tmp_path / name) in record.getMessage() for record in caplog.records)
 
 
 @pytest.mark.parametrize('case', DAMAGED)
@@ -616,16 +631,18 @@ def test_given_a_bag_that_cannot_be_read_when_the_command_is_run_then_one_line_s
     assert said.count('\n') == 1
 
 
-def test_given_single_bytes_that_are_wrong_when_replayed_then_only_bag_errors_come_out(
-        loop, paper_arm, paper_gains, tmp_path):
+def test_given_single_bytes_that_are_wrong_when_replayed_then_what_is_missing_is_said(
+        loop, paper_arm, paper_gains, tmp_path, caplog):
     source = write_bag(tmp_path / 'bag', entries_of(loop[:5]), TYPES)
     storage, = source.glob('*.mcap')
     data, rng, failed = storage.read_bytes(), np.random.default_rng(8), 0
     for trial, at in enumerate(rng.integers(len(data), size=30)):
         storage.write_bytes(data[:at] + bytes([data[at] ^ (1 << rng.integers(8))]) + data[at + 1:])
+        caplog.clear()
         try:
-            Replay(SensorMonitor('/uio', paper_arm, paper_gains)).run(
+            result = Replay(SensorMonitor('/uio', paper_arm, paper_gains)).run(
                 source, tmp_path / f'out{trial}')
+            assert result.measurements == 5 or caplog.records
         except BagError:
             failed += 1
     assert 2 < failed < 28

@@ -232,6 +232,7 @@ class McapBag:
                         and (stop is None or block.start < stop)):
                     blocks.append((block.start, part, block.offset, block))
         blocks.sort(key=lambda entry: entry[:3])
+        self._bad = 0
         heap = []
         for _, part, place, block in blocks:
             while heap and heap[0][0] < block.start:
@@ -244,6 +245,9 @@ class McapBag:
                 heapq.heappush(heap, (message.log_time, (part, place), connection, message, rest))
         while heap:
             yield from self._step(heap, None)
+        if blocks and self._bad == len(blocks):
+            raise BagError(f'{self.path}: cannot be read, the bag is damaged: no chunk of it is '
+                           'whole')
 
     @staticmethod
     def _step(heap, limit):
@@ -273,6 +277,7 @@ class McapBag:
             if wrong and not block.cut:
                 raise DamageError(wrong)
         except DamageError as error:
+            self._bad += 1
             self._warn(f'{file.path.name}: the chunk at byte {block.offset} is damaged ({error}), '
                        f'its {sum(block.counts.values())} messages are left out')
             return []

@@ -44,9 +44,10 @@ def scan(file, reason):
     if not result.blocks and not result.lost_blocks:
         # No chunk and no message was met before the damage: it may be a file without chunks.
         result = _Scan(file, reason, loose=True).run()
-    if not result.blocks and not result.channels and not result.complete:
-        raise BagError(f'{file.path}: cannot be read, the bag is damaged or incomplete: {reason}, '
-                       'and nothing in it can be recovered')
+    if not result.blocks and (len(result.damages) > 1 or not result.complete):
+        more = f', {result.damages[1]}' if len(result.damages) > 1 else ''
+        raise BagError(f'{file.path}: cannot be read, the bag is damaged or incomplete: {reason}'
+                       f'{more}, and nothing in it can be recovered')
     return result
 
 

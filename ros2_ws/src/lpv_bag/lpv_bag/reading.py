@@ -90,6 +90,8 @@ class BagReader:
             If the data does not fit the type, or the bag's definition of the type is damaged.
         """
         with damage(self.paths[0]):
+            if isinstance(self._source, AnyReader):  # which knows ROS 1 as well
+                return self._source.deserialize(rawdata, typ)
             return self.typestore_of(typ).deserialize_cdr(rawdata, typ)
 
     def typestore_of(self, msgtype):

@@ -138,6 +138,7 @@ class _Tally:
         self._bag, self._result = bag, Recovery()
         # Numbers go through all files of a bag; a single file may be any one of them.
         self._sequences = {c.topic: 0 for c in bag.connections} if bag.path.is_dir() else {}
+        self._bad = 0
         self._gaps = Counter()
         self._dropped = Counter()
         self._found = Counter()
@@ -152,6 +153,7 @@ class _Tally:
                     if wrong and not block.cut:
                         raise DamageError(wrong)
                 except DamageError as error:
+                    self._bad += 1
                     self._drop(connections, block)
                     self._result.damages.append(f'{file.path.name}: the chunk at byte '
                                                 f'{block.offset} is damaged ({error})')
@@ -194,6 +196,10 @@ class _Tally:
             self._expected[topic] = self._expected.get(topic, 0) + max(0, count - there[topic])
 
     def finish(self):
+        """The outcome, when all messages have been gone through."""
+        if not self._found and self._bad:
+            raise BagError(f'{self._bag.path}: cannot be read, the bag is damaged: no chunk of it '
+                           'is whole')
         result, metadata = self._result, self._bag.metadata
         result.damages = [*self._bag.warnings, *result.damages]
         for connection in self._bag.connections:

@@ -5,47 +5,17 @@ import resource
 from pathlib import Path
 from typing import NamedTuple
 
-from rosbags.interfaces import (
-    MessageDefinitionFormat,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from lpv_bag.counting import RECORD_NAME, as_metadata, as_text
 from lpv_bag.interfaces import add_type, make_typestore
 from lpv_bag.mcap_writer import McapWriter
 from lpv_bag.metadata import FILE_NAME, bag_information, dump, qos_data
+from lpv_bag.offered_qos import qos_profile
 from lpv_core.errors import ConfigError
 
-_FOREVER = QosTime(2147483647, 4294967295)
-
-
-def qos_profile(reliable, transient_local, depth):
-    """Offered QoS as stored beside a topic.
-
-    Parameters
-    ----------
-    reliable, transient_local : bool
-        Policies; best effort and volatile otherwise.
-    depth : int
-        History depth.
-
-    Returns
-    -------
-    rosbags.interfaces.Qos
-        The profile.
-    """
-    return Qos(
-        QosHistory.KEEP_LAST, depth,
-        QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
-        QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
-        _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
-
+__all__ = ['BagWriter', 'qos_profile']
 
 class _Topic(NamedTuple):
     name: str
