@@ -22,6 +22,10 @@ FOOTER_SIZE = 29
 """With its head [bytes]."""
 
 
+class Unindexed(DamageError):
+    """A summary is whole, but one has to read all data to find the messages."""
+
+
 def summary_span(data):
     """Where the summary is.
 
@@ -142,7 +146,7 @@ def _check_blocks(data, result, end):
     A file without statistics, or with messages outside of chunks, is read as a whole.
     """
     if result.counts is None or (sum(result.counts.values()) and not result.blocks):
-        raise DamageError('its summary does not say where the messages are')
+        raise Unindexed('its summary does not say where the messages are')
     if not set(result.counts) <= set(result.channels):
         raise DamageError('its summary counts messages of unknown topics')
     for block in sorted(result.blocks, key=lambda b: b.offset):

@@ -1,11 +1,13 @@
 """What an MCAP file holds, and where: from its summary, or, if that is damaged, from the data."""
 
+from collections import Counter
+
 from mcap.opcode import Opcode
 
 from lpv_bag.errors import DamageError
 from lpv_bag.mcap_format import HEADER, PARSERS, parse_metadata
 from lpv_bag.mcap_scan import scan
-from lpv_bag.mcap_summary import from_summary
+from lpv_bag.mcap_summary import Unindexed, from_summary
 
 
 def survey(file):
@@ -30,8 +32,19 @@ def survey(file):
         result = from_summary(file.data)
     except DamageError as error:
         result = scan(file, str(error))
+        if isinstance(error, Unindexed) and result.complete and len(result.damages) == 1:
+            result.damages = []
+            result.counts = result.counts or _met(result)
     result.library = _library(file.data)
     return result
+
+
+def _met(result):
+    """Messages by channel as they were met."""
+    counts = Counter()
+    for block in result.blocks:
+        counts.update(block.counts)
+    return counts
 
 
 def _library(data):
