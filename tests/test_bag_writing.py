@@ -79,6 +79,8 @@ def test_given_a_bag_when_written_then_the_file_is_in_the_profile_of_ros2(tmp_pa
     assert json.loads(outer['custom_data'][RECORD_NAME])[JOINTS]['late'] == 1
     with open_bag(bag) as reader:
         assert reader.known[JOINTS] == {'lost': 3, 'late': 1, 'gaps': 0}
+        assert (reader.start_time, reader.end_time) == (START, START + 19 * STEP + 1)
+        assert {JOINT_STATE, 'std_msgs/msg/String'} <= set(reader.typestore.fielddefs)
 
 
 def test_given_zstd_when_written_then_the_file_is_smaller(tmp_path):

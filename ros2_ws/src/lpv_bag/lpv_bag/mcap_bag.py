@@ -185,6 +185,16 @@ class McapBag:
                 self._warn(f'{topic}: {FILE_NAME} says {count} messages, the files hold '
                            f'{there[topic]}')
 
+    @property
+    def start_time(self):
+        """Log time of the first message [ns]; 2**63 - 1 without messages."""
+        return min((b.start for _, found in self.parts for b in found.blocks), default=2**63 - 1)
+
+    @property
+    def end_time(self):
+        """Time after the log time of the last message [ns]; 0 without messages."""
+        return max((b.end + 1 for _, found in self.parts for b in found.blocks), default=0)
+
     def connections_of(self, part):
         """Connection by the channel number of a file.
 

@@ -32,7 +32,7 @@ from lpv_bag.mcap_format import HEADER, MAGIC
 
 _MESSAGE = struct.Struct('<BQHIQQ')
 _INDEX = struct.Struct('<BQHI')
-LIBRARY = 'lpv_bag'
+LIBRARY = 'lpv_bag numbered'
 """In the header of a file: its messages are numbered as `McapWriter.write` says."""
 _REPEAT = 64
 

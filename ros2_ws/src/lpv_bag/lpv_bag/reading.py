@@ -46,6 +46,27 @@ class BagReader:
         """Topics of the bag."""
         return self._source.connections
 
+    @property
+    def start_time(self):
+        """Log time of the first message [ns]; 2**63 - 1 without messages."""
+        return self._source.start_time
+
+    @property
+    def end_time(self):
+        """Time after the log time of the last message [ns]; 0 without messages."""
+        return self._source.end_time
+
+    @functools.cached_property
+    def typestore(self):
+        """Typestore that knows all types of the bag."""
+        found = {}
+        for msgtype in sorted({connection.msgtype for connection in self.connections}):
+            found.update(self.typestore_of(msgtype).fielddefs)
+        store = get_typestore(Stores.EMPTY)
+        with damage(self.paths[0]):
+            store.register(found)
+        return store
+
     def messages(self, connections=(), start=None, stop=None):
         """Messages in the order of their log times.
 
