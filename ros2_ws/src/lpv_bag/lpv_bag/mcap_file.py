@@ -26,6 +26,8 @@ class Block:
         Messages by channel, where known.
     cut : bool
         Whether the file ends within it.
+    loose : bool
+        Whether its messages are outside of chunks.
     """
 
     offset: int
@@ -37,6 +39,7 @@ class Block:
     end: int = 0
     counts: dict = field(default_factory=dict)
     cut: bool = False
+    loose: bool = False
 
 
 @dataclass

@@ -171,7 +171,7 @@ class _Scan:
             return
         start, end = self._loose
         self._loose, self._has_loose = None, True
-        block = Block(start, end - start, '', end - start, 0)
+        block = Block(start, end - start, '', end - start, 0, loose=True)
         self._use(block, self._data[start:end])
 
     # -------------------------------------------------------------- damage
