@@ -59,15 +59,13 @@ class McapBag:
         self.path, self.metadata = Path(path), metadata
         self.warnings, self.parts, self.connections = [], [], []
         self.known, self._maps = {}, []
-        if damage:
-            self._warn(damage)
         try:
-            self._open()
+            self._open(damage)
         except BaseException:
             self.close()
             raise
 
-    def _open(self):
+    def _open(self, damage):
         errors = []
         for path in self._paths():
             try:
@@ -76,8 +74,8 @@ class McapBag:
                 errors.append(error)
         if errors and not self.parts:
             raise errors[0]
-        for error in errors:
-            self._warn(str(error))
+        for text in [damage, *errors] if damage else errors:
+            self._warn(str(text))
         self._connect()
         self._compare_counts()
 
@@ -106,7 +104,8 @@ class McapBag:
         return [path for path in named if path.is_file()] or self._nothing()
 
     def _nothing(self):
-        raise BagError(f'{self.path}: is not a bag, it holds no MCAP file')
+        raise BagError(f'{self.path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP '
+                       'files')
 
     def _open_file(self, path):
         file = McapFile(path)
