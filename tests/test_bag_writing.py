@@ -123,6 +123,19 @@ def test_given_the_same_messages_when_written_with_pauses_then_the_files_are_the
     assert write(tmp_path / 'a' / 'bag', False) == write(tmp_path / 'b' / 'bag', True)
 
 
+def test_given_garbage_between_fields_when_it_is_taken_out_then_the_message_is_the_same(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        message = BagMessages(writer.typestore, 'arm').joint_state(5, ('a',), [1.0], [2.0], [3.0])
+        writer.add_topic(JOINTS, JOINT_STATE)
+        data = bytes(writer.typestore.serialize_cdr(message, JOINT_STATE))
+        hole = data.index(b'arm\0') + 4 + 4 + 4 + 2   # behind the name of the joint
+        assert data[hole:hole + 2] == bytes(2)
+        dirty = data[:hole] + b'\xaa\xbb' + data[hole + 2:]
+        assert writer.without_garbage(JOINT_STATE, dirty) == data + bytes(-len(data) % 4)
+        for other in (b'', b'\0\1\0\0', data[:30], b'\0\0' + data[2:]):
+            assert writer.without_garbage(JOINT_STATE, other) == other
+
+
 def test_given_times_out_of_order_when_read_then_messages_come_by_log_time(tmp_path):
     rng, times = np.random.default_rng(5), {}
     with BagWriter(tmp_path / 'bag', chunk_time=3 * MS) as writer:

@@ -3,6 +3,7 @@
 import fnmatch
 import importlib
 import struct
+from operator import itemgetter
 from typing import NamedTuple
 
 import rclpy
@@ -187,21 +188,24 @@ class RecorderInput:
         list of Heard
             In the order of arrival.
         """
-        found = []
+        found = []  # with the time by which to sort: a topic keeps its order if the clock is set
         for topic, (subscription, stamped, *_) in self._subscriptions.items():
             with subscription.handle:
                 take, msgtype = subscription.handle.take_message, subscription.msg_type
+                newest = 0
                 for _ in range(_MOST):
                     taken = take(msgtype, True)
                     if taken is None:
                         break
                     data, info = taken
-                    found.append(Heard(
+                    heard = Heard(
                         info['received_timestamp'], topic, data, info['source_timestamp'],
                         _publisher(info), info.get('publication_sequence_number'),
-                        leading_stamp(data) if stamped else None))
-        found.sort(key=lambda heard: heard.received)
-        return found
+                        leading_stamp(data) if stamped else None)
+                    newest = max(newest, heard.received)
+                    found.append((newest, heard))
+        found.sort(key=itemgetter(0))
+        return [heard for _, heard in found]
 
 
 def _nobody(_):

@@ -43,9 +43,9 @@ _SPARE = 1 << 20
 class RecorderNode(ManagedNode):
     """Records topics as soon as they have a publisher, with its QoS.
 
-    Messages are not deserialised.  The log time is the time of reception; in lockstep it is the
-    message's own stamp, and messages are sorted, so that runs with the same seed give the same
-    bag byte by byte.
+    Messages are stored as they came, and the log time is the time of reception.  In lockstep it is
+    the message's own stamp, messages are sorted, and what lies between their fields is zeroed, so
+    that runs with the same seed give the same bag byte by byte.
     """
 
     drain_time = 0.5
@@ -54,7 +54,7 @@ class RecorderNode(ManagedNode):
         super().__init__('recorder', SPECS)
         self._writer = self._input = None
         self._clockwork = []
-        self._announced, self._counts = {}, {}
+        self._announced, self._types, self._counts = {}, {}, {}
         self._order = StampOrder(self._write)
         self._taken, self._flushed = 0, 0.0
         self._stopping, self._failure = None, ''
@@ -120,6 +120,7 @@ class RecorderNode(ManagedNode):
             return
         for topic, msgtype, offered in self._input.search():
             self._announced[topic] = (msgtype, offered)
+            self._types[topic] = msgtype
             self._counts[topic] = TopicCount()
 
     def _poll(self):
@@ -142,7 +143,9 @@ class RecorderNode(ManagedNode):
             now = self.get_clock().now().nanoseconds if use_clock else heard.received
             self._write(heard.topic, now, heard.data, heard.sent or now)
         elif heard.stamp is not None:
-            self._order.add(heard.topic, heard.stamp, heard.data)
+            # Runs with one seed are to give the same bytes, garbage between fields included.
+            data = self._writer.without_garbage(self._types[heard.topic], heard.data)
+            self._order.add(heard.topic, heard.stamp, data)
         else:
             self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
 

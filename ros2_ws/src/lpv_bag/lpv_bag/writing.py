@@ -178,6 +178,31 @@ class BagWriter:
 
     # -------------------------------------------------------------- messages
 
+    def without_garbage(self, msgtype, data):
+        """A serialised message with zeros between its fields.
+
+        What is there has no meaning, and some serialisers leave there what was in memory.
+
+        Parameters
+        ----------
+        msgtype : str
+            Known message type.
+        data : bytes
+            CDR.
+
+        Returns
+        -------
+        bytes
+            CDR of the same message; the data itself if it is not what the type says.
+        """
+        if len(data) < 4 or not data[1] & 1:
+            return data
+        try:
+            message = self.typestore.deserialize_cdr(data, msgtype)
+            return _padded(bytes(self.typestore.serialize_cdr(message, msgtype)))
+        except Exception:  # many kinds; such a message is recorded as it came
+            return data
+
     def write_raw(self, topic, timestamp, data, publish_time=None):
         """Write a serialised message.
 
@@ -230,8 +255,7 @@ class BagWriter:
             Message of ``typestore.types``.
         """
         data = bytes(self.typestore.serialize_cdr(message, self._topics[topic].msgtype))
-        # DDS pads samples to four bytes, and so does a recorder: bags can then be compared.
-        self.write_raw(topic, timestamp, data + bytes(-len(data) % 4))
+        self.write_raw(topic, timestamp, _padded(data))
 
     def flush(self):
         """Hand everything to the operating system: a crash after this loses nothing before it.
@@ -353,6 +377,11 @@ class BagWriter:
         except OSError as error:
             missing = missing or f'{FILE_NAME} ({error.strerror})'
         return missing
+
+
+def _padded(data):
+    """DDS pads samples to four bytes, and so does a recorder: bags can then be compared."""
+    return data + bytes(-len(data) % 4)
 
 
 def _hash(connection):
