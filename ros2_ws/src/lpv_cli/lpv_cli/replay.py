@@ -65,7 +65,7 @@ def run(arguments):
         shutil.rmtree(out / part, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     monitor = SensorMonitor('/uio', arm, gains)
-    replay = Replay(monitor, arguments.topic, arguments.torque_source == 'command', injector,
+    replay = Replay(monitor, None, injector,
                     lambda event: console.print(f'  {event.detected / 1e9:.3f} s: '
                                                 + describe(event)))
     result = replay.run(arguments.bag, out / 'bag')

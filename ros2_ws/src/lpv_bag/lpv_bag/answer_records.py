@@ -1,0 +1,144 @@
+"""Answers as records of messages, thousands at once, byte for byte as one by one."""
+
+import numpy as np
+
+from lpv_bag.answer_rows import FAULT_FIELDS, STATE_FIELDS
+from lpv_bag.chunk_writing import RECORD, record_head
+from lpv_bag.layout import find_layout
+from lpv_bag.mcap_blocks import RECORD_HEADER
+from lpv_bag.messages import NANOSECONDS
+
+STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
+ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
+DIAGNOSTICS_TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
+
+
+def padded_cdr(typestore, message, msgtype):
+    """CDR of a message, padded to four bytes.
+
+    Parameters
+    ----------
+    typestore : rosbags.typesys.store.Typestore
+        Knows the type.
+    message : object
+        Of the typestore.
+    msgtype : str
+        Its type.
+
+    Returns
+    -------
+    bytes
+        DDS pads samples, and so does a recorder: bags can then be compared.
+    """
+    data = bytes(typestore.serialize_cdr(message, msgtype))
+    return data + bytes(-len(data) % 4)
+
+
+class RecordTemplate:
+    """Records of one message type of which only header stamp and numbers change.
+
+    Parameters
+    ----------
+    typestore : rosbags.typesys.store.Typestore
+        Knows the type.
+    message : object
+        An example.
+    msgtype : str
+        Its type.
+    channel : int
+        Id of the channel.
+    """
+
+    def __init__(self, typestore, message, msgtype, channel):
+        data = padded_cdr(typestore, message, msgtype)
+        layout = find_layout(data, msgtype, typestore)
+        self._record = record_head(channel, 0, len(data)) + data
+        fields = {name: (RECORD[name], RECORD.fields[name][1]) for name in RECORD.names}
+        for name, field in layout.fields.items():
+            # Vectors as one piece: one copy in place of one for every element.
+            size = np.dtype(field.dtype).itemsize * field.count
+            fields[name] = (np.dtype(f'V{size}'), RECORD_HEADER + field.offset)
+        self._dtype = np.dtype({
+            'names': list(fields), 'formats': [f[0] for f in fields.values()],
+            'offsets': [f[1] for f in fields.values()], 'itemsize': len(self._record)})
+        self._types = {name: field.dtype for name, field in layout.fields.items()}
+
+    def fill(self, time, stamp, values):
+        """Records of messages.
+
+        Parameters
+        ----------
+        time, stamp : ndarray of int64, shape (n,)
+            Log times and header stamps [ns].
+        values : dict of str to ndarray, shape (n,) or (n, 2)
+            Numbers by field.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Records, of a structured type.
+        """
+        size = len(self._record)
+        records = np.full(len(time), np.frombuffer(self._record, f'V{size}')[0],
+                          f'V{size}').view(self._dtype)
+        records['log_time'] = records['publish_time'] = time
+        seconds = stamp // NANOSECONDS
+        self._set(records, 'header.stamp.sec', seconds)
+        self._set(records, 'header.stamp.nanosec', stamp - seconds * NANOSECONDS)
+        for name, array in values.items():
+            self._set(records, name, array)
+        return records
+
+    def _set(self, records, name, array):
+        piece = self._dtype[name]
+        values = np.ascontiguousarray(array, self._types[name])
+        records[name] = np.frombuffer(values, piece) if len(values) else ()
+
+
+class AnswerEncoder:
+    """Encodes the answers of one monitor.
+
+    Parameters
+    ----------
+    messages : BagMessages
+        Message factory.
+    typestore : rosbags.typesys.store.Typestore
+        Of the new bag.
+    sensor_names : sequence of str
+        Sensors of the arm.
+    channels : dict of str to int
+        Channel ids of ``state``, ``fault``, ``alarm`` and ``diagnostics``.
+    """
+
+    def __init__(self, messages, typestore, sensor_names, channels):
+        self._messages, self._typestore, self.channels = messages, typestore, channels
+        empty = {name: 0 if name in ('mode', 'trustworthy') else [0, 0] for name in STATE_FIELDS}
+        empty['trustworthy'] = False
+        self._state = RecordTemplate(typestore, messages.make(STATE_TYPE, 0, empty), STATE_TYPE,
+                                     channels['state'])
+        empty = {'sensor_names': list(sensor_names), **dict.fromkeys(FAULT_FIELDS, [0, 0])}
+        self._fault = RecordTemplate(typestore, messages.make(FAULT_TYPE, 0, empty), FAULT_TYPE,
+                                     channels['fault'])
+
+    def state(self, time, stamp, answers, chosen):
+        """Records of lpv_msgs/StateEstimate for some rows of the answers."""
+        return self._fill(self._state, time, stamp, answers.state, STATE_FIELDS, chosen)
+
+    def fault(self, time, stamp, answers, chosen):
+        """Records of lpv_msgs/FaultEstimate for some rows of the answers."""
+        return self._fill(self._fault, time, stamp, answers.fault, FAULT_FIELDS, chosen)
+
+    @staticmethod
+    def _fill(template, time, stamp, answers, names, chosen):
+        return template.fill(time[chosen], stamp[chosen],
+                             {name: getattr(answers, name)[chosen] for name in names})
+
+    def alarm(self, stamp, fields):
+        """CDR of an lpv_msgs/FaultAlarm."""
+        message = self._messages.make(ALARM_TYPE, stamp, fields)
+        return padded_cdr(self._typestore, message, ALARM_TYPE)
+
+    def diagnostics(self, stamp, status):
+        """CDR of a diagnostic_msgs/DiagnosticArray."""
+        message = self._messages.diagnostics(stamp, status)
+        return padded_cdr(self._typestore, message, DIAGNOSTICS_TYPE)
