@@ -122,7 +122,7 @@ def test_given_the_demo_when_replayed_offline_then_every_answer_is_that_of_the_n
         demo, tmp_path):
     out, _ = demo
     result = lpv('replay', out / 'bag', '--arm', 'paper', '--gains', out / 'gains.yaml',
-                 '--out', tmp_path)
+                 '--out', tmp_path / 'bag')
     assert result.returncode == 0, result.stderr
     recorded, replayed = contents(out / 'bag'), contents(tmp_path / 'bag')
     assert recorded.keys() == replayed.keys()

@@ -26,6 +26,8 @@ OUTPUTS = {'state': ('state_estimate', STATE_TYPE), 'fault': ('fault_estimate', 
            'alarm': ('fault_alarm', ALARM_TYPE)}
 """Last parts and types of the topics of answers."""
 DIAGNOSTICS = '/diagnostics'
+MARK = 'lpv_replay'
+"""Key of the bag's custom data by which results of replays are known."""
 _COPY, _STATE, _FAULT, _OTHERS = range(4)
 _SLOTS = 4
 
@@ -56,6 +58,10 @@ class ChunkBagWriter(BagWriter):
         except (WriterError, OSError) as error:
             raise ConfigError('bag', f'cannot be written: {error}', str(path)) from error
         self._writer.storage.preset = preset
+
+    def set_custom_data(self, key, value):
+        """Store a text beside the metadata."""
+        self._writer.set_custom_data(key, value)
 
     def channel(self, topic):
         """Channel id of an announced topic."""
@@ -96,6 +102,7 @@ class ReplayWriter:
         self._monitor, self._prefix = monitor, prefix
         self._own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.values()}
         self._bag = ChunkBagWriter(path, preset)
+        self._bag.set_custom_data(MARK, f'arm {monitor.arm.name} {monitor.arm.sha256()[:12]}')
         self._copied = set()
 
     def announce(self, connections, copy):
