@@ -1,5 +1,6 @@
 """``lpv replay``: observer and diagnosis offline on a recorded bag, or the bag into a live graph."""
 
+import os
 import shutil
 import time
 from pathlib import Path
@@ -112,6 +113,8 @@ def run(arguments):
 
 
 def _publish(arguments, console):
+    # Nobody else's business: unless the user wants more, nodes of this machine only.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     try:
         from lpv_bag.player import Player
     except ImportError as error:
