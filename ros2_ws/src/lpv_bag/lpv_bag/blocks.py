@@ -9,7 +9,7 @@ from rosbags.rosbag2.storage_mcap import McapReader
 from lpv_bag.mcap_blocks import RECORD_HEADER, Unsuitable, storage_blocks
 
 BLOCK_SIZE = 2 << 20
-"""About as many bytes are in one block [bytes]: they fit into the caches, and overheads do not count."""
+"""Of about one block [bytes]: it fits into the caches, and overheads do not count."""
 
 
 @dataclass

@@ -22,7 +22,7 @@ from lpv_core.errors import ConfigError
 
 NANOSECONDS = 1_000_000_000
 _CLOCK = '/clock'
-_SETTLING = 0.3
+_SETTLING = 1.0
 """Subscribers find publishers one after the other: so long after the first one [s]."""
 
 _LAST_CALL = 5.0

@@ -138,6 +138,9 @@ class Replay:
             try:
                 writer.announce(reader.connections, not self._options.estimates_only)
                 self._run(reader, inputs, writer, result)
+                if not result.measurements:
+                    raise BagError(f'{bag}: holds no message on {inputs.measured} in the chosen '
+                                   'interval')
                 with result.stage('writing'):
                     writer.close()
             except BaseException:

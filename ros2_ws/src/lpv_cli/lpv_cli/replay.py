@@ -1,4 +1,4 @@
-"""``lpv replay``: observer and diagnosis offline on a recorded bag, or the bag into a live graph."""
+"""``lpv replay``: observer and diagnosis offline on a bag, or the bag into a live graph."""
 
 import os
 import shutil
