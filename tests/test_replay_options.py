@@ -162,7 +162,7 @@ def test_given_a_troubled_recording_when_replayed_then_every_byte_is_that_of_sin
     assert raw(tmp_path / 'out') == expected
     assert sum(result.rejected.values()) == monitor.rejected > 20
     assert any(topic == '/lpv/fault_alarm' for topic, _, _ in expected)
-    counters = monitor.observer.counters
+    counters = monitor.counters
     assert min(counters.duplicates, counters.out_of_order, counters.late_steps,
                counters.not_finite) > 0
 

@@ -37,8 +37,8 @@ def take_all(monitor, measured, torque, rejected):
     effort = measured.effort if torque is None else torque
 
     def regular(a, b):
-        return take_many(monitor, measured.stamp[a:b], measured.position[a:b],
-                         measured.velocity[a:b], effort[a:b])
+        return monitor.take_many(measured.stamp[a:b], measured.position[a:b],
+                                 measured.velocity[a:b], effort[a:b])
 
     if not measured.odd:
         return regular(0, len(effort))
@@ -55,25 +55,14 @@ def take_all(monitor, measured, torque, rejected):
 
 def _take_one(monitor, stamp, message, torque, rejected):
     try:
-        return as_row(monitor.take(stamp, message, torque))
+        return _as_row(monitor.take(stamp, message, torque))
     except SampleError as error:
         rejected[str(error)] += 1
-        return as_row(None)
+        return _as_row(None)
 
 
-def as_row(answer):
-    """One answer as arrays of one row.
-
-    Parameters
-    ----------
-    answer : lpv_core.monitor.Answer or None
-        The answer.
-
-    Returns
-    -------
-    types.SimpleNamespace
-        As of `SensorMonitor.take_many`.
-    """
+def _as_row(answer):
+    """One answer, or None, as arrays of one row."""
     state = answer.state if answer is not None else None
     fault = answer.fault if answer is not None else None
     return SimpleNamespace(
@@ -110,18 +99,3 @@ def _join(parts):
         answered=together('answered'), has_fault=together('has_fault'),
         restarted=together('restarted'), state=nested('state', STATE_FIELDS),
         fault=nested('fault', FAULT_FIELDS), events=rows('events'), reports=rows('reports'))
-
-
-def take_many(monitor, stamps, position, velocity, effort):
-    """Emulation of SensorMonitor.take_many by single calls."""
-    names = list(monitor.arm.joint_names)
-    parts = [as_row(monitor.take(int(stamps[k]), SimpleNamespace(
-        name=names, position=position[k], velocity=velocity[k], effort=effort[k])))
-        for k in range(len(stamps))]
-    if not parts:
-        parts = [as_row(None)]
-        joined = _join(parts)
-        for name in ('answered', 'has_fault', 'restarted'):
-            setattr(joined, name, getattr(joined, name)[:0])
-        return joined
-    return _join(parts)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from lpv_bag.layout import rows
+from lpv_core.joints import JointMap
 
 
 class BlockInjector:
@@ -18,7 +19,7 @@ class BlockInjector:
 
     def __init__(self, injector, monitor):
         self._injector = injector
-        self._arm, self._joints = monitor.arm, monitor.observer.joints
+        self._arm, self._joints = monitor.arm, JointMap(monitor.arm)
         self._start, self._active = None, False
 
     def apply(self, block, positions, measured, places):
