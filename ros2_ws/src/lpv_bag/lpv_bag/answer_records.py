@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from lpv_bag.answer_rows import FAULT_FIELDS, STATE_FIELDS
 from lpv_bag.chunk_writing import RECORD, record_head
 from lpv_bag.layout import find_layout
 from lpv_bag.mcap_blocks import RECORD_HEADER
 from lpv_bag.messages import NANOSECONDS
+from lpv_core.monitor import ANSWER
 
 STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
 ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
@@ -61,7 +61,7 @@ class RecordTemplate:
         self._dtype = np.dtype({
             'names': list(fields), 'formats': [f[0] for f in fields.values()],
             'offsets': [f[1] for f in fields.values()], 'itemsize': len(self._record)})
-        self._types = {name: field.dtype for name, field in layout.fields.items()}
+        self._fields = layout.fields
 
     def fill(self, time, stamp, values):
         """Records of messages.
@@ -70,7 +70,7 @@ class RecordTemplate:
         ----------
         time, stamp : ndarray of int64, shape (n,)
             Log times and header stamps [ns].
-        values : dict of str to ndarray, shape (n,) or (n, 2)
+        values : dict of str to ndarray, or structured ndarray of shape (n,)
             Numbers by field.
 
         Returns
@@ -85,14 +85,38 @@ class RecordTemplate:
         seconds = stamp // NANOSECONDS
         self._set(records, 'header.stamp.sec', seconds)
         self._set(records, 'header.stamp.nanosec', stamp - seconds * NANOSECONDS)
-        for name, array in values.items():
-            self._set(records, name, array)
+        if isinstance(values, dict):
+            for name, array in values.items():
+                self._set(records, name, array)
+        else:
+            self._copy(np.asarray(values), records)
         return records
 
     def _set(self, records, name, array):
-        piece = self._dtype[name]
-        values = np.ascontiguousarray(array, self._types[name])
-        records[name] = np.frombuffer(values, piece) if len(values) else ()
+        values = np.ascontiguousarray(array, self._fields[name].dtype)
+        records[name] = np.frombuffer(values, self._dtype[name]) if len(values) else ()
+
+    def _copy(self, values, records):
+        """Fields that follow each other here and there are one piece."""
+        runs = []
+        for name in values.dtype.names:
+            kind, start = values.dtype.fields[name][:2]
+            field = self._fields[name]
+            to = RECORD_HEADER + field.offset
+            if kind.itemsize != np.dtype(field.dtype).itemsize * field.count:
+                raise ValueError(f'{name} has another size in the message')
+            if runs and (runs[-1][0] + runs[-1][2], runs[-1][1] + runs[-1][2]) == (start, to):
+                runs[-1][2] += kind.itemsize
+            else:
+                runs.append([start, to, kind.itemsize])
+        for start, to, size in runs:
+            _piece(records, to, size)['piece'] = _piece(values, start, size)['piece']
+
+
+def _piece(array, offset, size):
+    """View of some bytes of each element of a structured array."""
+    return array.view(np.dtype({'names': ['piece'], 'formats': [f'V{size}'],
+                                'offsets': [offset], 'itemsize': array.dtype.itemsize}))
 
 
 class AnswerEncoder:
@@ -112,26 +136,22 @@ class AnswerEncoder:
 
     def __init__(self, messages, typestore, sensor_names, channels):
         self._messages, self._typestore, self.channels = messages, typestore, channels
-        empty = {name: 0 if name in ('mode', 'trustworthy') else [0, 0] for name in STATE_FIELDS}
-        empty['trustworthy'] = False
-        self._state = RecordTemplate(typestore, messages.make(STATE_TYPE, 0, empty), STATE_TYPE,
-                                     channels['state'])
-        empty = {'sensor_names': list(sensor_names), **dict.fromkeys(FAULT_FIELDS, [0, 0])}
-        self._fault = RecordTemplate(typestore, messages.make(FAULT_TYPE, 0, empty), FAULT_TYPE,
-                                     channels['fault'])
+        self._state = self._template(STATE_TYPE, 'state', {})
+        self._fault = self._template(FAULT_TYPE, 'fault', {'sensor_names': list(sensor_names)})
+
+    def _template(self, msgtype, kind, fields):
+        zero = np.zeros(1, ANSWER[kind])[0]
+        fields = {**fields, **{name: zero[name].tolist() for name in zero.dtype.names}}
+        return RecordTemplate(self._typestore, self._messages.make(msgtype, 0, fields), msgtype,
+                              self.channels[kind])
 
     def state(self, time, stamp, answers, chosen):
         """Records of lpv_msgs/StateEstimate for some rows of the answers."""
-        return self._fill(self._state, time, stamp, answers.state, STATE_FIELDS, chosen)
+        return self._state.fill(time[chosen], stamp[chosen], answers.state[chosen])
 
     def fault(self, time, stamp, answers, chosen):
         """Records of lpv_msgs/FaultEstimate for some rows of the answers."""
-        return self._fill(self._fault, time, stamp, answers.fault, FAULT_FIELDS, chosen)
-
-    @staticmethod
-    def _fill(template, time, stamp, answers, names, chosen):
-        return template.fill(time[chosen], stamp[chosen],
-                             {name: getattr(answers, name)[chosen] for name in names})
+        return self._fault.fill(time[chosen], stamp[chosen], answers.fault[chosen])
 
     def alarm(self, stamp, fields):
         """CDR of an lpv_msgs/FaultAlarm."""

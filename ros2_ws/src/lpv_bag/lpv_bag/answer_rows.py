@@ -1,18 +1,11 @@
-"""Answers of a monitor to many measurements, as arrays with one row a measurement."""
-
-from types import SimpleNamespace
+"""Answers of a monitor to all measurements of a block, regular and odd ones."""
 
 import numpy as np
 
 from lpv_core.errors import SampleError
+from lpv_core.monitor import ANSWER, Answers
 
-STATE_FIELDS = {'position': float, 'velocity': float, 'compensated_position': float,
-                'measured_position': float, 'measured_velocity': float, 'mode': np.uint8,
-                'trustworthy': bool}
-"""Arrays of ``answers.state`` with their types; those of float have shape (n, 2), others (n,)."""
-FAULT_FIELDS = {'estimate': float, 'bound': float, 'threshold': float, 'state': np.uint8,
-                'alarm': bool}
-"""Arrays of ``answers.fault``, all of shape (n, 2)."""
+_ARRAYS = ('answered', 'has_fault', 'restarted', 'state', 'fault')
 
 
 def take_all(monitor, measured, torque, rejected):
@@ -31,8 +24,8 @@ def take_all(monitor, measured, torque, rejected):
 
     Returns
     -------
-    object
-        As of `SensorMonitor.take_many`.
+    lpv_core.monitor.Answers
+        One row a measurement.
     """
     effort = measured.effort if torque is None else torque
 
@@ -63,39 +56,23 @@ def _take_one(monitor, stamp, message, torque, rejected):
 
 def _as_row(answer):
     """One answer, or None, as arrays of one row."""
-    state = answer.state if answer is not None else None
-    fault = answer.fault if answer is not None else None
-    return SimpleNamespace(
-        answered=np.array([state is not None]), has_fault=np.array([fault is not None]),
-        restarted=np.array([answer is not None and answer.restarted]),
-        state=_row(state, STATE_FIELDS, ('mode', 'trustworthy')),
-        fault=_row(fault, FAULT_FIELDS, ()),
-        events=[(0, event) for event in answer.events] if answer is not None else [],
-        reports=[(0, answer.status)] if answer is not None and answer.status is not None else [])
-
-
-def _row(fields, types, single):
-    return SimpleNamespace(**{
-        name: np.array([fields[name]] if fields is not None
-                       else [0 if name in single else [0, 0]], dtype=kind)
-        for name, kind in types.items()})
+    row = np.zeros(1, ANSWER).view(np.recarray)
+    result = Answers(*(row[name] for name in _ARRAYS), [], [])
+    if answer is None:
+        return result
+    row.answered, row.has_fault = True, answer.fault is not None
+    row.restarted = answer.restarted
+    for part, fields in ((row.state, answer.state), (row.fault, answer.fault)):
+        for name in part.dtype.names if fields is not None else ():
+            part[name][0] = fields[name]
+    result.events = [(0, event) for event in answer.events]
+    result.reports = [(0, answer.status)] if answer.status is not None else []
+    return result
 
 
 def _join(parts):
     starts = np.cumsum([0] + [len(p.answered) for p in parts])
-
-    def together(name):
-        return np.concatenate([getattr(p, name) for p in parts])
-
-    def nested(name, types):
-        return SimpleNamespace(**{field: np.concatenate(
-            [getattr(getattr(p, name), field) for p in parts]) for field in types})
-
-    def rows(name):
-        return [(int(start) + row, what) for start, p in zip(starts, parts)
-                for row, what in getattr(p, name)]
-
-    return SimpleNamespace(
-        answered=together('answered'), has_fault=together('has_fault'),
-        restarted=together('restarted'), state=nested('state', STATE_FIELDS),
-        fault=nested('fault', FAULT_FIELDS), events=rows('events'), reports=rows('reports'))
+    arrays = [np.concatenate([np.asarray(getattr(p, name)) for p in parts]) for name in _ARRAYS]
+    lists = [[(int(start) + row, what) for start, p in zip(starts, parts)
+              for row, what in getattr(p, name)] for name in ('events', 'reports')]
+    return Answers(*arrays, *lists)

@@ -116,26 +116,31 @@ def _record_offsets(data):
     return offsets[:count]
 
 
-@njit
 def _scan(data, offsets):
-    """Walk over records; their count, and the end of the last one that is complete."""
+    """Walk over records; their count, and the end of the last one that is complete, or -1."""
+    if len(data) < 9:
+        return 0, 0
+    # Every byte as the beginning of a number: lengths are anywhere.
+    return _walk(data, rows(data, '<u8'), offsets)
+
+
+@njit
+def _walk(data, numbers, offsets):
     position, count, total = 0, 0, len(data)
     while position + 9 <= total:
-        size = 0
-        for i in range(8, 0, -1):
-            if size >= 1 << 40:
-                return count, -1
-            size = size * 256 + int(data[position + i])
-        end = position + 9 + size
-        if end > total:
-            return count, position
-        if data[position] == 6:
+        size = numbers[position + 1]
+        if size >= 1 << 40:
             return count, -1
+        end = position + 9 + np.int64(size)
+        if end > total:
+            break
         if data[position] == 5:
             if size < 22:
                 return count, -1
             offsets[count] = position
             count += 1
+        elif data[position] == 6:
+            return count, -1
         position = end
     return count, position
 
