@@ -14,6 +14,7 @@ COMMANDS = {
     'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),
     'recover': ('lpv_cli.recover', 'repair a bag that is cut off or damaged'),
+    'compare': ('lpv_cli.compare', 'compare the answers in two bags of one recording'),
     'report': ('lpv_cli.report_command', 'write the report of a bag'),
 }
 """Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""
