@@ -69,10 +69,8 @@ class EffortReader:
 
     Parameters
     ----------
-    deserialize : callable
-        Takes bytes and a message type.
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
+    reader : BagReader
+        Open bag.
     msgtype : str
         Key of `EFFORT_TYPES`.
     joints : sequence of str
@@ -84,8 +82,8 @@ class EffortReader:
         Why messages could not be used; emptied by whoever counts them.
     """
 
-    def __init__(self, deserialize, typestore, msgtype, joints):
-        self._deserialize, self._typestore = deserialize, typestore
+    def __init__(self, reader, msgtype, joints):
+        self._reader = reader
         self._msgtype, self._joints = msgtype, tuple(joints)
         self._path = EFFORT_TYPES[msgtype][0]
         self._layout = self._index = None
@@ -123,7 +121,7 @@ class EffortReader:
             found = self._layout.read(block.data, starts[valid], self._path)
             values[valid] = found[:, self._index]
         for i in np.flatnonzero(~valid):
-            message = self._deserialize(block.message(positions[i]), self._msgtype)
+            message = self._reader.deserialize(block.message(positions[i]), self._msgtype)
             try:
                 values[i] = locate(message, self._msgtype, self._joints)[1]
                 valid[i] = True
@@ -132,8 +130,8 @@ class EffortReader:
         return values, valid
 
     def _learn(self, data):
-        message = self._deserialize(data, self._msgtype)
-        layout = find_layout(data, self._msgtype, self._typestore)
+        message = self._reader.deserialize(data, self._msgtype)
+        layout = find_layout(data, self._msgtype, self._reader.typestore)
         try:
             index, values = locate(message, self._msgtype, self._joints)
         except SampleError:

@@ -41,16 +41,14 @@ class MeasurementReader:
 
     Parameters
     ----------
-    deserialize : callable
-        Takes bytes and a message type.
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
+    reader : BagReader
+        Open bag.
     joint_names : sequence of str
         Joints of the arm.
     """
 
-    def __init__(self, deserialize, typestore, joint_names):
-        self._deserialize, self._typestore = deserialize, typestore
+    def __init__(self, reader, joint_names):
+        self._reader = reader
         self._order = JointOrder(joint_names)
         self._layouts = []
 
@@ -83,7 +81,7 @@ class MeasurementReader:
         while len(left):
             row = int(left[0])
             data = block.message(positions[row])
-            message = self._deserialize(data, MEASUREMENT_TYPE)
+            message = self._reader.deserialize(data, MEASUREMENT_TYPE)
             if self._learn(data, message):
                 left = self._fill(result, block, positions, left, *self._layouts[-1])
             else:
@@ -139,7 +137,7 @@ class MeasurementReader:
             expected = self._order.pick(message)
         except SampleError:
             return False
-        layout = find_layout(data, MEASUREMENT_TYPE, self._typestore)
+        layout = find_layout(data, MEASUREMENT_TYPE, self._reader.typestore)
         if layout is None:
             return False
         index = list(self._order.indices(message.name))

@@ -181,11 +181,10 @@ class Replay:
                 if c.topic in (inputs.measured, inputs.effort) or writer.is_copied(c)]
         is_measured = np.array([c.topic == inputs.measured for c in kept])
         is_effort = np.array([c.topic == inputs.effort for c in kept])
-        measurements = MeasurementReader(reader.deserialize, reader.typestore, joints)
+        measurements = MeasurementReader(reader, joints)
         efforts = injector = None
         if inputs.effort:
-            efforts = EffortReader(reader.deserialize, reader.typestore, inputs.effort_type,
-                                   joints)
+            efforts = EffortReader(reader, inputs.effort_type, joints)
         if self._injector is not None:
             injector = BlockInjector(self._injector, self._monitor)
         blocks = read_blocks(reader, kept, *_limits(reader, options), options.fast)
