@@ -8,9 +8,9 @@ import numpy as np
 
 from lpv_bag.answer_records import RecordTemplate
 from lpv_bag.assembly import ChunkAssembly
+from lpv_bag.chunk_writing import ChunkBagWriter
 from lpv_bag.messages import BagMessages
-from lpv_bag.replay_writer import ChunkBagWriter
-from lpv_bag.writing import qos_profile
+from lpv_bag.offered_qos import qos_profile
 from lpv_core.faults import FaultInjector
 from lpv_core.joints import JointMap
 from lpv_core.resources import bringup_file

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from rosbags.highlevel import AnyReader
 
+from lpv_bag.chunk_writing import ChunkBagWriter
 from lpv_bag.messages import BagMessages
 from lpv_bag.replay import Replay
-from lpv_bag.replay_writer import ChunkBagWriter
 from lpv_bag.run_record import stamp_of
 from lpv_cli.compare import load_pair, show
 from lpv_cli.comparison import Tolerances, compare_runs

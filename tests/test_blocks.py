@@ -16,13 +16,15 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from lpv_bag import blocks, mcap_blocks
 from lpv_bag.blocks import read_blocks
+from lpv_bag.chunk_writing import ChunkBagWriter
+from lpv_bag.errors import DamageError
 from lpv_bag.interfaces import make_typestore
 from lpv_bag.layout import find_layout
 from lpv_bag.messages import BagMessages
+from lpv_bag.offered_qos import qos_profile
 from lpv_bag.pipeline import Behind, ahead
-from lpv_bag.replay_writer import ChunkBagWriter
 from lpv_bag.run_record import BagError, open_bag
-from lpv_bag.writing import BagWriter, qos_profile
+from lpv_bag.writing import BagWriter
 
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'
@@ -152,15 +154,15 @@ def test_given_a_folder_when_read_in_blocks_then_messages_are_the_same(
 def test_given_something_odd_in_the_middle_when_read_in_blocks_then_nothing_is_lost_or_doubled(
         tmp_path, monkeypatch, small_blocks):
     path = write_peer(tmp_path / 'a.mcap', entries(disorder=15), compression=CompressionType.LZ4)
-    unpack, calls = mcap_blocks._unpack, []
+    inflate, calls = mcap_blocks.inflate, []
 
-    def failing(file, chunk):
-        calls.append(chunk)
+    def failing(*arguments):
+        calls.append(arguments)
         if len(calls) == 7:
-            raise mcap_blocks.Unsuitable
-        return unpack(file, chunk)
+            raise DamageError('not now')
+        return inflate(*arguments)
 
-    monkeypatch.setattr(mcap_blocks, '_unpack', failing)
+    monkeypatch.setattr(mcap_blocks, 'inflate', failing)
     assert by_blocks(path) == one_by_one(path)
     assert len(calls) == 7
 
@@ -278,7 +280,7 @@ def test_given_chunks_when_written_then_all_readers_read_what_the_bag_writer_wou
                     '/joint_states': 8000, '/chatter': 1143}
         found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
         assert sorted(found) == sorted(content)
-        assert len(summary.chunk_indexes) > 1
+        assert len(summary.chunk_indexes) == (1 if preset == 'zstd_small' else 2)
         hashes = {c.metadata['topic_type_hash'] for c in summary.channels.values()}
         assert all(text.startswith('RIHS01_') for text in hashes)
     with open(file, 'rb') as stream:

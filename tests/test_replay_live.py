@@ -21,8 +21,9 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_bag.interfaces import make_typestore  # noqa: E402
+from lpv_bag.offered_qos import qos_profile
 from lpv_bag.replay import Replay  # noqa: E402
-from lpv_bag.writing import BagWriter, qos_profile  # noqa: E402
+from lpv_bag.writing import BagWriter  # noqa: E402
 from lpv_core.faults import Fault  # noqa: E402
 from lpv_core.gains import save_gains  # noqa: E402
 from lpv_core.monitor import SensorMonitor  # noqa: E402

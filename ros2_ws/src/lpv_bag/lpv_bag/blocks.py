@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from rosbags.rosbag2.storage_mcap import McapReader
 
-from lpv_bag.mcap_blocks import RECORD_HEADER, Unsuitable, storage_blocks
+from lpv_bag.mcap_bag import McapBag
+from lpv_bag.mcap_blocks import RECORD_HEADER, Unsuitable, bag_blocks
 
 BLOCK_SIZE = 2 << 20
 """Of about one block [bytes]: it fits into the caches, and overheads do not count."""
@@ -51,7 +51,7 @@ def read_blocks(reader, connections, start=None, stop=None, fast=True):
 
     Parameters
     ----------
-    reader : lpv_bag.run_record.BagReader
+    reader : lpv_bag.reading.BagReader
         Open bag.
     connections : list of rosbags connections
         Wanted ones.
@@ -83,34 +83,30 @@ def read_blocks(reader, connections, start=None, stop=None, fast=True):
     yield from _collect(islice(messages, done, None), connections)
 
 
+def first_time(reader):
+    """Log time of the first message of a bag.
+
+    Parameters
+    ----------
+    reader : lpv_bag.reading.BagReader
+        Open bag.
+
+    Returns
+    -------
+    int
+        [ns]; 0 without messages.
+    """
+    if isinstance(reader.source, McapBag):
+        return min((block.start for _, found in reader.source.parts for block in found.blocks),
+                   default=0)
+    return reader.source.start_time if reader.source.message_count else 0
+
+
 def _fast_blocks(reader, connections, start, stop):
-    for storage, index in _storages(reader, connections):
-        for parts in storage_blocks(storage, index, start, stop, BLOCK_SIZE):
-            yield Block(*parts)
-
-
-def _storages(reader, connections):
-    """MCAP files of a bag, with the wanted connection of each channel."""
-    try:
-        (outer,) = reader.readers
-        storage = outer.storage
-    except (AttributeError, ValueError):
-        raise Unsuitable from None
-    if isinstance(storage, McapReader):
-        return [(storage, {c.id: i for i, c in enumerate(connections)})]
-    files = getattr(storage, 'storages', ())
-    if storage.metadata.compression_mode == 'message' or not files or not all(
-            isinstance(file, McapReader) for file in files):
+    if not isinstance(reader.source, McapBag):
         raise Unsuitable
-    return [(file, {c.id: _index(c, connections) for c in file.connections}) for file in files]
-
-
-def _index(channel, connections):
-    """Which connection of the folder's metadata a file's channel belongs to."""
-    for i, c in enumerate(connections):
-        if (c.topic, c.msgtype, c.ext) == (channel.topic, channel.msgtype, channel.ext):
-            return i
-    return -1
+    for parts in bag_blocks(reader.source, connections, start, stop, BLOCK_SIZE):
+        yield Block(*parts)
 
 
 def _collect(messages, connections):

@@ -131,7 +131,8 @@ class EffortReader:
 
     def _learn(self, data):
         message = self._reader.deserialize(data, self._msgtype)
-        layout = find_layout(data, self._msgtype, self._reader.typestore)
+        layout = find_layout(data, self._msgtype,
+                             self._reader.typestore_of(self._msgtype))
         try:
             index, values = locate(message, self._msgtype, self._joints)
         except SampleError:

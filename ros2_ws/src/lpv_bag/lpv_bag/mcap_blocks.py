@@ -1,40 +1,34 @@
-"""MCAP files read a chunk at a time; the index is that of rosbags' reader."""
+"""Messages of MCAP files, many chunks at a time."""
 
-import struct
-import zlib
+import contextlib
 
-import lz4.frame
 import numpy as np
-import zstandard
 
+from lpv_bag.errors import DamageError
 from lpv_bag.layout import rows
+from lpv_bag.mcap_content import inflate
 from lpv_core.jit import njit
 
 RECORD_HEADER = 31
 """Bytes of a message's record before its content: kind, length, channel, sequence, two times."""
 
-_CHUNK = 6
-_LARGEST_CHUNK = 256 << 20
-"""A chunk that claims to be larger [bytes] is not unpacked here."""
 _LARGEST_GROUP = 128 << 20
 """Chunks whose times overlap are sorted together up to this size [bytes]."""
-_CHUNK_HEADER = struct.Struct('<BQQQQII')  # kind, length, start, end, size, CRC, length of a name
 
 
 class Unsuitable(Exception):
-    """The file is damaged, or of a kind that is not read here."""
+    """The bag is damaged, or of a kind that is not read here."""
 
 
-def storage_blocks(storage, channels, start, stop, block_size):
-    """Messages of one MCAP file.
+def bag_blocks(bag, connections, start, stop, block_size):
+    """Messages of a bag.
 
     Parameters
     ----------
-    storage : rosbags.rosbag2.storage_mcap.McapReader
-        Open reader, for its index.
-    channels : dict of int to int
-        What stands for each channel in the result; channels that are missing or below zero are
-        left out.
+    bag : lpv_bag.mcap_bag.McapBag
+        Open bag.
+    connections : list of rosbags connections
+        Wanted ones.
     start, stop : int or None
         First log time, and first one after the end [ns].
     block_size : int
@@ -43,32 +37,45 @@ def storage_blocks(storage, channels, start, stop, block_size):
     Yields
     ------
     tuple of ndarray
-        Data, channel, log time, start and size of messages, as in `lpv_bag.blocks.Block`.
+        Data, index of the connection, log time, start and size of messages, as in
+        `lpv_bag.blocks.Block`.
 
     Raises
     ------
     Unsuitable
         If something is not as it should be.
     """
-    wanted = np.full(65536, -1, np.int64)
-    for channel, number in channels.items():
-        wanted[channel] = number
-    with open(storage.path, 'rb') as file:
-        source = (_chunked(file, storage, wanted, start, stop, block_size) if storage.chunks
-                  else _unchunked(file, storage, block_size))
+    if any(found.damages for _, found in bag.parts):
+        raise Unsuitable
+    wanted = [_numbers(bag.connections_of(part), connections) for part in range(len(bag.parts))]
+    with contextlib.ExitStack() as stack:
+        # Read, not mapped: pages of a mapped file count as memory of this process.
+        files = [stack.enter_context(open(file.path, 'rb')) for file, _ in bag.parts]
+        single = len(bag.parts) == 1 and _single(bag.parts[0][1].blocks)
+        source = (_pieces(files[0], single, block_size) if single
+                  else _groups(files, bag.parts, wanted, start, stop, block_size))
         last = -1
-        for data, low, high in source:
-            parts = _messages(data, wanted, low, high)
-            time = parts[2]
-            if len(time) and (time[0] < last or not storage.chunks and (np.diff(time) < 0).any()):
-                raise Unsuitable  # only chunks can be sorted
-            parts = _sorted(_limited(parts, start, stop))
-            if len(parts[1]):
+        for contents in source:
+            parts = _joined([_messages(*content, wanted[part]) for part, *content in contents])
+            if single and (np.diff(parts[2], prepend=last) < 0).any():
+                raise Unsuitable  # what is read in pieces cannot be sorted
+            if len(parts[2]):
                 last = parts[2][-1]
+            parts = _sorted(_limited(parts, start, stop))
+            if len(parts[2]):
                 yield parts
 
 
-def _messages(data, wanted, low, high):
+def _numbers(known, connections):
+    """Index of the connection by channel number, -1 for others."""
+    found = np.full(65536, -1, np.int64)
+    index = {connection.id: i for i, connection in enumerate(connections)}
+    for channel, connection in known.items():
+        found[channel] = index.get(connection.id, -1)
+    return found
+
+
+def _messages(data, low, high, wanted):
     """Messages among the records of a buffer; their times must be inside limits."""
     offsets = _record_offsets(data)
     sizes = _column(data, offsets, 1, '<u8').astype(np.int64) - 22
@@ -145,100 +152,84 @@ def _walk(data, numbers, offsets):
     return count, position
 
 
-# ------------------------------------------------------------------ chunks
+# ------------------------------------------------------------------ files
 
 
-def _chunked(file, storage, wanted, start, stop, block_size):
-    """Buffers of whole chunks; those whose times overlap are in one buffer."""
-    group, size, end, furthest = [], 0, -1, -1
-    for chunk in sorted(_chosen(storage.chunks, wanted, start, stop),
-                        key=lambda c: (c.message_start_time, c.chunk_start_offset)):
-        follows = chunk.message_start_time >= end and chunk.chunk_start_offset > furthest
+def _groups(files, parts, wanted, start, stop, block_size):
+    """Contents of whole chunks; those whose times overlap are in one group."""
+    group, size, end, furthest = [], 0, -1, (-1, -1)
+    for part, block in sorted(_chosen(parts, wanted, start, stop),
+                              key=lambda entry: (entry[1].start, entry[0], entry[1].offset)):
+        follows = block.start >= end and (part, block.offset) > furthest
         if follows and size >= block_size:
-            yield _unpack_all(file, group)
+            yield _contents(files, group)
             group, size = [], 0
-        group.append(chunk)
-        size += chunk.uncompressed_size
+        group.append((part, block))
+        size += block.size
         if size > _LARGEST_GROUP and len(group) > 1:
             raise Unsuitable
-        end = max(end, chunk.message_end_time)
-        furthest = max(furthest, chunk.chunk_start_offset)
+        end = max(end, block.end)
+        furthest = max(furthest, (part, block.offset))
     if group:
-        yield _unpack_all(file, group)
+        yield _contents(files, group)
 
 
-def _chosen(chunks, wanted, start, stop):
-    for chunk in chunks:
-        if start is not None and chunk.message_end_time < start:
-            continue
-        if stop is not None and chunk.message_start_time >= stop:
-            continue
-        if any(wanted[channel] >= 0 for channel in chunk.channel_count):
-            yield chunk
+def _chosen(parts, wanted, start, stop):
+    for part, (_, found) in enumerate(parts):
+        for block in found.blocks:
+            if (start is not None and block.end < start
+                    or stop is not None and block.start >= stop):
+                continue
+            if not block.counts or any(wanted[part][number] >= 0 for number in block.counts):
+                yield part, block
 
 
-def _unpack_all(file, chunks):
-    # Messages of one time keep the order of the file, as rosbags has it.
-    parts = [_unpack(file, c) for c in sorted(chunks, key=lambda c: c.chunk_start_offset)]
-    return (np.frombuffer(parts[0] if len(parts) == 1 else b''.join(parts), np.uint8),
-            min(c.message_start_time for c in chunks), max(c.message_end_time for c in chunks))
+def _contents(files, group):
+    # Messages of one time keep the order of the files.
+    found = []
+    for part, block in sorted(group, key=lambda entry: (entry[0], entry[1].offset)):
+        files[part].seek(block.offset)
+        try:
+            content = inflate(files[part].read(block.length), block.compression, block.size,
+                              block.crc)
+        except DamageError:
+            raise Unsuitable from None
+        found.append((part, np.frombuffer(content, np.uint8), block.start, block.end))
+    return found
 
 
-def _unpack(file, chunk):
-    if chunk.uncompressed_size > _LARGEST_CHUNK:
-        raise Unsuitable
-    file.seek(chunk.chunk_start_offset)
-    head = file.read(_CHUNK_HEADER.size + len(chunk.compression) + 8)
-    try:
-        kind, length, _, _, size, crc, name = _CHUNK_HEADER.unpack_from(head)
-        (packed,) = struct.unpack_from('<Q', head, _CHUNK_HEADER.size + len(chunk.compression))
-    except struct.error:
-        raise Unsuitable from None
-    if (kind, length, size, name, packed) != (
-            _CHUNK, chunk.chunk_length - 9, chunk.uncompressed_size, len(chunk.compression),
-            chunk.compressed_size) or packed > length:
-        raise Unsuitable
-    data = _decompress(file.read(packed), chunk.compression, size)
-    if len(data) != size or (crc and zlib.crc32(data) != crc):
-        raise Unsuitable
-    return data
+def _joined(parts):
+    """Messages of several buffers as those of one."""
+    if len(parts) == 1:
+        return parts[0]
+    begins = np.cumsum([0] + [len(p[0]) for p in parts[:-1]])
+    data, channel, time, starts, sizes = zip(*parts)
+    starts = [s + begin for s, begin in zip(starts, begins)]
+    return tuple(np.concatenate(column) for column in (data, channel, time, starts, sizes))
 
 
-def _decompress(data, compression, size):
-    try:
-        if compression == '':
-            return data
-        if compression == 'zstd':
-            # The size in the frame decides how much memory is taken.
-            if zstandard.frame_content_size(data) not in (-1, size):
-                raise Unsuitable
-            return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-        if compression == 'lz4':
-            return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-    except (zstandard.ZstdError, RuntimeError, EOFError, ValueError):
-        pass
-    raise Unsuitable
+def _single(blocks):
+    """The one block of a file without chunks, or None; what has a checksum is read as a whole."""
+    if len(blocks) != 1 or blocks[0].compression or blocks[0].crc:
+        return None
+    return blocks[0] if blocks[0].size == blocks[0].length and not blocks[0].cut else None
 
 
-# ------------------------------------------------------------------ files without chunks
-
-
-def _unchunked(file, storage, block_size):
-    """Buffers of whole records of a file without chunks."""
-    file.seek(storage.data_start)
-    left, rest = storage.data_end - storage.data_start, b''
+def _pieces(file, block, block_size):
+    """Whole records of a file without chunks, some megabytes at a time."""
+    file.seek(block.offset)
+    left, rest = block.length, b''
     while left:
         part = file.read(min(left, block_size))
         if not part:
             raise Unsuitable
         left -= len(part)
         data = np.frombuffer(rest + part, np.uint8)
-        offsets = np.empty(len(data) // RECORD_HEADER + 1, np.int64)
-        _, end = _scan(data, offsets)
-        if end < 0 or len(data) - end > _LARGEST_CHUNK:
+        _, end = _scan(data, np.empty(len(data) // RECORD_HEADER + 1, np.int64))
+        if end < 0 or len(data) - end > _LARGEST_GROUP:
             raise Unsuitable
         rest = data[end:].tobytes()
         if end:
-            yield data[:end], 0, 2**63 - 1
+            yield [(0, data[:end], block.start, block.end)]
     if rest:
         raise Unsuitable

@@ -137,7 +137,8 @@ class MeasurementReader:
             expected = self._order.pick(message)
         except SampleError:
             return False
-        layout = find_layout(data, MEASUREMENT_TYPE, self._reader.typestore)
+        layout = find_layout(data, MEASUREMENT_TYPE,
+                             self._reader.typestore_of(MEASUREMENT_TYPE))
         if layout is None:
             return False
         index = list(self._order.indices(message.name))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lpv_bag.answer_rows import take_all
-from lpv_bag.blocks import read_blocks
+from lpv_bag.blocks import first_time, read_blocks
 from lpv_bag.efforts import EFFORT_TYPES, EffortReader
 from lpv_bag.injection import BlockInjector
 from lpv_bag.measurements import MEASUREMENT_TYPE, MeasurementReader
@@ -40,7 +40,7 @@ class ReplayOptions:
     estimates_only : bool
         Write the answers alone; otherwise all topics are copied, too.
     preset : str
-        Compression of the new bag, key of `lpv_bag.chunk_writing.PRESETS`.
+        Compression of the new bag, key of `lpv_bag.mcap_writer.PRESETS`.
     fast : bool
         False reads message by message whatever the file is like.
     """
@@ -145,7 +145,7 @@ class Replay:
                     writer.close()
             except BaseException:
                 # Half a bag looks like a whole one, and would block the next try.
-                writer.abort()
+                writer.abandon()
                 shutil.rmtree(out, ignore_errors=True)
                 raise
         return result
@@ -253,5 +253,5 @@ def _limits(reader, options):
             raise ConfigError(name, f'must be a number of seconds from 0, got {value}')
     if options.start is not None and options.end is not None and options.end <= options.start:
         raise ConfigError('end', 'must be behind the start')
-    return tuple(None if value is None else reader.start_time + round(value * NANOSECONDS)
+    return tuple(None if value is None else first_time(reader) + round(value * NANOSECONDS)
                  for value in (options.start, options.end))

@@ -1,9 +1,6 @@
 """The bag that a replay writes: copies of recorded messages, and answers."""
 
-from pathlib import Path
-
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, WriterError
 
 from lpv_bag.answer_records import (
     ALARM_TYPE,
@@ -14,11 +11,10 @@ from lpv_bag.answer_records import (
     padded_cdr,
 )
 from lpv_bag.assembly import ChunkAssembly
-from lpv_bag.chunk_writing import ChunkWriter
-from lpv_bag.interfaces import make_typestore
+from lpv_bag.chunk_writing import ChunkBagWriter
 from lpv_bag.measurements import MEASUREMENT_TYPE
 from lpv_bag.messages import BagMessages
-from lpv_bag.writing import BagWriter, qos_profile
+from lpv_bag.offered_qos import qos_profile
 from lpv_core.answers import alarm_fields
 from lpv_core.errors import ConfigError
 
@@ -30,52 +26,6 @@ MARK = 'lpv_replay'
 """Key of the bag's custom data by which results of replays are known."""
 _COPY, _STATE, _FAULT, _OTHERS = range(4)
 _SLOTS = 4
-
-
-class ChunkBagWriter(BagWriter):
-    """A bag that is written a chunk at a time.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Directory to create.
-    preset : str, optional
-        Compression, key of `lpv_bag.chunk_writing.PRESETS`.
-
-    Raises
-    ------
-    ConfigError
-        If it exists already or cannot be made.
-    """
-
-    def __init__(self, path, preset='none'):
-        self.path, self.typestore = Path(path), make_typestore()
-        self._connections, self.counts = {}, {}
-        try:
-            self._writer = ChunkWriter(self.path, version=ChunkWriter.VERSION_LATEST,
-                                       storage_plugin=StoragePlugin.MCAP)
-            self._writer.open()
-        except (WriterError, OSError) as error:
-            raise ConfigError('bag', f'cannot be written: {error}', str(path)) from error
-        self._writer.storage.preset = preset
-
-    def set_custom_data(self, key, value):
-        """Store a text beside the metadata."""
-        self._writer.set_custom_data(key, value)
-
-    def channel(self, topic):
-        """Channel id of an announced topic."""
-        return self._connections[topic].id
-
-    def write_chunk(self, data, index):
-        """Write a chunk; parameters as those of `lpv_bag.chunk_writing.ChunkWriter`."""
-        self._writer.write_chunk(data, index)
-
-    def abort(self):
-        """Close without metadata."""
-        if self._writer is not None:
-            writer, self._writer = self._writer, None
-            writer.abort()
 
 
 class ReplayWriter:
@@ -90,7 +40,7 @@ class ReplayWriter:
     prefix : str
         Namespace of the answers.
     preset : str
-        Compression, key of `lpv_bag.chunk_writing.PRESETS`.
+        Compression, key of `lpv_bag.mcap_writer.PRESETS`.
 
     Raises
     ------
@@ -101,8 +51,8 @@ class ReplayWriter:
     def __init__(self, path, monitor, prefix, preset):
         self._monitor, self._prefix = monitor, prefix
         self._own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.values()}
-        self._bag = ChunkBagWriter(path, preset)
-        self._bag.set_custom_data(MARK, f'arm {monitor.arm.name} {monitor.arm.sha256()[:12]}')
+        self._bag = ChunkBagWriter(path, preset, {
+            MARK: f'arm {monitor.arm.name} {monitor.arm.sha256()[:12]}'})
         self._copied = set()
 
     def announce(self, connections, copy):
@@ -216,9 +166,18 @@ class ReplayWriter:
         assembly.add_copies(_SLOTS * copied + _COPY, batch.block, copied, channels)
 
     def close(self):
-        """Finish the bag."""
-        self._bag.close()
+        """Finish the bag.
 
-    def abort(self):
-        """Close files and leave them unfinished."""
-        self._bag.abort()
+        Raises
+        ------
+        ConfigError
+            If the end of it cannot be written.
+        """
+        missing = self._bag.close()
+        if missing:
+            raise ConfigError('bag', f'cannot be written as a whole: {missing} is missing',
+                              str(self._bag.path))
+
+    def abandon(self):
+        """Close files, whatever they hold."""
+        self._bag.close()

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-from lpv_bag.chunk_writing import PRESETS
+from lpv_bag.mcap_writer import PRESETS
 from lpv_bag.replay import Replay, ReplayOptions
 from lpv_bag.replay_writer import MARK
 from lpv_core.arm import load_arm
