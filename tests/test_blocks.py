@@ -15,6 +15,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from lpv_bag import blocks, mcap_blocks
+from lpv_bag.answer_records import RecordTemplate
+from lpv_bag.assembly import Buffer, ChunkAssembly
 from lpv_bag.blocks import read_blocks
 from lpv_bag.chunk_writing import ChunkBagWriter
 from lpv_bag.errors import DamageError
@@ -287,6 +289,37 @@ def test_given_chunks_when_written_then_all_readers_read_what_the_bag_writer_wou
         records = list(StreamReader(stream, validate_crcs=True).records)
     assert type(records[-1]).__name__ == 'Footer'
     assert sum(type(r).__name__ == 'Message' for r in records) == len(content)
+
+
+def test_given_times_of_the_epoch_when_chunks_are_written_then_index_and_order_are_exact(
+        tmp_path, fast_only):
+    times = 1_700_000_000_123_456_789 + 3 * np.arange(500)
+    with ChunkBagWriter(tmp_path / 'bag', 'zstd_fast') as writer:
+        writer.add_topic('/joint_states', JOINT_STATE)
+        writer.add_topic('/chatter', STRING)
+        template = RecordTemplate(writer.typestore, joint_state(0, values=np.zeros((3, 2))),
+                                  JOINT_STATE, writer.channel('/joint_states'))
+        for part in (times[:300], times[300:]):
+            assembly = ChunkAssembly(2 * len(part), Buffer())
+            position = np.column_stack([part, part]) * 1e-9
+            assembly.add_rows(2 * np.arange(len(part)), template.fill(part, part + 1, {
+                name: position for name in ('position', 'velocity', 'effort')}))
+            assembly.add_message(1, writer.channel('/chatter'), int(part[0]), b'odd')
+            writer.write_chunk(*assembly.finish())
+    expected = [('/joint_states', int(t), cdr(joint_state(int(t) + 1, values=[[t * 1e-9] * 2] * 3)))
+                for t in times]
+    expected.insert(301, ('/chatter', int(times[300]), b'odd'))
+    expected.insert(1, ('/chatter', int(times[0]), b'odd'))
+    found = by_blocks(tmp_path / 'bag')
+    assert [(t, time, data.rstrip(b'\0')) for t, time, data in found] == [
+        (t, time, data.rstrip(b'\0')) for t, time, data in expected]
+    with open(next((tmp_path / 'bag').glob('*.mcap')), 'rb') as stream:
+        index = [r for r in StreamReader(stream, emit_chunks=True).records
+                 if type(r).__name__ == 'MessageIndex']
+    assert [t for i in index if i.channel_id == 1 for t, _ in i.records] == times.tolist()
+    with open(next((tmp_path / 'bag').glob('*.mcap')), 'rb') as stream:
+        messages = [m for _, c, m in make_reader(stream).iter_messages(['/joint_states'])]
+    assert [m.sequence for m in messages] == list(range(1, 501))
 
 
 # ------------------------------------------------------------------ threads

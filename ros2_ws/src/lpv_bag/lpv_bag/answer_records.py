@@ -37,6 +37,8 @@ def padded_cdr(typestore, message, msgtype):
 class RecordTemplate:
     """Records of one message type of which only header stamp and numbers change.
 
+    All numbers have to be given in every call, or in none: memory is used again.
+
     Parameters
     ----------
     typestore : rosbags.typesys.store.Typestore
@@ -61,7 +63,7 @@ class RecordTemplate:
         self._dtype = np.dtype({
             'names': list(fields), 'formats': [f[0] for f in fields.values()],
             'offsets': [f[1] for f in fields.values()], 'itemsize': len(self._record)})
-        self._fields = layout.fields
+        self._fields, self._records = layout.fields, np.empty(0, self._dtype)
 
     def fill(self, time, stamp, values):
         """Records of messages.
@@ -76,11 +78,13 @@ class RecordTemplate:
         Returns
         -------
         ndarray, shape (n,)
-            Records, of a structured type.
+            Records, of a structured type; they are lost with the next call.
         """
-        size = len(self._record)
-        records = np.full(len(time), np.frombuffer(self._record, f'V{size}')[0],
-                          f'V{size}').view(self._dtype)
+        if len(self._records) < len(time):
+            size = len(self._record)
+            self._records = np.full(len(time), np.frombuffer(self._record, f'V{size}')[0],
+                                    f'V{size}').view(self._dtype)
+        records = self._records[:len(time)]
         records['log_time'] = records['publish_time'] = time
         seconds = stamp // NANOSECONDS
         self._set(records, 'header.stamp.sec', seconds)

@@ -10,6 +10,19 @@ _FEW = 16
 """Fewer records of one size than this are copied one by one."""
 
 
+class Buffer:
+    """Memory that is used again and again: fresh pages cost more than what is written to them."""
+
+    def __init__(self):
+        self._data = np.empty(0, np.uint8)
+
+    def take(self, size):
+        """Some bytes, ndarray of uint8; those taken before are lost."""
+        if len(self._data) < size:
+            self._data = np.empty(size + size // 4, np.uint8)
+        return self._data[:size]
+
+
 class ChunkAssembly:
     """Records that are added in any order and come out sorted by their slots.
 
@@ -17,10 +30,12 @@ class ChunkAssembly:
     ----------
     slots : int
         How many places there are; each holds as many records as are added to it, or none.
+    buffer : Buffer, optional
+        Memory for the chunk.
     """
 
-    def __init__(self, slots):
-        self._sizes = np.zeros(slots, np.int64)
+    def __init__(self, slots, buffer=None):
+        self._sizes, self._buffer = np.zeros(slots, np.int64), buffer
         self._arrays, self._single = [], []
 
     def add_rows(self, slots, records):
@@ -97,7 +112,8 @@ class ChunkAssembly:
         """
         ends = np.cumsum(self._sizes)
         starts = ends - self._sizes
-        data = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
+        total = int(ends[-1]) if len(ends) else 0
+        data = np.empty(total, np.uint8) if self._buffer is None else self._buffer.take(total)
         index = {}
         for slots, records in self._arrays:
             places, size = starts[slots], records.dtype.itemsize
@@ -105,7 +121,8 @@ class ChunkAssembly:
             rows(data, f'V{size}')[places] = records.view(f'V{size}')
             for channel in np.unique(head['channel']):
                 of = head['channel'] == channel
-                index.setdefault(int(channel), []).append((head['log_time'][of], places[of]))
+                index.setdefault(int(channel), []).append(
+                    (head['log_time'][of].astype(np.int64), places[of]))
         for slot, shift, channel, time, content in self._single:
             place = int(starts[slot]) + shift
             record = record_head(channel, time, len(content)) + content

@@ -83,8 +83,10 @@ class ChunkBagWriter(BagWriter):
                 numbers = np.arange(1, len(places) + 1) + self.counts[topic]
                 rows(data, '<u4')[places + _SEQUENCE] = numbers & 0xFFFFFFFF
                 self.counts[topic] += len(places)
-        self._file.put_chunk(data, {channel: np.column_stack(columns).ravel()
-                                    for channel, columns in index.items()})
+        # Signed and unsigned numbers together would become floats, and lose nanoseconds.
+        self._file.put_chunk(data, {
+            channel: np.column_stack([c.astype('<u8') for c in columns]).ravel()
+            for channel, columns in index.items()})
 
     def _information(self, files, known):
         found = super()._information(files, known)

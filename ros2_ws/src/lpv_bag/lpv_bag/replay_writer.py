@@ -10,7 +10,7 @@ from lpv_bag.answer_records import (
     AnswerEncoder,
     padded_cdr,
 )
-from lpv_bag.assembly import ChunkAssembly
+from lpv_bag.assembly import Buffer, ChunkAssembly
 from lpv_bag.chunk_writing import ChunkBagWriter
 from lpv_bag.measurements import MEASUREMENT_TYPE
 from lpv_bag.messages import BagMessages
@@ -53,7 +53,7 @@ class ReplayWriter:
         self._own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.values()}
         self._bag = ChunkBagWriter(path, preset, {
             MARK: f'arm {monitor.arm.name} {monitor.arm.sha256()[:12]}'})
-        self._copied = set()
+        self._copied, self._buffer = set(), Buffer()
 
     def announce(self, connections, copy):
         """Announce topics.
@@ -135,7 +135,8 @@ class ReplayWriter:
         time = block.time[batch.positions]
         # Without copies only measurements need places.
         rows = batch.positions if len(batch.copied) else np.arange(len(stamp))
-        assembly = ChunkAssembly(_SLOTS * (len(block) if len(batch.copied) else len(stamp)))
+        assembly = ChunkAssembly(_SLOTS * (len(block) if len(batch.copied) else len(stamp)),
+                                 self._buffer)
         self._add_copies(assembly, batch)
         for rank, chosen, encode in ((_STATE, answers.answered, self._encoder.state),
                                      (_FAULT, answers.has_fault, self._encoder.fault)):
