@@ -83,25 +83,6 @@ def read_blocks(reader, connections, start=None, stop=None, fast=True):
     yield from _collect(islice(messages, done, None), connections)
 
 
-def first_time(reader):
-    """Log time of the first message of a bag.
-
-    Parameters
-    ----------
-    reader : lpv_bag.reading.BagReader
-        Open bag.
-
-    Returns
-    -------
-    int
-        [ns]; 0 without messages.
-    """
-    if isinstance(reader.source, McapBag):
-        return min((block.start for _, found in reader.source.parts for block in found.blocks),
-                   default=0)
-    return reader.source.start_time if reader.source.message_count else 0
-
-
 def _fast_blocks(reader, connections, start, stop):
     if not isinstance(reader.source, McapBag):
         raise Unsuitable

@@ -209,10 +209,8 @@ def _joined(parts):
 
 
 def _single(blocks):
-    """The one block of a file without chunks, or None; what has a checksum is read as a whole."""
-    if len(blocks) != 1 or blocks[0].compression or blocks[0].crc:
-        return None
-    return blocks[0] if blocks[0].size == blocks[0].length and not blocks[0].cut else None
+    """The one block of a file without chunks, or None."""
+    return blocks[0] if len(blocks) == 1 and blocks[0].loose and not blocks[0].cut else None
 
 
 def _pieces(file, block, block_size):

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosbags.interfaces import QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
-from lpv_bag.blocks import first_time, read_blocks
+from lpv_bag.blocks import read_blocks
 from lpv_bag.measurements import MEASUREMENT_TYPE
 from lpv_bag.pipeline import ahead
 from lpv_bag.replay_writer import DIAGNOSTICS, OUTPUTS
@@ -139,7 +139,7 @@ class Player:
             say('nobody listens; playing all the same')
 
     def _play(self, reader, connections, publishers, clock, context):
-        first = first_time(reader)
+        first = reader.start_time
         start, stop = (None if value is None else first + round(value * NANOSECONDS)
                        for value in self._interval)
         origin = wall = None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lpv_bag.answer_rows import take_all
-from lpv_bag.blocks import first_time, read_blocks
+from lpv_bag.blocks import read_blocks
 from lpv_bag.efforts import EFFORT_TYPES, EffortReader
 from lpv_bag.injection import BlockInjector
 from lpv_bag.measurements import MEASUREMENT_TYPE, MeasurementReader
@@ -253,5 +253,5 @@ def _limits(reader, options):
             raise ConfigError(name, f'must be a number of seconds from 0, got {value}')
     if options.start is not None and options.end is not None and options.end <= options.start:
         raise ConfigError('end', 'must be behind the start')
-    return tuple(None if value is None else first_time(reader) + round(value * NANOSECONDS)
+    return tuple(None if value is None else reader.start_time + round(value * NANOSECONDS)
                  for value in (options.start, options.end))
