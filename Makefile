@@ -35,7 +35,7 @@ lint: setup-test ## check style
 	@$(IN_ENV) ruff check .
 
 bench: setup-bench ## run the benchmarks
-	@$(IN_ENV) for b in benchmarks/[!k]*.py; do echo "== $$b"; python "$$b" || exit 1; done
+	@$(IN_ENV) for b in benchmarks/[!kl]*.py; do echo "== $$b"; python "$$b" || exit 1; done
 
 clean: ## remove environment, build and results
 	rm -rf "$(VENV)" .build out

@@ -188,7 +188,8 @@ def test_given_faults_to_add_when_replayed_by_blocks_then_it_is_as_by_single_mes
         troubled_bag, paper_arm, paper_gains, tmp_path, monkeypatch):
     faults = [Fault('link1_angle', 'noise', 0.1, 0.2, size=0.1),
               Fault('link2_angle', 'stuck', 0.5, 0.2), Fault('link2_angle', 'stuck', 0.9, 0.1),
-              Fault('link2_angle', 'dropout', 1.1)]
+              Fault('link2_angle', 'dropout', 1.1),
+              Fault('link1_angle', 'rate_bias', 0.55, 0.1, size=0.2)]
     found = []
     for name, size, fast in (('a', 2 << 20, True), ('b', 1, False)):
         monkeypatch.setattr(blocks, 'BLOCK_SIZE', size)
@@ -201,6 +202,23 @@ def test_given_faults_to_add_when_replayed_by_blocks_then_it_is_as_by_single_mes
     after = [d for topic, _, d in found[0] if topic == '/lpv/joint_states']
     assert len(after) == len(before)
     assert 200 < sum(a != b for a, b in zip(before, after)) < 400
+
+
+def test_given_a_fault_of_a_rate_when_added_then_rates_differ_by_it_and_nothing_else_does(
+        samples, paper_arm, monitor, tmp_path):
+    entries = [('/lpv/joint_states', s[0], cdr(measurement(s))) for s in samples]
+    bag = write(tmp_path / 'bag', entries, {'/lpv/joint_states': JOINT_STATE})
+    fault = Fault('link2_angle', 'rate_bias', 0.5, 0.25, size=0.2)
+    injector = FaultInjector(paper_arm.sensor_names, [fault], np.random.default_rng(0))
+    Replay(monitor, injector=injector).run(bag, tmp_path / 'out')
+    streams = [load_run(place, joint_names=paper_arm.joint_names).streams['joint_states']
+               for place in (bag, tmp_path / 'out')]
+    np.testing.assert_allclose(streams[1]['position'], streams[0]['position'], atol=1e-12)
+    assert np.array_equal(streams[1]['effort'], streams[0]['effort'])
+    rate = np.cumsum(streams[1]['velocity'] - streams[0]['velocity'], axis=1)
+    expected = np.zeros((600, 2))
+    expected[250:375, 1] = 0.2
+    np.testing.assert_allclose(rate, expected, atol=1e-12)
 
 
 def test_given_estimates_only_when_replayed_then_the_answers_are_the_same_and_alone(

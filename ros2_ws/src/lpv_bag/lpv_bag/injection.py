@@ -3,7 +3,11 @@
 import numpy as np
 
 from lpv_bag.layout import rows
+from lpv_core.faults import rate_bias
 from lpv_core.joints import JointMap
+
+CHANGED = ('position', 'velocity')
+"""Fields of a measurement that faults act on."""
 
 
 class BlockInjector:
@@ -33,8 +37,8 @@ class BlockInjector:
             Measurements in the block.
         measured : Measurements
             They, decoded.
-        places : ndarray of int, shape (n, 2)
-            Where their positions are in the block's data.
+        places : dict of str to ndarray of int, shape (n, 2)
+            Where their values are in the block's data, by the names in `CHANGED`.
 
         Returns
         -------
@@ -59,26 +63,40 @@ class BlockInjector:
                 if self._odd(measured.odd[row], times[row]):
                     changed[int(row)] = measured.odd[row]
             else:
-                faulty = self._faulty(measured.position[row], times[row])
+                vectors = [getattr(measured, name)[row] for name in CHANGED]
+                faulty = self._faulty(*vectors, times[row])
                 if active[row]:
-                    measured.position[row] = faulty
-        regular = np.flatnonzero(active & (places[:, 0] >= 0))
-        if len(regular):
-            block.data = block.data.copy()
-            rows(block.data, '<f8')[places[regular]] = measured.position[regular]
+                    for vector, values in zip(vectors, faulty):
+                        vector[:] = values
+        self._write(block, measured, places, active)
         return changed
 
-    def _faulty(self, position, time):
+    @staticmethod
+    def _write(block, measured, places, active):
+        regular = np.flatnonzero(active & (places['position'][:, 0] >= 0))
+        if len(regular):
+            block.data = block.data.copy()
+            for name in CHANGED:
+                rows(block.data, '<f8')[places[name][regular]] = getattr(measured, name)[regular]
+
+    def _faulty(self, position, velocity, time):
+        """Position and rate with what the faults make of them."""
         reading = self._joints.sensor_position(position)
         faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
-        return self._joints.joint_from_sensor(faulty)
+        bias = [rate_bias(self._injector.records, i, float(time)) for i in range(2)]
+        if any(bias):
+            velocity = self._joints.joint_velocity_from_sensor(
+                self._joints.sensor_velocity(velocity) + bias)
+        return self._joints.joint_from_sensor(faulty), velocity
 
     def _odd(self, message, time):
         try:
             columns = [list(message.name).index(name) for name in self._arm.joint_names]
-            faulty = self._faulty(message.position[columns], time)
+            faulty = self._faulty(message.position[columns], message.velocity[columns], time)
         except (ValueError, IndexError):
             return False  # the monitor will say what is wrong with this message
-        message.position = message.position.copy()  # what is read from a bag is read-only
-        message.position[columns] = faulty
+        for name, values in zip(CHANGED, faulty):
+            whole = getattr(message, name).copy()  # what is read from a bag is read-only
+            whole[columns] = values
+            setattr(message, name, whole)
         return True

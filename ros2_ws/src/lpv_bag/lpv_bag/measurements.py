@@ -90,8 +90,8 @@ class MeasurementReader:
                 left = left[1:]
         return result
 
-    def places(self, block, positions):
-        """Where the positions of the arm's joints are, for those who change them.
+    def places(self, block, positions, name):
+        """Where values of the arm's joints are, for those who change them.
 
         Parameters
         ----------
@@ -99,6 +99,8 @@ class MeasurementReader:
             Messages.
         positions : ndarray of int, shape (n,)
             Which of them are measurements.
+        name : {'position', 'velocity', 'effort'}
+            Which values.
 
         Returns
         -------
@@ -109,7 +111,7 @@ class MeasurementReader:
         starts, sizes = block.start[positions], block.size[positions]
         for layout, index in self._layouts:
             rows = np.flatnonzero(layout.match(block.data, starts, sizes))
-            first = starts[rows] + layout.fields['position'].offset
+            first = starts[rows] + layout.fields[name].offset
             found[rows] = first[:, None] + 8 * np.array(index)
         return found
 

@@ -11,7 +11,7 @@ import numpy as np
 from lpv_bag.answer_rows import take_all
 from lpv_bag.blocks import read_blocks
 from lpv_bag.efforts import EFFORT_TYPES, EffortReader
-from lpv_bag.injection import BlockInjector
+from lpv_bag.injection import CHANGED, BlockInjector
 from lpv_bag.measurements import MEASUREMENT_TYPE, MeasurementReader
 from lpv_bag.pipeline import Behind, ahead
 from lpv_bag.replay_writer import ReplayWriter
@@ -204,8 +204,8 @@ class Replay:
                     efforts.rejected.clear()
                 changed = {}
                 if injector is not None:
-                    changed = injector.apply(block, positions, measured,
-                                             measurements.places(block, positions))
+                    changed = injector.apply(block, positions, measured, {
+                        name: measurements.places(block, positions, name) for name in CHANGED})
                 batch = _Batch(block, positions, measured, torque,
                                *writer.choose(reader, kept, block), changed)
             yield batch
