@@ -8,7 +8,7 @@ IN_ENV = source tools/env.sh &&
 TEST_ARGS ?=
 DEMO_ARGS ?=
 
-.PHONY: help setup setup-test setup-bench demo test lint bench clean
+.PHONY: help setup setup-test setup-bench demo test reference lint bench clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -28,11 +28,14 @@ demo: setup ## design gains, run the graph on a 20 s scenario, record, report
 test: setup-test ## run all tests
 	@$(IN_ENV) python -m pytest $(TEST_ARGS)
 
+reference: setup-test ## store what the diagnosis answers now as what it shall answer
+	@$(IN_ENV) python tests/reference.py
+
 lint: setup-test ## check style
 	@$(IN_ENV) ruff check .
 
 bench: setup-bench ## run the benchmarks
-	@$(IN_ENV) for b in benchmarks/[!k]*.py; do echo "== $$b"; python "$$b" || exit 1; done
+	@$(IN_ENV) for b in benchmarks/[!kl]*.py; do echo "== $$b"; python "$$b" || exit 1; done
 
 clean: ## remove environment, build and results
 	rm -rf "$(VENV)" .build out

@@ -122,7 +122,7 @@ def test_given_the_demo_when_replayed_offline_then_every_answer_is_that_of_the_n
         demo, tmp_path):
     out, _ = demo
     result = lpv('replay', out / 'bag', '--arm', 'paper', '--gains', out / 'gains.yaml',
-                 '--out', tmp_path)
+                 '--out', tmp_path / 'bag')
     assert result.returncode == 0, result.stderr
     recorded, replayed = contents(out / 'bag'), contents(tmp_path / 'bag')
     assert recorded.keys() == replayed.keys()
@@ -173,7 +173,8 @@ def test_given_a_scenario_out_of_reach_when_run_then_the_demo_says_so(tmp_path):
     assert 'Traceback' not in result.stderr
 
 
-@pytest.mark.parametrize('command', ['design', 'demo', 'import-csv', 'replay', 'report'])
+@pytest.mark.parametrize('command', ['design', 'demo', 'import-csv', 'replay', 'compare',
+                                     'report'])
 def test_given_a_command_when_asked_for_help_then_every_option_is_explained(command):
     result = lpv(command, '--help')
     assert result.returncode == 0, result.stderr

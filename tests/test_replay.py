@@ -708,8 +708,8 @@ def command(paper_gains, tmp_path):
     save_gains(paper_gains, tmp_path / 'gains.yaml')
 
     def arguments(bag, **changes):
-        options = {'arm': PAPER_ARM, 'gains': tmp_path / 'gains.yaml', 'out': tmp_path / 'result',
-                   **changes}
+        options = {'arm': PAPER_ARM, 'gains': tmp_path / 'gains.yaml',
+                   'out': tmp_path / 'result', **changes}
         return ['replay', str(bag), *(str(part) for name, value in options.items()
                                       for part in (f'--{name}', value))]
     return arguments
@@ -717,15 +717,16 @@ def command(paper_gains, tmp_path):
 
 def test_given_the_command_when_run_twice_then_bag_and_report_are_those_of_the_second_run(
         bag, replayed, command, tmp_path, capsys):
-    assert main(command(bag)) == 0
+    assert main(command(bag, report=tmp_path / 'report')) == 0
     said = capsys.readouterr().out
     assert '1001 measurements' in said
     assert 'ALARM, link1_angle' in said
-    assert raw(tmp_path / 'result' / 'bag') == raw(replayed[1])
-    (tmp_path / 'result' / 'report' / 'path.png').write_bytes(b'old')
-    assert main(command(bag)) == 0
-    assert (tmp_path / 'result' / 'report' / 'path.png').read_bytes().startswith(b'\x89PNG')
-    assert (tmp_path / 'result' / 'report' / 'report.html').is_file()
+    assert raw(tmp_path / 'result') == raw(replayed[1])
+    (tmp_path / 'report' / 'path.png').write_bytes(b'old')
+    assert main(command(bag, report=tmp_path / 'report')) == 0
+    assert (tmp_path / 'report' / 'path.png').read_bytes().startswith(b'\x89PNG')
+    assert (tmp_path / 'report' / 'report.html').is_file()
+    assert raw(tmp_path / 'result') == raw(replayed[1])
 
 
 def test_given_a_file_of_faults_when_the_command_is_run_then_they_are_added(
@@ -733,7 +734,7 @@ def test_given_a_file_of_faults_when_the_command_is_run_then_they_are_added(
     source = write_bag(tmp_path / 'bag', entries_of(healthy), TYPES)
     faults = tmp_path / 'faults.yaml'
     faults.write_text('faults:\n  - {sensor: link2_angle, kind: bias, onset: 1.0, size: -0.3}\n')
-    assert main(command(source, faults=faults)) == 0
+    assert main(command(source, inject=faults)) == 0
     assert 'ALARM, link2_angle: unclassified, -0.' in capsys.readouterr().out
 
 
@@ -744,24 +745,37 @@ FAULTS_OF_NOBODY = 'faults:\n  - {sensor: nose, kind: bias, onset: 1.0, size: 1.
     ({'bag': 'nothing'}, 'nothing'), ({'arm': 'unknown_arm'}, ''),
     ({'arm': 'nothing.yaml'}, ''), ({'gains': 'nothing.yaml'}, 'nothing.yaml'),
     ({'gains': PAPER_ARM}, 'paper.yaml'), ({'arm': BRINGUP / 'arms' / 'real_arm.yaml'}, 'arm'),
-    ({'topic': '/nowhere'}, '/nowhere'), ({'faults': 'nothing.yaml'}, 'nothing.yaml'),
-    ({'faults': 'faults.yaml'}, 'nose'),
+    ({'topic': '/nowhere'}, '/nowhere'), ({'inject': 'nothing.yaml'}, 'nothing.yaml'),
+    ({'faults': 'faults.yaml'}, 'nose'), ({'effort-topic': '/nowhere'}, '/lpv/torque_command'),
+    ({'effort-topic': '/chatter'}, 'std_msgs/msg/String'), ({'from': -1}, 'start'),
+    ({'from': 2, 'to': 1}, 'end'), ({'from': 'nan'}, 'start'), ({'to': 'inf'}, 'end'),
+    ({'parameters': 'nothing.yaml'}, 'nothing.yaml'), ({'parameters': PAPER_ARM}, 'paper.yaml'),
+    ({'parameters': 'tuned.yaml'}, 'dwell'), ({'out': 'somewhere'}, 'somewhere exists already'),
+    ({'out': 'tuned.yaml'}, 'exists already'),
 ], ids=str)
 def test_given_bad_input_when_the_command_is_run_then_one_line_says_so_and_the_code_is_2(
         bag, command, tmp_path, monkeypatch, capsys, changes, named):
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'faults.yaml').write_text(FAULTS_OF_NOBODY)
+    (tmp_path / 'tuned.yaml').write_text('/**: {ros__parameters: {diagnosis: {dwell: soon}}}')
+    (tmp_path / 'somewhere').mkdir()
+    (tmp_path / 'somewhere' / 'precious.txt').write_text('mine')
     changes = dict(changes)
     assert main(command(changes.pop('bag', bag), **changes)) == 2
     said = capsys.readouterr().err
     assert said.startswith('lpv replay: ')
     assert said.count('\n') == 1
     assert named in said
+    assert not (tmp_path / 'result').exists()
+    assert (tmp_path / 'somewhere' / 'precious.txt').read_text() == 'mine'
 
 
 def test_given_its_own_output_when_the_command_shall_replay_it_then_it_refuses(
         replayed, command, tmp_path, capsys):
     shutil.copytree(replayed[1], tmp_path / 'result' / 'bag')
-    assert main(command(tmp_path / 'result' / 'bag')) == 2
-    assert 'would overwrite' in capsys.readouterr().err
+    for out in (tmp_path / 'result', tmp_path / 'result' / 'bag'):
+        assert main(command(tmp_path / 'result' / 'bag', out=out)) == 2
+        assert 'would overwrite' in capsys.readouterr().err
+    assert main(command(tmp_path / 'result' / 'bag', out=tmp_path / 'result' / 'bag' / 'x')) == 2
+    assert 'is inside' in capsys.readouterr().err
     assert raw(tmp_path / 'result' / 'bag') == raw(replayed[1])

@@ -16,7 +16,7 @@ setup(
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',
-    description='The lpv command: design, demo, import, replay, report.',
+    description='The lpv command: design, demo, import, replay, compare, report.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['lpv = lpv_cli.main:main']},
 )

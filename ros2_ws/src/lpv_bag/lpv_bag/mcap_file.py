@@ -86,6 +86,18 @@ class Survey:
             raise DamageError(f'the number {record.id} means two different topics or schemas')
 
 
+def release(data):
+    """Unmap the pages of a mapped file that have been read: they count as memory otherwise.
+
+    Parameters
+    ----------
+    data : mmap.mmap or bytes
+        The file; it can be read on.
+    """
+    if hasattr(data, 'madvise') and hasattr(mmap, 'MADV_DONTNEED'):
+        data.madvise(mmap.MADV_DONTNEED)
+
+
 class McapFile:
     """The bytes of a file, mapped.
 
@@ -132,6 +144,7 @@ class McapFile:
             If it is damaged.
         """
         data = self.data[block.offset:block.offset + block.length]
+        release(self.data)
         if block.cut:
             return inflate_part(data, block.compression, block.size)
         return inflate(data, block.compression, block.size, block.crc)

@@ -5,7 +5,7 @@ import zlib
 from mcap.opcode import Opcode
 
 from lpv_bag.errors import DamageError
-from lpv_bag.mcap_file import Block, Survey
+from lpv_bag.mcap_file import Block, Survey, release
 from lpv_bag.mcap_format import (
     HEADER,
     MAGIC,
@@ -20,6 +20,10 @@ from lpv_bag.mcap_format import (
 
 FOOTER_SIZE = 29
 """With its head [bytes]."""
+
+
+_RELEASED = 256
+"""After so many chunk heads, the pages that hold them are given back."""
 
 
 class Unindexed(DamageError):
@@ -149,7 +153,9 @@ def _check_blocks(data, result, end):
         raise Unindexed('its summary does not say where the messages are')
     if not set(result.counts) <= set(result.channels):
         raise DamageError('its summary counts messages of unknown topics')
-    for block in sorted(result.blocks, key=lambda b: b.offset):
+    for count, block in enumerate(sorted(result.blocks, key=lambda b: b.offset), 1):
+        if count % _RELEASED == 0:
+            release(data)
         head = block.offset - 40 - len(block.compression.encode())
         if head < 17 or block.offset + block.length > end:
             raise DamageError('the place of a chunk is wrong')

@@ -11,12 +11,12 @@ import struct
 import zlib
 from typing import NamedTuple
 
+import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -32,6 +32,7 @@ from lpv_bag.mcap_format import HEADER, MAGIC
 
 _MESSAGE = struct.Struct('<BQHIQQ')
 _INDEX = struct.Struct('<BQHI')
+_CHUNK = struct.Struct('<BQQQQII')
 LIBRARY = 'lpv_bag numbered'
 """In the header of a file: its messages are numbered as `McapWriter.write` says."""
 _REPEAT = 64
@@ -184,22 +185,51 @@ class McapWriter:
         if not self._entries:
             return
         content, entries = bytes(self._content), self._entries
-        start, end = self._chunk_start, self._chunk_end
         self._begin_chunk()
+        self._put_chunk(content, {channel: np.array(values, '<u8')
+                                  for channel, values in entries.items()})
+
+    def put_chunk(self, content, entries):
+        """Write a chunk that is ready.
+
+        Parameters
+        ----------
+        content : bytes-like
+            Records of messages.
+        entries : dict of int to ndarray
+            By channel, log time [ns] and offset into ``content`` of each message in turn.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        self.cut()
+        if self._new:
+            self._put(b''.join(map(_bytes, self._new)))
+            self._new = []
+        self._put_chunk(content, entries)
+
+    def _put_chunk(self, content, entries):
         if _is_repeated(len(self._indexes) + 1):
             self._new = [*self._schemas, *self._channels]
+        start = min(int(values[::2].min()) for values in entries.values())
+        end = max(int(values[::2].max()) for values in entries.values())
         data = content if self._compress is None else self._compress(content)
         compression = '' if self._compress is None else 'zstd'
-        chunk = _bytes(Chunk(compression, data, end, start, zlib.crc32(content), len(content)))
+        head = _CHUNK.pack(Opcode.CHUNK, 40 + len(compression) + len(data), start, end,
+                           len(content), zlib.crc32(content), len(compression))
+        head += compression.encode() + struct.pack('<Q', len(data))
+        length = len(head) + len(data)
         offsets, tail = {}, bytearray()
         for channel, values in sorted(entries.items()):
-            offsets[channel] = self.size + len(chunk) + len(tail)
+            offsets[channel] = self.size + length + len(tail)
             tail += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + 8 * len(values), channel,
                                 8 * len(values))
-            tail += struct.pack(f'<{len(values)}Q', *values)
-        index = ChunkIndex(len(chunk), self.size, compression, len(data), end, len(tail), offsets,
+            tail += values.astype('<u8').tobytes()
+        index = ChunkIndex(length, self.size, compression, len(data), end, len(tail), offsets,
                            start, len(content))
-        self._put(chunk + tail)
+        self._put(head, data, tail)
         self._indexes.append(index)
         first = not any(self.counts.values())
         self.start = start if first else min(start, self.start)
@@ -207,19 +237,20 @@ class McapWriter:
         for channel, values in entries.items():
             self.counts[channel] += len(values) // 2
 
-    def _put(self, data):
+    def _put(self, *parts):
         """Write all of it or nothing: half a record would hide what comes behind it."""
-        view = memoryview(data)
         try:
-            while view:
-                view = view[self._file.write(view):]
+            for part in parts:
+                view = memoryview(part)
+                while view:
+                    view = view[self._file.write(view):]
             if self._fsync:
                 os.fsync(self._file.fileno())
         except OSError:
             self._file.truncate(self.size)
             self._file.seek(self.size)
             raise
-        self.size += len(data)
+        self.size += sum(map(len, parts))
 
     # -------------------------------------------------------------- end
 

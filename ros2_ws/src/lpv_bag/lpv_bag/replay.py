@@ -1,19 +1,58 @@
 """Offline run of the diagnosis over a recorded bag, with the node's own code."""
 
+import shutil
+import time
 from collections import Counter
-from dataclasses import dataclass, field
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 
-from lpv_bag.messages import BagMessages
-from lpv_bag.run_record import find_topic, open_bag, stamp_of
-from lpv_bag.writing import BagWriter, qos_profile
-from lpv_core.errors import SampleError
-from lpv_core.joints import JointMap
+import numpy as np
 
-_OUTPUTS = {'state': ('state_estimate', 'lpv_msgs/msg/StateEstimate'),
-            'fault': ('fault_estimate', 'lpv_msgs/msg/FaultEstimate'),
-            'alarm': ('fault_alarm', 'lpv_msgs/msg/FaultAlarm')}
-_DIAGNOSTICS = ('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
+from lpv_bag.answer_rows import take_all
+from lpv_bag.blocks import read_blocks
+from lpv_bag.efforts import EFFORT_TYPES, EffortReader
+from lpv_bag.injection import CHANGED, BlockInjector
+from lpv_bag.measurements import MEASUREMENT_TYPE, MeasurementReader
+from lpv_bag.pipeline import Behind, ahead
+from lpv_bag.replay_writer import ReplayWriter
+from lpv_bag.run_record import BagError, find_topic, open_bag
+from lpv_core.errors import ConfigError
+
+NANOSECONDS = 1_000_000_000
 _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """What is replayed, and what is written.
+
+    Attributes
+    ----------
+    topic : str or None
+        Topic of the measurements, where the bag has several of type JointState.
+    effort_topic : str or None
+        Topic of torques to use in place of the measured efforts; its type is one of
+        `lpv_bag.efforts.EFFORT_TYPES`.
+    torque_from_command : bool
+        Take torques from the recorded commands.
+    start, end : float or None
+        Only messages in this interval, counted from the first message of the bag [s].
+    estimates_only : bool
+        Write the answers alone; otherwise all topics are copied, too.
+    preset : str
+        Compression of the new bag, key of `lpv_bag.mcap_writer.PRESETS`.
+    fast : bool
+        False reads message by message whatever the file is like.
+    """
+
+    topic: str = None
+    effort_topic: str = None
+    torque_from_command: bool = False
+    start: float = None
+    end: float = None
+    estimates_only: bool = False
+    preset: str = 'none'
+    fast: bool = True
 
 
 @dataclass
@@ -28,11 +67,23 @@ class ReplayResult:
         Reasons of samples that could not be used, with how often.
     events : list of Alarm
         Alarm events.
+    seconds : dict of str to float
+        Processor time by stage [s].
     """
 
     measurements: int = 0
     rejected: Counter = field(default_factory=Counter)
     events: list = field(default_factory=list)
+    seconds: dict = field(default_factory=Counter)
+
+    @contextmanager
+    def stage(self, name):
+        """Count the calling thread's processor time of a ``with`` block."""
+        start = time.thread_time()
+        try:
+            yield
+        finally:
+            self.seconds[name] += time.thread_time() - start
 
 
 class Replay:
@@ -42,28 +93,26 @@ class Replay:
     ----------
     monitor : SensorMonitor
         Fresh observer and diagnosis.
-    topic : str, optional
-        Topic of the measurements, where the bag has several of type JointState.
-    torque_from_command : bool, optional
-        Take torques from the recorded commands in place of the measured effort.
+    options : ReplayOptions, optional
+        What to read and to write.
     injector : FaultInjector, optional
         Faults to add to the measurements, to see what the diagnosis makes of them.
     on_event : callable, optional
         Called with every alarm event.
+    **changes
+        Fields of ``options`` by name.
     """
 
-    def __init__(self, monitor, topic=None, torque_from_command=False, injector=None,
-                 on_event=None):
-        self._monitor, self._topic, self._injector = monitor, topic, injector
-        self._torque_from_command = torque_from_command
+    def __init__(self, monitor, options=None, injector=None, on_event=None, **changes):
+        self._monitor, self._injector = monitor, injector
+        self._options = replace(options or ReplayOptions(), **changes)
         self._on_event = on_event or (lambda event: None)
-        self._torque = [float('nan')] * 2
-        self._start = None
 
     def run(self, bag, out):
         """Replay one bag.
 
-        All topics are copied, except earlier answers of the same monitor, which are replaced.
+        All topics are copied unless the options say otherwise, except earlier answers of the
+        same monitor, which are replaced.
 
         Parameters
         ----------
@@ -84,91 +133,125 @@ class Replay:
         """
         result = ReplayResult()
         with open_bag(bag) as reader:
-            measured = find_topic(reader, 'sensor_msgs/msg/JointState', 'joint_states',
-                                  self._topic)
-            self._prefix = measured.topic.rsplit('/', 1)[0]
-            self._monitor.name = f'{self._prefix}/uio'
-            commands = self._commands(reader)
-            with BagWriter(out) as writer:
-                self._announce(reader, writer)
-                for connection, time, data in reader.messages():
-                    if connection.topic == measured.topic:
-                        message = reader.deserialize(data, connection.msgtype)
-                        self._measure(writer, connection, time, message, data, result)
-                        continue
-                    if commands is not None and connection.topic == commands.topic:
-                        self._torque = reader.deserialize(data, connection.msgtype).torque
-                    if self._is_kept(reader, connection, data):
-                        writer.write_raw(connection.topic, time, data)
+            inputs = self._inputs(reader)
+            writer = ReplayWriter(out, self._monitor, inputs.prefix, self._options.preset)
+            try:
+                writer.announce(reader.connections, not self._options.estimates_only)
+                self._run(reader, inputs, writer, result)
+                if not result.measurements:
+                    raise BagError(f'{bag}: holds no message on {inputs.measured} in the chosen '
+                                   'interval')
+                with result.stage('writing'):
+                    writer.close()
+            except BaseException:
+                # Half a bag looks like a whole one, and would block the next try.
+                writer.abandon()
+                shutil.rmtree(out, ignore_errors=True)
+                raise
         return result
 
-    def _commands(self, reader):
-        if not self._torque_from_command:
-            return None
-        return find_topic(reader, _COMMAND[1], _COMMAND[0], f'{self._prefix}/{_COMMAND[0]}')
+    def _run(self, reader, inputs, writer, result):
+        with Behind(lambda *parts: writer.write(*parts, result)) as write:
+            for batch in ahead(self._batches(reader, inputs, writer, result)):
+                result.measurements += len(batch.positions)
+                with result.stage('recursion'):
+                    answers = take_all(self._monitor, batch.measured, batch.torque,
+                                       result.rejected)
+                for _, event in answers.events:
+                    result.events.append(event)
+                    self._on_event(event)
+                write(batch, answers)
 
-    def _announce(self, reader, writer):
-        own = {f'{self._prefix}/{name}': msgtype for name, msgtype in _OUTPUTS.values()}
-        for connection in reader.connections:
-            if connection.topic not in own:
-                writer.copy_topic(connection)
-        for topic, msgtype in (*own.items(), _DIAGNOSTICS):
-            if topic not in writer.counts:
-                latched = topic.endswith('/fault_alarm')
-                writer.add_topic(topic, msgtype, [qos_profile(True, latched, 50)])
-        self._messages = BagMessages(writer.typestore, self._monitor.arm.name)
-        self._own = own
+    def _inputs(self, reader):
+        options = self._options
+        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic).topic
+        prefix = measured.rsplit('/', 1)[0]
+        self._monitor.name = f'{prefix}/uio'
+        effort = None
+        if options.effort_topic:
+            effort = _effort_connection(reader, options.effort_topic)
+        elif options.torque_from_command:
+            effort = find_topic(reader, _COMMAND[1], _COMMAND[0], f'{prefix}/{_COMMAND[0]}')
+        return _Inputs(prefix, measured, effort and effort.topic, effort and effort.msgtype)
 
-    def _is_kept(self, reader, connection, data):
-        if connection.topic in self._own:
-            return False
-        if connection.topic != _DIAGNOSTICS[0]:
-            return True
-        status = reader.deserialize(data, connection.msgtype).status
-        return not (status and status[0].name.startswith(f'{self._monitor.name}: '))
-
-    def _measure(self, writer, connection, time, message, data, result):
-        result.measurements += 1
-        stamp = stamp_of(message.header.stamp)
+    def _batches(self, reader, inputs, writer, result):
+        """Blocks of the bag with the measurements in them, decoded."""
+        options, joints = self._options, self._monitor.arm.joint_names
+        kept = [c for c in reader.connections
+                if c.topic in (inputs.measured, inputs.effort) or writer.is_copied(c)]
+        is_measured = np.array([c.topic == inputs.measured for c in kept])
+        is_effort = np.array([c.topic == inputs.effort for c in kept])
+        measurements = MeasurementReader(reader, joints)
+        efforts = injector = None
+        if inputs.effort:
+            efforts = EffortReader(reader, inputs.effort_type, joints)
         if self._injector is not None:
-            self._inject(message, stamp)
-            writer.write(connection.topic, time, message)
-        else:
-            writer.write_raw(connection.topic, time, data)
-        try:
-            answer = self._monitor.take(stamp, message,
-                                        self._torque if self._torque_from_command else None)
-        except SampleError as error:
-            result.rejected[str(error)] += 1
-            return
-        if answer is not None:
-            self._write(writer, time, answer)
-            for event in answer.events:
-                result.events.append(event)
-                self._on_event(event)
+            injector = BlockInjector(self._injector, self._monitor)
+        blocks = read_blocks(reader, kept, *_limits(reader, options), options.fast)
+        while True:
+            with result.stage('reading'):
+                block = next(blocks, None)
+            if block is None:
+                return
+            with result.stage('decoding'):
+                positions = np.flatnonzero(is_measured[block.connection])
+                measured = measurements.read(block, positions)
+                torque = None
+                if efforts is not None:
+                    torque = efforts.before(block, np.flatnonzero(is_effort[block.connection]),
+                                            positions)
+                    result.rejected.update(efforts.rejected)
+                    efforts.rejected.clear()
+                changed = {}
+                if injector is not None:
+                    changed = injector.apply(block, positions, measured, {
+                        name: measurements.places(block, positions, name) for name in CHANGED})
+                batch = _Batch(block, positions, measured, torque,
+                               *writer.choose(reader, kept, block), changed)
+            yield batch
 
-    def _inject(self, message, stamp):
-        if self._start is None:
-            self._start = stamp
-        arm = self._monitor.arm
-        joints = JointMap(arm)
-        try:
-            columns = [list(message.name).index(name) for name in arm.joint_names]
-            reading = joints.sensor_position(message.position[columns])
-        except (ValueError, IndexError):
-            return  # the monitor will say what is wrong with this message
-        faulty = self._injector.apply((stamp - self._start) / 1e9, reading, arm.sample_time)
-        message.position = message.position.copy()  # what is read from a bag is read-only
-        message.position[columns] = joints.joint_from_sensor(faulty)
 
-    def _write(self, writer, time, answer):
-        entries = [('state', answer.state), ('fault', answer.fault),
-                   *(('alarm', fields) for fields in answer.alarms)]
-        for kind, fields in entries:
-            if fields is not None:
-                name, msgtype = _OUTPUTS[kind]
-                writer.write(f'{self._prefix}/{name}', time,
-                             self._messages.make(msgtype, answer.stamp, fields))
-        if answer.status is not None:
-            writer.write(_DIAGNOSTICS[0], time,
-                         self._messages.diagnostics(answer.stamp, answer.status))
+@dataclass(frozen=True)
+class _Inputs:
+    prefix: str
+    measured: str
+    effort: str
+    effort_type: str
+
+
+@dataclass
+class _Batch:
+    """A block, its measurements, which of its messages are copied to which channels, and measured
+    messages that were changed, by row."""
+
+    block: object
+    positions: np.ndarray
+    measured: object
+    torque: np.ndarray
+    copied: np.ndarray
+    channels: np.ndarray
+    changed: dict
+
+
+def _effort_connection(reader, topic):
+    found = [c for c in reader.connections if c.topic == topic]
+    if not found:
+        there = ', '.join(sorted(c.topic for c in reader.connections if c.msgtype in EFFORT_TYPES))
+        raise BagError(f'{reader.paths[0]}: the bag has no topic {topic!r}; topics that may carry '
+                       f'torques are {there or "missing"}')
+    if found[0].msgtype not in EFFORT_TYPES:
+        raise BagError(f'{reader.paths[0]}: {topic} is of type {found[0].msgtype}; torques can be '
+                       f'read from ' + ', '.join(EFFORT_TYPES))
+    return found[0]
+
+
+def _limits(reader, options):
+    """First log time and first one behind the end [ns]; None without limits."""
+    for name in ('start', 'end'):
+        value = getattr(options, name)
+        if value is not None and not 0.0 <= value < 1e9:
+            raise ConfigError(name, f'must be a number of seconds from 0, got {value}')
+    if options.start is not None and options.end is not None and options.end <= options.start:
+        raise ConfigError('end', 'must be behind the start')
+    return tuple(None if value is None else reader.start_time + round(value * NANOSECONDS)
+                 for value in (options.start, options.end))

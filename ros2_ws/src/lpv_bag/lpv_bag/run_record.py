@@ -227,7 +227,7 @@ def find_connections(reader, msgtype, name, wanted=None, required=True, namespac
     return found
 
 
-def load_run(path, namespace=None, joint_names=None):
+def load_run(path, namespace=None, joint_names=None, answers_only=False):
     """Read a run.
 
     Parameters
@@ -238,6 +238,8 @@ def load_run(path, namespace=None, joint_names=None):
         Namespace of the arm, in a bag with several.
     joint_names : sequence of str, optional
         Joints to take from joint_states, in this order; those of the first message if not given.
+    answers_only : bool, optional
+        Whether the bag may lack measurements.
 
     Returns
     -------
@@ -254,7 +256,7 @@ def load_run(path, namespace=None, joint_names=None):
         chosen = {}
         for name, (msgtype, _) in (*STREAMS.items(), (ALARMS, (ALARM_TYPE, ()))):
             found = find_connections(reader, msgtype, name, namespace=namespace,
-                                     required=name == 'joint_states')
+                                     required=name == 'joint_states' and not answers_only)
             if found:
                 chosen[name] = found
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
@@ -268,7 +270,7 @@ def load_run(path, namespace=None, joint_names=None):
                           reader.deserialize(data, connection.msgtype))
         record.warnings += reader.warnings
     try:
-        collector.finish()
+        collector.finish(answers_only)
     except BagError as error:
         raise BagError(f'{path}: {error}') from None
     for text in collector.warnings:
@@ -344,7 +346,7 @@ class _Collector:
         return [v[self._index] if len(v) == count else nothing
                 for v in (message.position, message.velocity, message.effort)]
 
-    def finish(self):
+    def finish(self, answers_only):
         for name, rows in self._rows.items():
             stamps = np.array([stamp for stamp, _ in rows], dtype=np.int64)
             self._judge(name, stamps)
@@ -356,6 +358,8 @@ class _Collector:
             self._record.streams[name] = dict(zip(STREAMS[name][1], columns))
         self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
         count = len(self._record.stamps.get('joint_states', ()))
+        if count == 0 and answers_only:
+            return
         if count == 0 and self._missing:
             raise BagError(f'joint {self._missing[0]!r} is not in joint_states, which has '
                            f'{self._missing[1]}')

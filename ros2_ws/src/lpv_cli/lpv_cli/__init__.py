@@ -1,1 +1,1 @@
-"""The lpv command: design, demo, import, replay, report."""
+"""The lpv command: design, demo, import, replay, compare, report."""

@@ -17,6 +17,7 @@ COMMANDS = {
     'view': ('lpv_cli.view', 'show the running graph: web page, Foxglove, markers'),
     'urdf': ('lpv_cli.urdf', 'print the URDF of an arm'),
     'recover': ('lpv_cli.recover', 'repair a bag that is cut off or damaged'),
+    'compare': ('lpv_cli.compare', 'compare the answers in two bags of one recording'),
     'report': ('lpv_cli.report_command', 'write the report of a bag'),
 }
 """Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""

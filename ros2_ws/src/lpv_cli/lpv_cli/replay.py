@@ -1,14 +1,20 @@
-"""``lpv replay``: observer and diagnosis offline on a recorded bag."""
+"""``lpv replay``: observer and diagnosis offline on a bag, or the bag into a live graph."""
 
+import os
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
+import yaml
 from rich.console import Console
 
-from lpv_bag.replay import Replay
+from lpv_bag.mcap_writer import PRESETS
+from lpv_bag.replay import Replay, ReplayOptions
+from lpv_bag.replay_writer import MARK
 from lpv_core.arm import load_arm
 from lpv_core.config import Section, read_yaml
+from lpv_core.diagnosis import DiagnosisParameters
 from lpv_core.errors import ConfigError
 from lpv_core.faults import FaultInjector
 from lpv_core.gains import load_gains, save_gains
@@ -25,18 +31,51 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('bag', help='rosbag2 directory or MCAP file')
-    parser.add_argument('--arm', required=True, help='arm file, or name of a shipped arm')
+    parser.add_argument('bag', help='rosbag2 directory, MCAP or sqlite3 file')
+    parser.add_argument('--arm', help='arm file, or name of a shipped arm; the one that the gains '
+                        'were designed for if not given')
     source = parser.add_mutually_exclusive_group()
     source.add_argument('--gains', help='gains file of this arm')
     source.add_argument('--requirement', help='requirement to design gains for, a file or a '
                         'shipped one; without both, the shipped one of the arm\'s name')
-    parser.add_argument('--out', default='out/replay', help='folder for bag and report')
+    parser.add_argument('--parameters', help='parameter file of the node, for its diagnosis, '
+                        'initial_samples and max_gap')
+    parser.add_argument('--out', default='out/replay', help='bag to write (out/replay); an earlier '
+                        'result of this command is replaced')
+    parser.add_argument('--report', help='folder for a report of the new bag')
+    _add_reading(parser)
+    parser.add_argument('--inject', '--faults', metavar='FAULTS', help='YAML file whose list of '
+                        'faults is added to the measurements: shows what would be found')
+    parser.add_argument('--estimates-only', action='store_true', help='write estimates, alarms '
+                        'and diagnostics alone; otherwise all topics are copied, too')
+    parser.add_argument('--compression', choices=tuple(PRESETS), default='zstd_fast',
+                        help='of the new bag (zstd_fast)')
+    _add_publishing(parser)
+
+
+def _add_reading(parser):
+    parser.add_argument('--from', dest='start', type=float, metavar='S', help='leave out what is '
+                        'before this time, counted from the first message of the bag [s]')
+    parser.add_argument('--to', dest='end', type=float, metavar='S', help='leave out what is at '
+                        'this time or later [s]')
     parser.add_argument('--topic', help='topic of the measurements, where there are several')
+    parser.add_argument('--effort-topic', help='topic of torques to use in place of the measured '
+                        'efforts: TorqueCommand, JointState, Float64MultiArray, JointTrajectory')
     parser.add_argument('--torque-source', choices=('effort', 'command'), default='effort',
                         help='torques as measured, or the recorded commands (effort)')
-    parser.add_argument('--faults', help='YAML file whose list of faults is added to the '
-                        'measurements: shows what would be found')
+
+
+def _add_publishing(parser):
+    parser.add_argument('--publish', action='store_true', help='play the bag into the live graph, '
+                        'with /clock, and run nothing offline; needs ROS 2')
+    parser.add_argument('--rate', type=float, default=1.0, help='with --publish: speed (1)')
+    parser.add_argument('--loop', action='store_true', help='with --publish: again and again')
+    parser.add_argument('--clock-rate', type=float, default=100.0, help='with --publish: messages '
+                        'on /clock per second of the bag, 0 for none (100)')
+    parser.add_argument('--topics', nargs='+', help='with --publish: topics to play; all but the '
+                        'answers of the diagnosis if not given')
+    parser.add_argument('--wait', type=float, default=5.0, help='with --publish: longest time to '
+                        'wait for a subscriber before the first message [s] (5)')
 
 
 def run(arguments):
@@ -52,44 +91,107 @@ def run(arguments):
     int
         0; 1 if the design is infeasible.
     """
-    from lpv_cli.report import print_table, write_report
-
     console = Console(soft_wrap=True, highlight=False)
-    arm = load_arm(bringup_file('arms', arguments.arm))
+    if arguments.publish:
+        return _publish(arguments, console)
     out = Path(arguments.out).resolve()
-    if (Path(arguments.bag).resolve() / 'x').is_relative_to(out / 'bag'):
-        raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
-    gains = _gains(arguments, arm, out, console)
-    injector = _injector(arguments.faults, arm)
-    for part in ('bag', 'report'):
-        shutil.rmtree(out / part, ignore_errors=True)
-    out.mkdir(parents=True, exist_ok=True)
-    monitor = SensorMonitor('/uio', arm, gains)
-    replay = Replay(monitor, arguments.topic, arguments.torque_source == 'command', injector,
+    _check_out(out, Path(arguments.bag).resolve())
+    arm, gains = _arm_and_gains(arguments, console)
+    monitor = _monitor(arguments, arm, gains)
+    injector = _injector(arguments.inject, arm)
+    _remove(out)
+    begin = time.perf_counter()
+    result = Replay(monitor, _options(arguments), injector,
                     lambda event: console.print(f'  {event.detected / 1e9:.3f} s: '
-                                                + describe(event)))
-    result = replay.run(arguments.bag, out / 'bag')
-    _summary(result, monitor, console)
-    report = write_report(out / 'bag', out / 'report', arm,
-                          title=f'Replay of {Path(arguments.bag).name} on arm {arm.name}')
-    if report.table:
-        print_table(report.table, console)
-    console.print(f'bag     {out / "bag"}\nreport  {report.html}')
+                                                + describe(event))).run(arguments.bag, out)
+    save_gains(gains, out / 'gains.yaml', 'Gains that this bag was replayed with.')
+    _summary(result, monitor, time.perf_counter() - begin, console)
+    console.print(f'bag     {out}')
+    if arguments.report:
+        _report(arguments, arm, out, console)
     return 0
 
 
-def _gains(arguments, arm, out, console):
-    if arguments.gains:
-        return load_gains(arguments.gains)
+def _publish(arguments, console):
+    # Nobody else's business: unless the user wants more, nodes of this machine only.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    try:
+        from lpv_bag.player import Player
+    except ImportError as error:
+        raise ConfigError('--publish', f'needs ROS 2 ({error})') from error
+
+    player = Player(arguments.bag, arguments.topics, arguments.topic, arguments.rate,
+                    arguments.loop, arguments.clock_rate, arguments.wait,
+                    (arguments.start, arguments.end))
+    count = player.run(lambda text: console.print(text))
+    console.print(f'{count} messages published')
+    return 0
+
+
+def _options(arguments):
+    names = ('topic', 'effort_topic', 'start', 'end', 'estimates_only')
+    return ReplayOptions(torque_from_command=arguments.torque_source == 'command',
+                         preset=arguments.compression,
+                         **{name: getattr(arguments, name) for name in names})
+
+
+def _check_out(out, bag):
+    if bag == out or bag.is_relative_to(out):
+        raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
+    if out.is_relative_to(bag):
+        raise ConfigError('--out', 'is inside the bag that is to be replayed')
+    if out.exists() and not _is_ours(out):
+        raise ConfigError('--out', f'{out} exists already and was not written by this command')
+
+
+def _is_ours(out):
+    try:
+        with open(out / 'metadata.yaml', encoding='utf-8') as file:
+            information = yaml.safe_load(file)['rosbag2_bagfile_information']
+        return MARK in (information.get('custom_data') or ())
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, AttributeError):
+        return False
+
+
+def _remove(out):
+    if out.exists():
+        shutil.rmtree(out)
+
+
+def _arm_and_gains(arguments, console):
+    gains = load_gains(arguments.gains) if arguments.gains else None
+    name = arguments.arm or (gains and gains.arm_name)
+    if not name:
+        raise ConfigError('--arm', 'is needed where no gains are given')
+    arm = load_arm(bringup_file('arms', name))
+    return arm, gains or _design(arguments, arm, console)
+
+
+def _design(arguments, arm, console):
     # The solver is imported only where it is needed.
     from lpv_design.pipeline import design
     from lpv_design.requirement import load_requirement
 
     requirement = load_requirement(arguments.requirement or arm.name)
     console.print(f'designing gains for arm {arm.name!r} ...')
-    result = design(arm, requirement)
-    save_gains(result.gains, out / 'gains.yaml', '\n'.join(result.lines))
-    return result.gains
+    return design(arm, requirement).gains
+
+
+def _monitor(arguments, arm, gains):
+    if not arguments.parameters:
+        return SensorMonitor('/uio', arm, gains)
+    path = arguments.parameters
+    try:
+        values = dict(read_yaml(path)['/**']['ros__parameters'])
+        diagnosis = DiagnosisParameters(**values.get('diagnosis') or {})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError('/**.ros__parameters', f'is no set of parameters ({error})',
+                          path) from error
+    chosen = {name: values[name] for name in ('max_gap', 'initial_samples') if name in values}
+    for name, value in (*vars(diagnosis).items(), *chosen.items()):
+        if not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
+            raise ConfigError(name, f'must be a number from 0, got {value!r}', path)
+    return SensorMonitor('/uio', arm, gains, diagnosis, **chosen)
 
 
 def _injector(path, arm):
@@ -101,10 +203,24 @@ def _injector(path, arm):
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
 
 
-def _summary(result, monitor, console):
-    console.print(f'{result.measurements} measurements, {len(result.events)} alarm events')
+def _summary(result, monitor, seconds, console):
+    console.print(f'{result.measurements} measurements, {len(result.events)} alarm events, '
+                  f'{seconds:.2f} s')
     for name, count in vars(monitor.counters).items():
         if count:
             console.print(f'  {name.replace("_", " ")}: {count}')
     for text, count in result.rejected.items():
         console.print(f'  rejected {count} times: {text}')
+
+
+def _report(arguments, arm, out, console):
+    from lpv_cli.report import print_table, write_report
+
+    folder = Path(arguments.report).resolve()
+    if folder == out:
+        raise ConfigError('--report', 'must be another folder than the bag')
+    report = write_report(out, folder, arm,
+                          title=f'Replay of {Path(arguments.bag).name} on arm {arm.name}')
+    if report.table:
+        print_table(report.table, console)
+    console.print(f'report  {report.html}')

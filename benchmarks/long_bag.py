@@ -1,0 +1,114 @@
+"""Makes long bags quickly: one simulated round of a closed path, repeated with fresh noise."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lpv_bag.answer_records import RecordTemplate
+from lpv_bag.assembly import ChunkAssembly
+from lpv_bag.chunk_writing import ChunkBagWriter
+from lpv_bag.messages import BagMessages
+from lpv_bag.offered_qos import qos_profile
+from lpv_core.faults import FaultInjector
+from lpv_core.joints import JointMap
+from lpv_core.resources import bringup_file
+from lpv_core.scenario import load_scenario
+from lpv_core.simulation import ArmSimulator
+from lpv_core.tracking import TrackingController
+
+TOPICS = {'/lpv/joint_states': 'sensor_msgs/msg/JointState',
+          '/lpv/torque_command': 'lpv_msgs/msg/TorqueCommand'}
+_START = 1_700_000_000_000_000_000
+_CHUNK = 3000
+"""Samples in a chunk: about as many bytes as rosbag2's recorder has in one."""
+_FAULTY = 30
+"""Every so many rounds the sensors have the scenario's faults."""
+
+
+def long_bag(path, arm, gains, hours):
+    """A bag of measurements and torque commands at the arm's sample rate, zstd.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Bag; if it is there already, nothing is done.
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Of its tracking loop.
+    hours : float
+        Length [h].
+
+    Returns
+    -------
+    int
+        Messages on each topic.
+    """
+    path, count = Path(path), round(hours * 3600.0 / arm.sample_time)
+    if path.exists():
+        return count
+    part = path.with_name(path.name + '_part')
+    shutil.rmtree(part, ignore_errors=True)
+    part.parent.mkdir(parents=True, exist_ok=True)
+    truth, bias = _round(arm, gains)
+    joints, generator = JointMap(arm), np.random.default_rng(0)
+    with ChunkBagWriter(part, 'zstd_fast') as writer:
+        for topic, msgtype in TOPICS.items():
+            writer.add_topic(topic, msgtype, [qos_profile(False, False, 5)])
+        templates = _templates(writer, arm)
+        for first in range(0, count, _CHUNK):
+            k = np.arange(first, min(first + _CHUNK, count))
+            writer.write_chunk(*_chunk(k, templates, truth, bias, arm, joints, generator))
+    storage, = part.glob('*.mcap')
+    storage.rename(storage.with_name(path.name + '.mcap'))
+    metadata = part / 'metadata.yaml'
+    metadata.write_text(metadata.read_text().replace(part.name, path.name))
+    part.rename(path)
+    return count
+
+
+def _round(arm, gains):
+    """True positions, rates and torques of one round, and the faults of its sensors."""
+    scenario = load_scenario(bringup_file('scenarios', 'two_faults'))
+    plant = ArmSimulator(arm, replace(scenario, faults=(), noise=False))
+    controller, path = TrackingController(arm, gains), scenario.path(arm)
+    rows, bias = [], []
+    injector = FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
+    for _ in range(round(scenario.duration / arm.sample_time)):
+        measurement, truth = plant.sense()
+        bias.append(injector.apply(plant.time, np.zeros(2), arm.sample_time))
+        torque = controller.update(path.sample(plant.time), truth.position, truth.velocity,
+                                   truth.position, arm.sample_time).torque
+        rows.append((truth.position, truth.velocity, measurement.effort, torque))
+        plant.step(torque)
+    return [np.array(column) for column in zip(*rows)], np.array(bias)
+
+
+def _templates(writer, arm):
+    messages = BagMessages(writer.typestore, 'base_link')
+    measurement = messages.joint_state(0, arm.joint_names, *([0.0, 0.0],) * 3)
+    command = messages.make('lpv_msgs/msg/TorqueCommand', 0,
+                            {'torque': [0.0, 0.0], 'safe_stop': False})
+    return [RecordTemplate(writer.typestore, message, msgtype, writer.channel(topic))
+            for message, (topic, msgtype) in zip((measurement, command), TOPICS.items())]
+
+
+def _chunk(k, templates, truth, bias, arm, joints, generator):
+    position, velocity, effort, torque = (column[k % len(bias)] for column in truth)
+    shape = position.shape
+    faulty = (k // len(bias) % _FAULTY == _FAULTY - 1)[:, None] * bias[k % len(bias)]
+    reading = (joints.sensor_position(position) + faulty
+               + arm.position_noise * generator.standard_normal(shape))
+    rate = (joints.sensor_velocity(velocity)
+            + arm.velocity_noise * generator.standard_normal(shape))
+    stamp = _START + k * round(arm.sample_time * 1e9)
+    late = stamp + generator.integers(100_000, 400_000, len(k))
+    assembly = ChunkAssembly(2 * len(k))
+    assembly.add_rows(2 * np.arange(len(k)), templates[0].fill(late, stamp, {
+        'position': joints.joint_from_sensor(reading),
+        'velocity': joints.joint_velocity_from_sensor(rate), 'effort': effort}))
+    assembly.add_rows(2 * np.arange(len(k)) + 1, templates[1].fill(
+        late + generator.integers(100_000, 400_000, len(k)), stamp, {'torque': torque}))
+    return assembly.finish()

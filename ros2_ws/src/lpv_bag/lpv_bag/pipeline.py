@@ -1,0 +1,108 @@
+"""Reading ahead and writing behind in threads: what NumPy and decompressors do runs in parallel."""
+
+import queue
+import threading
+
+_END = object()
+
+
+class _Failure:
+    def __init__(self, error):
+        self.error = error
+
+
+def ahead(items, depth=2):
+    """Items of an iterable that is advanced by another thread.
+
+    Parameters
+    ----------
+    items : iterable
+        Used by the other thread alone.
+    depth : int, optional
+        How many items may wait.
+
+    Yields
+    ------
+    object
+        The items; what the iterable raises is raised here.
+    """
+    waiting, stop = queue.Queue(depth), threading.Event()
+
+    def put(item):
+        while not stop.is_set():
+            try:
+                waiting.put(item, timeout=0.1)
+                return
+            except queue.Full:
+                continue
+
+    def work():
+        source = iter(items)
+        try:
+            for item in source:
+                put(item)
+                if stop.is_set():
+                    return
+            put(_END)
+        except BaseException as error:  # raised again by the thread that waits for it
+            put(_Failure(error))
+        finally:
+            close = getattr(source, 'close', None)
+            if close is not None:
+                close()
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    try:
+        while (item := waiting.get()) is not _END:
+            if isinstance(item, _Failure):
+                raise item.error
+            yield item
+    finally:
+        stop.set()
+        thread.join()
+
+
+class Behind:
+    """Calls a function in another thread, in order; to be used in a ``with`` statement.
+
+    What the function raises is raised by the next call or at the end.  If the block itself ends
+    with an exception, calls that wait are dropped.
+
+    Parameters
+    ----------
+    function : callable
+        What to call.
+    depth : int, optional
+        How many calls may wait.
+    """
+
+    def __init__(self, function, depth=2):
+        self._function, self._waiting = function, queue.Queue(depth)
+        self._error, self._dropped = None, False
+        self._thread = threading.Thread(target=self._work, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __call__(self, *arguments):
+        """Call the function soon."""
+        if self._error is not None:
+            raise self._error
+        self._waiting.put(arguments)
+
+    def _work(self):
+        while (arguments := self._waiting.get()) is not _END:
+            if self._error is None and not self._dropped:
+                try:
+                    self._function(*arguments)
+                except BaseException as error:  # raised again by the thread that called
+                    self._error = error
+
+    def __exit__(self, kind, *_):
+        self._dropped = kind is not None
+        self._waiting.put(_END)
+        self._thread.join()
+        if kind is None and self._error is not None:
+            raise self._error
