@@ -241,7 +241,8 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
     path = scenario.path(arm)
     reference = path.sample(arm.sample_time * np.arange(len(rows)))
     loop = new_record(_LOOP, compensation=COMPENSATION.index(compensation), delay=delay, loss=loss,
-                      literal=gains.controller.method == 'paper', previous=NEVER, stop=True)
+                      literal=gains.controller.method == 'paper', previous=NEVER, stop=True,
+                      external=plant.engine is not None)
     # A stream of its own: losses must not change noise and disturbance.
     losses = np.random.default_rng([scenario.seed, 1])
     controller, c_track = new_record(TRACKING_STATE), tracking_constants(arm, gains)
@@ -253,4 +254,6 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
                  reference.position, reference.velocity, reference.acceleration, rows, events, k)
         alarms += monitor.alarms(events[:loop.found])
         loop.found = 0
+        if loop.phase == _ADVANCE:
+            plant.advance()
     return Run(**{name: rows[name] for name in rows.dtype.names}, alarms=alarms)
