@@ -7,6 +7,7 @@ import time
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
@@ -60,14 +61,21 @@ class ManagedNode(LifecycleNode):
         self.finished = False
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._gate = None
+        self._lasting = {*self.publishers, *self.services}
 
     def on_configure(self, state):
         """Lifecycle: read files and parameters."""
+        self._lasting = {*self.publishers, *self.services}
         try:
             self.setup()
         except LpvError as error:
             self.get_logger().error(str(error))
+            self._take_down()
             return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            # rclpy turns it into a state and forgets the reason.
+            self.get_logger().fatal(f'{type(error).__name__}: {error}')
+            raise
         return super().on_configure(state)
 
     def on_activate(self, state):
@@ -78,16 +86,40 @@ class ManagedNode(LifecycleNode):
 
     def on_deactivate(self, state):
         """Lifecycle: stop taking part."""
-        if self._gate is not None:
-            self.destroy_timer(self._gate)
-            self._gate = None
-        self.end()
+        self._leave()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state):
         """Lifecycle: back to unconfigured."""
-        self.teardown()
+        self._take_down()
         return super().on_cleanup(state)
+
+    def on_shutdown(self, state):
+        """Lifecycle: stop taking part for good; the process stays until it is told to end."""
+        self._leave()
+        self._take_down()
+        return super().on_shutdown(state)
+
+    def on_error(self, state):
+        """Lifecycle: a transition failed unexpectedly; back to unconfigured."""
+        self._leave()
+        self._take_down()
+        super().on_error(state)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _leave(self):
+        if self._gate is not None:
+            self.destroy_timer(self._gate)
+            self._gate = None
+        self.end()
+
+    def _take_down(self):
+        """Destroy what `setup` created: configured twice, a node must not publish twice."""
+        self.teardown()
+        for publisher in {*self.publishers} - self._lasting:
+            self.destroy_publisher(publisher)
+        for service in {*self.services} - self._lasting:
+            self.destroy_service(service)
 
     def _try_begin(self):
         recorders = self.get_parameter('await_recorders').value
@@ -155,7 +187,7 @@ class ManagedNode(LifecycleNode):
         """Destroy what `listen` and `begin` created; may be called twice."""
 
     def teardown(self):
-        """Destroy what `setup` created."""
+        """Undo `setup`; its publishers and services are destroyed without being named here."""
 
 
 def _executor():
@@ -187,7 +219,7 @@ def run_node(node_class, argv=None):
         initialise(argv)
         node = node_class()
         code = _spin(node, stop)
-    except LpvError as error:
+    except (LpvError, ParameterException) as error:
         print(f'[{node_class.__name__}] {error}', file=sys.stderr, flush=True)
     finally:
         if node is not None:

@@ -84,7 +84,7 @@ class UioNode(ManagedNode):
         self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._torque = [math.nan, math.nan]
-        self._received = None
+        self._received = self._answer = None
         self._stale = False
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
@@ -124,6 +124,13 @@ class UioNode(ManagedNode):
 
     def _on_measurement(self, message):
         stamp = to_nanoseconds(message.header.stamp)
+        if self.lockstep and self._answer is not None and stamp <= self._answer.stamp:
+            if stamp == self._answer.stamp:
+                self._publish_estimates(self._answer)  # somebody was restarted and asks again
+                return
+            # Nothing overtakes here: the simulator was restarted, however short its run was.
+            self.get_logger().warning('lockstep starts anew: so do observer and alarms')
+            self._monitor.reset()
         try:
             answer = self._monitor.take(stamp, message,
                                         self._torque if self._from_command else None)
@@ -136,18 +143,22 @@ class UioNode(ManagedNode):
 
     def _publish(self, answer):
         self._stale = False
+        self._answer = answer
         stamp, messages = answer.stamp, self._messages
         if answer.restarted:
             self.get_logger().warning('time went backwards: observer and alarms start anew')
-        self._state_out.publish(messages.state(stamp, answer.state))
-        if answer.fault is not None:
-            self._fault_out.publish(messages.fault(stamp, answer.fault))
+        self._publish_estimates(answer)
         for fields in answer.alarms:
             self._alarm_out.publish(messages.alarm(stamp, fields))
         for event in answer.events:
             self._log(event)
         if answer.status is not None:
             self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
+
+    def _publish_estimates(self, answer):
+        self._state_out.publish(self._messages.state(answer.stamp, answer.state))
+        if answer.fault is not None:
+            self._fault_out.publish(self._messages.fault(answer.stamp, answer.fault))
 
     def _log(self, event):
         if event.event == AlarmEvent.RAISED:
