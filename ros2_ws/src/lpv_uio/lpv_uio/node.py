@@ -23,7 +23,7 @@ from lpv_uio.messages import OutputMessages
 _DIAGNOSIS = DiagnosisParameters()
 DIAGNOSIS_SPECS = (
     Spec('diagnosis.threshold_factor', _DIAGNOSIS.threshold_factor,
-         'threshold over guaranteed bound', 0.1, 10.0),
+         'threshold over guaranteed bound [1]', 0.1, 10.0),
     Spec('diagnosis.minimum_threshold', _DIAGNOSIS.minimum_threshold,
          'no alarm below this fault [rad]', 0.0, 10.0),
     Spec('diagnosis.dwell', _DIAGNOSIS.dwell,
@@ -31,9 +31,9 @@ DIAGNOSIS_SPECS = (
     Spec('diagnosis.clear_dwell', _DIAGNOSIS.clear_dwell,
          'time below hysteresis*threshold before the alarm clears [s]', 0.0, 100.0),
     Spec('diagnosis.hysteresis', _DIAGNOSIS.hysteresis,
-         'fraction of the threshold at which an alarm may clear', 0.0, 1.0),
+         'fraction of the threshold at which an alarm may clear [1]', 0.0, 1.0),
     Spec('diagnosis.sigmas', _DIAGNOSIS.sigmas,
-         'standard deviations of noise in the bound', 1.0, 10.0),
+         'standard deviations of noise in the bound [1]', 1.0, 10.0),
     Spec('diagnosis.false_alarm_hours', _DIAGNOSIS.false_alarm_hours,
          'mean time between false alarms by noise, for changes of the estimate [h]', 0.01, 1e6),
     Spec('diagnosis.latch', _DIAGNOSIS.latch,
@@ -43,7 +43,7 @@ DIAGNOSIS_SPECS = (
     Spec('diagnosis.safe_stop_bound', _DIAGNOSIS.safe_stop_bound,
          'bound above which a confirmed fault stops the arm [rad]', 0.01, 100.0),
     Spec('diagnosis.friction_uncertainty', _DIAGNOSIS.friction_uncertainty,
-         'relative uncertainty of Coulomb friction', 0.0, 1.0),
+         'relative uncertainty of Coulomb friction [1]', 0.0, 1.0),
 )
 SPECS = DIAGNOSIS_SPECS + (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
