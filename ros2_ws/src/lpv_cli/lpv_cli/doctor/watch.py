@@ -18,6 +18,9 @@ JOINT_STATE = 'sensor_msgs/msg/JointState'
 OURS = ('arm_sim', 'uio', 'tracker', 'recorder')
 """Names of this software's nodes."""
 PARAMETERS = ('use_sim_time', 'lockstep', 'arm_file', 'torque_source', 'gains.arm_sha256')
+_QUIET, _LONGEST_SEARCH = 3.2, 10.0
+"""The search is over when nothing new was found for so long, and after so long at most [s]: DDS
+participants tell of themselves every 3 s."""
 _MOST_TOPICS = 8
 """More joint_states topics than these are not listened to."""
 
@@ -114,7 +117,7 @@ class _Watch:
         self._node, self._executor = node, executor
 
     def look(self, seconds):
-        self._spin(max(1.0, 0.5 * seconds))  # until everybody has been found
+        self._find()
         node = self._node
         shot = Snapshot(node.context.get_domain_id(), seconds)
         names = [f'{ns.rstrip("/")}/{name}' for name, ns in node.get_node_names_and_namespaces()]
@@ -127,6 +130,16 @@ class _Watch:
         self._spin(seconds, questions)
         self._write_down(shot, questions)
         return shot
+
+    def _find(self):
+        """Wait until everybody has been found."""
+        end, quiet_since, known = time.monotonic() + _LONGEST_SEARCH, time.monotonic(), None
+        while time.monotonic() < min(end, quiet_since + _QUIET):
+            self._executor.spin_once(timeout_sec=0.1)
+            found = (sorted(self._node.get_node_names_and_namespaces()),
+                     self._node.get_topic_names_and_types())
+            if found != known:
+                known, quiet_since = found, time.monotonic()
 
     def _spin(self, seconds, questions=()):
         end = time.monotonic() + seconds
