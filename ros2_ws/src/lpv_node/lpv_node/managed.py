@@ -1,5 +1,6 @@
 """Managed (lifecycle) nodes that start themselves, say why they cannot, and stop cleanly."""
 
+import functools
 import signal
 import sys
 import time
@@ -61,6 +62,7 @@ class ManagedNode(LifecycleNode):
         self.finished = False
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._gate = None
+        self._taking_part = False
         self._lasting = {*self.publishers, *self.services}
 
     def on_configure(self, state):
@@ -80,8 +82,9 @@ class ManagedNode(LifecycleNode):
 
     def on_activate(self, state):
         """Lifecycle: take part in the graph as soon as the outputs are matched."""
+        self._taking_part = True
         self.listen()
-        self._gate = self.create_timer(0.02, self._try_begin, clock=self._steady)
+        self._gate = self.steady_timer(0.02, self._try_begin)
         return super().on_activate(state)
 
     def on_deactivate(self, state):
@@ -108,6 +111,7 @@ class ManagedNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _leave(self):
+        self._taking_part = False
         if self._gate is not None:
             self.destroy_timer(self._gate)
             self._gate = None
@@ -154,7 +158,24 @@ class ManagedNode(LifecycleNode):
         rclpy.timer.Timer
             The timer.
         """
-        return self.create_timer(period, callback, clock=self._steady)
+        return self.create_timer(period, self._while_active(callback), clock=self._steady)
+
+    def create_subscription(self, msg_type, topic, callback, qos_profile, **options):
+        """Subscribe as rclpy does; what arrives while the node is not active is dropped."""
+        return super().create_subscription(msg_type, topic, self._while_active(callback),
+                                           qos_profile, **options)
+
+    def _while_active(self, callback):
+        """A callback that does nothing while the node takes no part.
+
+        Executors still call what was queued before a subscription or timer was destroyed, when
+        the publishers that it needs may be gone, too.
+        """
+        @functools.wraps(callback)
+        def guarded(*arguments):
+            if self._taking_part:
+                callback(*arguments)
+        return guarded
 
     def finish(self, code=0):
         """Ask the main loop to stop.
