@@ -117,12 +117,21 @@ def test_given_an_arm_that_stands_still_when_the_reference_moves_on_then_command
     there, still = path.sample(0.0).position + 0.5, np.zeros(2)
     guide = PathGuide(paper_arm, path)
     first = guide.reference(0, there)
-    assert not guide.is_unheeded(first, there, still)
+    assert not guide.is_unheeded(first, still)
     later = guide.reference(10**9, there)
-    assert guide.is_unheeded(later, there, still)
+    assert guide.is_unheeded(later, still)
     guide.stop()
     again = guide.reference(10**9 + STEP, there)
     np.testing.assert_allclose(again.position, there, atol=1e-12)
     # An arm that has moved may stand still later: against an obstacle, or with a faulty sensor.
-    assert not guide.is_unheeded(again, there, np.array([0.1, 0.0]))
-    assert not guide.is_unheeded(guide.reference(2 * 10**9, there), there, still)
+    assert not guide.is_unheeded(again, np.array([0.1, 0.0]))
+    assert not guide.is_unheeded(guide.reference(2 * 10**9, there), still)
+
+
+def test_given_a_direct_start_beside_the_path_when_the_arm_has_not_moved_yet_then_it_gets_time(
+        paper_arm, path):
+    beside = path.sample(0.0).position + 0.04
+    guide = PathGuide(paper_arm, path)
+    assert not guide.is_unheeded(guide.reference(0, beside), np.zeros(2))
+    assert not guide.is_unheeded(guide.reference(STEP, beside), np.zeros(2))
+    assert guide.is_unheeded(guide.reference(3 * 10**9, beside), np.zeros(2))

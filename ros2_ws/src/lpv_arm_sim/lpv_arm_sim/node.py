@@ -56,6 +56,7 @@ class SimulatorNode(ManagedNode):
         self._command = None
         self._waiting = None
         self._slips = 0
+        self._braking = True
 
     def setup(self):
         """Read arm and scenario, create publishers and services."""
@@ -162,14 +163,30 @@ class SimulatorNode(ManagedNode):
 
     def _advance(self):
         command = self._command
-        if command is None or command.safe_stop or self._expired():
-            self._plant.hold()
-            return
+        if command is None:
+            self._brake('no command')
+        elif command.safe_stop:
+            self._brake('safe stop')
+        elif self._expired():
+            self._brake('commands stay away')
+        else:
+            self._drive(command.torque)
+
+    def _drive(self, torque):
         try:
-            self._plant.step(command.torque)
+            self._plant.step(torque)
         except ValueError as error:
-            self.get_logger().error(f'{error}: braking', throttle_duration_sec=1.0)
-            self._plant.hold()
+            self._brake(error)
+            return
+        if self._braking:
+            self._braking = False
+            self.get_logger().info('brakes released')
+
+    def _brake(self, reason):
+        self._plant.hold()
+        if not self._braking:
+            self._braking = True
+            self.get_logger().error(f'brakes engaged: {reason}')
 
     def _expired(self):
         if self.lockstep:

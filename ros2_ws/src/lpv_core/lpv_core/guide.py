@@ -17,7 +17,7 @@ _RAMP = 0.5
 
 
 _UNHEEDED = 0.02
-"""Lead of the reference over an arm at rest from which commands are taken for lost [rad]."""
+"""Way of the reference, with the arm at rest, from which commands are taken for lost [rad]."""
 _MOVING = 0.05
 """Rate at which an arm is seen to move: above the noise of estimates [rad/s]."""
 
@@ -81,7 +81,7 @@ class PathGuide:
             return self._lead(time / self._approach)
         return self._follow(time - self._approach)
 
-    def is_unheeded(self, reference, position, velocity):
+    def is_unheeded(self, reference, velocity):
         """Whether the arm has stood still since the start although the reference has moved on.
 
         Commands then do not arrive: the drives still brake.  To go on would build up torque for
@@ -91,8 +91,8 @@ class PathGuide:
         ----------
         reference : lpv_core.path.Reference
             The present one.
-        position, velocity : array_like, shape (2,)
-            Where the arm is and how fast, in joint coordinates [rad], [rad/s].
+        velocity : array_like, shape (2,)
+            Rates of the arm, in joint coordinates [rad/s].
 
         Returns
         -------
@@ -100,7 +100,8 @@ class PathGuide:
             False for good once the arm has moved.
         """
         self._heeded |= bool(np.abs(velocity).max() > _MOVING)
-        return not self._heeded and np.abs(reference.position - position).max() > _UNHEEDED
+        way = np.abs(reference.position - self._first).max()
+        return bool(not self._heeded and way > _UNHEEDED)
 
     def _start(self, stamp, position):
         self._since, self._from = stamp, self._reached
@@ -111,6 +112,7 @@ class PathGuide:
         self._ramp = 0.0 if resting else _RAMP
         # The peak rate of the quintic is 15/8 of its mean.
         self._approach = 1.875 * distance / self._speed if distance > _NEAR else 0.0
+        self._first = position if self._approach else position - self._offset
 
     def _lead(self, share):
         """On the way from where the arm was found to the path: a share of the approach's time."""

@@ -101,10 +101,15 @@ class TrackerNode(ManagedNode):
             return
         position = self._feedback(message)
         reference = self._guide.reference(stamp, position)
-        if not self.lockstep and self._guide.is_unheeded(reference, position, message.velocity):
-            self._stop()
+        if not self.lockstep and self._guide.is_unheeded(reference, message.velocity):
+            self.get_logger().warning('the arm does not move: nobody hears the commands, or the '
+                                      'drives brake', throttle_duration_sec=5.0)
+            self._guide.stop()
+            self._controller.reset()
             reference = self._guide.reference(stamp, position)
-        self._stopped = False
+        if self._stopped:
+            self._stopped = False
+            self.get_logger().info('following the path')
         self._publish_command(message, position, stamp, reference)
         self._publish_reference(stamp, reference)
         self._previous = stamp

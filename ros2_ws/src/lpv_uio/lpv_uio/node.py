@@ -142,6 +142,8 @@ class UioNode(ManagedNode):
             self._publish(answer)
 
     def _publish(self, answer):
+        if self._answer is None or self._stale:
+            self.get_logger().info('measurements flow')
         self._stale = False
         self._answer = answer
         stamp, messages = answer.stamp, self._messages
