@@ -135,3 +135,18 @@ def test_given_a_direct_start_beside_the_path_when_the_arm_has_not_moved_yet_the
     assert not guide.is_unheeded(guide.reference(0, beside), np.zeros(2))
     assert not guide.is_unheeded(guide.reference(STEP, beside), np.zeros(2))
     assert guide.is_unheeded(guide.reference(3 * 10**9, beside), np.zeros(2))
+
+
+@pytest.mark.parametrize('offset', [0.0, 0.6])
+def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
+        paper_arm, path, offset):
+    guide, other = PathGuide(paper_arm, path), PathGuide(paper_arm, path)
+    for begin, position in ((0, path.sample(0.0).position + offset), (10**10, (1.2, 1.3))):
+        rows = follow(guide, position, begin, 4.0)
+        other.reference(begin, position)
+        stamps = begin + STEP * np.arange(2000)
+        ahead = other.ahead(stamps)
+        for name, values in rows.items():
+            np.testing.assert_allclose(getattr(ahead, name), values, atol=1e-12, err_msg=name)
+        guide.stop()
+        other.stop(int(stamps[-1]))

@@ -50,8 +50,18 @@ class PathGuide:
         self._reached = 0.0
         self._heeded = False
 
-    def stop(self):
-        """Stop the clock of the path until the next reference."""
+    def stop(self, stamp=None):
+        """Stop the clock of the path until the next reference.
+
+        Parameters
+        ----------
+        stamp : int, optional
+            Of the last reference that was followed, where they were taken from `ahead` [ns].
+        """
+        if stamp is not None and self._since is not None:
+            time = (stamp - self._since) / NANOSECONDS - self._approach
+            if time >= 0.0:
+                self._reached = float(self._progress(np.array([time]))[0][0])
         self._since = None
 
     @property
@@ -80,6 +90,47 @@ class PathGuide:
         if time < self._approach:
             return self._lead(time / self._approach)
         return self._follow(time - self._approach)
+
+    def ahead(self, stamps):
+        """References at many times after the present start, as `reference` gives them one by one.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (n,)
+            Times [ns].
+
+        Returns
+        -------
+        lpv_core.path.Reference
+            Arrays of shape (n, 2).
+        """
+        time = (stamps - self._since) / NANOSECONDS - self._approach
+        reached, pace, change = self._progress(np.maximum(time, 0.0))
+        on_path = self._path.sample(reached)
+        pace, change = pace[:, None], change[:, None]
+        result = Reference(on_path.position, pace * on_path.velocity,
+                           pace**2 * on_path.acceleration + change * on_path.velocity,
+                           on_path.tip)
+        leading = np.flatnonzero(time < 0.0)
+        if len(leading):
+            led = self._lead(1.0 + time[leading, None] / self._approach)
+            for name in ('position', 'velocity', 'acceleration', 'tip'):
+                getattr(result, name)[leading] = getattr(led, name)
+        return result
+
+    def _progress(self, time):
+        """How far the path is so long after the approach [s], its pace, and the pace's rate."""
+        ramp = self._ramp
+        share = np.minimum(time / ramp, 1.0) if ramp else np.ones_like(time)
+        on_ramp = self._from + ramp * (share**3 - 0.5 * share**4)
+        reached = np.where(share < 1.0, on_ramp, self._from + (time - 0.5 * ramp))
+        change = 6.0 * share * (1.0 - share) / ramp if ramp else np.zeros_like(time)
+        return reached, share**2 * (3.0 - 2.0 * share), change
+
+    @property
+    def is_on_path(self):
+        """Whether the path itself is followed: the present start has no approach and no ramp."""
+        return self._approach == 0.0 and self._ramp == 0.0
 
     def is_unheeded(self, reference, velocity):
         """Whether the arm has stood still since the start although the reference has moved on.
@@ -132,9 +183,8 @@ class PathGuide:
         if time >= self._ramp:
             self._reached = self._from + (time - 0.5 * self._ramp)
             return self._path.sample(self._reached)
-        share = time / self._ramp
-        self._reached = self._from + self._ramp * (share**3 - 0.5 * share**4)
-        pace, change = share**2 * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / self._ramp
-        on_path = self._path.sample(self._reached)
+        reached, pace, change = (float(v[0]) for v in self._progress(np.array([time])))
+        self._reached = reached
+        on_path = self._path.sample(reached)
         return Reference(on_path.position, pace * on_path.velocity,
                          pace**2 * on_path.acceleration + change * on_path.velocity, on_path.tip)
