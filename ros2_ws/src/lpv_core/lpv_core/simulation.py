@@ -279,7 +279,8 @@ def _plant_constants(arm, true_arm, scenario, joints, substeps):
         PLANT_CONSTANTS, joints=joints.record(),
         arm=true_arm.constants(scenario.plant in ('nonlinear', 'mujoco')),
         sample_time=arm.sample_time, substeps=substeps, torque_limit=arm.torque_limit,
-        direction=arm.disturbance_direction, push_mean=arm.disturbance_mean, push_deviation=math.sqrt(arm.disturbance_variance),
+        direction=arm.disturbance_direction, push_mean=arm.disturbance_mean,
+        push_deviation=math.sqrt(arm.disturbance_variance),
         disturbed=scenario.disturbance, noisy=scenario.noise, position_noise=arm.position_noise,
         velocity_noise=arm.velocity_noise)
     if scenario.plant == 'lpv':
