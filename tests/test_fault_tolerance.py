@@ -246,6 +246,10 @@ def test_given_a_small_bias_of_a_rate_sensor_when_it_lasts_then_the_arm_stops_ra
     # ... and goes on when the estimate has come back.
     assert run.trustworthy[-100:].all()
     assert np.ptp(run.position[-100:], axis=0).min() > 0.001
+    # The clock of the path stood still, and its speed is picked up from rest.
+    assert np.abs(np.diff(run.reference, axis=0)).max() < 0.002
+    begin = np.flatnonzero(stopped[:-1] & ~stopped[1:])[-1] + 1
+    assert np.abs(np.diff(run.reference[begin:begin + 10], axis=0)).max() < 1e-5
 
 
 def test_given_an_unstated_payload_when_it_is_lifted_then_the_diagnosis_is_inconsistent(simulate):

@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from mcap.reader import make_reader  # noqa: E402
+from rcl_interfaces.msg import ParameterType  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, ListParameters  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
@@ -277,6 +278,12 @@ def test_given_a_node_when_asked_then_all_its_parameters_are_described(
         running.stop()
     assert len(own) >= 5
     assert [d.name for d in described.descriptors if not d.description] == []
+    numbers = {ParameterType.PARAMETER_DOUBLE: 'floating_point_range',
+               ParameterType.PARAMETER_INTEGER: 'integer_range'}
+    for d in described.descriptors:
+        if d.type in numbers:
+            (limits,) = getattr(d, numbers[d.type])
+            assert limits.from_value < limits.to_value, d.name
 
 
 def test_given_lockstep_when_nobody_answers_then_the_simulator_waits(

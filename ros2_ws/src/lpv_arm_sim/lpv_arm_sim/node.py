@@ -1,6 +1,7 @@
 """Simulator node: publishes faulty joint measurements of a simulated arm."""
 
 import sys
+import time
 from dataclasses import replace
 
 from builtin_interfaces.msg import Time
@@ -33,6 +34,8 @@ SPECS = (
 
 _CATCH_UP = 5
 """Most samples made up for in one late tick; beyond, the arm's time slips and is counted."""
+_PATIENCE = 1.0
+"""Lockstep: how long an answer may take before the sample is sent again to newcomers [s]."""
 
 
 class SimulatorNode(ManagedNode):
@@ -43,7 +46,8 @@ class SimulatorNode(ManagedNode):
     ``torque_command``.  Services: ``~/inject_fault``, ``~/clear_faults``.
 
     Until the first command, after a safe stop, and in real time when commands stay away, the
-    drives brake and hold the arm where it is.
+    drives brake and hold the arm where it is.  In lockstep a sample that nobody answers is sent
+    again when nodes have joined: one that was restarted has not heard it.
     """
 
     def __init__(self):
@@ -52,6 +56,7 @@ class SimulatorNode(ManagedNode):
         self._command = None
         self._waiting = None
         self._slips = 0
+        self._braking = True
 
     def setup(self):
         """Read arm and scenario, create publishers and services."""
@@ -93,9 +98,13 @@ class SimulatorNode(ManagedNode):
         if self.lockstep:
             self._start = round(self.get_parameter('start_time').value * NANOSECONDS)
             self.get_logger().info(f'lockstep, {self._last} steps of {self._arm.sample_time} s')
+            self._newcomers, self._peers = True, self._count_peers()
             self._publish()
+            self._ticker = self.steady_timer(0.25, self._ask_again)
         else:
-            self._start = self.get_clock().now().nanoseconds
+            # Time that passed while the node was inactive is none of the arm's.
+            self._start = (self.get_clock().now().nanoseconds
+                           - self._plant.step_count * self._period)
             self.get_logger().info(f'real time, {1.0 / self._arm.sample_time:.0f} Hz')
             self._ticker = self.steady_timer(self._arm.sample_time, self._tick)
 
@@ -105,7 +114,7 @@ class SimulatorNode(ManagedNode):
                               (self._ticker, self.destroy_timer)):
             if item is not None:
                 destroy(item)
-        self._command_in = self._ticker = None
+        self._command_in = self._ticker = self._command = None
 
     @property
     def _stamp(self):
@@ -118,8 +127,26 @@ class SimulatorNode(ManagedNode):
         self._command = message
         self._command_step = self._plant.step_count
         if self.lockstep:
+            self._newcomers = False
             self._advance()
             self._publish()
+
+    def _count_peers(self):
+        return (self._joint_states_out.get_subscription_count(),
+                self.count_publishers(self._command_in.topic_name))
+
+    def _ask_again(self):
+        """Lockstep: send a sample again that went to a node which is no more.
+
+        Only where nodes have come or gone since it was sent: an answer that is merely late must
+        not be given twice, or runs with the same seed would differ.
+        """
+        peers = self._count_peers()
+        self._newcomers |= peers != self._peers
+        self._peers = peers
+        if self._newcomers and time.monotonic() - self._sent > _PATIENCE:
+            self._sent = time.monotonic()
+            self._joint_states_out.publish(self._state_message)
 
     def _tick(self):
         behind = (self.get_clock().now().nanoseconds - self._stamp) // self._period
@@ -136,14 +163,30 @@ class SimulatorNode(ManagedNode):
 
     def _advance(self):
         command = self._command
-        if command is None or command.safe_stop or self._expired():
-            self._plant.hold()
-            return
+        if command is None:
+            self._brake('no command')
+        elif command.safe_stop:
+            self._brake('safe stop')
+        elif self._expired():
+            self._brake('commands stay away')
+        else:
+            self._drive(command.torque)
+
+    def _drive(self, torque):
         try:
-            self._plant.step(command.torque)
+            self._plant.step(torque)
         except ValueError as error:
-            self.get_logger().error(f'{error}: braking', throttle_duration_sec=1.0)
-            self._plant.hold()
+            self._brake(error)
+            return
+        if self._braking:
+            self._braking = False
+            self.get_logger().info('brakes released')
+
+    def _brake(self, reason):
+        self._plant.hold()
+        if not self._braking:
+            self._braking = True
+            self.get_logger().error(f'brakes engaged: {reason}')
 
     def _expired(self):
         if self.lockstep:
@@ -166,6 +209,7 @@ class SimulatorNode(ManagedNode):
         message.velocity = measurement.velocity.tolist()
         message.effort = measurement.effort.tolist()
         self._joint_states_out.publish(message)
+        self._sent = time.monotonic()
         self._report_progress()
 
     def _publish_truth(self, stamp, truth, measurement):

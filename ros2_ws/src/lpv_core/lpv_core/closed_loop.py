@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_core.diagnosis import ALARM_EVENT
+from lpv_core.guide import PathGuide
 from lpv_core.jit import njit
 from lpv_core.monitor import SensorMonitor, copy_event, monitor_step
 from lpv_core.observer import NANOSECONDS
@@ -103,6 +104,23 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
         loop.phase = _SENSE
         row.torque[0], row.torque[1] = plant.torque[0], plant.torque[1]
     return len(rows)
+
+
+def _guide_on(guide, first, period, position, reference):
+    """Lay references from row ``first`` on for a loop that starts, or goes on after a stop.
+
+    Rows count the samples in which the clock of the path runs.
+    """
+    stamps = np.rint(np.arange(first, len(reference.position)) * period * NANOSECONDS).astype(
+        np.int64)
+    if guide.running:
+        guide.stop(round((first - 1) * period * NANOSECONDS))
+    guide.reference(int(stamps[0]), np.array(position))
+    if first == 0 and guide.is_on_path:
+        return  # they are there
+    ahead = guide.ahead(stamps)
+    for name in ('position', 'velocity', 'acceleration'):
+        getattr(reference, name)[first:] = getattr(ahead, name)
 
 
 @njit
@@ -239,9 +257,11 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
     monitor = SensorMonitor('loop', arm, gains, parameters)
     rows = np.zeros(round(scenario.duration / arm.sample_time) + 1, _ROW).view(np.recarray)
     path = scenario.path(arm)
+    guide = PathGuide(arm, path)
     reference = path.sample(arm.sample_time * np.arange(len(rows)))
     loop = new_record(_LOOP, compensation=COMPENSATION.index(compensation), delay=delay, loss=loss,
-                      literal=gains.controller.method == 'paper', previous=NEVER, stop=True)
+                      literal=gains.controller.method == 'paper', previous=NEVER, stop=True,
+                      external=plant.engine is not None)
     # A stream of its own: losses must not change noise and disturbance.
     losses = np.random.default_rng([scenario.seed, 1])
     controller, c_track = new_record(TRACKING_STATE), tracking_constants(arm, gains)
@@ -253,4 +273,11 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
                  reference.position, reference.velocity, reference.acceleration, rows, events, k)
         alarms += monitor.alarms(events[:loop.found])
         loop.found = 0
+        if loop.phase == _ADVANCE:
+            plant.advance()
+        elif loop.phase == _COMMAND and k < len(rows):
+            state = monitor.parts[-1].state
+            feedback = {'always': state.position, 'off': state.measured_position}.get(
+                compensation, state.compensated_position)
+            _guide_on(guide, k - int(loop.offset), arm.sample_time, feedback, reference)
     return Run(**{name: rows[name] for name in rows.dtype.names}, alarms=alarms)

@@ -8,9 +8,10 @@ import numpy as np
 from lpv_core.config import Section, read_yaml
 from lpv_core.faults import KINDS, Fault
 from lpv_core.kinematics import ELBOWS
+from lpv_core.mjcf import COULOMB
 from lpv_core.path import CartesianPath, Obstacle
 
-PLANTS = ('nonlinear', 'nonlinear_without_coriolis', 'lpv')
+PLANTS = ('nonlinear', 'nonlinear_without_coriolis', 'lpv', 'mujoco')
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Scenario:
     seed : int
         Seed of all randomness.
     plant : str
-        One of `PLANTS`: the true arm, the arm of eq. (4), or the paper's LPV plant (25).
+        One of `PLANTS`: the true arm, the arm of eq. (4), the paper's LPV plant (25), or the
+        true arm in MuJoCo.
     sinc_min : float
         Lower end of the box of phi2, phi3 of the LPV plant.
     mass_factors, inertia_factors : tuple of float
@@ -47,6 +49,8 @@ class Scenario:
         Obstacle of the path.
     faults : tuple of Fault
         Scheduled faults.
+    coulomb : {'smooth', 'dry'}
+        Law of Coulomb friction in MuJoCo.
     """
 
     name: str
@@ -65,6 +69,7 @@ class Scenario:
     elbow: str
     obstacle: Obstacle
     faults: tuple
+    coulomb: str = 'smooth'
 
     def path(self, arm):
         """Build the Cartesian path for an arm.
@@ -141,7 +146,7 @@ def parse_scenario(data, source='scenario'):
     ConfigError
         As `load_scenario`.
     """
-    top = Section(data, source)
+    top = Section(_expanded(data), source)
     path = top.section('path')
     waypoints = path.sections('waypoints')
     times = tuple(w.number('t', low=0.0) for w in waypoints)
@@ -155,9 +160,13 @@ def parse_scenario(data, source='scenario'):
     for section in (*waypoints, path):
         section.finish()
     plant = top.section('plant', required=False)
+    model = plant.text('model', 'nonlinear', PLANTS)
+    coulomb = plant.text('coulomb', 'smooth', COULOMB)
+    if coulomb != 'smooth' and model != 'mujoco':
+        raise plant.error('coulomb', f'can be {coulomb} with model mujoco only')
     scenario = Scenario(
         name=top.text('name'), duration=top.number('duration', above=0.0, high=1e6),
-        seed=top.integer('seed', 1, low=0), plant=plant.text('model', 'nonlinear', PLANTS),
+        seed=top.integer('seed', 1, low=0), plant=model,
         sinc_min=plant.number('sinc_min', -0.2, -0.3, 0.99),
         mass_factors=plant.pair('mass_factors', 1.0, above=0.0),
         inertia_factors=plant.pair('inertia_factors', 1.0, above=0.0),
@@ -165,10 +174,17 @@ def parse_scenario(data, source='scenario'):
         friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
         noise=top.flag('noise', True),
         disturbance=top.flag('disturbance', True), times=times, points=points, elbow=elbow,
-        obstacle=obstacle, faults=parse_faults(top))
+        obstacle=obstacle, faults=parse_faults(top), coulomb=coulomb)
     plant.finish()
     top.finish()
     return scenario
+
+
+def _expanded(data):
+    """``plant: mujoco`` stands for ``plant: {model: mujoco}``."""
+    if isinstance(data, dict) and isinstance(data.get('plant'), str):
+        return {**data, 'plant': {'model': data['plant']}}
+    return data
 
 
 def parse_faults(top):

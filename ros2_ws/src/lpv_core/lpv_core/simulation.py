@@ -12,6 +12,7 @@ from lpv_core.dynamics import inverse_dynamics, rk4_step
 from lpv_core.faults import FaultInjector, apply_faults, is_frozen, rate_bias
 from lpv_core.jit import njit
 from lpv_core.joints import JOINT_MAP, JointMap, weigh
+from lpv_core.mujoco_plant import MujocoPlant
 from lpv_core.polytope import sinc_box
 from lpv_core.records import new_record, record_type
 from lpv_core.state_space import lpv_rk4_step, vertex_matrices
@@ -183,6 +184,8 @@ class ArmSimulator:
         Of types `PLANT_CONSTANTS` and `PLANT_STATE`.
     noise, push : numpy.random.Generator
         Of the sensors' noise and of the disturbance.
+    engine : MujocoPlant or None
+        What integrates the arm instead of `integrate`.
     """
 
     def __init__(self, arm, scenario, substeps=2):
@@ -195,6 +198,9 @@ class ArmSimulator:
         self.injector = FaultInjector(arm.sensor_names, scenario.faults, fault_stream)
         true_arm = scenario.true_arm(arm)
         self.constants = _plant_constants(arm, true_arm, scenario, self.joints, substeps)
+        self.engine = None
+        if scenario.plant == 'mujoco':
+            self.engine = MujocoPlant(true_arm, scenario.coulomb)
         self.state = new_record(PLANT_STATE)
         self.state.state[:2] = self.joints.absolute_position(
             scenario.path(arm).sample(0.0).position)
@@ -227,8 +233,19 @@ class ArmSimulator:
         if torque.shape != (2,) or not np.isfinite(torque).all():
             raise ValueError(f'torque must be two finite numbers, got {joint_torque}')
         take_torque(self.constants, self.state, torque[0], torque[1], self.push)
-        integrate(self.constants, self.state)
+        self.advance()
         self._sensed = False
+
+    def advance(self):
+        """Advance the plant by one sample time under the torque that was taken."""
+        c, s = self.constants, self.state
+        if self.engine is None:
+            integrate(c, s)
+            return
+        torque = self.joints.absolute_torque(s.torque)
+        s.state[:] = self.engine.advance(s.state, torque, c.direction * s.disturbance,
+                                         self.sample_time, int(c.substeps))
+        s.step_count += 1
 
     def hold(self):
         """Let one sample time pass with the brakes engaged, see `brake`.
@@ -260,9 +277,10 @@ class ArmSimulator:
 def _plant_constants(arm, true_arm, scenario, joints, substeps):
     c = new_record(
         PLANT_CONSTANTS, joints=joints.record(),
-        arm=true_arm.constants(scenario.plant == 'nonlinear'), sample_time=arm.sample_time,
-        substeps=substeps, torque_limit=arm.torque_limit, direction=arm.disturbance_direction,
-        push_mean=arm.disturbance_mean, push_deviation=math.sqrt(arm.disturbance_variance),
+        arm=true_arm.constants(scenario.plant in ('nonlinear', 'mujoco')),
+        sample_time=arm.sample_time, substeps=substeps, torque_limit=arm.torque_limit,
+        direction=arm.disturbance_direction, push_mean=arm.disturbance_mean,
+        push_deviation=math.sqrt(arm.disturbance_variance),
         disturbed=scenario.disturbance, noisy=scenario.noise, position_noise=arm.position_noise,
         velocity_noise=arm.velocity_noise)
     if scenario.plant == 'lpv':

@@ -1,5 +1,6 @@
 """Managed (lifecycle) nodes that start themselves, say why they cannot, and stop cleanly."""
 
+import functools
 import signal
 import sys
 import time
@@ -7,6 +8,7 @@ import time
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
@@ -60,34 +62,68 @@ class ManagedNode(LifecycleNode):
         self.finished = False
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._gate = None
+        self._taking_part = False
+        self._lasting = {*self.publishers, *self.services}
 
     def on_configure(self, state):
         """Lifecycle: read files and parameters."""
+        self._lasting = {*self.publishers, *self.services}
         try:
             self.setup()
         except LpvError as error:
             self.get_logger().error(str(error))
+            self._take_down()
             return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            # rclpy turns it into a state and forgets the reason.
+            self.get_logger().fatal(f'{type(error).__name__}: {error}')
+            raise
         return super().on_configure(state)
 
     def on_activate(self, state):
         """Lifecycle: take part in the graph as soon as the outputs are matched."""
+        self._taking_part = True
         self.listen()
-        self._gate = self.create_timer(0.02, self._try_begin, clock=self._steady)
+        self._gate = self.steady_timer(0.02, self._try_begin)
         return super().on_activate(state)
 
     def on_deactivate(self, state):
         """Lifecycle: stop taking part."""
-        if self._gate is not None:
-            self.destroy_timer(self._gate)
-            self._gate = None
-        self.end()
+        self._leave()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state):
         """Lifecycle: back to unconfigured."""
-        self.teardown()
+        self._take_down()
         return super().on_cleanup(state)
+
+    def on_shutdown(self, state):
+        """Lifecycle: stop taking part for good; the process stays until it is told to end."""
+        self._leave()
+        self._take_down()
+        return super().on_shutdown(state)
+
+    def on_error(self, state):
+        """Lifecycle: a transition failed unexpectedly; back to unconfigured."""
+        self._leave()
+        self._take_down()
+        super().on_error(state)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _leave(self):
+        self._taking_part = False
+        if self._gate is not None:
+            self.destroy_timer(self._gate)
+            self._gate = None
+        self.end()
+
+    def _take_down(self):
+        """Destroy what `setup` created: configured twice, a node must not publish twice."""
+        self.teardown()
+        for publisher in {*self.publishers} - self._lasting:
+            self.destroy_publisher(publisher)
+        for service in {*self.services} - self._lasting:
+            self.destroy_service(service)
 
     def _try_begin(self):
         recorders = self.get_parameter('await_recorders').value
@@ -122,7 +158,24 @@ class ManagedNode(LifecycleNode):
         rclpy.timer.Timer
             The timer.
         """
-        return self.create_timer(period, callback, clock=self._steady)
+        return self.create_timer(period, self._while_active(callback), clock=self._steady)
+
+    def create_subscription(self, msg_type, topic, callback, qos_profile, **options):
+        """Subscribe as rclpy does; what arrives while the node is not active is dropped."""
+        return super().create_subscription(msg_type, topic, self._while_active(callback),
+                                           qos_profile, **options)
+
+    def _while_active(self, callback):
+        """A callback that does nothing while the node takes no part.
+
+        Executors still call what was queued before a subscription or timer was destroyed, when
+        the publishers that it needs may be gone, too.
+        """
+        @functools.wraps(callback)
+        def guarded(*arguments):
+            if self._taking_part:
+                callback(*arguments)
+        return guarded
 
     def finish(self, code=0):
         """Ask the main loop to stop.
@@ -158,7 +211,7 @@ class ManagedNode(LifecycleNode):
         """Destroy what `listen` and `begin` created; may be called twice."""
 
     def teardown(self):
-        """Destroy what `setup` created."""
+        """Undo `setup`; its publishers and services are destroyed without being named here."""
 
 
 def _executor():
@@ -190,7 +243,7 @@ def run_node(node_class, argv=None):
         initialise(argv)
         node = node_class()
         code = _spin(node, stop)
-    except LpvError as error:
+    except (LpvError, ParameterException) as error:
         print(f'[{node_class.__name__}] {error}', file=sys.stderr, flush=True)
     finally:
         if node is not None:

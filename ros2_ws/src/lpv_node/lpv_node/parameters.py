@@ -19,22 +19,9 @@ from lpv_core.certificate import require
 from lpv_core.errors import ConfigError
 from lpv_core.gains import parse_gains
 
-_ARRAY, _DOUBLE, _STRING = (Parameter.Type.DOUBLE_ARRAY, Parameter.Type.DOUBLE,
-                            Parameter.Type.STRING)
-
-GAIN_FIELDS = {
-    'arm_name': _STRING, 'arm_sha256': _STRING,
-    'observer.method': _STRING, 'observer.lyapunov': _ARRAY, 'observer.fault_sigma': _ARRAY,
-    'controller.method': _STRING, 'controller.m1': _ARRAY, 'controller.m2': _ARRAY,
-    'controller.lyapunov': _ARRAY, 'controller.decay': _DOUBLE, 'controller.sinc_min': _DOUBLE,
-}
-"""Parameters below ``gains.`` that every gains file sets; see lpv_core.gains."""
-METHOD_FIELDS = {
-    'exact': {'kappa': _ARRAY, 'mu': _ARRAY, 'decay': _DOUBLE, 'fastest': _DOUBLE},
-    'paper': {'t1': _ARRAY, 't2': _ARRAY, 'k': _ARRAY, 'box': _ARRAY, 'lmi': _STRING,
-              'gamma': _DOUBLE, 'q': _DOUBLE, 'r': _DOUBLE},
-}
-"""Parameters below ``gains.observer.`` of each method."""
+_ARRAY, _DOUBLE, _STRING, _INTEGER = (
+    Parameter.Type.DOUBLE_ARRAY, Parameter.Type.DOUBLE, Parameter.Type.STRING,
+    Parameter.Type.INTEGER)
 
 
 @dataclass(frozen=True)
@@ -77,6 +64,65 @@ class Spec:
             result.integer_range = [
                 IntegerRange(from_value=int(self.low), to_value=int(self.high))]
         return result
+
+
+@dataclass(frozen=True)
+class GainField:
+    """Declaration of one parameter of the gains file: no default, read-only.
+
+    Attributes
+    ----------
+    kind : rclpy.parameter.Parameter.Type
+        Type.
+    description : str
+        What it means, with its unit.
+    low, high : float or int, optional
+        Range that makes sense at all; what must hold is checked with the certificate.
+    """
+
+    kind: Parameter.Type
+    description: str
+    low: float = None
+    high: float = None
+
+    def descriptor(self):
+        """The ROS descriptor of this parameter."""
+        like = {_DOUBLE: 0.0, _INTEGER: 0}.get(self.kind, '')
+        return Spec('', like, self.description + ', from the gains file written by lpv design',
+                    self.low, self.high, read_only=True).descriptor()
+
+
+FORMAT_FIELD = GainField(_INTEGER, 'version of the format [1]', 1, 1000)
+GAIN_FIELDS = {
+    'arm_name': GainField(_STRING, 'arm that the gains are for'),
+    'arm_sha256': GainField(_STRING, 'hash of its parameters'),
+    'observer.method': GainField(_STRING, 'exact or paper'),
+    'observer.lyapunov': GainField(_ARRAY, 'Lyapunov matrices of the observer, row by row'),
+    'observer.fault_sigma': GainField(_ARRAY, 'standard deviations of the fault estimates [rad]'),
+    'controller.method': GainField(_STRING, 'exact or paper'),
+    'controller.m1': GainField(_ARRAY, 'M1, row by row [N m/rad], [N m s/rad]'),
+    'controller.m2': GainField(_ARRAY, 'M2, row by row [N m/(rad s)]'),
+    'controller.lyapunov': GainField(_ARRAY, 'Lyapunov matrix of the controller, row by row'),
+    'controller.decay': GainField(_DOUBLE, 'certified decay rate of the loop [1/s]', 0.0, 1e6),
+    'controller.sinc_min': GainField(_DOUBLE, 'lower end of the box [1]', -1.0, 1.0),
+}
+"""Parameters below ``gains.`` that every gains file sets; see lpv_core.gains."""
+METHOD_FIELDS = {
+    'exact': {
+        'kappa': GainField(_ARRAY, 'kappa of both links [1/(kg m2)]'),
+        'mu': GainField(_ARRAY, 'mu of both links [1/s]'),
+        'decay': GainField(_DOUBLE, 'certified slowest pole of the error [1/s]', 0.0, 1e6),
+        'fastest': GainField(_DOUBLE, 'certified fastest pole of the error [1/s]', 0.0, 1e6)},
+    'paper': {
+        't1': GainField(_ARRAY, 'T1, row by row'), 't2': GainField(_ARRAY, 'T2, row by row'),
+        'k': GainField(_ARRAY, 'K of all vertices, row by row'),
+        'box': GainField(_ARRAY, 'ranges of phi1, phi2, phi3'),
+        'lmi': GainField(_STRING, 'inequalities that hold'),
+        'gamma': GainField(_DOUBLE, 'attenuation level [1]', 0.0, 1e9),
+        'q': GainField(_DOUBLE, 'distance of the disc\'s centre [1/s]', 0.0, 1e6),
+        'r': GainField(_DOUBLE, 'radius of the disc [1/s]', 0.0, 1e6)},
+}
+"""Parameters below ``gains.observer.`` of each method."""
 
 
 def declare(node, specs):
@@ -149,13 +195,11 @@ def declare_gains(node):
     node : rclpy.node.Node
         The node.
     """
-    descriptor = ParameterDescriptor(read_only=True,
-                                     description='from the gains file written by lpv design')
-    fields = {'format': Parameter.Type.INTEGER, **GAIN_FIELDS}
+    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS}
     for of_method in METHOD_FIELDS.values():
-        fields.update({f'observer.{name}': kind for name, kind in of_method.items()})
-    for name, kind in fields.items():
-        node.declare_parameter(f'gains.{name}', kind, descriptor)
+        fields.update({f'observer.{name}': field for name, field in of_method.items()})
+    for name, field in fields.items():
+        node.declare_parameter(f'gains.{name}', field.kind, field.descriptor())
 
 
 def read_gains(node, arm):

@@ -3,6 +3,7 @@
 import sys
 
 from lpv_core.arm import load_arm
+from lpv_core.guide import PathGuide
 from lpv_core.scenario import load_scenario
 from lpv_core.tracking import COMPENSATION, TrackingController
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
@@ -18,6 +19,8 @@ SPECS = (
          'faults removed, or as estimated (always)', choices=COMPENSATION),
     Spec('estimate_timeout', 0.2, 'real time only: command a safe stop when no estimate came for '
          'so long [s]', 0.01, 60.0, read_only=True),
+    Spec('approach_speed', 0.5, 'fastest joint rate on the way to the path, where the arm starts '
+         'or goes on elsewhere [rad/s]', 0.01, 10.0, read_only=True),
 )
 
 
@@ -25,26 +28,31 @@ class TrackerNode(ManagedNode):
     """Tracking controller.
 
     Topics: subscribes ``state_estimate``; publishes ``torque_command`` and ``reference``.  The
-    path starts at the stamp of the first estimate.
+    path starts at the stamp of the first estimate; its clock stands still during a safe stop, and
+    an arm that is found elsewhere is led to the path first (`lpv_core.guide`).
+
+    Safe stops: when an estimate is not to be trusted, when estimates stay away, and when the node
+    is deactivated or ends.
     """
 
     def __init__(self):
         super().__init__('tracker', SPECS)
+        declare_gains(self)
         self._estimate_in = self._watch = None
+        self._stopped = True
 
     def setup(self):
         """Read arm, gains and path, create publishers."""
-        declare_gains(self)
         self._arm = load_arm(required_text(self, 'arm_file'))
         gains = read_gains(self, self._arm)
         self._controller = TrackingController(self._arm, gains)
         self._integrates_measurement = gains.controller.method == 'paper'
         self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
+        self._guide = PathGuide(self._arm, self._path, self.get_parameter('approach_speed').value)
         # Compile before the first estimate, not on it.
         self._controller.update(self._path.sample(0.0), [0.0, 0.1], [0.0, 0.0], [0.0, 0.1], 0.0)
         self._controller.reset()
-        self._start = self._last = self._received = None
-        self._stopped = False
+        self._last = self._previous = self._received = None
         qos = stream(self.lockstep)
         self._command_out = self.create_publisher(TorqueCommand, 'torque_command', qos)
         self._reference_out = self.create_publisher(JointReference, 'reference', qos)
@@ -64,40 +72,66 @@ class TrackerNode(ManagedNode):
         self.get_logger().info(f'tracking a path of {self._path.end:.1f} s')
 
     def end(self):
-        """Unsubscribe."""
+        """Unsubscribe, and leave the arm braked."""
         if self._estimate_in is not None:
             self.destroy_subscription(self._estimate_in)
             self._estimate_in = None
         if self._watch is not None:
             self.destroy_timer(self._watch)
             self._watch = None
+        if not (self._stopped or self.lockstep):
+            self._stop()
+            self._publish_safe_stop(self.get_clock().now().nanoseconds)
 
     def _on_estimate(self, message):
         stamp = to_nanoseconds(message.header.stamp)
-        if self._last is not None and stamp <= self._last:
-            if self._last - stamp < NANOSECONDS:
-                return  # duplicate or out of order
-            self._start = None  # time started anew, and so does the path
-        if not message.trustworthy:
-            self._publish_safe_stop(stamp)
-            self._controller.reset()
-            self._last = stamp if self._start is not None else self._last
-            return
-        if self._start is None:
-            self._start, self._last = stamp, stamp
-            self._controller.reset()
         self._received = self.get_clock().now().nanoseconds
-        self._stopped = False
-        reference = self._path.sample((stamp - self._start) / NANOSECONDS)
-        self._publish_command(message, stamp, reference)
-        self._publish_reference(stamp, reference)
+        if self._last is not None and stamp <= self._last:
+            if self.lockstep and stamp == self._last:
+                self._answer_again()
+                return
+            if not self.lockstep and self._last - stamp < NANOSECONDS:
+                return  # duplicate or out of order
+            self._stop()
+            self._guide.reset()  # time started anew, and so does the path
         self._last = stamp
-
-    def _publish_command(self, message, stamp, reference):
+        if not message.trustworthy:
+            self._stop()
+            self._publish_safe_stop(stamp)
+            return
         position = self._feedback(message)
+        reference = self._guide.reference(stamp, position)
+        if not self.lockstep and self._guide.is_unheeded(reference, message.velocity):
+            self.get_logger().warning('the arm does not move: nobody hears the commands, or the '
+                                      'drives brake', throttle_duration_sec=5.0)
+            self._guide.stop()
+            self._controller.reset()
+            reference = self._guide.reference(stamp, position)
+        if self._stopped:
+            self._stopped = False
+            self.get_logger().info('following the path')
+        self._publish_command(message, position, stamp, reference)
+        self._publish_reference(stamp, reference)
+        self._previous = stamp
+
+    def _stop(self):
+        """Nothing is followed until the next estimate that can be trusted."""
+        self._controller.reset()
+        self._guide.stop()
+        self._previous = None
+        self._stopped = True
+
+    def _answer_again(self):
+        """The same estimate again: somebody was restarted and has not heard the answer."""
+        self._command_out.publish(self._command)
+        if not self._command.safe_stop:
+            self._reference_out.publish(self._reference)
+
+    def _publish_command(self, message, position, stamp, reference):
         integrated = message.measured_position if self._integrates_measurement else position
+        interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
         command = self._controller.update(reference, position, message.velocity, integrated,
-                                          (stamp - self._last) / NANOSECONDS)
+                                          interval)
         set_stamp(self._command.header.stamp, stamp)
         self._command.torque, self._command.safe_stop = command.torque, False
         self._command_out.publish(self._command)
@@ -117,13 +151,12 @@ class TrackerNode(ManagedNode):
 
     def _check_silence(self):
         """Stop safely when the observer is silent: the drives then brake."""
-        if self._received is None or self._stopped:
+        if self._stopped:
             return
         now = self.get_clock().now().nanoseconds
         if now - self._received > self.get_parameter('estimate_timeout').value * NANOSECONDS:
-            self._stopped = True
-            self._controller.reset()
             self.get_logger().error('no estimates: safe stop')
+            self._stop()
             self._publish_safe_stop(now)
 
     def _publish_safe_stop(self, stamp):

@@ -23,7 +23,7 @@ from lpv_uio.messages import OutputMessages
 _DIAGNOSIS = DiagnosisParameters()
 DIAGNOSIS_SPECS = (
     Spec('diagnosis.threshold_factor', _DIAGNOSIS.threshold_factor,
-         'threshold over guaranteed bound', 0.1, 10.0),
+         'threshold over guaranteed bound [1]', 0.1, 10.0),
     Spec('diagnosis.minimum_threshold', _DIAGNOSIS.minimum_threshold,
          'no alarm below this fault [rad]', 0.0, 10.0),
     Spec('diagnosis.dwell', _DIAGNOSIS.dwell,
@@ -31,9 +31,9 @@ DIAGNOSIS_SPECS = (
     Spec('diagnosis.clear_dwell', _DIAGNOSIS.clear_dwell,
          'time below hysteresis*threshold before the alarm clears [s]', 0.0, 100.0),
     Spec('diagnosis.hysteresis', _DIAGNOSIS.hysteresis,
-         'fraction of the threshold at which an alarm may clear', 0.0, 1.0),
+         'fraction of the threshold at which an alarm may clear [1]', 0.0, 1.0),
     Spec('diagnosis.sigmas', _DIAGNOSIS.sigmas,
-         'standard deviations of noise in the bound', 1.0, 10.0),
+         'standard deviations of noise in the bound [1]', 1.0, 10.0),
     Spec('diagnosis.false_alarm_hours', _DIAGNOSIS.false_alarm_hours,
          'mean time between false alarms by noise, for changes of the estimate [h]', 0.01, 1e6),
     Spec('diagnosis.latch', _DIAGNOSIS.latch,
@@ -43,7 +43,7 @@ DIAGNOSIS_SPECS = (
     Spec('diagnosis.safe_stop_bound', _DIAGNOSIS.safe_stop_bound,
          'bound above which a confirmed fault stops the arm [rad]', 0.01, 100.0),
     Spec('diagnosis.friction_uncertainty', _DIAGNOSIS.friction_uncertainty,
-         'relative uncertainty of Coulomb friction', 0.0, 1.0),
+         'relative uncertainty of Coulomb friction [1]', 0.0, 1.0),
 )
 SPECS = DIAGNOSIS_SPECS + (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
@@ -84,7 +84,7 @@ class UioNode(ManagedNode):
         self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._torque = [math.nan, math.nan]
-        self._received = None
+        self._received = self._answer = None
         self._stale = False
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
@@ -124,6 +124,13 @@ class UioNode(ManagedNode):
 
     def _on_measurement(self, message):
         stamp = to_nanoseconds(message.header.stamp)
+        if self.lockstep and self._answer is not None and stamp <= self._answer.stamp:
+            if stamp == self._answer.stamp:
+                self._publish_estimates(self._answer)  # somebody was restarted and asks again
+                return
+            # Nothing overtakes here: the simulator was restarted, however short its run was.
+            self.get_logger().warning('lockstep starts anew: so do observer and alarms')
+            self._monitor.reset()
         try:
             answer = self._monitor.take(stamp, message,
                                         self._torque if self._from_command else None)
@@ -135,19 +142,25 @@ class UioNode(ManagedNode):
             self._publish(answer)
 
     def _publish(self, answer):
+        if self._answer is None or self._stale:
+            self.get_logger().info('measurements flow')
         self._stale = False
+        self._answer = answer
         stamp, messages = answer.stamp, self._messages
         if answer.restarted:
             self.get_logger().warning('time went backwards: observer and alarms start anew')
-        self._state_out.publish(messages.state(stamp, answer.state))
-        if answer.fault is not None:
-            self._fault_out.publish(messages.fault(stamp, answer.fault))
+        self._publish_estimates(answer)
         for fields in answer.alarms:
             self._alarm_out.publish(messages.alarm(stamp, fields))
         for event in answer.events:
             self._log(event)
         if answer.status is not None:
             self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
+
+    def _publish_estimates(self, answer):
+        self._state_out.publish(self._messages.state(answer.stamp, answer.state))
+        if answer.fault is not None:
+            self._fault_out.publish(self._messages.fault(answer.stamp, answer.fault))
 
     def _log(self, event):
         if event.event == AlarmEvent.RAISED:

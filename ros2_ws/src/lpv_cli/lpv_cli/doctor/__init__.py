@@ -1,0 +1,80 @@
+"""``lpv doctor``: finds the usual mistakes, and says what to do about them."""
+
+import json
+
+from rich.console import Console
+
+from lpv_cli.doctor.environment import check_environment
+from lpv_cli.doctor.files import check_files
+from lpv_cli.doctor.findings import Level, as_dict, show
+
+FOUND = 3
+"""Exit code where something was found."""
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('--arm', help='arm file, or name of a shipped arm; without, that of the '
+                        'running observer')
+    parser.add_argument('--gains', help='gains file that should fit the arm')
+    parser.add_argument('--scenario', help='scenario file, or name of a shipped one')
+    parser.add_argument('--offline', action='store_true', help='leave the running graph alone')
+    parser.add_argument('--seconds', type=_seconds, default=3.0,
+                        help='how long to watch the graph (3)')
+    parser.add_argument('--json', action='store_true', help='findings as JSON')
+
+
+def _seconds(text):
+    value = float(text)
+    if not 0.5 <= value <= 600.0:
+        raise ValueError  # argparse says that the value is invalid
+    return value
+
+
+def run(arguments):
+    """Check environment, files and graph.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0 if nothing was found, 3 otherwise.
+    """
+    findings = check_environment()
+    arm, of_files = check_files(arguments.arm, arguments.gains, arguments.scenario)
+    findings += of_files
+    if not arguments.offline:
+        findings += _check_graph(arm, arguments, alone=not of_files)
+    if arguments.json:
+        print(json.dumps({'ok': _is_ok(findings), 'findings': [as_dict(f) for f in findings]},
+                         indent=2))
+    else:
+        show(findings, Console(soft_wrap=True, highlight=False))
+    return 0 if _is_ok(findings) else FOUND
+
+
+def _is_ok(findings):
+    return all(f.level == Level.OK for f in findings)
+
+
+def _check_graph(arm, arguments, alone):
+    try:
+        import rclpy  # noqa: F401
+
+        import lpv_msgs.msg  # noqa: F401
+    except ImportError:
+        return []  # the check of the environment has said so
+    from lpv_cli.doctor.graph import check_graph
+    from lpv_cli.doctor.watch import watch
+
+    return check_graph(watch(arguments.seconds), arm, alone)

@@ -1,0 +1,146 @@
+"""Checks of what is installed and how the shell is set up."""
+
+import importlib
+import importlib.metadata
+import importlib.util
+import os
+import sys
+
+from packaging.requirements import Requirement
+
+from lpv_cli.doctor.findings import error, ok, warn
+from lpv_core.errors import LpvError
+from lpv_core.resources import executable
+
+REQUIREMENTS = (
+    'numpy>=1.24,<3', 'scipy>=1.10,<2', 'numba>=0.59,<1', 'pyyaml>=6,<7', 'cvxpy>=1.5,<2',
+    'clarabel>=0.9,<1', 'matplotlib>=3.7,<4', 'jinja2>=3.1,<4', 'rich>=13,<16', 'mcap>=1.2,<2',
+    'rosbags>=0.11.9,<0.12')
+"""As in requirements/base.txt, which is not installed."""
+PROGRAMS = (('lpv_arm_sim', 'simulator'), ('lpv_uio', 'uio'), ('lpv_tracker', 'tracker'),
+            ('lpv_bag', 'recorder'))
+_RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT')
+_LARGEST_DOMAIN = 232
+_SAFE_DOMAIN = 101
+"""Domains above have ports that the operating system also gives to others."""
+
+
+def check_environment():
+    """Run all checks of this module.
+
+    Returns
+    -------
+    list of Finding
+        One a check.
+    """
+    return [check_python(), check_packages(), check_compiler(), check_ros(), check_workspace(),
+            check_middleware(), check_domain(), check_range()]
+
+
+def check_python():
+    """Version of Python."""
+    version = '.'.join(map(str, sys.version_info[:3]))
+    if (3, 10) <= sys.version_info[:2] <= (3, 13):
+        return ok('python', version)
+    return warn('python', f'{version} is not tried', 'use Python 3.10 to 3.13')
+
+
+def check_packages(requirements=REQUIREMENTS):
+    """Versions of the Python packages that all commands need."""
+    bad = []
+    for requirement in map(Requirement, requirements):
+        try:
+            version = importlib.metadata.version(requirement.name)
+        except importlib.metadata.PackageNotFoundError:
+            bad.append(f'{requirement.name} is missing')
+            continue
+        if not requirement.specifier.contains(version, prereleases=True):
+            bad.append(f'{requirement.name} is {version}, {requirement.specifier} is needed')
+    if bad:
+        return error('packages', '; '.join(bad), 'make setup, or pip install -r '
+                     'requirements/base.txt')
+    return ok('packages', f'{len(requirements)} packages in the versions that are needed')
+
+
+def check_compiler():
+    """Whether the recursions run compiled."""
+    from lpv_core.jit import COMPILED
+
+    if COMPILED:
+        return ok('compiler', 'recursions are compiled')
+    return warn('compiler', 'recursions run as plain Python: real time is out of reach',
+                'unset LPV_NO_JIT, and install numba')
+
+
+def check_ros():
+    """Whether there is one ROS 2, and only one."""
+    distro = os.environ.get('ROS_DISTRO', '')
+    try:
+        import rclpy
+    except ImportError as problem:
+        return error('ros', f'rclpy cannot be imported: {problem}',
+                     'make setup, or source the ROS 2 that it was run with')
+    inside = os.path.realpath(rclpy.__file__).startswith(os.path.realpath(sys.prefix) + os.sep)
+    if distro and inside and sys.prefix != sys.base_prefix:
+        return error('ros', f'ROS 2 {distro} is sourced, but rclpy comes from wheels in '
+                     f'{sys.prefix}: two builds of the same libraries',
+                     'use a shell without ROS 2, or make clean setup with ROS 2 sourced')
+    return ok('ros', f'{distro} is sourced' if distro else 'from wheels')
+
+
+def check_workspace():
+    """Whether messages and programs of this workspace are built."""
+    try:
+        importlib.import_module('lpv_msgs.msg')
+        for package, program in PROGRAMS:
+            executable(package, program)
+    except (ImportError, LpvError) as problem:
+        return error('workspace', str(problem),
+                     'make setup, or colcon build and source install/setup.bash')
+    return ok('workspace', 'messages and programs are there')
+
+
+def check_middleware():
+    """Whether the middleware that is asked for is installed."""
+    wanted = os.environ.get('RMW_IMPLEMENTATION', '')
+    try:
+        from rclpy.utilities import get_rmw_implementation_identifier
+
+        found = get_rmw_implementation_identifier()
+    except Exception as problem:
+        # Missing libraries show up as many kinds of exceptions here.
+        return error('middleware', ' '.join(str(problem).split()) or type(problem).__name__,
+                     f'install {wanted}, or unset RMW_IMPLEMENTATION' if wanted else 'make setup')
+    if wanted and wanted != found:
+        return error('middleware', f'RMW_IMPLEMENTATION is {wanted}, but {found} is loaded',
+                     f'install {wanted}, or unset RMW_IMPLEMENTATION')
+    return ok('middleware', found)
+
+
+def check_domain():
+    """Whether ROS_DOMAIN_ID is a domain."""
+    text = os.environ.get('ROS_DOMAIN_ID', '')
+    remedy = 'export ROS_DOMAIN_ID=N with N from 0 to 101, the same for all nodes'
+    if not text:
+        return ok('domain', '0 (ROS_DOMAIN_ID is not set)')
+    if not text.isdecimal() or int(text) > _LARGEST_DOMAIN:
+        return error('domain', f'ROS_DOMAIN_ID is {text!r}', remedy)
+    if int(text) > _SAFE_DOMAIN:
+        return warn('domain', f'ROS_DOMAIN_ID {text} has ports that programs use at random',
+                    remedy)
+    return ok('domain', text)
+
+
+def check_range():
+    """Where nodes are looked for."""
+    text = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
+    if os.environ.get('ROS_LOCALHOST_ONLY', '') == '1':
+        return warn('discovery', 'ROS_LOCALHOST_ONLY overrides ROS_AUTOMATIC_DISCOVERY_RANGE and '
+                    'is out of use', 'unset ROS_LOCALHOST_ONLY')
+    if text and text not in _RANGES:
+        return error('discovery', f'ROS_AUTOMATIC_DISCOVERY_RANGE is {text!r}',
+                     'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)')
+    if text == 'OFF':
+        return error('discovery', 'ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each '
+                     'other', 'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)')
+    return ok('discovery', text or 'LOCALHOST (of lpv, as nothing is set)')

@@ -1,0 +1,124 @@
+"""Checks of arm, gains and scenario files; no graph is needed."""
+
+import numpy as np
+
+from lpv_cli.doctor.findings import error, ok, warn
+from lpv_core.arm import load_arm
+from lpv_core.certificate import verify
+from lpv_core.errors import LpvError
+from lpv_core.faults import FaultInjector
+from lpv_core.gains import load_gains
+from lpv_core.resources import bringup_file
+from lpv_core.scenario import load_scenario
+
+
+def check_files(arm_name, gains_name, scenario_name):
+    """Run the checks of the files that are given.
+
+    Parameters
+    ----------
+    arm_name, gains_name, scenario_name : str or None
+        As on the command line.
+
+    Returns
+    -------
+    tuple
+        The arm, or None, and a list of findings.
+    """
+    arm, findings = None, []
+    if arm_name:
+        arm, finding = check_arm(arm_name)
+        findings.append(finding)
+    if gains_name:
+        findings.append(check_gains(gains_name, arm, arm_name))
+    elif arm is not None:
+        findings.append(warn('gains', 'none given: no node starts without',
+                             f'lpv design --arm {arm_name} --out gains.yaml; then lpv doctor '
+                             f'--arm {arm_name} --gains gains.yaml'))
+    if scenario_name:
+        findings.append(check_scenario(scenario_name, arm))
+    return arm, findings
+
+
+def check_arm(name):
+    """Whether an arm file can be read.
+
+    Parameters
+    ----------
+    name : str
+        File, or name of a shipped arm.
+
+    Returns
+    -------
+    tuple
+        The arm, or None, and the finding.
+    """
+    try:
+        arm = load_arm(bringup_file('arms', name))
+    except LpvError as problem:
+        return None, error('arm', str(problem), 'mend the field; docs/arm-file.md describes all')
+    return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
+
+
+def check_gains(name, arm, arm_name='ARM'):
+    """Whether gains can be read, belong to the arm, and have a certificate that holds.
+
+    Parameters
+    ----------
+    name : str
+        Gains file.
+    arm : ArmParameters or None
+        Without, only the file itself is checked.
+    arm_name : str, optional
+        What the arm is called on the command line.
+
+    Returns
+    -------
+    Finding
+        The worst.
+    """
+    again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
+    try:
+        gains = load_gains(name)
+    except (LpvError, OSError) as problem:
+        return error('gains', str(problem), again)
+    if arm is None:
+        return ok('gains', f'for arm {gains.arm_name!r}; give --arm to verify them')
+    try:
+        gains.check_arm(arm, name)
+    except LpvError as problem:
+        return error('gains', str(problem), f'{again}, or give the arm file that they are for')
+    failed = [check.name for check in verify(arm, gains) if not check.holds]
+    if failed:
+        return error('gains', f'the certificate does not hold: {"; ".join(failed)}',
+                     f'the numbers were changed after the design: {again}')
+    return ok('gains', f'certificate for arm {arm.name!r} holds')
+
+
+def check_scenario(name, arm):
+    """Whether a scenario can be run with the arm.
+
+    Parameters
+    ----------
+    name : str
+        File, or name of a shipped scenario.
+    arm : ArmParameters or None
+        Without, only the file itself is checked.
+
+    Returns
+    -------
+    Finding
+        The first that is wrong.
+    """
+    remedy = 'mend the field; docs/scenario-file.md describes all'
+    try:
+        scenario = load_scenario(bringup_file('scenarios', name))
+        if arm is not None:
+            scenario.path(arm)
+            FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
+            if scenario.plant == 'mujoco':
+                from lpv_core.mujoco_plant import MujocoPlant
+                MujocoPlant(scenario.true_arm(arm), scenario.coulomb)
+    except LpvError as problem:
+        return error('scenario', str(problem), remedy)
+    return ok('scenario', f'{scenario.name!r}, {scenario.duration:g} s')

@@ -1,0 +1,182 @@
+"""Checks of a running graph, on what was seen of it."""
+
+from collections import Counter
+
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+
+from lpv_cli.doctor.findings import error, ok, warn
+from lpv_cli.doctor.measurements import check_measurements
+from lpv_cli.doctor.watch import JOINT_STATE
+from lpv_core.arm import load_arm
+from lpv_core.errors import LpvError
+
+SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
+"""Topics of a graph that must have one publisher."""
+_DEAD = 'a node that was killed is in the graph for some 20 s more'
+
+
+def check_graph(shot, arm=None, alone=True):
+    """Run all checks of a graph.
+
+    Parameters
+    ----------
+    shot : lpv_cli.doctor.watch.Snapshot
+        What was seen.
+    arm : ArmParameters, optional
+        The arm that it should be; otherwise that of the running observer is taken.
+    alone : bool, optional
+        Whether nothing but the graph was to be checked: nothing running is a finding then.
+
+    Returns
+    -------
+    list of Finding
+        One a check, or one a problem.
+    """
+    if not shot.ours() and not shot.measured:
+        return [check_anybody(shot, alone)]
+    arm = arm or running_arm(shot)
+    return [check_anybody(shot, alone), *check_states(shot), *check_names(shot),
+            *check_publishers(shot), *check_clock(shot), *check_modes(shot),
+            *check_gains_in_use(shot, arm), *check_connections(shot), *check_qos(shot),
+            *check_measurements(shot, arm)]
+
+
+def running_arm(shot):
+    """The arm of the running observer, or of any other node of ours; None if it is not known."""
+    for _, values in sorted(shot.parameters.items(), key=lambda item: '/uio' not in item[0]):
+        try:
+            return load_arm(values['arm_file'])
+        except (KeyError, TypeError, LpvError):
+            continue  # a node of another machine, or one that could not read it either
+    return None
+
+
+def check_anybody(shot, alone=True):
+    """Whether anything of this software runs on this domain."""
+    if shot.ours():
+        return ok('nodes', f'domain {shot.domain}: {", ".join(shot.ours())}')
+    text = f'nothing of this software runs on domain {shot.domain}'
+    if shot.measured:
+        return warn('nodes', f'{text}, but there are measurements',
+                    'ros2 launch lpv_bringup observer.launch.xml ...; a node that ended at once '
+                    'said why: no gains, gains of another arm, a file that is not there')
+    if not alone:
+        return ok('nodes', f'{text}: files were checked')
+    return warn('nodes', text, 'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE '
+                'to those of its shell')
+
+
+def check_states(shot):
+    """Whether managed nodes are active."""
+    findings = []
+    for name, state in shot.states.items():
+        if state is None:
+            findings.append(error('lifecycle', f'{name} does not answer',
+                                  f'it hangs or has died ({_DEAD}): start it again'))
+        elif state != 'active':
+            steps = {'unconfigured': 'configure, then activate', 'inactive': 'activate'}
+            findings.append(warn('lifecycle', f'{name} is {state}', f'ros2 lifecycle set {name} '
+                                 f'{steps.get(state, "activate")}; finalized nodes are started '
+                                 'anew'))
+    return findings or [ok('lifecycle', f'{len(shot.states)} nodes are active')]
+
+
+def check_names(shot):
+    """Whether two nodes have one name: two graphs on one domain."""
+    twice = sorted(name for name, count in Counter(shot.nodes).items() if count > 1)
+    if not twice:
+        return [ok('names', 'no name is used twice')]
+    return [error('names', f'there are several nodes {", ".join(twice)}',
+                  'two runs are on one domain: give one another ROS_DOMAIN_ID or namespace; '
+                  + _DEAD)]
+
+
+def check_publishers(shot):
+    """Whether topics of ours, and /clock, have one source each."""
+    findings = []
+    for topic, ends in sorted(shot.publishers.items()):
+        if len(ends) < 2 or not (topic == '/clock' or topic.rsplit('/', 1)[1] in SINGLE):
+            continue
+        by = ', '.join(sorted(e.node for e in ends))
+        findings.append(error('publishers', f'{topic} has {len(ends)} publishers: {by}',
+                              'two simulators, or a driver beside one: stop one, or give it '
+                              f'another ROS_DOMAIN_ID or namespace; {_DEAD}'))
+    return findings or [ok('publishers', 'every topic has one source')]
+
+
+def check_clock(shot):
+    """Whether /clock runs where nodes wait for it."""
+    waiting = sorted(n for n, values in shot.parameters.items() if values.get('use_sim_time'))
+    if not waiting:
+        return [ok('clock', 'nodes run on the wall clock')]
+    if len({told for _, told in shot.clock}) > 1:
+        return [ok('clock', f'/clock runs; {", ".join(waiting)} use it')]
+    state = 'stands still' if shot.clock else 'is silent'
+    return [error('clock', f'/clock {state}, but {", ".join(waiting)} use it',
+                  'start what publishes /clock (simulator in lockstep, bag player with --clock), '
+                  'or start the nodes without use_sim_time:=true')]
+
+
+def check_modes(shot):
+    """Whether all nodes of a graph run in the same mode."""
+    modes = {n: v['lockstep'] for n, v in shot.parameters.items() if v.get('lockstep') is not None}
+    if len(set(modes.values())) < 2:
+        return [ok('mode', 'lockstep' if True in modes.values() else 'real time')]
+    stepping = ', '.join(sorted(n for n, mode in modes.items() if mode))
+    return [error('mode', f'only some nodes are in lockstep: {stepping}',
+                  'start all with the same mode:=lockstep or mode:=realtime')]
+
+
+def check_gains_in_use(shot, arm):
+    """Whether running nodes have gains of the arm."""
+    hashes = {n: v['gains.arm_sha256'] for n, v in shot.parameters.items()
+              if v.get('gains.arm_sha256')}
+    if arm is None or not hashes:
+        return []
+    others = sorted(n for n, value in hashes.items() if value != arm.sha256())
+    if not others:
+        return [ok('gains in use', f'those of arm {arm.name!r}')]
+    return [error('gains in use', f'{", ".join(others)}: gains of another arm than {arm.name!r}',
+                  'design gains for this arm file (lpv design) and start the nodes with them')]
+
+
+def check_connections(shot):
+    """Whether what nodes of ours listen to has a source, and commands are heard."""
+    findings = []
+    for topic, ends in sorted(shot.subscriptions.items()):
+        listeners = [e for e in ends if e.node in shot.ours()
+                     and not e.node.endswith('/recorder')]
+        if not listeners or shot.publishers.get(topic):
+            continue
+        remedy = 'start what publishes it, or remap the topic'
+        others = sorted(t for t in shot.measured if t != topic)
+        if listeners[0].msgtype == JOINT_STATE and others:
+            remedy = (f'measurements are on {", ".join(others)}: joint_states:={others[0]} of '
+                      f'the launch file, or -r joint_states:={others[0]}')
+        findings.append(error('connections', f'{listeners[0].node} listens to {topic}, which '
+                              'nobody publishes', remedy))
+    return findings or [ok('connections', 'every input has a source')]
+
+
+def check_qos(shot):
+    """Whether publishers and subscriptions of a topic can talk to each other."""
+    findings = []
+    for topic, publishers in sorted(shot.publishers.items()):
+        for source in publishers:
+            for sink in shot.subscriptions.get(topic, ()):
+                if not {source.node, sink.node} & set(shot.ours()):
+                    continue
+                reason = _mismatch(source, sink)
+                if reason:
+                    findings.append(error(
+                        'qos', f'{topic}: {sink.node} does not hear {source.node}: {reason}',
+                        'give all nodes the same mode (lockstep or realtime); a driver should '
+                        'offer reliable, or be heard best effort'))
+    return findings or [ok('qos', 'publishers and subscriptions fit')]
+
+
+def _mismatch(source, sink):
+    if source.msgtype != sink.msgtype:
+        return f'types {source.msgtype} and {sink.msgtype}'
+    compatible, reason = qos_check_compatible(source.qos, sink.qos)
+    return '' if compatible != QoSCompatibility.ERROR else ' '.join(reason.split()).rstrip(';')

@@ -1,0 +1,208 @@
+"""Joins the graph for some seconds and writes down what is there."""
+
+import os
+import time
+from dataclasses import dataclass, field
+
+import rclpy
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+OURS = ('arm_sim', 'uio', 'tracker', 'recorder')
+"""Names of this software's nodes."""
+PARAMETERS = ('use_sim_time', 'lockstep', 'arm_file', 'torque_source', 'gains.arm_sha256')
+_QUIET, _LONGEST_SEARCH = 3.2, 10.0
+"""The search is over when nothing new was found for so long, and after so long at most [s]: DDS
+participants tell of themselves every 3 s."""
+_MOST_TOPICS = 8
+"""More joint_states topics than these are not listened to."""
+
+
+@dataclass
+class Endpoint:
+    """A publisher or subscription.
+
+    Attributes
+    ----------
+    node : str
+        Full name of its node.
+    msgtype : str
+        Message type.
+    qos : rclpy.qos.QoSProfile
+        Offered or requested.
+    """
+
+    node: str
+    msgtype: str
+    qos: object
+
+
+@dataclass
+class Snapshot:
+    """What was seen of a graph.
+
+    Attributes
+    ----------
+    domain : int
+        ROS_DOMAIN_ID.
+    seconds : float
+        Time of listening [s].
+    nodes : list of str
+        Full names; twice where two nodes have one name.
+    states : dict
+        State of each managed node of ours; None where it did not answer.
+    parameters : dict of dict
+        Values of `PARAMETERS` of each node of ours that answered.
+    publishers, subscriptions : dict of list of Endpoint
+        By topic.
+    measured : dict of list
+        By topic of JointState: pairs of time of arrival [ns] and message.
+    clock : list
+        Pairs of time of arrival and time told by /clock [ns].
+    """
+
+    domain: int = 0
+    seconds: float = 3.0
+    nodes: list = field(default_factory=list)
+    states: dict = field(default_factory=dict)
+    parameters: dict = field(default_factory=dict)
+    publishers: dict = field(default_factory=dict)
+    subscriptions: dict = field(default_factory=dict)
+    measured: dict = field(default_factory=dict)
+    clock: list = field(default_factory=list)
+
+    def ours(self):
+        """Full names of this software's nodes, each once."""
+        return sorted({n for n in self.nodes if n.rsplit('/', 1)[1] in OURS})
+
+
+def watch(seconds):
+    """Join the graph of this shell's domain and look around.
+
+    Parameters
+    ----------
+    seconds : float
+        How long to listen to topics [s].
+
+    Returns
+    -------
+    Snapshot
+        What was there.
+    """
+    # As lpv run does it: nobody beyond this machine is bothered unless that is asked for.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node(f'lpv_doctor_{os.getpid()}', context=context, enable_rosout=False,
+                             start_parameter_services=False)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        return _Watch(node, executor).look(seconds)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+class _Watch:
+    def __init__(self, node, executor):
+        self._node, self._executor = node, executor
+
+    def look(self, seconds):
+        self._find()
+        node = self._node
+        shot = Snapshot(node.context.get_domain_id(), seconds)
+        names = [f'{ns.rstrip("/")}/{name}' for name, ns in node.get_node_names_and_namespaces()]
+        shot.nodes = sorted(n for n in names if not n.startswith('/lpv_doctor_'))
+        for topic, _types in node.get_topic_names_and_types():
+            shot.publishers[topic] = _endpoints(node.get_publishers_info_by_topic(topic))
+            shot.subscriptions[topic] = _endpoints(node.get_subscriptions_info_by_topic(topic))
+        self._listen(shot)
+        questions = self._questions(shot.ours())
+        self._spin(seconds, questions)
+        self._write_down(shot, questions)
+        return shot
+
+    def _find(self):
+        """Wait until everybody has been found."""
+        end, quiet_since, known = time.monotonic() + _LONGEST_SEARCH, time.monotonic(), None
+        while time.monotonic() < min(end, quiet_since + _QUIET):
+            self._executor.spin_once(timeout_sec=0.1)
+            found = (sorted(self._node.get_node_names_and_namespaces()),
+                     self._node.get_topic_names_and_types())
+            if found != known:
+                known, quiet_since = found, time.monotonic()
+
+    def _spin(self, seconds, questions=()):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for question in questions:
+                question.ask()
+            self._executor.spin_once(timeout_sec=min(0.05, max(0.0, end - time.monotonic())))
+
+    def _listen(self, shot):
+        node = self._node
+        topics = [t for t, ends in sorted(shot.publishers.items())
+                  if any(e.msgtype == JOINT_STATE for e in ends)]
+        for topic in topics[:_MOST_TOPICS]:
+            received = shot.measured[topic] = []
+            node.create_subscription(
+                JointState, topic, lambda m, to=received: to.append((time.time_ns(), m)),
+                qos_profile_sensor_data)
+        node.create_subscription(
+            Clock, '/clock', lambda m: shot.clock.append(
+                (time.time_ns(), m.clock.sec * 10**9 + m.clock.nanosec)), qos_profile_sensor_data)
+
+    def _questions(self, names):
+        questions = []
+        for name in names:
+            state = self._node.create_client(GetState, f'{name}/get_state')
+            questions.append(_Question(name, '', state, GetState.Request()))
+            values = self._node.create_client(GetParameters, f'{name}/get_parameters')
+            # One by one: a name that a node does not know spoils the answer to the others.
+            questions += [_Question(name, p, values, GetParameters.Request(names=[p]))
+                          for p in PARAMETERS]
+        return questions
+
+    @staticmethod
+    def _write_down(shot, questions):
+        for question in questions:
+            answer, name = question.answer(), question.name
+            if not question.parameter:
+                shot.states[name] = None if answer is None else answer.current_state.label
+            elif answer is not None and answer.values:
+                shot.parameters.setdefault(name, {})[question.parameter] = _plain(
+                    answer.values[0])
+
+
+class _Question:
+    """A request to a node, sent once its service has been found."""
+
+    def __init__(self, name, parameter, client, request):
+        self.name, self.parameter = name, parameter
+        self._client, self._request, self._future = client, request, None
+
+    def ask(self):
+        if self._future is None and self._client.service_is_ready():
+            self._future = self._client.call_async(self._request)
+
+    def answer(self):
+        return self._future.result() if self._future is not None and self._future.done() else None
+
+
+def _plain(value):
+    return {ParameterType.PARAMETER_BOOL: value.bool_value,
+            ParameterType.PARAMETER_STRING: value.string_value}.get(value.type)
+
+
+def _endpoints(infos):
+    return [Endpoint(f'{i.node_namespace.rstrip("/")}/{i.node_name}', i.topic_type, i.qos_profile)
+            for i in infos if not i.node_name.startswith('lpv_doctor_')]

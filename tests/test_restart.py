@@ -1,0 +1,258 @@
+"""Nodes that are killed and restarted while the others run: safe state, then recovery."""
+
+import os
+import re
+import signal
+import time
+from bisect import bisect_right
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rosbags.highlevel import AnyReader  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from lpv_core.arm import load_arm  # noqa: E402
+from lpv_core.gains import save_gains  # noqa: E402
+from lpv_design.pipeline import design  # noqa: E402
+from lpv_design.requirement import load_requirement  # noqa: E402
+from lpv_msgs.msg import GroundTruth, JointReference, TorqueCommand  # noqa: E402
+from lpv_node.qos import stream  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
+# In motion from the first second on: a node that dies leaves a moving arm behind.
+MOVING = '''
+name: moving
+duration: 600.0
+path:
+  waypoints:
+    - {t: 0.2, x: -0.8451, y: 1.5893}
+    - {t: 6.0, x: 0.0, y: 1.58}
+    - {t: 12.0, x: 0.8451, y: 1.5893}
+'''
+SAFE = 1_000_000_000
+"""Longest time from the death of a node to a braked arm [ns]: 0.25 s, more on a busy machine."""
+RECOVERY = 1_000_000_000
+"""Longest time from the first data of a new node to an arm that is moved again [ns]."""
+RELEASED = ('simulator', 'brakes released')
+
+
+def stamp_of(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+class Rig:
+    """A running graph, and what is heard from it."""
+
+    def __init__(self, running, client, files, folder, lockstep):
+        self.running, self.client = running, client
+        self._gains, self._folder, self._lockstep = files['gains'], folder, lockstep
+        arm = f'arm_file:={files["arm"]}'
+        scenario = folder / 'moving.yaml'
+        scenario.write_text(MOVING)
+        self._own = {'simulator': [arm, f'scenario_file:={scenario}'], 'uio': [arm],
+                     'tracker': [arm, f'scenario_file:={scenario}']}
+        self.nodes, self._starts = {}, {}
+        self.heard = {}
+        qos = stream(True) if lockstep else QoSProfile(
+            depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        topics = {'joint_states': JointState} if lockstep else {
+            'torque_command': TorqueCommand, 'ground_truth': GroundTruth,
+            'reference': JointReference}
+        self.heard = {topic: client.listen(kind, topic, qos) for topic, kind in topics.items()}
+
+    def start(self, name, *parameters):
+        files = [self._gains] if name in ('uio', 'tracker') else []
+        self._starts[name] = count = self._starts.get(name, 0) + 1
+        own = self._own.get(name) or [f'output:={self._folder / "bag"}{count}']
+        line = ros.command(name, *own, f'lockstep:={str(self._lockstep).lower()}', *parameters,
+                           files=files)
+        self.nodes[name] = self.running.start(f'{name}{count}', line)
+
+    def kill(self, name):
+        """SIGKILL; the time of death."""
+        node = self.nodes.pop(name)
+        os.killpg(node.process.pid, signal.SIGKILL)
+        node.process.wait(10)
+        self.running.nodes.remove(node)
+        return time.time_ns()
+
+    def since(self, topic, moment):
+        """Messages stamped after a moment; in real time stamps are of the same clock."""
+        messages = self.heard[topic]
+        first = bisect_right(messages, moment, key=stamp_of)  # called often while waiting
+        return messages[first:]
+
+    def log(self, name):
+        """What the present node of this name has logged."""
+        log = self.nodes[name].log
+        return log.read_text() if log.exists() else ''
+
+    def logged(self, name, words, moment):
+        """Time at which a node first said something after a moment; waits for it."""
+        def times():
+            lines = re.findall(rf'\[([0-9.]+)\] \[lpv[^]]*\]: {words}', self.log(name))
+            return [t for t in (round(float(line) * 1e9) for line in lines) if t > moment]
+
+        assert self.client.wait(times, 150.0), f'{name} did not say {words!r}'
+        return times()[0]
+
+    def spin(self, seconds):
+        self.client.wait(lambda: False, seconds)
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory):
+    """Arm and gains at 200 Hz: what counts here is who talks to whom, not how fast."""
+    folder = tmp_path_factory.mktemp('slow')
+    text = (BRINGUP / 'arms' / 'paper.yaml').read_text()
+    found = {'arm': folder / 'arm.yaml', 'gains': folder / 'gains.yaml'}
+    found['arm'].write_text(text.replace('sample_time: 0.002', 'sample_time: 0.005'))
+    save_gains(design(load_arm(found['arm']), load_requirement('paper')).gains, found['gains'])
+    return found
+
+
+@contextmanager
+def rig_on(folder, files, lockstep=False):
+    domain = ros.next_domain()
+    with ros.graph(folder / 'log', domain) as running, ros.client(domain) as client:
+        yield Rig(running, client, files, folder, lockstep)
+
+
+def assert_brakes(rig, death):
+    """The arm brakes soon after the death of a node, and stands still."""
+    braked = rig.logged('simulator', 'brakes engaged', death)
+    assert braked - death < SAFE
+    assert rig.client.wait(lambda: len(rig.since('ground_truth', braked)) > 100)
+    for truth in rig.since('ground_truth', braked):
+        assert np.all(np.asarray(truth.velocity) == 0.0)
+
+
+def assert_recovers(rig, name, first_data, sign):
+    """Within RECOVERY of the first data of a new node the arm is moved again, by the logs."""
+    moment = time.time_ns()
+    rig.start(name)
+    first = rig.logged(*first_data, moment)
+    assert rig.logged(*sign, moment) - first < RECOVERY
+    rig.spin(2.0)
+
+
+def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_on_with_the_new_one(
+        tmp_path, files):
+    with rig_on(tmp_path, files) as rig:
+        for name in ('recorder', 'uio', 'tracker', 'simulator'):
+            rig.start(name)
+        rig.logged('simulator', 'brakes released', 0)
+        rig.spin(3.0)
+
+        death = rig.kill('uio')
+        assert_brakes(rig, death)
+        rig.logged('tracker', 'no estimates: safe stop', death)
+        assert_recovers(rig, 'uio', ('uio', 'measurements flow'), RELEASED)
+        # The path's clock stood still: the reference goes on where the arm was left.
+        before = [m for m in rig.heard['reference'] if stamp_of(m) < death][-1]
+        after = rig.since('reference', death + SAFE)[0]
+        np.testing.assert_allclose(after.position, before.position, atol=0.1)
+
+        rig.kill('recorder')  # nobody else minds
+        rig.start('recorder')
+        rig.logged('recorder', 'recording', 0)
+        rig.spin(2.0)
+        assert 'brakes' not in rig.log('simulator').split('released')[-1]
+
+        death = rig.kill('tracker')
+        assert_brakes(rig, death)
+        assert_recovers(rig, 'tracker', ('tracker', 'following the path'), RELEASED)
+
+        death = rig.kill('simulator')
+        assert rig.logged('tracker', 'no estimates: safe stop', death) - death < SAFE
+        assert_recovers(rig, 'simulator', ('uio', 'measurements flow'), RELEASED)
+        assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
+    # No leap of the arm in all that: 0.35 rad/s along the path, 0.5 rad/s in an approach.
+    assert max(np.abs(m.velocity).max() for m in rig.heard['ground_truth']) < 0.8
+    assert max(np.abs(m.velocity).max() for m in rig.heard['reference']) < 0.6
+    assert_recorded(tmp_path / 'bag2', rig)
+
+
+def assert_recorded(bag, rig):
+    """The second recorder has everything from its start on, in a bag of its own."""
+    with AnyReader([bag]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts['/lpv/torque_command'] > 100
+    assert counts['/lpv/joint_states'] > 300
+
+
+def assert_advances(rig, count=50):
+    """The lockstep goes on: so many new samples."""
+    known = len(rig.heard['joint_states'])
+    assert rig.client.wait(lambda: len(rig.heard['joint_states']) > known + count), 'stuck'
+
+
+def assert_waits(rig):
+    """Nobody answers, and no step is made."""
+    rig.spin(0.2)
+    last = stamp_of(rig.heard['joint_states'][-1])
+    rig.spin(0.5)
+    assert stamp_of(rig.heard['joint_states'][-1]) == last
+
+
+def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_with_the_new_one(
+        tmp_path, files):
+    with rig_on(tmp_path, files, lockstep=True) as rig:
+        for name in ('uio', 'tracker', 'simulator'):
+            rig.start(name)
+        assert_advances(rig)
+        for name in ('uio', 'tracker'):
+            rig.kill(name)
+            assert_waits(rig)
+            rig.start(name)
+            assert_advances(rig)
+        measured = [stamp_of(m) for m in rig.heard['joint_states']]
+        # No sample was left out; one was repeated for each newcomer, or a few.
+        assert set(np.diff(measured)) == {0, 5_000_000}
+        rig.kill('simulator')
+        rig.start('simulator')
+        log = tmp_path / 'log' / 'uio2.log'
+        assert rig.client.wait(lambda: 'lockstep starts anew' in log.read_text()), 'no restart'
+        assert_advances(rig)
+        for name in tuple(rig.nodes):
+            rig.kill(name)  # an orderly end would wait for the dead to acknowledge
+
+
+def test_given_a_node_when_configured_twice_then_it_publishes_and_serves_once(
+        tmp_path, files):
+    with rig_on(tmp_path, files) as rig:
+        for name in ('tracker', 'simulator', 'uio'):
+            rig.start(name, 'autostart:=false')
+        topics = {'tracker': 'torque_command', 'arm_sim': 'joint_states', 'uio': 'state_estimate'}
+        for name, topic in topics.items():
+            for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE,
+                               Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
+                               Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+                answer = rig.client.call(ChangeState, f'{name}/change_state',
+                                         transition=Transition(id=transition))
+                assert answer.success, (name, transition)
+            assert rig.client.wait(lambda t=topic: rig.client.node.count_publishers(t) == 1), name
+        services = [n for n, _ in rig.client.node.get_service_names_and_types()]
+        assert services.count('/lpv/arm_sim/inject_fault') == 1
+        rig.logged('simulator', 'brakes released', 0)
+        # Ended for good, a node is silent but alive.
+        moment = time.time_ns()
+        answer = rig.client.call(ChangeState, 'uio/change_state', transition=Transition(
+            id=Transition.TRANSITION_ACTIVE_SHUTDOWN))
+        assert answer.success
+        assert rig.client.wait(lambda: rig.client.node.count_publishers('state_estimate') == 0)
+        rig.logged('simulator', 'brakes engaged', moment)
+        rig.spin(0.5)
+        assert 'released' not in rig.log('simulator').split('brakes engaged')[-1]
+        assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
