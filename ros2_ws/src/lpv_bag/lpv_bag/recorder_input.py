@@ -91,7 +91,7 @@ class RecorderInput:
     def __init__(self, node, selection, check_type):
         self._node, self._selection, self._check_type = node, selection, check_type
         self._own = rclpy.create_node(
-            f'_{node.get_name()}_input', namespace=node.get_namespace(), context=node.context,
+            f'{node.get_name()}_input', namespace=node.get_namespace(), context=node.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False)
         self._subscriptions, self._refused = {}, set()
         self._complained = set()
