@@ -84,7 +84,7 @@ has_ros2cli() {
   local found
   [ "$source" = sourced ] && return 0
   "$python" -c 'import ros2cli' 2>/dev/null && return 0
-  found=$(command -v ros2) && ! grep -q lpv_ros2cli "$found"
+  found=$(command -v ros2) && ! grep -q "lpv[-_]ros2cli" "$found"
 }
 
 # Our ros2 command and a real one must not meet.
