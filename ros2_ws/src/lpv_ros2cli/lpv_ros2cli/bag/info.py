@@ -23,7 +23,8 @@ def run(arguments):
             print('\n'.join(topics))
             return
         files = _files(Path(arguments.bag_path))
-        empty = reader.message_count == 0
+        count = sum(c.msgcount for items in topics.values() for c in items)
+        empty = count == 0
         start, end = (0, 0) if empty else (reader.start_time, reader.end_time)
         lines = {
             'Files:': '\n'.join(file.name for file in files),
@@ -31,7 +32,7 @@ def run(arguments):
             'Storage id:': ', '.join(sorted({_SUFFIXES[file.suffix] for file in files})),
             'ROS Distro:': _distribution(Path(arguments.bag_path)),
             'Duration:': f'{(end - start) / 1e9:.9f}s', 'Start:': _date(start), 'End:': _date(end),
-            'Messages:': reader.message_count,
+            'Messages:': count,
             'Topic information:': '\n'.join(_topic(*item) for item in topics.items())}
     print()
     for heading, text in lines.items():
