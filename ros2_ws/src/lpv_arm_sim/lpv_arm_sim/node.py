@@ -26,8 +26,8 @@ SPECS = (
     Spec('substeps', 2, 'Runge-Kutta steps per sample', 1, 100, read_only=True),
     Spec('shutdown_at_end', False, 'exit with code 0 after the scenario\'s duration; otherwise '
          'the arm goes on at the end of its path', read_only=True),
-    Spec('command_timeout', 0.2, 'real time only: brake when no torque command came for so long '
-         '[s]', 0.01, 60.0, read_only=True),
+    Spec('command_timeout', 0.2, 'real time only: brake when the measurement that was answered '
+         'last is so old [s]', 0.01, 60.0, read_only=True),
     Spec('start_time', 1.0, 'lockstep only: stamp of the first sample [s]; zero means "not set" '
          'in ROS', 0.001, 1e9, read_only=True),
 )
@@ -125,7 +125,6 @@ class SimulatorNode(ManagedNode):
         if self.lockstep and to_nanoseconds(message.header.stamp) != self._waiting:
             return  # a command for an older sample, e.g. of a tracker that was restarted
         self._command = message
-        self._command_step = self._plant.step_count
         if self.lockstep:
             self._newcomers = False
             self._advance()
@@ -191,8 +190,9 @@ class SimulatorNode(ManagedNode):
     def _expired(self):
         if self.lockstep:
             return False
-        age = (self._plant.step_count - self._command_step) * self._arm.sample_time
-        return age > self.get_parameter('command_timeout').value
+        # By the measurement that it answers: late answers are as bad as none.
+        age = self._stamp - to_nanoseconds(self._command.header.stamp)
+        return age > self.get_parameter('command_timeout').value * NANOSECONDS
 
     def _publish(self):
         measurement, truth = self._plant.sense()
