@@ -18,8 +18,8 @@ _RAMP = 0.5
 
 _UNHEEDED = 0.02
 """Way of the reference, with the arm at rest, from which commands are taken for lost [rad]."""
-_MOVING = 0.05
-"""Rate at which an arm is seen to move: above the noise of estimates [rad/s]."""
+_MOVED = 0.01
+"""Way of an arm that follows, from where it was found: above the noise of estimates [rad]."""
 
 
 class PathGuide:
@@ -132,7 +132,7 @@ class PathGuide:
         """Whether the path itself is followed: the present start has no approach and no ramp."""
         return self._approach == 0.0 and self._ramp == 0.0
 
-    def is_unheeded(self, reference, velocity):
+    def is_unheeded(self, reference, position):
         """Whether the arm has stood still since the start although the reference has moved on.
 
         Commands then do not arrive: the drives still brake.  To go on would build up torque for
@@ -142,15 +142,15 @@ class PathGuide:
         ----------
         reference : lpv_core.path.Reference
             The present one.
-        velocity : array_like, shape (2,)
-            Rates of the arm, in joint coordinates [rad/s].
+        position : array_like, shape (2,)
+            Where the arm is, in joint coordinates [rad].
 
         Returns
         -------
         bool
             False for good once the arm has moved.
         """
-        self._heeded |= bool(np.abs(velocity).max() > _MOVING)
+        self._heeded |= bool(np.abs(position - self._stood).max() > _MOVED)
         way = np.abs(reference.position - self._first).max()
         return bool(not self._heeded and way > _UNHEEDED)
 
@@ -163,7 +163,9 @@ class PathGuide:
         self._ramp = 0.0 if resting else _RAMP
         # The peak rate of the quintic is 15/8 of its mean.
         self._approach = 1.875 * distance / self._speed if distance > _NEAR else 0.0
-        self._first = position if self._approach else position - self._offset
+        self._stood, self._first = position, position
+        if not self._approach:
+            self._first = position - self._offset
 
     def _lead(self, share):
         """On the way from where the arm was found to the path: a share of the approach's time."""

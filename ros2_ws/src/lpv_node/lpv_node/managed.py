@@ -14,6 +14,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from lpv_core.errors import LpvError
 from lpv_node.arguments import initialise
+from lpv_node.discovery import announce_often
 from lpv_node.parameters import Spec, declare
 
 ONLOOKER = 'view'
@@ -240,6 +241,7 @@ def run_node(node_class, argv=None):
     stop = _StopRequest()
     node, code = None, 1
     try:
+        announce_often()
         initialise(argv)
         node = node_class()
         code = _spin(node, stop)

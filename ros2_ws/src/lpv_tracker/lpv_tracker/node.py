@@ -101,7 +101,7 @@ class TrackerNode(ManagedNode):
             return
         position = self._feedback(message)
         reference = self._guide.reference(stamp, position)
-        if not self.lockstep and self._guide.is_unheeded(reference, message.velocity):
+        if not self.lockstep and self._guide.is_unheeded(reference, position):
             self.get_logger().warning('the arm does not move: nobody hears the commands, or the '
                                       'drives brake', throttle_duration_sec=5.0)
             self._guide.stop()

@@ -1,0 +1,15 @@
+"""How soon nodes find each other."""
+
+import os
+from pathlib import Path
+
+_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
+
+
+def announce_often():
+    """Let Fast DDS use the profile ``fastdds.xml`` of this package, unless the user has one.
+
+    To be called before rclpy.init; other middlewares take no notice.
+    """
+    if not any(os.environ.get(name) for name in _VARIABLES):
+        os.environ[_VARIABLES[0]] = str(Path(__file__).with_name('fastdds.xml'))
