@@ -318,6 +318,17 @@ def test_given_relative_encoders_when_bounded_then_encoder_2_carries_both_links(
                                [angles[0], angles[0] + angles[1]], rtol=1e-12)
 
 
+def test_given_a_clock_that_jumps_by_years_when_bounded_then_it_takes_no_longer_than_a_minute_of_it(
+        paper_arm, paper_gains):
+    bounds = []
+    for gap in (60.0, 1e9):
+        bound = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
+        bound.update(estimate_at(0, interval=0.0))
+        bounds.append(bound.update(estimate_at(1, interval=gap)))
+    np.testing.assert_array_equal(bounds[0], bounds[1])
+    assert np.all(np.isfinite(bounds[0]))
+
+
 def worst_torque(rng, limit, n):
     """Inputs within a limit: constant, bang-bang at random, or noise."""
     kind = rng.integers(3)

@@ -25,6 +25,9 @@ from lpv_core.zonotope import COLUMNS, SIZE, extent, map_columns, reduce_columns
 _FASTEST = 100.0
 _LARGEST = 10.0
 """A larger set says nothing more [rad]."""
+_LONGEST = 60.0
+"""After so long a gap the set has come to rest; a clock that jumps by years must not take hours
+[s]."""
 _RATE_BIAS = 0.1
 """Bias of a rate sensor, over the standard deviation of its noise."""
 
@@ -158,8 +161,9 @@ def _advance(c, s, e):
     for i in range(2):
         s.margin[i] = s.extent[i] + c.angle_noise[i]
     unknown_torque(c.unknown, theta, rate, acc, s.margin, s.torque)
-    steps = max(1, math.ceil(e.interval * c.fastest / 0.5))
-    dt = e.interval / steps
+    interval = min(e.interval, _LONGEST)
+    steps = max(1, math.ceil(interval * c.fastest / 0.5))
+    dt = interval / steps
     for _ in range(steps):
         advance_set(c, s, dt)
 
