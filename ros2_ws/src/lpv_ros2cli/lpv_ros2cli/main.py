@@ -27,7 +27,13 @@ def main(argv=None):
     # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     signal.signal(signal.SIGTERM, _terminate)
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # also in the background of a script
+    interrupted = []
+
+    def interrupt(number, frame):
+        interrupted.append(number)
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGINT, interrupt)  # also in the background of a script
     try:
         arguments = parse(sys.argv[1:] if argv is None else argv)
         if arguments.run is None:
@@ -44,6 +50,11 @@ def main(argv=None):
     except BrokenPipeError:  # the reader, head for instance, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except Exception:
+        # An interrupt that falls into a call of the middleware comes out as another exception.
+        if interrupted:
+            return int(signal.SIGINT)
+        raise
 
 
 def _terminate(_number, _frame):
