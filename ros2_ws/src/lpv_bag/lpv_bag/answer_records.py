@@ -5,8 +5,8 @@ import numpy as np
 from lpv_bag.chunk_writing import RECORD, record_head
 from lpv_bag.layout import find_layout
 from lpv_bag.mcap_blocks import RECORD_HEADER
-from lpv_bag.messages import NANOSECONDS
 from lpv_core.monitor import ANSWER
+from lpv_core.observer import NANOSECONDS
 
 STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
 ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'

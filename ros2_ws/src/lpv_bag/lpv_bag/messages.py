@@ -2,7 +2,8 @@
 
 import numpy as np
 
-NANOSECONDS = 1_000_000_000
+from lpv_core.observer import NANOSECONDS
+
 _DTYPES = {'state': np.uint8, 'alarm': np.bool_}
 
 

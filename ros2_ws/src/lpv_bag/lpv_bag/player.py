@@ -19,8 +19,8 @@ from lpv_bag.pipeline import ahead
 from lpv_bag.replay_writer import DIAGNOSTICS, OUTPUTS
 from lpv_bag.run_record import BagError, find_topic, open_bag
 from lpv_core.errors import ConfigError
+from lpv_core.observer import NANOSECONDS
 
-NANOSECONDS = 1_000_000_000
 _CLOCK = '/clock'
 _SETTLING = 1.0
 """Subscribers find publishers one after the other: so long after the first one [s]."""

@@ -17,8 +17,8 @@ from lpv_bag.pipeline import Behind, ahead
 from lpv_bag.replay_writer import ReplayWriter
 from lpv_bag.run_record import BagError, find_topic, open_bag
 from lpv_core.errors import ConfigError
+from lpv_core.observer import NANOSECONDS
 
-NANOSECONDS = 1_000_000_000
 _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
 
 

@@ -9,13 +9,11 @@ from lpv_bag.definitions import check_definition
 from lpv_bag.errors import BagError
 from lpv_bag.reading import BagReader, open_bag
 from lpv_core.diagnosis import Alarm, AlarmEvent
-from lpv_core.observer import Mode
+from lpv_core.observer import NANOSECONDS, Mode
 
 __all__ = ['BagError', 'BagReader', 'RecordedAlarm', 'RunRecord', 'STREAMS', 'find_connections',
            'find_topic', 'load_run', 'open_bag', 'stamp_of']
 _LOG = logging.getLogger(__name__)
-
-NANOSECONDS = 1_000_000_000
 
 
 # Stream: (message type, array fields); the name is the last part of the topic's usual name.

@@ -15,7 +15,13 @@ from lpv_core.observer import NANOSECONDS
 from lpv_core.records import NEVER, new_record, record_type
 from lpv_core.sensor_decision import NOTHING
 from lpv_core.simulation import ArmSimulator, brake, integrate, read_sensors, take_torque
-from lpv_core.tracking import COMPENSATION, TRACKING_STATE, track, tracking_constants
+from lpv_core.tracking import (
+    COMPENSATION,
+    TRACKING_STATE,
+    feedback_position,
+    track,
+    tracking_constants,
+)
 
 _OFF, _CONFIRMED, _ALWAYS = range(len(COMPENSATION))
 _SENSE, _COMMAND, _ADVANCE = range(3)
@@ -54,7 +60,7 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
     # Arrays of their own: the monitor is then compiled for one kind of arrays only.
     position, velocity, effort = np.empty(2), np.empty(2), np.empty(2)
     for k in range(first, len(rows)):
-        row = rows[k]
+        row, answering = rows[k], loop.phase == _COMMAND
         if loop.phase == _SENSE:
             if loop.found + 2 > len(events):
                 return k
@@ -75,11 +81,10 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
                     loop.phase = _COMMAND
                     return k
                 else:
-                    _command(loop, answer, c_track, controller, positions[k - loop.offset],
-                             velocities[k - loop.offset], accelerations[k - loop.offset], k, period)
-        elif loop.phase == _COMMAND:
-            loop.previous = k
-            loop.started = True
+                    answering = True
+        elif answering:
+            loop.previous, loop.started = k, True
+        if answering:
             _command(loop, answer, c_track, controller, positions[k - loop.offset],
                      velocities[k - loop.offset], accelerations[k - loop.offset], k, period)
         if loop.phase != _ADVANCE:
@@ -92,7 +97,6 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
             loop.stops[slot] = loop.stop
             acting = (k - loop.delay) % _MOST_DELAY
             row.braked = k < loop.delay or loop.stops[acting] != 0
-            loop.phase = _SENSE
             if row.braked:
                 brake(c_plant, plant)
             else:
@@ -276,8 +280,8 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
         if loop.phase == _ADVANCE:
             plant.advance()
         elif loop.phase == _COMMAND and k < len(rows):
-            state = monitor.parts[-1].state
-            feedback = {'always': state.position, 'off': state.measured_position}.get(
-                compensation, state.compensated_position)
+            state = monitor.parts[1]
+            feedback = feedback_position(compensation, state.estimate,
+                                         state.diagnosis.decision.confirmed_fault, plant.joints)
             _guide_on(guide, k - int(loop.offset), arm.sample_time, feedback, reference)
     return Run(**{name: rows[name] for name in rows.dtype.names}, alarms=alarms)

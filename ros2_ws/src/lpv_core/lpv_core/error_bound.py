@@ -17,7 +17,7 @@ import numpy as np
 from lpv_core.arm import A_11, B_12, C_22, G_1, G_2
 from lpv_core.change_test import WINDOWS
 from lpv_core.jit import njit
-from lpv_core.joints import JointMap
+from lpv_core.joints import JointMap, weigh
 from lpv_core.records import new_record, record_type
 from lpv_core.unknown_torque import UNKNOWN_TORQUE, healthy_arm, unknown_torque
 from lpv_core.zonotope import COLUMNS, SIZE, extent, map_columns, reduce_columns
@@ -119,11 +119,6 @@ def update_bound(c, s, e):
 
 
 @njit
-def _spread(c, first, second, i):
-    return c.spread[i, 0] * first + c.spread[i, 1] * second
-
-
-@njit
 def _follow_set(c, s, e):
     if s.count == 0:
         s.columns[0, 0], s.columns[1, 1] = c.start[0], c.start[1]
@@ -136,8 +131,8 @@ def _follow_set(c, s, e):
     error_2 = min(s.extent[1] + c.drift[1] * math.sqrt(s.held_for[1]), _LARGEST)
     speed_1, speed_2 = _angle_speed(c, s, e, 0), _angle_speed(c, s, e, 1)
     for i in range(2):
-        s.bound[i] = _spread(c, error_1, error_2, i) + c.noise[i]
-        s.speed[i] = _spread(c, speed_1, speed_2, i)
+        s.bound[i] = weigh(c.spread, i, error_1, error_2) + c.noise[i]
+        s.speed[i] = weigh(c.spread, i, speed_1, speed_2)
         s.momentum[i] = s.extent[2 + i]
 
 
@@ -260,10 +255,10 @@ def _follow_static(c, s, e):
         s.momentum[i] = math.inf
     s.count = 1
     for i in range(2):
-        s.bound[i] = _spread(c, s.extent[0], s.extent[1], i) + c.noise[i]
+        s.bound[i] = weigh(c.spread, i, s.extent[0], s.extent[1]) + c.noise[i]
         # Twice what the error covers at the decay rate.
-        s.speed[i] = _spread(c, 2.0 * c.decay * s.extent[0] + 0.02,
-                             2.0 * c.decay * s.extent[1] + 0.02, i)
+        s.speed[i] = weigh(c.spread, i, 2.0 * c.decay * s.extent[0] + 0.02,
+                           2.0 * c.decay * s.extent[1] + 0.02)
 
 
 def static_bound(c, theta):

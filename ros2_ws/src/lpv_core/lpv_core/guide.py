@@ -5,9 +5,8 @@ import math
 import numpy as np
 
 from lpv_core.kinematics import forward
+from lpv_core.observer import NANOSECONDS
 from lpv_core.path import Reference
-
-NANOSECONDS = 1_000_000_000
 
 _NEAR = 0.05
 """A start within so many radians of the path needs no approach: noise and a resting controller's

@@ -56,6 +56,29 @@ def weigh(matrix, row, first, second):
     return matrix[row, 0] * first + matrix[row, 1] * second
 
 
+@njit
+def joint_angle(c, matrix, row, first, second):
+    """Joint position from angles or readings: one row of matrix @ (first, second), less the zero.
+
+    Parameters
+    ----------
+    c : numpy.record
+        Of type `JOINT_MAP`.
+    matrix : ndarray, shape (2, 2)
+        Its ``j`` for absolute angles, its ``to_joint`` for readings of the sensors.
+    row : int
+        Which joint.
+    first, second : float
+        Angles or readings [rad].
+
+    Returns
+    -------
+    float
+        [rad].
+    """
+    return weigh(matrix, row, first, second) - (c.zero if row == 0 else 0.0)
+
+
 def _apply(matrix, values):
     """matrix @ values over the last axis, leaving zero coefficients out.
 

@@ -26,7 +26,7 @@ from lpv_core.diagnosis import (
 from lpv_core.errors import SampleError
 from lpv_core.jit import njit
 from lpv_core.joint_order import JointOrder
-from lpv_core.joints import weigh
+from lpv_core.joints import joint_angle
 from lpv_core.observer import (
     COUNTERS,
     ESTIMATE,
@@ -146,9 +146,9 @@ def _fill(c, s, answer, mode):
     healthy_1 = e.sensor_position[0] - d.confirmed_fault[0]
     healthy_2 = e.sensor_position[1] - d.confirmed_fault[1]
     for i in range(2):
-        zero = joints.zero if i == 0 else 0.0
         state.position[i], state.velocity[i] = e.position[i], e.velocity[i]
-        state.compensated_position[i] = weigh(joints.to_joint, i, healthy_1, healthy_2) - zero
+        state.compensated_position[i] = joint_angle(joints, joints.to_joint, i, healthy_1,
+                                                    healthy_2)
         state.measured_position[i] = e.measured_position[i]
         state.measured_velocity[i] = e.measured_velocity[i]
         fault.estimate[i], fault.bound[i] = e.fault[i], d.bound[i]

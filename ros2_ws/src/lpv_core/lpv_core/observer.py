@@ -12,7 +12,7 @@ import numpy as np
 from lpv_core.dynamics import acceleration
 from lpv_core.errors import SampleError
 from lpv_core.jit import njit
-from lpv_core.joints import JointMap, weigh
+from lpv_core.joints import JointMap, joint_angle, weigh
 from lpv_core.records import NEVER, new_record, record_type
 from lpv_core.recursion import RECURSION_CONSTANTS, RECURSION_STATE, advance, place, recursion
 
@@ -318,10 +318,9 @@ def _fill(c, s, e):
     else:
         e.mode = _HOLDING if r.held[0] or r.held[1] else _OBSERVING
     for i in range(2):
-        zero = joints.zero if i == 0 else 0.0
-        e.position[i] = weigh(joints.j, i, r.x[0], r.x[1]) - zero
+        e.position[i] = joint_angle(joints, joints.j, i, r.x[0], r.x[1])
         e.velocity[i] = weigh(joints.j, i, r.x[2], r.x[3])
-        e.measured_position[i] = weigh(joints.to_joint, i, y[0], y[1]) - zero
+        e.measured_position[i] = joint_angle(joints, joints.to_joint, i, y[0], y[1])
         e.measured_velocity[i] = weigh(joints.to_joint, i, y[2], y[3])
         e.fault[i], e.absolute_position[i] = r.x[4 + i], r.x[i]
         e.sensor_position[i], e.held[i] = y[i], r.held[i]

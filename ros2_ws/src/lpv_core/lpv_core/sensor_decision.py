@@ -29,9 +29,9 @@ from lpv_core.fault_kind import (
 )
 from lpv_core.history import EXPECTED, FAULT, READING, add_sample, first_since, median_before
 from lpv_core.jit import njit
+from lpv_core.observer import NANOSECONDS
 from lpv_core.records import NEVER, record_type
 
-NANOSECONDS = 1_000_000_000
 NOTHING, RAISED, UPDATED, CLEARED = range(-1, 3)
 _SPIKES = 3
 """So many excursions shorter than the dwell within `_SPIKE_TIME` are a fault of kind spike."""

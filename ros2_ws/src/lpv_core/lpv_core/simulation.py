@@ -11,7 +11,7 @@ import numpy as np
 from lpv_core.dynamics import inverse_dynamics, rk4_step
 from lpv_core.faults import FaultInjector, apply_faults, is_frozen, rate_bias
 from lpv_core.jit import njit
-from lpv_core.joints import JOINT_MAP, JointMap, weigh
+from lpv_core.joints import JOINT_MAP, JointMap, joint_angle, weigh
 from lpv_core.mujoco_plant import MujocoPlant
 from lpv_core.polytope import sinc_box
 from lpv_core.records import new_record, record_type
@@ -102,8 +102,7 @@ def read_sensors(c, s, faults, noise, chance):
     """
     x, joints, time = s.state, c.joints, s.step_count * c.sample_time
     for i in range(2):
-        zero = joints.zero if i == 0 else 0.0
-        s.position[i] = weigh(joints.j, i, x[0], x[1]) - zero
+        s.position[i] = joint_angle(joints, joints.j, i, x[0], x[1])
         s.velocity[i] = weigh(joints.j, i, x[2], x[3])
         s.reading[i] = weigh(joints.sensor, i, x[0], x[1])
     true_1, true_2 = s.reading[0], s.reading[1]
@@ -122,8 +121,8 @@ def read_sensors(c, s, faults, noise, chance):
         rate_1 += c.velocity_noise * draw_3
         rate_2 += c.velocity_noise * draw_4
     for i in range(2):
-        zero = joints.zero if i == 0 else 0.0
-        s.measured_position[i] = weigh(joints.to_joint, i, s.reading[0], s.reading[1]) - zero
+        s.measured_position[i] = joint_angle(joints, joints.to_joint, i, s.reading[0],
+                                             s.reading[1])
         s.measured_velocity[i] = weigh(joints.to_joint, i, rate_1, rate_2)
 
 

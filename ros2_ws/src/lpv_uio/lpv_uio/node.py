@@ -41,7 +41,7 @@ DIAGNOSIS_SPECS = (
     Spec('diagnosis.compensation_rate', _DIAGNOSIS.compensation_rate,
          'how fast a compensation without a known step is faded in and out [rad/s]', 0.01, 100.0),
     Spec('diagnosis.safe_stop_bound', _DIAGNOSIS.safe_stop_bound,
-         'bound above which a confirmed fault stops the arm [rad]', 0.01, 100.0),
+         'size plus bound of a confirmed fault, not a jump, that stops the arm [rad]', 0.01, 100.0),
     Spec('diagnosis.friction_uncertainty', _DIAGNOSIS.friction_uncertainty,
          'relative uncertainty of Coulomb friction [1]', 0.0, 1.0),
 )

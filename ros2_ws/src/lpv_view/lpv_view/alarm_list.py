@@ -2,7 +2,8 @@
 
 import math
 
-NANOSECONDS = 1_000_000_000
+from lpv_core.observer import NANOSECONDS
+
 RAISED, UPDATED, CLEARED = range(3)
 _MOST_ROWS, _MOST_TEXT = 200, 100
 

@@ -6,8 +6,9 @@ from collections import deque
 from lpv_core.errors import SampleError
 from lpv_core.faults import KINDS
 from lpv_core.joint_order import JointOrder
+from lpv_core.observer import NANOSECONDS
 from lpv_core.urdf import frame_angles
-from lpv_view.alarm_list import NANOSECONDS, AlarmList, seconds
+from lpv_view.alarm_list import AlarmList, seconds
 
 MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
 STATES = ('OK', 'WARN', 'ERROR', 'STALE', 'NOT_DIAGNOSABLE')
