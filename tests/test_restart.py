@@ -45,8 +45,9 @@ SAFE = 500_000_000
 MOVING_ON = 0.35
 """Longest that the arm may move after the death of a node, in its own time [s]."""
 RECOVERY = 1_000_000_000
-"""Longest time from the first data of a new node to an arm that is moved again [ns]."""
+"""Longest time from the data of a new node to an arm that is moved again [ns]."""
 RELEASED = ('simulator', 'brakes released')
+COMMANDS = ('simulator', 'commands flow')
 
 
 def stamp_of(message):
@@ -145,12 +146,16 @@ def assert_brakes(rig, death):
     assert len(moving) > 100 and not any(moving[-50:])
 
 
-def assert_recovers(rig, name, first_data, sign):
-    """Within RECOVERY of the first data of a new node the arm is moved again, by the logs."""
+def assert_recovers(rig, name, data):
+    """Within RECOVERY of the data that a new node brings the arm is moved again, by the logs.
+
+    What counts is the last connection that its peers make with it: Fast DDS repeats what gets lost
+    while nodes find each other only once a second.
+    """
     moment = time.time_ns()
     rig.start(name)
-    first = rig.logged(*first_data, moment)
-    assert rig.logged(*sign, moment) - first < RECOVERY
+    last = max(rig.logged(*words, moment) for words in data)
+    assert rig.logged(*RELEASED, moment) - last < RECOVERY
     rig.spin(2.0)
 
 
@@ -165,7 +170,8 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         death = rig.kill('uio')
         assert_brakes(rig, death)
         rig.logged('tracker', 'no estimates: safe stop', death)
-        assert_recovers(rig, 'uio', ('uio', 'measurements flow'), RELEASED)
+        assert_recovers(rig, 'uio', [('uio', 'measurements flow'),
+                                     ('tracker', 'following the path')])
         # The path's clock stood still: the reference goes on where the arm was left.
         before = [m for m in rig.heard['reference'] if stamp_of(m) < death][-1]
         after = rig.since('reference', death + SAFE)[0]
@@ -179,11 +185,11 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
 
         death = rig.kill('tracker')
         assert_brakes(rig, death)
-        assert_recovers(rig, 'tracker', ('tracker', 'following the path'), RELEASED)
+        assert_recovers(rig, 'tracker', [('tracker', 'following the path'), COMMANDS])
 
         death = rig.kill('simulator')
         rig.logged('tracker', 'no estimates: safe stop', death)
-        assert_recovers(rig, 'simulator', ('uio', 'measurements flow'), RELEASED)
+        assert_recovers(rig, 'simulator', [('uio', 'measurements flow'), COMMANDS])
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
     # No leap of the arm in all that: 0.35 rad/s along the path, 0.5 rad/s in an approach.
     assert max(np.abs(m.velocity).max() for m in rig.heard['ground_truth']) < 0.8

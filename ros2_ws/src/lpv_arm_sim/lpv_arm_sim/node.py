@@ -56,7 +56,7 @@ class SimulatorNode(ManagedNode):
         self._command = None
         self._waiting = None
         self._slips = 0
-        self._braking = True
+        self._braking, self._flowing = True, False
 
     def setup(self):
         """Read arm and scenario, create publishers and services."""
@@ -115,6 +115,7 @@ class SimulatorNode(ManagedNode):
             if item is not None:
                 destroy(item)
         self._command_in = self._ticker = self._command = None
+        self._flowing = False
 
     @property
     def _stamp(self):
@@ -129,6 +130,9 @@ class SimulatorNode(ManagedNode):
             self._newcomers = False
             self._advance()
             self._publish()
+        elif not self._flowing and not self._expired():
+            self._flowing = True
+            self.get_logger().info('commands flow')
 
     def _count_peers(self):
         return (self._joint_states_out.get_subscription_count(),
@@ -167,6 +171,7 @@ class SimulatorNode(ManagedNode):
         elif command.safe_stop:
             self._brake('safe stop')
         elif self._expired():
+            self._flowing = False
             self._brake('commands stay away')
         else:
             self._drive(command.torque)
