@@ -1,0 +1,1 @@
+"""Statistics of the diagnosis over thousands of closed-loop runs, or over archives of bags."""

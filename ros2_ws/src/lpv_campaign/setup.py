@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+PACKAGE = 'lpv_campaign'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+        ('share/' + PACKAGE, ['package.xml']),
+    ],
+    package_data={'lpv_campaign': ['*.html']},
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='lpv-arm-fdi maintainers',
+    maintainer_email='maintainers@example.org',
+    description='Statistics of the diagnosis over many runs or bags, and tuning by them.',
+    license='Apache-2.0',
+)
