@@ -223,6 +223,18 @@ class Section:
             raise self.error(key, f'must hold distinct names, got {_short(value)}')
         return tuple(value)
 
+    def texts(self, key, default=None):
+        """Return a tuple of different, not empty strings."""
+        values = self._get(key, _REQUIRED if default is None else list(default))
+        if not isinstance(values, list) or not values:
+            raise self.error(key, 'must be a list of texts')
+        for value in values:
+            if not isinstance(value, str) or not value:
+                raise self.error(key, f'must hold texts, got {_short(value)}')
+        if len(set(values)) < len(values):
+            raise self.error(key, 'lists a text twice')
+        return tuple(values)
+
     def plain(self, key):
         """Return an optional mapping as it is, for data that is only passed on."""
         return dict(self.section(key, required=False)._data)

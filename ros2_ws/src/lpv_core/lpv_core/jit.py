@@ -16,12 +16,28 @@ import tempfile
 from pathlib import Path
 
 
+def source_digest(folder):
+    """Hash of the Python files of a package.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Of the package.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(folder.glob('*.py')):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def _cache_folder():
     """Cache folder of this state of the sources; None where no safe one can be made."""
-    digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob('*.py')):
-        digest.update(source.read_bytes())
-    name = f'lpv_core-{digest.hexdigest()[:16]}'
+    name = f'lpv_core-{source_digest(Path(__file__).parent)}'
     home = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'lpv_arm_fdi'
     for parent in (home, Path(tempfile.gettempdir()) / f'lpv_arm_fdi-{os.getuid()}'):
         folder = parent / name

@@ -39,6 +39,8 @@ class Scenario:
         True over nominal friction.
     noise, disturbance : bool
         Whether sensors are noisy and d acts.
+    noise_factor, disturbance_factor : float
+        True over stated standard deviation of the sensors' noise; true d over stated d.
     times : tuple of float
         Waypoint times [s].
     points : tuple
@@ -70,6 +72,8 @@ class Scenario:
     obstacle: Obstacle
     faults: tuple
     coulomb: str = 'smooth'
+    noise_factor: float = 1.0
+    disturbance_factor: float = 1.0
 
     def path(self, arm):
         """Build the Cartesian path for an arm.
@@ -174,7 +178,9 @@ def parse_scenario(data, source='scenario'):
         friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
         noise=top.flag('noise', True),
         disturbance=top.flag('disturbance', True), times=times, points=points, elbow=elbow,
-        obstacle=obstacle, faults=parse_faults(top), coulomb=coulomb)
+        obstacle=obstacle, faults=parse_faults(top), coulomb=coulomb,
+        noise_factor=plant.number('noise_factor', 1.0, 0.0, 1e3),
+        disturbance_factor=plant.number('disturbance_factor', 1.0, 0.0, 1e3))
     plant.finish()
     top.finish()
     return scenario

@@ -278,10 +278,12 @@ def _plant_constants(arm, true_arm, scenario, joints, substeps):
         PLANT_CONSTANTS, joints=joints.record(),
         arm=true_arm.constants(scenario.plant in ('nonlinear', 'mujoco')),
         sample_time=arm.sample_time, substeps=substeps, torque_limit=arm.torque_limit,
-        direction=arm.disturbance_direction, push_mean=arm.disturbance_mean,
-        push_deviation=math.sqrt(arm.disturbance_variance),
-        disturbed=scenario.disturbance, noisy=scenario.noise, position_noise=arm.position_noise,
-        velocity_noise=arm.velocity_noise)
+        direction=arm.disturbance_direction,
+        push_mean=scenario.disturbance_factor * arm.disturbance_mean,
+        push_deviation=scenario.disturbance_factor * math.sqrt(arm.disturbance_variance),
+        disturbed=scenario.disturbance, noisy=scenario.noise,
+        position_noise=scenario.noise_factor * arm.position_noise,
+        velocity_noise=scenario.noise_factor * arm.velocity_noise)
     if scenario.plant == 'lpv':
         box = sinc_box(scenario.sinc_min)
         a, b = vertex_matrices(box, true_arm.constants(False))

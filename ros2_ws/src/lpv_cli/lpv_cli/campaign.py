@@ -1,0 +1,93 @@
+"""``lpv campaign``: the statistics of thousands of closed-loop runs."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from lpv_campaign.campaign import resolve
+from lpv_campaign.execute import execute
+from lpv_campaign.store import CampaignFolder
+from lpv_core.config import read_yaml
+from lpv_core.errors import ConfigError
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('spec', nargs='?', help='campaign file (YAML), see docs/campaign.md')
+    parser.add_argument('--out', default=None,
+                        help='folder of the results (out/campaign/NAME); where it holds a part '
+                        'of this campaign, the rest is run')
+    parser.add_argument('--workers', type=int, default=None,
+                        help='processes on this machine; 0: none but this one (one a core)')
+    parser.add_argument('--scheduler', default=None, metavar='ADDRESS',
+                        help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786')
+
+
+def run(arguments):
+    """Run what is missing, and put the results together.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    if arguments.spec is None:
+        raise ConfigError('spec', 'is missing: name a campaign file')
+    if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
+        raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
+    console = Console(soft_wrap=True)
+    campaign, folder = _open(arguments)
+    finished = folder.finished()
+    numbers = [n for n in range(campaign.spec.runs) if n not in finished]
+    if finished:
+        console.print(f'{len(finished)} of {campaign.spec.runs} runs are here already')
+    if numbers:
+        folder.begin(campaign)
+        _run(arguments, campaign, folder, numbers, console)
+    folder.finish()
+    console.print(f'results: {folder.runs_file}')
+    return 0
+
+
+def _open(arguments):
+    """The campaign of a file, with the gains that were used if it has begun already."""
+    path = Path(arguments.spec)
+    campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
+    folder = CampaignFolder(arguments.out or Path('out') / 'campaign' / path.stem)
+    begun = folder.load()
+    if begun is None:
+        return campaign, folder
+    if begun.key != campaign.key:
+        raise ConfigError('--out', 'holds results of another campaign (file, arm or scenario '
+                          'changed): take another folder, or remove it', str(folder.path))
+    return begun, folder
+
+
+def _run(arguments, campaign, folder, numbers, console):
+    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
+               TimeElapsedColumn(), TextColumn('left'), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(campaign.spec.name, total=campaign.spec.runs,
+                                 completed=campaign.spec.runs - len(numbers))
+        for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):
+            folder.add(campaign, rows)
+            progress.advance(task, len(rows))
