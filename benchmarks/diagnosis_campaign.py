@@ -17,13 +17,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lpv_campaign.paths import random_path
 from lpv_core.arm import load_arm
 from lpv_core.closed_loop import run_closed_loop
 from lpv_core.diagnosis import AlarmEvent
-from lpv_core.errors import LpvError
 from lpv_core.faults import Fault
 from lpv_core.joints import JointMap
-from lpv_core.kinematics import forward
 from lpv_core.resources import bringup_file
 from lpv_core.scenario import load_scenario
 from lpv_design.pipeline import design
@@ -48,27 +47,14 @@ def prepare():
 
 def random_scenario(arm, base, rng, error=0.05, spread=True):
     """A healthy run on a random path of an arm that the model does not know exactly."""
-    joints = JointMap(arm)
-    while True:
-        count = int(rng.integers(3, 7))
-        times = np.linspace(0.5, LENGTH - 0.5, count)
-        one = rng.uniform(-0.8, 0.5, count)
-        theta = np.column_stack([one, one + rng.uniform(0.25, 0.8, count)])
-        points = forward(joints.joint_position(theta), arm.lengths)
-        factors = rng.uniform(1.0 - error, 1.0 + error, 4) if spread else np.ones(4)
-        scenario = replace(
-            base, duration=LENGTH, seed=int(rng.integers(2**31)), times=tuple(times),
-            points=tuple(map(tuple, points)), obstacle=None, faults=(),
-            mass_factors=tuple(factors[:2]), inertia_factors=tuple(factors[2:]),
-            payload=float(rng.uniform(-PAYLOAD, PAYLOAD)) if spread else 0.0,
-            friction_factor=float(rng.uniform(0.7, 1.3)) if spread else 1.0)
-        try:
-            path = scenario.path(arm).sample(np.linspace(0.0, LENGTH, 400))
-        except LpvError:
-            continue
-        inside = np.cos(joints.absolute_position(path.position)).min() > 0.45
-        if inside and np.abs(path.velocity).max() < 2.0:
-            return scenario
+    times, points = random_path(arm, rng, LENGTH)
+    factors = rng.uniform(1.0 - error, 1.0 + error, 4) if spread else np.ones(4)
+    return replace(
+        base, duration=LENGTH, seed=int(rng.integers(2**31)), times=times, points=points,
+        obstacle=None, faults=(), mass_factors=tuple(factors[:2]),
+        inertia_factors=tuple(factors[2:]),
+        payload=float(rng.uniform(-PAYLOAD, PAYLOAD)) if spread else 0.0,
+        friction_factor=float(rng.uniform(0.7, 1.3)) if spread else 1.0)
 
 
 def random_fault(rng, kind, sensors):

@@ -46,8 +46,10 @@ def resolve(data, source, folder):
         'spec': data, 'arm': arm.to_json(),
         'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
         'gains': {}}
-    for name in names:
-        parse_scenario(content['scenarios'][name], name).path(arm)
+    for name in _values(spec, 'path', 'scenario'):
+        if name != 'random':
+            name = spec.scenario if name == 'scenario' else name
+            parse_scenario(content['scenarios'][name], name).path(arm)
     for time in _sample_times(spec, arm):
         for design in spec.designs:
             gains = _gains(design, replace(arm, sample_time=time), folder)

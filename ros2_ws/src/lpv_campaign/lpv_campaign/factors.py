@@ -147,5 +147,5 @@ def _range(data, name, source):
     if not (all(map(math.isfinite, ends)) and ends[0] < ends[1]):
         raise ConfigError(name, 'must have a finite low below a finite high', source)
     if spacing == 'log' and ends[0] <= 0.0:
-        raise ConfigError(f'{name}.low', 'must be positive where the spacing is logarithmic', source)
+        raise ConfigError(f'{name}.low', 'must be positive for logarithmic spacing', source)
     return Range(*ends, spacing == 'log', levels)

@@ -7,7 +7,7 @@ from lpv_core.joints import JointMap
 from lpv_core.kinematics import forward
 from lpv_core.path import CartesianPath
 
-_TRIES = 10_000
+_TRIES = 1000
 _MARGIN = 1.5
 """Least abs(cos) of a path, over that of the region."""
 _LEFT, _RIGHT, _LEAST, _MOST = 0.725, 0.453, 0.25, 0.8
@@ -41,14 +41,15 @@ def random_path(arm, rng, duration, fastest=2.0):
     """
     if duration <= 1.0:
         raise ConfigError('duration', f'a random path needs more than 1 s, got {duration:g}')
-    joints, least = JointMap(arm), min(_MARGIN * max(arm.cos_min), 0.95)
-    largest, turn = np.arccos(least), 0.0 if arm.sign > 0.0 else np.pi
+    joints, least = JointMap(arm), _MARGIN * max(arm.cos_min)
+    largest, turn = np.arccos(min(least, 1.0)), 0.0 if arm.sign > 0.0 else np.pi
     for _ in range(_TRIES):
         count = int(rng.integers(3, 7))
         times = np.linspace(0.5, duration - 0.5, count)
         one = rng.uniform(-_LEFT * largest, _RIGHT * largest, count)
-        theta = turn + np.column_stack([one, one + rng.uniform(_LEAST, _MOST, count)])
-        points = forward(joints.joint_position(theta), arm.lengths)
+        bend = rng.uniform(_LEAST, _MOST, count)
+        # Kinematics counts q1 from the x-axis, angles of the links count from the upper vertical.
+        points = forward(np.column_stack([turn + one + np.pi / 2.0, bend]), arm.lengths)
         try:
             path = CartesianPath(arm, times, points).sample(np.linspace(0.0, duration, 400))
         except LpvError:

@@ -92,8 +92,18 @@ def _multiply(matrix, vector, out):
 
 
 @njit
-def _blend(rho, stack, out):
-    """out = sum_i rho_i stack_i, the interpolation of eq. (25)."""
+def blend(rho, stack, out):
+    """out = sum_i rho_i stack_i, the interpolation of eq. (25).
+
+    Parameters
+    ----------
+    rho : ndarray, shape (h,)
+        Weights of the vertices.
+    stack : ndarray, shape (h, r, q)
+        A matrix for each vertex.
+    out : ndarray, shape (r, q)
+        Receives the sum.
+    """
     for r in range(out.shape[0]):
         for q in range(out.shape[1]):
             total = 0.0
@@ -174,9 +184,9 @@ def paper_step(z, y_old, y_new, torque, dt, gains, t1, t2, c, a_vertices, b_vert
     _estimate(z, y_old, t2, x)
     phi_1, phi_2, phi_3 = paper_scheduling(x[0], x[1])
     paper_weights(phi_1, phi_2, phi_3, box, rho)
-    _blend(rho, a_vertices, a)
-    _blend(rho, b_vertices, b)
-    _blend(rho, gains, k)
+    blend(rho, a_vertices, a)
+    blend(rho, b_vertices, b)
+    blend(rho, gains, k)
     _paper_rates(x, y_old, torque, t1, c, a, b, k, drift, r, first)
     for i in range(6):
         trial[i] = z[i] + dt * first[i]
