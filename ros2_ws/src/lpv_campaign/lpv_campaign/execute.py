@@ -114,7 +114,7 @@ def _client(workers, scheduler):
     from distributed import Client, LocalCluster
     if scheduler is not None:
         try:
-            return Client(scheduler, timeout=10)
+            return Client(scheduler, timeout=5)
         except (OSError, ValueError, ImportError) as error:
             raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
     cluster = LocalCluster(
