@@ -1,6 +1,10 @@
 """Runs a campaign: here, on all cores, or on a cluster; the results are the same."""
 
+import logging
 import os
+import signal
+import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import lpv_core
@@ -117,10 +121,25 @@ def _client(workers, scheduler):
             return Client(scheduler, timeout=5)
         except (OSError, ValueError, ImportError) as error:
             raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
-    cluster = LocalCluster(
-        n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
-        host='127.0.0.1', dashboard_address=None, memory_limit=0)
+    with _deaf_children():
+        cluster = LocalCluster(
+            n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
+            host='127.0.0.1', dashboard_address='127.0.0.1:0', memory_limit=0,
+            silence_logs=logging.ERROR)
     return _OwnCluster(cluster)
+
+
+@contextmanager
+def _deaf_children():
+    """Processes that are started within ignore Ctrl-C: the one that started them ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _OwnCluster:

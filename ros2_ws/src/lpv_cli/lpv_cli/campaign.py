@@ -88,6 +88,10 @@ def _run(arguments, campaign, folder, numbers, console):
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(campaign.spec.name, total=campaign.spec.runs,
                                  completed=campaign.spec.runs - len(numbers))
-        for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):
-            folder.add(campaign, rows)
-            progress.advance(task, len(rows))
+        try:
+            for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):
+                folder.add(campaign, rows)
+                progress.advance(task, len(rows))
+        except KeyboardInterrupt:
+            console.print('what is finished is kept; the same command goes on')
+            raise
