@@ -191,8 +191,9 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         rig.logged('tracker', 'no estimates: safe stop', death)
         assert_recovers(rig, 'simulator', [('uio', 'measurements flow'), COMMANDS])
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
-    # No leap of the arm in all that: 0.35 rad/s along the path, 0.5 rad/s in an approach.
-    assert max(np.abs(m.velocity).max() for m in rig.heard['ground_truth']) < 0.8
+    # No leap of the arm in all that: 0.35 rad/s along the path, 0.5 rad/s in an approach.  A torque
+    # that is held on a busy machine, 0.2 s at the most, lets an upright arm fall by e^(0.2 s 4/s).
+    assert max(np.abs(m.velocity).max() for m in rig.heard['ground_truth']) < 0.5 * 2.3
     assert max(np.abs(m.velocity).max() for m in rig.heard['reference']) < 0.6
     assert_recorded(tmp_path / 'bag2', rig)
 
