@@ -104,20 +104,19 @@ def _count(number, one, many):
 
 def _verdict(alarms, missed, found, truth, recorded):
     """The answer in a sentence or two."""
-    if not recorded:
-        return 'Alarms were not recorded.'
-    sensors = sorted({alarm.sensor for alarm in alarms})
-    text = _count(len(alarms), 'alarm', 'alarms')
-    parts = [text[0].upper() + text[1:] + (f', of {" and ".join(sensors)}' if sensors else '')]
-    if truth:
-        wrong = sum(alarm.false_alarm for alarm in alarms)
-        parts.append(f'{_count(wrong, "false alarm", "false alarms")}, '
-                     f'{_count(len(missed), "fault", "faults")} missed')
     stops = sum(phase.what == SAFE_STOP for phase in found)
     odd = sum(phase.what == INCONSISTENT for phase in found)
-    parts.append(f'{_count(stops, "safe stop", "safe stops")}, '
-                 f'{_count(odd, "inconsistent phase", "inconsistent phases")}')
-    return '; '.join(parts) + '.'
+    parts = [f'{_count(stops, "safe stop", "safe stops")}, '
+             f'{_count(odd, "inconsistent phase", "inconsistent phases")}.']
+    if truth and recorded:
+        wrong = sum(alarm.false_alarm for alarm in alarms)
+        parts.insert(0, f'{_count(wrong, "false alarm", "false alarms")}, '
+                        f'{_count(len(missed), "fault", "faults")} missed')
+    sensors = sorted({alarm.sensor for alarm in alarms})
+    text = _count(len(alarms), 'alarm', 'alarms') if recorded else 'alarms were not recorded'
+    parts.insert(0, text[0].upper() + text[1:] + (f', of {" and ".join(sensors)}' if sensors
+                                                  else ''))
+    return '; '.join(parts)
 
 
 def _tiles(record, alarms, missed, truth, certificate, found):

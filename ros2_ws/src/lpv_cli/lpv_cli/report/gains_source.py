@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lpv_bag.bag_place import GAINS_NAME
+from lpv_bag.errors import BagError
 from lpv_core.arm import arm_from_json
 from lpv_core.errors import ConfigError
 from lpv_core.gains import Gains, load_gains
@@ -79,7 +80,11 @@ def find_used_gains(bag, given=None):
     ------
     ConfigError
         If the given file is no gains file.
+    BagError
+        If there is no such bag.
     """
+    if not Path(bag).exists():
+        raise BagError(f'{bag}: there is no such bag')
     if given:
         return read_used_gains(given)
     folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
