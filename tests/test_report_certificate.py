@@ -14,7 +14,7 @@ from runs import MEASURED, Recorder, record, rows, text
 from lpv_bag.run_record import load_run
 from lpv_cli.main import main
 from lpv_cli.report import read_used_gains, write_report
-from lpv_cli.report.detectability import detectability, summary
+from lpv_cli.report.detectability import configurations, detectability, summary
 from lpv_cli.report.gains_source import find_used_gains
 from lpv_cli.report.page import css_string
 from lpv_cli.report.phases import Phase, listed, phases
@@ -256,7 +256,7 @@ def test_given_a_run_when_its_detectability_is_computed_then_it_is_threshold_plu
 
 def test_given_an_arm_when_mapped_then_outside_of_its_region_its_sensors_are_not_diagnosable(
         foreign, paper_arm, paper_gains, real_arm):
-    grid = detectability(load_run(foreign), paper_arm, paper_gains).grid
+    grid = configurations(detectability(load_run(foreign), paper_arm, paper_gains), paper_arm)
     limit = np.arccos(0.3)
     assert grid.one[0] < -limit
     assert grid.two[-1] > limit
@@ -267,7 +267,8 @@ def test_given_an_arm_when_mapped_then_outside_of_its_region_its_sensors_are_not
     assert grid.detectable[middle][0] < grid.detectable[middle[0] // 2, middle[1], 0]
     # An encoder of the relative angle sees both links.
     run = load_run(foreign)
-    both = detectability(run, replace(real_arm, joint_names=run.joint_names)).grid.lost
+    other = replace(real_arm, joint_names=run.joint_names)
+    both = configurations(detectability(run, other), other).lost
     assert both[0, len(grid.two) // 2, 1]
     assert both[len(grid.one) // 2, 0].tolist() == [False, True]
 

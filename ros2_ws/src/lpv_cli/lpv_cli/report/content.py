@@ -77,7 +77,7 @@ def content(record, arm, title, table, used, certificate, reproduction, able, fo
         'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
         'table': table, 'compare': any(row.paper is not None for row in table),
         'detectable': summary(able, arm.sensor_names) if able is not None else [],
-        'resting': able is not None and able.grid.detectable is not None,
+        'resting': able is not None and able.gains is not None,
         'certificate': certificate, 'no_gains': used.problem, 'reproduction': reproduction,
         'no_design': ('The gains are not known.' if certificate is None else
                       'The certificate does not hold: nothing is guaranteed at rest.'),

@@ -58,8 +58,8 @@ class Detectability:
     resting : ndarray, shape (k, 2)
         Threshold plus bound of the design at rest in the configuration [rad]; infinite where
         gravity cannot bound the error.
-    grid : Grid
-        The same over all configurations around the path.
+    gains : Gains or None
+        What `configurations` needs.
     """
 
     source: str
@@ -69,7 +69,7 @@ class Detectability:
     not_diagnosable: np.ndarray
     places: np.ndarray
     resting: np.ndarray
-    grid: Grid
+    gains: object
 
 
 def detectability(record, arm, gains=None):
@@ -105,8 +105,7 @@ def detectability(record, arm, gains=None):
         places = known[np.unique(np.linspace(0, len(known) - 1, _ALONG).astype(int))
                        ] if len(known) else known
         resting = sum(at_rest(arm, gains, deviation[places] + vertical(arm)))
-    return Detectability(source, record.time, deviation, moving, lost, places, resting,
-                         _grid(arm, gains, deviation))
+    return Detectability(source, record.time, deviation, moving, lost, places, resting, gains)
 
 
 def _angles(record, arm):
@@ -130,8 +129,22 @@ def _near_zero(angles):
     return result
 
 
-def _grid(arm, gains, deviation):
-    limits = np.arccos(arm.cos_min)
+def configurations(found, arm):
+    """Detectability at rest over all configurations around the path.
+
+    Parameters
+    ----------
+    found : Detectability
+        Path, and gains if they are known.
+    arm : ArmParameters
+        The arm.
+
+    Returns
+    -------
+    Grid
+        Covers path and certified region.
+    """
+    deviation, gains, limits = found.deviation, found.gains, np.arccos(arm.cos_min)
     axes = []
     for i in range(2):
         known = deviation[np.isfinite(deviation[:, i]), i]

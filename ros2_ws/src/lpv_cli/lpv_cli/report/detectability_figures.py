@@ -5,6 +5,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import LogLocator
 
+from lpv_cli.report.detectability import configurations
 from lpv_cli.report.episodes import intervals
 from lpv_cli.report.style import BAND, INK, PALE, SENSOR, SOFT, thin
 
@@ -106,15 +107,16 @@ def over_configurations(found, arm):
     matplotlib.figure.Figure
         The figure.
     """
+    grid = configurations(found, arm)
     figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.35), sharex=True, sharey=True)
     for i, axis in enumerate(axes):
         axis.grid(False)
-        if found.grid.detectable is None:
+        if grid.detectable is None:
             _colored_path(axis, found, i)
         else:
-            _background(axis, found.grid, i)
+            _background(axis, grid, i)
             _path(axis, found, i)
-        _region(axis, found.grid, i)
+        _region(axis, grid, i)
         axis.set_title(f'Sensor {i + 1}: {arm.sensor_names[i]}', pad=7)
         axis.set_xlabel('link 1 from the vertical [°]')
         axis.set_aspect('equal')
