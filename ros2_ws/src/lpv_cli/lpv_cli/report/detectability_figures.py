@@ -33,7 +33,7 @@ def over_time(found, record, sensor_names):
     matplotlib.figure.Figure
         The figure.
     """
-    figure, axes = plt.subplots(2, sharex=True, figsize=(_WIDTH, 4.6))
+    figure, axes = plt.subplots(2, sharex=True, figsize=(_WIDTH, 3.9))
     truth = record.aligned('ground_truth', 'fault')
     for i, axis in enumerate(axes):
         axis.set_yscale('log')
@@ -108,7 +108,7 @@ def over_configurations(found, arm):
         The figure.
     """
     grid = configurations(found, arm)
-    figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.35), sharex=True, sharey=True)
+    figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.15), sharex=True, sharey=True)
     for i, axis in enumerate(axes):
         axis.grid(False)
         if grid.detectable is None:
