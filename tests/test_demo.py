@@ -104,8 +104,12 @@ def test_given_the_demo_when_over_then_report_and_pictures_are_there(demo):
     out, text = demo
     html = (out / 'report' / 'report.html').read_text()
     assert str(out / 'report' / 'report.html') in text
-    assert html.count('data:image/png;base64,') == 5
-    for name in ('path', 'faults', 'measured', 'states', 'torques'):
+    assert html.count('data:image/png;base64,') == 8
+    assert 'The certificate holds.' in html
+    assert 'gives the recorded fault estimates' in html
+    assert (out / 'bag' / 'gains.yaml').read_bytes() == (out / 'gains.yaml').read_bytes()
+    for name in ('timeline', 'path', 'faults', 'measured', 'states', 'torques', 'detectability',
+                 'map'):
         assert (out / 'report' / f'{name}.png').read_bytes().startswith(b'\x89PNG')
 
 

@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from pathlib import Path
 
 import pytest
 import ros
@@ -23,6 +24,8 @@ pytestmark = pytest.mark.ros
 TOPIC = '/lpv/joint_states'
 RELIABLE = QoSProfile(depth=1000)
 PERIOD = 0.002
+GAINS = (Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup' / 'gains'
+         / 'paper.yaml')
 
 
 class Source:
@@ -110,6 +113,36 @@ def test_given_publishers_that_go_on_when_the_recorder_is_told_to_stop_then_noth
     assert numbers[:before] == list(range(before))
     assert numbers == list(range(len(numbers)))
     assert contents(tmp_path / 'bag')[1] == []
+
+
+def test_given_bags_under_the_name_when_recorded_then_the_next_free_one_is_taken_with_a_warning(
+        session, tmp_path):
+    for name in ('bag', 'bag_1', 'bag_3'):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / 'mine').write_text(name)
+    (tmp_path / 'gains').write_bytes(GAINS.read_bytes())
+    process, source, _ = session(f'gains_file:={tmp_path / "gains"}')
+    source.wait()
+    source.run(after(0.5))
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 0
+    assert len(recorded(tmp_path / 'bag_2')) > 100
+    assert {p.name for p in (tmp_path / 'bag_2').iterdir()} == {
+        'bag_2.mcap', 'metadata.yaml', 'gains.yaml'}
+    assert (tmp_path / 'bag_2' / 'gains.yaml').read_bytes() == GAINS.read_bytes()
+    for name in ('bag', 'bag_1', 'bag_3'):
+        assert [p.read_text() for p in (tmp_path / name).iterdir()] == [name]
+    said = (tmp_path / 'log' / 'recorder.log').read_text()
+    assert '[WARN]' in said
+    assert f'{tmp_path / "bag"} exists already: recording into {tmp_path / "bag_2"}' in said
+
+
+def test_given_a_gains_file_that_is_none_when_recorded_then_no_bag_is_made(session, tmp_path):
+    (tmp_path / 'gains').write_text('gains: none')
+    process, *_ = session(f'gains_file:={tmp_path / "gains"}')
+    assert process.wait(30) == 1
+    assert 'not a gains file' in (tmp_path / 'log' / 'recorder.log').read_text()
+    assert not (tmp_path / 'bag').exists()
 
 
 # The limit of a file's size stands in for a disk that is full; the recorder leaves 1 MiB alone.

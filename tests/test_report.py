@@ -5,6 +5,7 @@ import html
 import io
 import re
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 
 import matplotlib.image
@@ -12,87 +13,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 from rosbags.highlevel import AnyReader
+from runs import ALL, MEASURED, Recorder, record, rows, text
 
-from lpv_bag.messages import BagMessages
 from lpv_bag.run_record import BagError, load_run
-from lpv_bag.writing import BagWriter
 from lpv_cli.main import main
 from lpv_cli.report import print_table, write_report
 from lpv_cli.report.episodes import episodes, missed_faults
 from lpv_core.faults import Fault
-from lpv_core.monitor import SensorMonitor
 from lpv_core.observer import NANOSECONDS
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController
 
 BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 ARM_FILE = str(BRINGUP / 'arms' / 'paper.yaml')
 SIGNALS = ['x1', 'x2', 'x3', 'x4', 'f1', 'f2', 'y1', 'y2', 'e_t1', 'e_t2']
-MEASURED = {'joint_states', 'torque_command', 'state_estimate', 'fault_estimate', 'fault_alarm'}
-ALL = MEASURED | {'ground_truth', 'reference'}
-
-
-class Recorder:
-    """Writes chosen streams below /lpv."""
-
-    TYPES = {'joint_states': 'sensor_msgs/msg/JointState', 'reference': 'JointReference',
-             'ground_truth': 'GroundTruth', 'torque_command': 'TorqueCommand',
-             'state_estimate': 'StateEstimate', 'fault_estimate': 'FaultEstimate',
-             'fault_alarm': 'FaultAlarm'}
-
-    def __init__(self, path, streams):
-        self._writer, self._streams = BagWriter(path), streams
-        self._messages = BagMessages(self._writer.typestore, 'paper')
-        for name in sorted(streams):
-            self._writer.add_topic(f'/lpv/{name}', self._type(name))
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._writer.close()
-
-    def _type(self, name):
-        kind = self.TYPES[name]
-        return kind if '/' in kind else f'lpv_msgs/msg/{kind}'
-
-    def measure(self, stamp, *values):
-        message = self._messages.joint_state(stamp, ('joint1', 'joint2'), *values)
-        self._writer.write('/lpv/joint_states', stamp, message)
-        return message
-
-    def stream(self, name, stamp, **fields):
-        if name in self._streams:
-            self._writer.write(f'/lpv/{name}', stamp,
-                               self._messages.make(self._type(name), stamp, fields))
-
-
-def record(path, arm, gains, scenario, streams=ALL):
-    """Bag of a simulated closed loop."""
-    plant, controller = ArmSimulator(arm, scenario), TrackingController(arm, gains)
-    monitor, course = SensorMonitor('/lpv/uio', arm, gains), scenario.path(arm)
-    with Recorder(path, streams) as bag:
-        for k in range(int(round(scenario.duration / arm.sample_time)) + 1):
-            stamp = round(plant.time * NANOSECONDS)
-            sense, truth = plant.sense()
-            answer = monitor.take(stamp, bag.measure(stamp, sense.position, sense.velocity,
-                                                     sense.effort))
-            bag.stream('ground_truth', stamp, position=truth.position, velocity=truth.velocity,
-                       torque=sense.effort, fault=truth.fault, disturbance=truth.disturbance)
-            bag.stream('state_estimate', stamp, **answer.state)
-            bag.stream('fault_estimate', stamp, **answer.fault)
-            for fields in answer.alarms:
-                bag.stream('fault_alarm', stamp, **fields)
-            reference = course.sample(stamp / NANOSECONDS)
-            position = np.array(answer.state['compensated_position'])
-            torque = controller.update(reference, position, np.array(answer.state['velocity']),
-                                       position, arm.sample_time if k else 0.0).torque
-            bag.stream('reference', stamp, position=reference.position,
-                       velocity=reference.velocity, acceleration=reference.acceleration,
-                       tip_position=reference.tip)
-            bag.stream('torque_command', stamp, torque=torque, safe_stop=False)
-            plant.step(torque)
-    return path
 
 
 @pytest.fixture(scope='module')
@@ -110,18 +42,6 @@ def run(paper_arm, paper_gains, scenario, tmp_path_factory):
 def report(run, paper_arm, scenario, tmp_path_factory):
     return write_report(run, tmp_path_factory.mktemp('report') / 'new' / 'folder', paper_arm,
                         scenario.path(paper_arm), 'A run')
-
-
-def rows(page):
-    """Cells of all table rows of a page, as text."""
-    return [[html.unescape(re.sub('<[^>]*>', '', cell)).strip()
-             for cell in re.findall(r'<t[dh][^>]*>(.*?)</t[dh]>', row, re.DOTALL)]
-            for row in re.findall(r'<tr>(.*?)</tr>', page, re.DOTALL)]
-
-
-def text(page):
-    """What a reader sees of a page, on one line."""
-    return ' '.join(html.unescape(re.sub('<[^>]*>', ' ', page)).split())
 
 
 # ------------------------------------------------------------------ a complete run
@@ -174,6 +94,33 @@ def test_given_a_simulated_run_when_the_table_is_printed_then_each_signal_has_it
         assert f'{row.paper:g}' in line
 
 
+class References(HTMLParser):
+    """What a page refers to."""
+
+    LOADS = {'src', 'srcset', 'href', 'data', 'poster', 'action', 'formaction', 'background',
+             'xlink:href'}
+
+    def __init__(self, page):
+        super().__init__()
+        self.pictures, self.links, self.others, ids = [], set(), [], set()
+        self._ids = ids
+        self.feed(page)
+        self.targets = self.links & {f'#{name}' for name in ids}
+
+    def handle_starttag(self, tag, attributes):
+        for name, value in attributes:
+            if name == 'id':
+                self._ids.add(value)
+            elif (tag, name) == ('img', 'src'):
+                self.pictures.append(value)
+            elif (tag, name) == ('a', 'href'):
+                self.links.add(value)
+            elif name in self.LOADS or name.startswith('on') or name == 'style':
+                self.others.append((tag, name, value))
+        if tag in ('script', 'link', 'iframe', 'object', 'embed', 'base'):
+            self.others.append(tag)
+
+
 def test_given_a_report_when_read_then_it_needs_nothing_from_elsewhere(report):
     page = report.html.read_text(encoding='utf-8')
     assert page.startswith('<!DOCTYPE html>')
@@ -182,14 +129,16 @@ def test_given_a_report_when_read_then_it_needs_nothing_from_elsewhere(report):
     assert '<link' not in page
     assert '@import' not in page
     assert 'url(' not in page
-    sources = re.findall(r'(?:src|href)\s*=\s*["\']([^"\']*)', page)
-    assert len(sources) == 5
-    assert all(source.startswith('data:image/png;base64,') for source in sources)
+    found = References(page)
+    assert len(found.pictures) == 8
+    assert all(source.startswith('data:image/png;base64,') for source in found.pictures)
+    assert found.links == found.targets                  # within the page alone
+    assert found.others == []
 
 
 def test_given_a_report_when_written_then_its_pictures_are_files_and_inside_the_page(report):
-    assert [p.name for p in report.pictures] == ['path.png', 'faults.png', 'measured.png',
-                                                 'states.png', 'torques.png']
+    assert [p.stem for p in report.pictures] == [
+        'timeline', 'path', 'faults', 'measured', 'states', 'torques', 'detectability', 'map']
     page = report.html.read_text(encoding='utf-8')
     inside = [base64.b64decode(data) for data in re.findall(r'base64,([^"]*)"', page)]
     assert inside == [p.read_bytes() for p in report.pictures]
@@ -197,7 +146,7 @@ def test_given_a_report_when_written_then_its_pictures_are_files_and_inside_the_
         assert data.startswith(b'\x89PNG\r\n\x1a\n')
         assert data.endswith(b'IEND\xaeB`\x82')
         pixels = matplotlib.image.imread(io.BytesIO(data), format='png')
-        assert min(pixels.shape[:2]) > 400
+        assert min(pixels.shape[:2]) > (400 if data != inside[0] else 200)
         assert pixels[..., :3].std() > 0.01                   # not an empty sheet
     assert {p.name for p in report.html.parent.iterdir()} == {
         'report.html', *(p.name for p in report.pictures)}
@@ -207,13 +156,15 @@ def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_ar
         report, run):
     first = load_run(run).alarms[0]
     page = report.html.read_text(encoding='utf-8')
-    line, = [cells for cells in rows(page) if cells[0] == 'link1_angle']
+    line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
     detected = first.detected / NANOSECONDS
-    assert line[1:5] == ['0.800', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
-    assert line[5] == f'{first.size:+.3f}'
-    assert float(line[7]) == pytest.approx(0.3, abs=0.1)
+    assert line[1] == load_run(run).alarms[-1].kind
+    assert line[2:6] == ['0.800', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
+    assert line[6] == f'{first.size:+.3f}'
+    assert float(line[8]) == pytest.approx(0.3, abs=0.1)
     assert 'Missed' not in text(page)
-    assert 'false alarm' not in text(page)
+    assert 'no false alarms, no faults missed' in text(page)
+    assert 'false alarm' not in sum(rows(page), [])
     assert '1.5 s of measurements' in text(page)
 
 
@@ -258,11 +209,11 @@ def test_given_no_ground_truth_when_reported_then_the_sizes_of_fault_estimates_a
         largest, rms = (row.value for row in report.table[2 * i:2 * i + 2])
         assert largest == np.abs(later[:, i]).max()
         assert rms == pytest.approx(np.sqrt(np.mean(later[:, i]**2)), rel=1e-12)
-    assert len(report.pictures) == 5
+    assert len(report.pictures) == 8
     page = report.html.read_text(encoding='utf-8')
     assert 'false alarm' not in text(page)
     line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
-    assert len(line) == 8                                      # no delay without a true onset
+    assert len(line) == 9                                      # no delay without a true onset
     stream = io.StringIO()
     print_table(report.table, Console(file=stream, width=120))
     assert stream.getvalue().count('link1_angle') == 2
@@ -283,8 +234,10 @@ def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_sho
     monkeypatch.setattr('lpv_cli.report.write.png', lambda figure: b'drawn')
     bag = record(tmp_path / 'bag', paper_arm, paper_gains, scenario, streams)
     report = write_report(bag, tmp_path / 'report', paper_arm)
-    assert [p.stem for p in report.pictures] == pictures
-    assert report.html.read_text(encoding='utf-8').count('<figure>') == len(pictures)
+    more = ['timeline', 'detectability', 'map'] if 'fault_estimate' in streams else []
+    assert [p.stem for p in report.pictures] == more[:1] + pictures + more[1:]
+    assert report.html.read_text(encoding='utf-8').count('<figure>') == len(
+        pictures + more)
 
 
 def test_given_no_reference_when_reported_then_tracking_is_left_out(
@@ -300,7 +253,8 @@ def test_given_a_dropout_when_reported_then_table_and_figures_are_made_of_the_re
     bag = record(tmp_path / 'bag', paper_arm, paper_gains, replace(scenario, faults=(fault,)))
     report = write_report(bag, tmp_path / 'report', paper_arm)
     assert all(np.isfinite(row.value) for row in report.table)
-    assert len(report.pictures) == 5
+    assert len(report.pictures) == 8
+    assert not re.search('(?i)[+-]?nan|inf', ' '.join(sum(rows(report.html.read_text()), [])))
 
 
 # ------------------------------------------------------------------ alarms and misses
@@ -343,8 +297,8 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
         (230, 210, 230, {}), (450, 210, 230, CLEARED), (860, 850, 860, {'size': -0.2})])
     page = write_report(bag, tmp_path, paper_arm).html.read_text(encoding='utf-8')
     found, false = (cells for cells in rows(page) if cells[0] == 'left')
-    assert found[1:6] == ['0.210', '0.230', '0.030', '0.450', '+0.300']
-    assert false[1:6] == ['0.850', '0.860', 'false alarm', 'active', '-0.200']
+    assert found[2:7] == ['0.210', '0.230', '0.030', '0.450', '+0.300']
+    assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', '-0.200']
     assert re.findall('Missed: [^!]*? alarm[.]', text(page)) == [
         'Missed: a fault of right from 0.500 s to 0.700 s raised no alarm.']
 

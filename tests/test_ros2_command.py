@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import ros
 import yaml
@@ -17,6 +18,7 @@ pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 
 import rclpy  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
@@ -295,11 +297,18 @@ def test_given_topics_when_recorded_then_the_bag_is_described_and_played(pipelin
     assert re.search(rf'Topic: /lpv/joint_states \| Type: sensor_msgs/msg/JointState \| '
                      rf'Count: {count} \| Serialization Format: cdr', info)
     received = pipeline.listen(JointState, '/played', stream(False))
+    clocks = pipeline.listen(Clock, '/clock', 10)
     text = out('bag', 'play', bag, '--rate', '5', '--topics', '/lpv/joint_states', '--remap',
                '/lpv/joint_states:=/played', '--clock')
     assert f'published {count} messages' in text
     assert pipeline.wait(lambda: len(received) > 2)
     assert list(received[0].name) == ['joint1', 'joint2']
+    assert pipeline.wait(lambda: len(clocks) > 3)
+    times = np.array([c.clock.sec * 10**9 + c.clock.nanosec for c in clocks])
+    assert set(np.diff(times)) <= {125_000_000 * n for n in range(1, 8)}   # 40 a second of ours
+    text = out('bag', 'play', bag, '--rate', '5', '--topics', '/lpv/joint_states', '--remap',
+               '/lpv/joint_states:=/played', '--start-offset', '0.8')
+    assert 0 < int(re.search(r'published (\d+) messages', text).group(1)) < count
 
 
 def test_given_a_set_up_machine_when_checked_then_the_doctor_is_content(out):

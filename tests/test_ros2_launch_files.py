@@ -247,6 +247,26 @@ def test_given_names_when_the_pipeline_is_evaluated_then_it_starts_the_installed
     assert plan.processes[0].environment == {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 
+def test_given_view_and_respawn_when_the_pipeline_is_evaluated_then_the_nodes_have_them():
+    share = share_of('lpv_bringup')
+    file = share / 'launch' / 'pipeline.launch.xml'
+    given = {'view': 'true', 'respawn': 'true', 'view_port': '0', 'foxglove_port': '9', 'record':
+             'true'}
+    plan = evaluate_file(Context(given, {}), file)
+    assert [p.name for p in plan.processes] == ['recorder', 'tracker', 'simulator', 'view', 'uio']
+    assert all(p.respawn and p.respawn_delay == 1.0 for p in plan.processes)
+    assert all(not p.respawn for p in evaluate_file(Context({}, {}), file).processes)
+    recorder, _, _, view, _ = plan.processes
+    values = {k: v for s in options(view, '--params-file') if isinstance(s, dict)
+              for k, v in s.items()}
+    assert values == {'arm_file': str(share / 'arms' / 'paper.yaml'),
+                      'scenario_file': str(share / 'scenarios' / 'two_faults.yaml'),
+                      'port': 0, 'foxglove_port': 9}
+    values = {k: v for s in options(recorder, '--params-file') if isinstance(s, dict)
+              for k, v in s.items()}
+    assert values['gains_file'] == str(share / 'gains' / 'paper.yaml')
+
+
 def test_given_the_pipeline_when_its_arguments_are_shown_then_each_is_described():
     text = describe_arguments(declared(BRINGUP / 'launch' / 'pipeline.launch.xml', Context({})))
     assert text.startswith("Arguments (pass arguments as '<name>:=<value>'):\n\n    'arm':\n")

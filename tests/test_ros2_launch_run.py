@@ -1,10 +1,12 @@
 """Processes of ``ros2 launch``: output, ends, signals; small shell programs in place of nodes."""
 
+import os
 import re
 import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -132,3 +134,53 @@ def test_given_a_launch_file_when_only_shown_then_nothing_is_started(launch, tmp
     assert code == 0
     assert text == "arg a = '2'\ngroup\n    executable sh -c 'touch started'\n"
     assert not (tmp_path / 'log').exists()
+
+
+@pytest.mark.ros
+def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no_bag_is_overwritten(
+        tmp_path, monkeypatch):
+    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+    import ros
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(ros.next_domain()))
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+    process = subprocess.Popen(
+        [str(ROS2), 'launch', 'lpv_bringup', 'pipeline.launch.xml', 'record:=true', 'view:=true',
+         'view_port:=0', 'foxglove_port:=0', 'respawn:=true', f'bag:={tmp_path / "bag"}'],
+        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    lines = []
+
+    def until(*patterns):
+        """Read on until each pattern has been seen; the groups of the matches."""
+        left = {pattern: None for pattern in patterns}
+        while None in left.values():
+            line = process.stdout.readline()
+            assert line, ''.join(lines)
+            lines.append(line)
+            for pattern, found in left.items():
+                left[pattern] = found or re.search(pattern, line)
+        return [found.groups() for found in left.values()]
+
+    started = r'\[{}-\d\]: process started with pid \[(\d+)\]'
+    try:
+        ((recorder,), (uio,), (page,), *_) = until(
+            started.format('recorder'), started.format('uio'), r'page: (http://127\S+)',
+            'lpv.recorder.*recording 8 topics', 'lpv.uio.*measurements flow')
+        with urllib.request.urlopen(page, timeout=10) as answer:
+            assert answer.status == 200
+        os.kill(int(uio), signal.SIGKILL)
+        os.kill(int(recorder), signal.SIGKILL)
+        until(started.format('uio'), 'lpv.uio.*measurements flow',
+              'lpv.recorder.*bag exists already: recording into .*bag_1')
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        rest, _ = process.communicate(timeout=60)
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)  # so that no node outlives the test
+            process.communicate(timeout=90)
+    assert process.returncode == 1               # two of them died
+    assert rest.count('process has finished cleanly') == 5
+    for name, finished in (('bag', False), ('bag_1', True)):
+        assert (tmp_path / name / 'metadata.yaml').exists() == finished
+        assert (tmp_path / name / f'{name}.mcap').stat().st_size > 10_000
+        assert (tmp_path / name / 'gains.yaml').is_file()

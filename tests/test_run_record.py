@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from lpv_bag.messages import BagMessages
 from lpv_bag.ordering import WINDOW, StampOrder
 from lpv_bag.run_record import ALARM_TYPE, STREAMS, BagError, load_run
+from lpv_bag.run_rows import RunRows
 from lpv_bag.writing import BagWriter
 from lpv_core.diagnosis import AlarmEvent
 from lpv_core.observer import Mode
@@ -365,3 +366,58 @@ def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts
     assert [k for _, _, k in released] == list(range(1749))   # older than the window of 0.5 s
     order.flush()
     assert [k for _, _, k in released] == list(range(2000))
+
+
+# ------------------------------------------------------------------ many at a time
+
+
+def mixed(path, seed):
+    """Messages of many shapes, in any order, some of them with the stamp of another one."""
+    random = np.random.default_rng(seed)
+    values = iter(random.normal(size=100_000).tolist())
+
+    def pair(count=2):
+        return [next(values) for _ in range(count)]
+
+    with Recorder(path) as bag:
+        bag.measure(EPOCH, pair())
+        for _ in range(400):
+            stamp, kind = EPOCH + int(random.integers(1, 300)) * MS, random.integers(9)
+            if kind < 3:
+                bag.measure(stamp, pair(), velocity=pair(), effort=pair())
+            elif kind == 3:
+                bag.measure(stamp, pair(3), names=('grip', 'joint2', 'joint1'), effort=[])
+            elif kind == 4:
+                bag.measure(stamp, pair(1), names=('finger',))
+            elif kind == 5:
+                bag.stream('state_estimate', stamp, position=pair(), mode=int(random.integers(5)))
+            elif kind == 6:
+                bag.stream('fault_estimate', stamp, estimate=pair(), state=[0, 4],
+                           sensor_names=['left', 'right'] if random.random() < 0.8 else ['l', 'r'])
+            elif kind == 7:
+                bag.stream('torque_command', stamp, torque=pair(),
+                           safe_stop=bool(random.integers(2)))
+            else:
+                bag.alarm(stamp, size=next(values), event=int(random.integers(3)))
+    return path
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_given_messages_of_many_shapes_when_read_many_at_a_time_then_it_is_as_one_by_one(
+        tmp_path, monkeypatch, seed):
+    path = mixed(tmp_path / 'bag', seed)
+    one_by_one = []
+    add = RunRows.add
+    monkeypatch.setattr(RunRows, 'add', lambda *given: (one_by_one.append(1), add(*given))[1])
+    fast, few = load_run(path), len(one_by_one)
+    monkeypatch.setattr('lpv_bag.stream_blocks._MOST_ATTEMPTS', 0)
+    slow = load_run(path)
+    assert few < 100 < len(one_by_one) - few              # alarms are few and always one by one
+    assert list(fast.streams) == list(slow.streams)
+    for name, fields in slow.streams.items():
+        np.testing.assert_array_equal(fast.stamps[name], slow.stamps[name])
+        for field, column in fields.items():
+            assert fast.streams[name][field].dtype == column.dtype == float
+            np.testing.assert_array_equal(fast.streams[name][field], column)
+    for attribute in ('alarms', 'counts', 'topics', 'joint_names', 'sensor_names', 'warnings'):
+        assert getattr(fast, attribute) == getattr(slow, attribute)

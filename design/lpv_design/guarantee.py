@@ -62,15 +62,39 @@ def guarantee(arm, gains, points=POINTS):
     Guarantee
         The map.
     """
-    tuning = DiagnosisParameters()
-    bound = error_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
     limit = float(np.arccos(min(arm.cos_min)))
     deviation = np.linspace(-limit, limit, points)
-    rest = 0.0 if arm.sign > 0 else np.pi
-    values = np.array([[static_bound(bound, rest + np.array([one, two])) for two in deviation]
-                       for one in deviation])
-    threshold = np.maximum(tuning.threshold_factor * values, tuning.minimum_threshold)
-    return Guarantee(deviation, values, threshold)
+    grid = np.stack(np.meshgrid(deviation, deviation, indexing='ij'), axis=-1)
+    return Guarantee(deviation, *at_rest(arm, gains, vertical(arm) + grid))
+
+
+def vertical(arm):
+    """Absolute angle of a link in the middle of the region [rad]: upright 0, hanging pi."""
+    return 0.0 if arm.sign > 0 else np.pi
+
+
+def at_rest(arm, gains, theta):
+    """Bounds and thresholds of the diagnosis at rest, with its usual tuning.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Its gains.
+    theta : ndarray, shape (..., 2)
+        Absolute angles [rad].
+
+    Returns
+    -------
+    tuple of ndarray, shape (..., 2)
+        Bound and threshold of each sensor [rad]; infinite where gravity cannot bound it.
+    """
+    tuning, theta = DiagnosisParameters(), np.asarray(theta, float)
+    constants = error_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
+    bound = np.reshape([static_bound(constants, one) for one in theta.reshape(-1, 2)],
+                       theta.shape)
+    return bound, np.maximum(tuning.threshold_factor * bound, tuning.minimum_threshold)
 
 
 def draw(found, arm, path):

@@ -1,21 +1,15 @@
 """Plays a bag into a live graph, with its clock."""
 
 import importlib
-import math
 import time
 from itertools import count
 
 import rclpy
-from builtin_interfaces.msg import Time
 from rclpy.context import Context
-from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.interfaces import QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
-from lpv_bag.blocks import read_blocks
 from lpv_bag.measurements import MEASUREMENT_TYPE
-from lpv_bag.pipeline import ahead
+from lpv_bag.playback import Playback, await_acknowledgement, recorded_qos
 from lpv_bag.replay_writer import DIAGNOSTICS, OUTPUTS
 from lpv_bag.run_record import BagError, find_topic, open_bag
 from lpv_core.errors import ConfigError
@@ -27,7 +21,6 @@ _SETTLING = 1.0
 
 _LAST_CALL = 5.0
 """How long slow subscribers may take for the last messages [s]."""
-_DEEPEST = 20000
 
 
 class Player:
@@ -105,11 +98,13 @@ class Player:
                 clock = node.create_publisher(Clock, _CLOCK, 10) if self._tick else None
                 chosen = [c for c in chosen if c.topic in publishers]
                 self._await(list(publishers.values()), say)
+                playback = Playback(reader, chosen, publishers, self._rate, clock, self._tick,
+                                    context.ok)
                 published = 0
                 for turn in count():
-                    published += self._play(reader, chosen, publishers, clock, context)
+                    published += playback.run(*self._limits(reader))
                     if not self._loop or turn + 1 == rounds or not context.ok():
-                        _await_acknowledgement(publishers.values())
+                        await_acknowledgement(publishers.values(), _LAST_CALL)
                         return published
             finally:
                 node.destroy_node()
@@ -138,50 +133,15 @@ class Player:
         if self._wait:
             say('nobody listens; playing all the same')
 
-    def _play(self, reader, connections, publishers, clock, context):
-        first = reader.start_time
-        start, stop = (None if value is None else first + round(value * NANOSECONDS)
-                       for value in self._interval)
-        origin = wall = None
-        published, tick = 0, math.inf
-        for connection, stamp, data in _messages(reader, connections, start, stop):
-            if origin is None:
-                origin, wall = stamp, time.monotonic()
-                tick = origin if clock is not None else math.inf
-            while tick <= stamp:
-                self._sleep(wall, tick - origin)
-                clock.publish(Clock(clock=Time(sec=tick // NANOSECONDS,
-                                               nanosec=tick % NANOSECONDS)))
-                tick += self._tick
-            self._sleep(wall, stamp - origin)
-            if not context.ok():
-                break
-            publishers[connection.topic].publish(data)
-            published += 1
-        return published
-
-    def _sleep(self, wall, elapsed):
-        """Sleep until a time of the bag has come."""
-        rest = wall + elapsed / NANOSECONDS / self._rate - time.monotonic()
-        if rest > 0.0:
-            time.sleep(rest)
-
-
-def _messages(reader, connections, start, stop):
-    """Messages one by one, unpacked ahead of their time."""
-    for block in ahead(read_blocks(reader, connections, start, stop)):
-        for i in range(len(block)):
-            yield connections[block.connection[i]], int(block.time[i]), block.message(i)
-
-
-def _await_acknowledgement(publishers):
-    for publisher in publishers:
-        if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
-            publisher.wait_for_all_acked(Duration(seconds=_LAST_CALL))
+    def _limits(self, reader):
+        return tuple(None if value is None else reader.start_time + round(value * NANOSECONDS)
+                     for value in self._interval)
 
 
 def _publishers(node, connections, say):
-    found = {}
+    found, topics = {}, {}
+    for connection in connections:
+        topics.setdefault(connection.topic, []).append(connection)
     for connection in connections:
         if connection.topic in found:
             continue
@@ -192,19 +152,5 @@ def _publishers(node, connections, say):
             say(f'{connection.topic} is left out: {connection.msgtype} is not installed')
             continue
         found[connection.topic] = node.create_publisher(message, connection.topic,
-                                                        _qos(connection))
+                                                        recorded_qos(topics[connection.topic]))
     return found
-
-
-def _qos(connection):
-    """The QoS with which the topic was offered when it was recorded."""
-    offered = connection.ext.offered_qos_profiles
-    reliable = not any(q.reliability == QosReliability.BEST_EFFORT for q in offered)
-    latched = bool(offered) and all(q.durability == QosDurability.TRANSIENT_LOCAL
-                                    for q in offered)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=min(max([10, *(q.depth for q in offered)]), _DEEPEST),
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched
-                    else DurabilityPolicy.VOLATILE))

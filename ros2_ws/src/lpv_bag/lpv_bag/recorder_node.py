@@ -2,9 +2,11 @@
 
 import sys
 import time
+from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from lpv_bag.bag_place import copy_gains, free_path, read_gains_file
 from lpv_bag.counting import TopicCount
 from lpv_bag.mcap_writer import PRESETS
 from lpv_bag.ordering import StampOrder
@@ -15,7 +17,8 @@ from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
 
 SPECS = (
-    Spec('output', '', 'bag directory to create', read_only=True),
+    Spec('output', '', 'bag directory to create; if it exists, one with a number behind its name '
+         'is made', read_only=True),
     Spec('topics', ['joint_states', 'torque_command', 'state_estimate', 'fault_estimate',
                     'fault_alarm', 'reference', 'ground_truth', '/diagnostics'],
          'topics to record; relative names are resolved in the node\'s namespace',
@@ -33,6 +36,8 @@ SPECS = (
          'chunks are cut by stamps instead [s]', 0.02, 0.5, read_only=True),
     Spec('fsync', False, 'wait after each chunk until it is on the disk: a power failure then '
          'loses no more than a crash', read_only=True),
+    Spec('gains_file', '', 'gains file of this run, copied into the bag as gains.yaml; may be '
+         'empty', read_only=True),
 )
 _POLL = 0.01
 _CHUNK_TIME = 250_000_000
@@ -72,10 +77,17 @@ class RecorderNode(ManagedNode):
         self._selection = Selection(frozenset() if value['all'] else names,
                                     tuple(value['exclude']))
         self._flush_period = value['flush_period']
+        gains = read_gains_file(value['gains_file']) if value['gains_file'] else None
+        output = required_text(self, 'output')
+        path = free_path(output)
+        if str(path) != str(Path(output)):
+            self.get_logger().warning(f'{output} exists already: recording into {path}')
         self._writer = BagWriter(
-            required_text(self, 'output'), value['preset'], value['split_size'] << 20,
+            path, value['preset'], value['split_size'] << 20,
             round(value['split_duration'] * 1e9), _CHUNK_TIME if self.lockstep else 0,
             value['fsync'])
+        if gains is not None:
+            copy_gains(gains, self._writer.path)
 
     def begin(self):
         """Listen to the wanted topics."""

@@ -8,50 +8,19 @@ import numpy as np
 from lpv_bag.definitions import check_definition
 from lpv_bag.errors import BagError
 from lpv_bag.reading import BagReader, open_bag
-from lpv_core.diagnosis import Alarm, AlarmEvent
-from lpv_core.observer import NANOSECONDS, Mode
+from lpv_bag.run_rows import RunRows
+from lpv_bag.stream_blocks import read_streams
+from lpv_bag.streams import ALARM_TYPE, ALARMS, STREAMS, RecordedAlarm, stamp_of
+from lpv_core.observer import NANOSECONDS
 
 __all__ = ['BagError', 'BagReader', 'RecordedAlarm', 'RunRecord', 'STREAMS', 'find_connections',
            'find_topic', 'load_run', 'open_bag', 'stamp_of']
 _LOG = logging.getLogger(__name__)
-
-
-# Stream: (message type, array fields); the name is the last part of the topic's usual name.
-STREAMS = {
-    'joint_states': ('sensor_msgs/msg/JointState', ('position', 'velocity', 'effort')),
-    'torque_command': ('lpv_msgs/msg/TorqueCommand', ('torque', 'safe_stop')),
-    'state_estimate': ('lpv_msgs/msg/StateEstimate',
-                       ('position', 'velocity', 'compensated_position', 'measured_position',
-                        'measured_velocity', 'mode')),
-    'fault_estimate': ('lpv_msgs/msg/FaultEstimate',
-                       ('estimate', 'bound', 'threshold', 'state', 'alarm')),
-    'reference': ('lpv_msgs/msg/JointReference',
-                  ('position', 'velocity', 'acceleration', 'tip_position')),
-    'ground_truth': ('lpv_msgs/msg/GroundTruth',
-                     ('position', 'velocity', 'torque', 'fault', 'disturbance')),
-}
-"""Streams of arrays; ground_truth and reference are absent in recordings of a real arm."""
-
-ALARMS = 'fault_alarm'
-ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
 _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
 _NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
 _NEEDED[ALARM_TYPE] = ('header', 'event', 'sensor_index', 'sensor', 'onset', 'detected', 'size',
                        'bound', 'kind', 'confidence')
-
-
-@dataclass(frozen=True)
-class RecordedAlarm(Alarm):
-    """An alarm event with the stamp of the measurement that decided.
-
-    Attributes
-    ----------
-    stamp : int
-        [ns].
-    """
-
-    stamp: int = 0
 
 
 @dataclass
@@ -261,132 +230,14 @@ def load_run(path, namespace=None, joint_names=None, answers_only=False):
         for connection in reader.connections:
             record.counts[connection.topic] = (record.counts.get(connection.topic, 0)
                                                + connection.msgcount)
-        collector = _Collector(record, joint_names)
-        names = {c[0].topic: name for name, c in chosen.items()}
-        for connection, _, data in reader.messages([c for cs in chosen.values() for c in cs]):
-            collector.add(names[connection.topic],
-                          reader.deserialize(data, connection.msgtype))
+        rows = RunRows(record, joint_names)
+        read_streams(reader, chosen, rows)
         record.warnings += reader.warnings
     try:
-        collector.finish(answers_only)
+        rows.finish(answers_only)
     except BagError as error:
         raise BagError(f'{path}: {error}') from None
-    for text in collector.warnings:
+    for text in rows.warnings:
         _LOG.warning('%s: %s', path, text)
-    record.warnings += collector.warnings
+    record.warnings += rows.warnings
     return record
-
-
-def stamp_of(stamp):
-    """Nanoseconds of a builtin_interfaces/Time as rosbags gives it.
-
-    Parameters
-    ----------
-    stamp : object
-        With ``sec`` and ``nanosec``.
-
-    Returns
-    -------
-    int
-        [ns].
-    """
-    return stamp.sec * NANOSECONDS + stamp.nanosec
-
-
-class _Collector:
-    """Gathers messages, then fills the arrays of a record."""
-
-    def __init__(self, record, joint_names):
-        self._record = record
-        self._rows = {}
-        self._alarms = {}
-        record.joint_names = tuple(joint_names or ())
-        self._names, self._index, self._missing = None, None, None
-        self.warnings = []
-
-    def add(self, name, message):
-        if name == ALARMS:
-            alarm = _alarm(message)
-            # Latched events are delivered again to late subscribers.
-            self._alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
-            return
-        if name == 'state_estimate' and message.mode == Mode.NO_ESTIMATE:
-            return  # its values mean nothing
-        fields = STREAMS[name][1]
-        if name == 'joint_states':
-            values = self._pick(message)
-            if values is None:
-                return
-        else:
-            values = [getattr(message, field) for field in fields]
-        if name == 'fault_estimate' and not self._record.sensor_names:
-            self._record.sensor_names = tuple(message.sensor_names)
-        self._rows.setdefault(name, []).append((stamp_of(message.header.stamp), values))
-
-    def _pick(self, message):
-        """Columns of the wanted joints, or None; drivers sort joints as they like, and have more.
-
-        A message of other joints only (a gripper's, on the same topic) is not about this arm.
-        """
-        if message.name != self._names:
-            wanted = self._record.joint_names = self._record.joint_names or tuple(message.name)
-            self._names = list(message.name)
-            missing = [n for n in wanted if n not in message.name]
-            self._index = None
-            if missing:
-                self._missing = (missing[0], ', '.join(message.name) or 'no joint')
-            else:
-                self._index = [self._names.index(n) for n in wanted]
-        if self._index is None:
-            return None
-        count = len(self._names)
-        nothing = np.full(len(self._index), np.nan)
-        return [v[self._index] if len(v) == count else nothing
-                for v in (message.position, message.velocity, message.effort)]
-
-    def finish(self, answers_only):
-        for name, rows in self._rows.items():
-            stamps = np.array([stamp for stamp, _ in rows], dtype=np.int64)
-            self._judge(name, stamps)
-            # np.unique gives the first of equal ones: reversed, that is the last message.
-            stamps, last = np.unique(stamps[::-1], return_index=True)
-            rows = [rows[len(rows) - 1 - i][1] for i in last]
-            columns = [np.array(column, dtype=float) for column in zip(*rows)]
-            self._record.stamps[name] = stamps
-            self._record.streams[name] = dict(zip(STREAMS[name][1], columns))
-        self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
-        count = len(self._record.stamps.get('joint_states', ()))
-        if count == 0 and answers_only:
-            return
-        if count == 0 and self._missing:
-            raise BagError(f'joint {self._missing[0]!r} is not in joint_states, which has '
-                           f'{self._missing[1]}')
-        if count == 0:
-            raise BagError(f'{self._record.topics["joint_states"]} holds no message')
-        if count == 1:
-            raise BagError(f'all messages of {self._record.topics["joint_states"]} have the same '
-                           'stamp, or there is one only')
-
-
-    def _judge(self, name, stamps):
-        """Say where stamps run backwards or stand still."""
-        backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
-        same = len(stamps) - len(np.unique(stamps))
-        topic = self._record.topics[name]
-        if backwards:
-            self.warnings.append(f'{topic}: time goes backwards {backwards} times, messages are '
-                                 'sorted by their stamps')
-        if same:
-            self.warnings.append(f'{topic}: {same} messages have the stamp of another one, the '
-                                 'last one of each stamp counts')
-
-
-def _alarm(message):
-    try:
-        event = AlarmEvent(message.event)
-    except ValueError as error:
-        raise BagError(f'fault_alarm: unknown event {message.event}') from error
-    return RecordedAlarm(
-        event, int(message.sensor_index), message.sensor, stamp_of(message.onset),
-        stamp_of(message.detected), float(message.size), float(message.bound), message.kind,
-        float(message.confidence), stamp_of(message.header.stamp))

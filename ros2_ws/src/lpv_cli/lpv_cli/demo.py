@@ -64,7 +64,7 @@ def run(arguments):
     int
         0; 1 if a node failed or the design is infeasible.
     """
-    from lpv_cli.report import print_table, write_report
+    from lpv_cli.report import print_table, read_used_gains, write_report
 
     console = Console(soft_wrap=True)
     files = {'arm': bringup_file('arms', arguments.arm),
@@ -82,7 +82,8 @@ def run(arguments):
         return 1
     console.print('writing the report ...')
     result = write_report(out / 'bag', out / 'report', arm=arm, path=path,
-                          title=f'{scenario.name} on arm {arm.name}')
+                          title=f'{scenario.name} on arm {arm.name}',
+                          used=read_used_gains(files['gains']))
     print_table(result.table, console)
     console.print(f'bag     {out / "bag"}\nreport  {result.html}', highlight=False)
     return 0
@@ -124,7 +125,8 @@ def _commands(arguments, files, out):
     gains = ['--params-file', files['gains']]
     scenario = ['-p', f'scenario_file:={files["scenario"]}']
     return {
-        'recorder': [executable('lpv_bag', 'recorder'), *common, '-p', f'output:={out / "bag"}'],
+        'recorder': [executable('lpv_bag', 'recorder'), *common, '-p', f'output:={out / "bag"}',
+                     '-p', f'gains_file:={files["gains"]}'],
         'uio': [executable('lpv_uio', 'uio'), *common, *gains, *arm],
         'tracker': [executable('lpv_tracker', 'tracker'), *common, *gains, *arm, *scenario,
                     '-p', f'compensation:={arguments.compensation}'],

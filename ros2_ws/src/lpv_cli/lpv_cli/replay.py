@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 from rich.console import Console
 
+from lpv_bag.bag_place import GAINS_NAME
 from lpv_bag.mcap_writer import PRESETS
 from lpv_bag.replay import Replay, ReplayOptions
 from lpv_bag.replay_writer import MARK
@@ -104,7 +105,7 @@ def run(arguments):
     result = Replay(monitor, _options(arguments), injector,
                     lambda event: console.print(f'  {event.detected / 1e9:.3f} s: '
                                                 + describe(event))).run(arguments.bag, out)
-    save_gains(gains, out / 'gains.yaml', 'Gains that this bag was replayed with.')
+    save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
     console.print(f'bag     {out}')
     if arguments.report:

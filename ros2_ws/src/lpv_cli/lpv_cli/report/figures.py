@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from lpv_cli.report.episodes import episodes, intervals
-from lpv_cli.report.style import BAND, INK, PALE, SENSOR, SETTINGS, SOFT, thin
+from lpv_cli.report.style import BAND, INK, PALE, SENSOR, SOFT, thin
 from lpv_core.diagnosis import SensorState
 from lpv_core.kinematics import forward
 
@@ -256,32 +256,3 @@ def torques(record):
         plt.close(figure)
         return None
     return figure
-
-
-def draw_all(record, arm, path=None):
-    """All figures of a run.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    path : CartesianPath, optional
-        Reference path with its obstacle.
-
-    Yields
-    ------
-    tuple of str and matplotlib.figure.Figure
-        Name and figure; the figure is closed afterwards.
-    """
-    makers = {'path': lambda: cartesian(record, arm, path),
-              'faults': lambda: faults(record, arm.sensor_names),
-              'measured': lambda: measured(record), 'states': lambda: states(record),
-              'torques': lambda: torques(record)}
-    for name, make in makers.items():
-        with plt.rc_context(SETTINGS):
-            figure = make()
-            if figure is not None:
-                yield name, figure
-                plt.close(figure)

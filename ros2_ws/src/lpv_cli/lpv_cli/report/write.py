@@ -1,24 +1,33 @@
-"""Puts figures and table into one self-contained HTML file."""
+"""Puts figures, tables and certificate into one self-contained HTML file."""
 
 import base64
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
-
 from lpv_bag.run_record import load_run
-from lpv_cli.report.episodes import episodes, missed_faults
-from lpv_cli.report.figures import draw_all
+from lpv_cli.report.certificate import examine
+from lpv_cli.report.content import content
+from lpv_cli.report.detectability import detectability
+from lpv_cli.report.drawing import draw_all
+from lpv_cli.report.gains_source import find_used_gains
+from lpv_cli.report.page import render
+from lpv_cli.report.phases import phases
+from lpv_cli.report.reproduction import reproduce
 from lpv_cli.report.style import png
 from lpv_cli.report.table import make_table
 
 _CAPTIONS = {
+    'timeline': 'What the diagnosis said of each sensor, and when.',
     'path': 'Path of the tip in the plane of the arm (cf. Fig. 4 of the paper).',
     'faults': 'Faults of the physical position sensors and their estimates (cf. Fig. 5). Grey: a '
               'healthy arm stays inside. Shaded: confirmed alarm. Hatched: not diagnosable.',
     'measured': 'Joint positions as measured, with faults, and their references (cf. Fig. 6).',
     'states': 'Joint positions and rates with their estimates (cf. Fig. 7).',
     'torques': 'Joint torques (cf. Fig. 8).',
+    'detectability': 'Smallest lasting fault that is detected for certain, over time. A fault '
+                     'that stays above the thin line is found by its level alone.',
+    'map': 'The same over the angles of both links from the vertical, and where the run went. The '
+           'region that the certificate covers ends where the hatching begins.',
 }
 
 
@@ -34,14 +43,17 @@ class ReportResult:
         PNG files.
     table : list of Row
         Its table.
+    certificate : Certificate or None
+        Of the gains; None where they are not known.
     """
 
     html: Path
     pictures: list
     table: list
+    certificate: object = None
 
 
-def write_report(bag, out, arm, path=None, title='Run'):
+def write_report(bag, out, arm, path=None, title='Run', used=None):
     """Write the report of a bag.
 
     Parameters
@@ -56,6 +68,8 @@ def write_report(bag, out, arm, path=None, title='Run'):
         Reference path with its obstacle.
     title : str, optional
         Heading.
+    used : UsedGains, optional
+        Gains that the run was answered with; those in the bag if not given.
 
     Returns
     -------
@@ -68,29 +82,22 @@ def write_report(bag, out, arm, path=None, title='Run'):
         If the bag cannot be read.
     """
     record = load_run(bag, joint_names=arm.joint_names)
+    used = used or find_used_gains(bag)
+    certificate = examine(used, arm) if used.gains is not None else None
+    gains = used.gains if certificate is not None and not certificate.problem else None
+    again = reproduce(record, arm, gains) if gains is not None else None
+    able = detectability(record, arm, gains if certificate and certificate.holds else None)
+    found = phases(record, bag, arm.sensor_names)
+    table = make_table(record, arm)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    pictures, sections = [], []
-    for name, figure in draw_all(record, arm, path):
+    pictures, figures = [], {}
+    for name, figure in draw_all(record, arm, path, found, able):
         data = png(figure)
         pictures.append(out / f'{name}.png')
         pictures[-1].write_bytes(data)
-        sections.append({'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()})
-    table = make_table(record, arm)
+        figures[name] = {'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()}
     html = out / 'report.html'
-    html.write_text(_render(record, arm, title, table, sections), encoding='utf-8')
-    return ReportResult(html, pictures, table)
-
-
-def _render(record, arm, title, table, sections):
-    found = episodes(record)
-    names = record.sensor_names or arm.sensor_names
-    missed = [(names[m.sensor_index], m) for m in missed_faults(record, found)]
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined,
-        loader=jinja2.FileSystemLoader(Path(__file__).parent))
-    return environment.get_template('report.html').render(
-        title=title, duration=record.time[-1], episodes=found, missed=missed, table=table,
-        have_truth='ground_truth' in record.streams, sections=sections,
-        counts=sorted(record.counts.items()),
-        compare=any(row.paper is not None for row in table))
+    html.write_text(render(content(record, arm, title, table, used, certificate, again, able,
+                                   found), figures), encoding='utf-8')
+    return ReportResult(html, pictures, table, certificate)
