@@ -12,6 +12,7 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
         (f'share/{PACKAGE}/arms', glob('arms/*')),
+        (f'share/{PACKAGE}/campaigns', glob('campaigns/*')),
         (f'share/{PACKAGE}/columns', glob('columns/*')),
         (f'share/{PACKAGE}/config', glob('config/*')),
         (f'share/{PACKAGE}/gains', glob('gains/*')),

@@ -22,8 +22,8 @@ FLOATS = ('detection_delay', 'onset_error', 'size_at_detection', 'size_error', '
           'tracking_ratio', 'tracking_max', 'least_cos_1', 'least_cos_2', 'braked_time',
           'inconsistent_time', 'mean_threshold_1', 'mean_threshold_2')
 TEXTS = ('said_kind', 'said_sensor')
-COUNTS = ('false_alarms', 'wrong_alarms', 'safe_stops')
-FLAGS = ('detected', 'isolated', 'stable')
+COUNTS = ('false_alarms', 'wrong_alarms', 'safe_stops', 'alarms_before_1', 'alarms_before_2')
+FLAGS = ('detected', 'isolated', 'stable', 'found_1', 'found_2')
 LISTS = ('error_squares_1', 'error_squares_2', 'error_counts_1', 'error_counts_2')
 """Names of the figures by type; meaning and units in docs/campaign.md."""
 
@@ -53,6 +53,7 @@ def figures(plan, run, twin=None):
               'kind': plan.scenario.faults[0].kind if plan.scenario.faults else NO_FAULT,
               'sensor': _named([f.sensor for f in plan.scenario.faults])}
     result.update(_alarm_figures(run, faults, begin, end))
+    result.update(_sensor_figures(plan.arm, run, faults, begin, end))
     result.update(_estimate_figures(run, joints, before, during))
     result.update(_tracking_figures(plan, run, twin, joints, during))
     return result
@@ -70,15 +71,21 @@ def _named(sensors):
     return (sensors[0] if len(sensors) == 1 else BOTH) if sensors else NO_FAULT
 
 
-def _alarm_figures(run, faults, begin, end):
-    """Alarms while a fault acts count for it; all others are false."""
-    raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
-    faulty = {f.sensor: f for f in faults}
+def _own_alarms(run, faulty, begin, end):
+    """Alarms that count for each faulty sensor."""
     own = {}
     for alarm in run.alarms:
         if alarm.event != AlarmEvent.CLEARED and alarm.sensor in faulty \
                 and begin <= alarm.detected / 1e9 < end and alarm.onset / 1e9 >= begin - _EARLY:
             own.setdefault(alarm.sensor, []).append(alarm)
+    return own
+
+
+def _alarm_figures(run, faults, begin, end):
+    """Alarms while a fault acts count for it; all others are false."""
+    raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
+    faulty = {f.sensor: f for f in faults}
+    own = _own_alarms(run, faulty, begin, end)
     inside = [a for a in raised if begin <= a.detected / 1e9 < end]
     said = {a.sensor for a in inside}
     found = bool(own) and set(own) == set(faulty)
@@ -98,6 +105,18 @@ def _alarm_figures(run, faults, begin, end):
         if found and all(f.kind == 'bias' for f in faults) else math.nan}
 
 
+def _sensor_figures(arm, run, faults, begin, end):
+    """What the curves of detection against false alarms need of each sensor."""
+    own = _own_alarms(run, {f.sensor for f in faults}, begin, end)
+    early = [a.sensor for a in run.alarms
+             if a.event == AlarmEvent.RAISED and a.detected / 1e9 < begin]
+    result = {}
+    for number, name in enumerate(arm.sensor_names, start=1):
+        result[f'alarms_before_{number}'] = early.count(name)
+        result[f'found_{number}'] = name in own
+    return result
+
+
 def _last_kind(own, inside):
     """The last word on the kind: of the faulty sensor, or else of whichever was blamed."""
     alarms = [alarms[-1] for alarms in own.values()] or inside
@@ -107,7 +126,9 @@ def _last_kind(own, inside):
 def _estimate_figures(run, joints, before, during):
     settled = run.time >= _SETTLED
     error = run.fault_estimate - run.fault
-    score = np.abs(run.fault_estimate) / run.threshold
+    # A loop that runs away ends in infinities, and its last scores are none.
+    with np.errstate(invalid='ignore'):
+        score = np.abs(run.fault_estimate) / run.threshold
     angle = joints.absolute_position(run.position)
     cosine = np.abs(np.cos(angle))
     result = {'fault_rms_before': _rms(error[before & settled]),
@@ -152,6 +173,7 @@ def _rms(values):
 
 
 def _largest(values):
+    values = values[~np.isnan(values)]
     return float(values.max()) if values.size else math.nan
 
 

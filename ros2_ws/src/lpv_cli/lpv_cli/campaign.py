@@ -17,6 +17,7 @@ from lpv_campaign.execute import execute
 from lpv_campaign.store import CampaignFolder
 from lpv_core.config import read_yaml
 from lpv_core.errors import ConfigError
+from lpv_core.resources import bringup_file
 
 
 def add_arguments(parser):
@@ -27,12 +28,15 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('spec', nargs='?', help='campaign file (YAML), see docs/campaign.md')
+    parser.add_argument('spec', nargs='?', help='campaign file (YAML) or name of a shipped one; '
+                        'or a folder of results: only its report is written again')
     parser.add_argument('--out', default=None,
                         help='folder of the results (out/campaign/NAME); where it holds a part '
                         'of this campaign, the rest is run')
     parser.add_argument('--workers', type=int, default=None,
                         help='processes on this machine; 0: none but this one (one a core)')
+    parser.add_argument('--no-report', action='store_true',
+                        help='put the results together, and write no report')
     parser.add_argument('--scheduler', default=None, metavar='ADDRESS',
                         help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786')
 
@@ -55,6 +59,8 @@ def run(arguments):
     if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
         raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
     console = Console(soft_wrap=True)
+    if Path(arguments.spec).is_dir():
+        return _report_again(arguments, console)
     campaign, folder = _open(arguments)
     finished = folder.finished()
     numbers = [n for n in range(campaign.spec.runs) if n not in finished]
@@ -63,14 +69,43 @@ def run(arguments):
     if numbers:
         folder.begin(campaign)
         _run(arguments, campaign, folder, numbers, console)
-    folder.finish()
+    table = folder.finish()
     console.print(f'results: {folder.runs_file}')
+    if not arguments.no_report:
+        _report(campaign, folder, table, console)
+    return 0
+
+
+def _report(campaign, folder, table, console):
+    # Only here: runs must not wait for plotting.
+    from lpv_campaign.report import print_summary, write_report
+    report = write_report(campaign, table, folder.path)
+    print_summary(report.numbers, console)
+    console.print(f'report: {report.html}')
+
+
+def _report_again(arguments, console):
+    """Report of what is in a folder, whether it is all or not."""
+    if arguments.out is not None:
+        raise ConfigError('--out', 'goes with a campaign file, not with a folder of results')
+    folder = CampaignFolder(arguments.spec)
+    campaign = folder.load()
+    if campaign is None:
+        raise ConfigError('spec', 'is a folder without a campaign', str(folder.path))
+    table = folder.table()
+    missing = campaign.spec.runs - table.num_rows
+    if missing > 0:
+        console.print(f'{missing} of {campaign.spec.runs} runs are missing: the same campaign file '
+                      f'with --out {folder.path} runs them')
+    _report(campaign, folder, table, console)
     return 0
 
 
 def _open(arguments):
     """The campaign of a file, with the gains that were used if it has begun already."""
     path = Path(arguments.spec)
+    if not path.is_file():
+        path = bringup_file('campaigns', arguments.spec)
     campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
     folder = CampaignFolder(arguments.out or Path('out') / 'campaign' / path.stem)
     begun = folder.load()

@@ -47,7 +47,7 @@ def shipped_files(kind):
 
     Parameters
     ----------
-    kind : {'arms', 'scenarios', 'columns', 'gains'}
+    kind : {'arms', 'campaigns', 'columns', 'gains', 'scenarios'}
         Folder of lpv_bringup.
 
     Returns
@@ -65,11 +65,11 @@ def shipped_files(kind):
 
 
 def bringup_file(kind, name):
-    """An arm, scenario or column file: a path, or the bare name of a shipped one.
+    """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
 
     Parameters
     ----------
-    kind : {'arms', 'scenarios', 'columns'}
+    kind : {'arms', 'campaigns', 'columns', 'scenarios'}
         Folder of lpv_bringup.
     name : str
         Path, or name (``paper`` or ``paper.yaml``) of a shipped file.

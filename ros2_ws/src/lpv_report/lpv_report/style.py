@@ -1,0 +1,81 @@
+"""Look of the figures: palette, Matplotlib settings, thinning of long curves."""
+
+import io
+
+import matplotlib
+import numpy as np
+
+matplotlib.use('Agg')
+
+# Okabe-Ito blue and vermilion: told apart by colour-blind readers, and in print by lightness.
+SENSOR = ('#0072b2', '#d55e00')
+"""Colour of sensor or joint 1 and 2, in every figure."""
+PALE = ('#9fcbe6', '#f3bc95')
+"""The same, for wide lines below the thin ones."""
+INK, SOFT, GRID, BAND = '#1b2733', '#5b6774', '#dde2e8', '#c3cad2'
+PAPER = '#ffffff'
+
+SETTINGS = {
+    'font.family': 'DejaVu Sans', 'font.size': 9.0, 'axes.titlesize': 9.5,
+    'axes.labelsize': 9.0, 'legend.fontsize': 8.5, 'xtick.labelsize': 8.5,
+    'ytick.labelsize': 8.5, 'axes.titleweight': 'bold', 'axes.titlelocation': 'left',
+    'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
+    'axes.axisbelow': True, 'grid.color': GRID, 'grid.linewidth': 0.8, 'grid.alpha': 1.0,
+    'axes.edgecolor': SOFT, 'axes.linewidth': 0.8, 'xtick.color': SOFT, 'ytick.color': SOFT,
+    'xtick.labelcolor': INK, 'ytick.labelcolor': INK, 'axes.labelcolor': INK,
+    'axes.titlecolor': INK, 'text.color': INK, 'figure.facecolor': PAPER,
+    'axes.facecolor': 'none', 'legend.frameon': False, 'lines.linewidth': 1.2,
+    'lines.solid_capstyle': 'round', 'hatch.linewidth': 0.7, 'hatch.color': SOFT,
+    'axes.formatter.use_mathtext': True, 'axes.unicode_minus': True,
+    'figure.constrained_layout.use': True,
+    'figure.constrained_layout.h_pad': 0.06, 'figure.constrained_layout.w_pad': 0.05,
+}
+_POINTS = 1500
+
+
+def thin(time, values):
+    """Fewer points that look the same: of every bin the lowest and the highest one.
+
+    Parameters
+    ----------
+    time, values : ndarray, shape (n,)
+        A curve; NaN makes gaps.
+
+    Returns
+    -------
+    tuple of ndarray
+        time and values of about 3000 points; shorter curves are returned as they are.
+    """
+    size = len(values) // _POINTS
+    if size < 3:
+        return time, values
+    bins = np.array_split(np.arange(len(values)), _POINTS)
+    kept = {0, len(values) - 1}
+    for part in bins:
+        chunk = values[part]
+        if np.isnan(chunk).all():
+            kept.add(part[0])
+        else:
+            # A NaN among numbers marks a gap's border, which must not be bridged.
+            kept.update((part[np.nanargmin(chunk)], part[np.nanargmax(chunk)]))
+            kept.update(part[np.isnan(chunk)][:1])
+    index = np.array(sorted(kept))
+    return time[index], values[index]
+
+
+def png(figure):
+    """Picture of a figure as PNG.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure.
+
+    Returns
+    -------
+    bytes
+        PNG, light theme.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format='png', dpi=160)
+    return buffer.getvalue()

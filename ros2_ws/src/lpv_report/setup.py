@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+PACKAGE = 'lpv_report'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+        ('share/' + PACKAGE, ['package.xml']),
+    ],
+    package_data={'lpv_report': ['style.css']},
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='lpv-arm-fdi maintainers',
+    maintainer_email='maintainers@example.org',
+    description='What the reports of runs and of campaigns share: look, rendering.',
+    license='Apache-2.0',
+)
