@@ -484,6 +484,18 @@ def test_given_little_to_report_when_reported_then_nothing_fails_and_nothing_is_
     assert all(map(math.isfinite, numbers_of(json.loads(report.json.read_text()))))
 
 
+def test_given_a_name_with_markup_when_reported_then_it_is_text(campaign, tmp_path, monkeypatch):
+    monkeypatch.setattr('lpv_campaign.report.write.embedded', lambda _: 'data:image/png;base64,')
+    gains = str(shipped_files('gains')['paper'])
+    name = '"</style></title><script>x</script>{{ 7 * 7 }}'
+    other = resolve({**SPEC, 'designs': [gains], 'name': name}, 'made_up', '.')
+    rows = [row(campaign, 0)]
+    table = pa.Table.from_pylist(rows, schema=schema(campaign, rows))
+    text = check_page(write_report(other, table, tmp_path).html)
+    assert '<script' not in text
+    assert text.count('</style>') == 1
+
+
 def test_given_ten_thousand_rows_when_their_numbers_are_computed_then_every_case_counts(campaign):
     rows = made_up(campaign, 400) * 25
     rows = [{**r, 'number': k} for k, r in enumerate(rows)]

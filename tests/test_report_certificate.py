@@ -16,7 +16,6 @@ from lpv_cli.main import main
 from lpv_cli.report import read_used_gains, write_report
 from lpv_cli.report.detectability import configurations, detectability, summary
 from lpv_cli.report.gains_source import find_used_gains
-from lpv_cli.report.page import css_string
 from lpv_cli.report.phases import Phase, listed, phases
 from lpv_core.diagnosis import DiagnosisParameters, SensorState
 from lpv_core.error_bound import error_bound, static_bound
@@ -24,6 +23,7 @@ from lpv_core.faults import Fault
 from lpv_core.gains import save_gains
 from lpv_core.joints import JointMap
 from lpv_core.observer import NANOSECONDS
+from lpv_report.page import css_string
 
 BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which(
     'chromium-browser')

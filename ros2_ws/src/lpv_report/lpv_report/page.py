@@ -8,6 +8,23 @@ import jinja2
 from lpv_report.style import png
 
 
+def css_string(text):
+    """A string of a style sheet that cannot end the string, the sheet or the element.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        In quotes, with all but letters and digits escaped by their numbers: safe in HTML, too.
+    """
+    return '"' + ''.join(c if c.isascii() and c.isalnum() else f'\\{ord(c):06x}'
+                         for c in text if c != '\0') + '"'
+
+
 def environment(folder):
     """Environment of templates.
 
@@ -15,16 +32,18 @@ def environment(folder):
     ----------
     folder : str or pathlib.Path
         Where the templates are. They can include ``style.css`` of all reports, too, which needs
-        ``tiles``: the list of figures in the row of tiles on top.
+        ``title`` and ``tiles``: the list of figures in the row of tiles on top.
 
     Returns
     -------
     jinja2.Environment
         Escapes everything, and refuses names that are not given.
     """
-    return jinja2.Environment(
+    found = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined,
         loader=jinja2.FileSystemLoader([Path(folder), Path(__file__).parent]))
+    found.filters['css_string'] = css_string
+    return found
 
 
 def embedded(figure):

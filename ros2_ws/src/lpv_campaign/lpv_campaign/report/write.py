@@ -75,7 +75,8 @@ def write_report(campaign, table, folder):
     folder = Path(folder)
     numbers = _finite(report_numbers(Results(campaign, table), folder))
     page = environment(Path(__file__).parent).get_template('report.html').render(
-        **numbers, tiles=tiles(numbers), figures=_figures(numbers), text=text, smallest=smallest)
+        **numbers, title=f'Campaign {campaign.spec.name}', tiles=tiles(numbers),
+        figures=_figures(numbers), text=text, smallest=smallest)
     _write(folder / HTML, page)
     _write(folder / JSON, json.dumps(numbers, allow_nan=False, indent=1))
     return CampaignReport(folder / HTML, folder / JSON, numbers)

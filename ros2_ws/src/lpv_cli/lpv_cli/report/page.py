@@ -1,9 +1,9 @@
-"""The page: template, style sheet, and how numbers are written."""
+"""The page: template, and how numbers are written."""
 
 import math
 from pathlib import Path
 
-import jinja2
+from lpv_report.page import environment
 
 
 def number(value, form):
@@ -29,23 +29,6 @@ def share(value):
     return '-' if value is None else f'{100.0 * value:.1f} %'
 
 
-def css_string(text):
-    """A string of a style sheet that cannot end the string, the sheet or the element.
-
-    Parameters
-    ----------
-    text : str
-        Any text.
-
-    Returns
-    -------
-    str
-        In quotes, with all but letters and digits escaped by their numbers: safe in HTML, too.
-    """
-    return '"' + ''.join(c if c.isascii() and c.isalnum() else f'\\{ord(c):06x}'
-                         for c in text if c != '\0') + '"'
-
-
 def render(values, figures):
     """The page as text.
 
@@ -61,11 +44,9 @@ def render(values, figures):
     str
         HTML that needs nothing from elsewhere.
     """
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined,
-        loader=jinja2.FileSystemLoader(Path(__file__).parent))
-    environment.filters.update(number=number, share=share, css_string=css_string)
+    templates = environment(Path(__file__).parent)
+    templates.filters.update(number=number, share=share)
     known = {name: None for name in ('timeline', 'detectability', 'map')}
     others = [name for name in figures if name not in known]
-    return environment.get_template('report.html').render(
+    return templates.get_template('report.html').render(
         **values, figures={**known, **figures}, signals=others).lstrip()
