@@ -15,6 +15,7 @@ from rich.progress import (
 from lpv_campaign.campaign import resolve
 from lpv_campaign.execute import execute
 from lpv_campaign.store import CampaignFolder
+from lpv_cli.campaign_run import run_to_bag
 from lpv_core.config import read_yaml
 from lpv_core.errors import ConfigError
 
@@ -27,7 +28,8 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('spec', nargs='?', help='campaign file (YAML), see docs/campaign.md')
+    parser.add_argument('spec', nargs='?', help='campaign file (YAML), see docs/campaign.md; with '
+                        '--run also the folder of its results')
     parser.add_argument('--out', default=None,
                         help='folder of the results (out/campaign/NAME); where it holds a part '
                         'of this campaign, the rest is run')
@@ -35,6 +37,9 @@ def add_arguments(parser):
                         help='processes on this machine; 0: none but this one (one a core)')
     parser.add_argument('--scheduler', default=None, metavar='ADDRESS',
                         help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786')
+    parser.add_argument('--run', type=int, dest='number', metavar='N', help='do this run again, '
+                        'and write it as the bag that --bag names')
+    parser.add_argument('--bag', metavar='FOLDER', help='bag of the run to write')
 
 
 def run(arguments):
@@ -50,6 +55,8 @@ def run(arguments):
     int
         0.
     """
+    if arguments.number is not None or arguments.bag is not None:
+        return run_to_bag(arguments)
     if arguments.spec is None:
         raise ConfigError('spec', 'is missing: name a campaign file')
     if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
