@@ -114,13 +114,16 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
     return len(rows)
 
 
+def _stamps(first, end, period):
+    return np.rint(np.arange(first, end) * period * NANOSECONDS).astype(np.int64)
+
+
 def _guide_on(guide, first, period, position, reference):
     """Lay references from row ``first`` on for a loop that starts, or goes on after a stop.
 
     Rows count the samples in which the clock of the path runs.
     """
-    stamps = np.rint(np.arange(first, len(reference.position)) * period * NANOSECONDS).astype(
-        np.int64)
+    stamps = _stamps(first, len(reference.position), period)
     if guide.running:
         guide.stop(round((first - 1) * period * NANOSECONDS))
     guide.reference(int(stamps[0]), np.array(position))
@@ -290,7 +293,8 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
     rows = np.zeros(round(scenario.duration / arm.sample_time) + 1, _ROW).view(np.recarray)
     path = scenario.path(arm)
     guide = PathGuide(arm, path)
-    reference = path.sample(arm.sample_time * np.arange(len(rows)))
+    # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
+    reference = path.sample(_stamps(0, len(rows), arm.sample_time) / NANOSECONDS)
     loop = new_record(_LOOP, compensation=COMPENSATION.index(compensation), delay=delay, loss=loss,
                       literal=gains.controller.method == 'paper', previous=NEVER, stop=True,
                       external=plant.engine is not None)
