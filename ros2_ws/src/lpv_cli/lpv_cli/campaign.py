@@ -15,6 +15,7 @@ from rich.progress import (
 from lpv_campaign.campaign import resolve
 from lpv_campaign.execute import execute
 from lpv_campaign.store import CampaignFolder
+from lpv_cli import fleet
 from lpv_cli.campaign_run import run_to_bag
 from lpv_core.config import read_yaml
 from lpv_core.errors import ConfigError
@@ -40,6 +41,7 @@ def add_arguments(parser):
     parser.add_argument('--run', type=int, dest='number', metavar='N', help='do this run again, '
                         'and write it as the bag that --bag names')
     parser.add_argument('--bag', metavar='FOLDER', help='bag of the run to write')
+    fleet.add_arguments(parser)
 
 
 def run(arguments):
@@ -53,14 +55,15 @@ def run(arguments):
     Returns
     -------
     int
-        0.
+        0; 3 if a bag of an archive could not be read.
     """
+    _check_workers(arguments)
+    if arguments.bags is not None:
+        return _replay_archive(arguments)
     if arguments.number is not None or arguments.bag is not None:
         return run_to_bag(arguments)
     if arguments.spec is None:
         raise ConfigError('spec', 'is missing: name a campaign file')
-    if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
-        raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
     console = Console(soft_wrap=True)
     campaign, folder = _open(arguments)
     finished = folder.finished()
@@ -73,6 +76,17 @@ def run(arguments):
     folder.finish()
     console.print(f'results: {folder.runs_file}')
     return 0
+
+
+def _check_workers(arguments):
+    if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
+        raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
+
+
+def _replay_archive(arguments):
+    if arguments.spec is not None or arguments.number is not None or arguments.bag is not None:
+        raise ConfigError('--bags', 'goes without a campaign file, --run and --bag')
+    return fleet.replay_archive(arguments)
 
 
 def _open(arguments):
