@@ -73,6 +73,7 @@ def _as_row(answer):
 def _join(parts):
     starts = np.cumsum([0] + [len(p.answered) for p in parts])
     arrays = [np.concatenate([np.asarray(getattr(p, name)) for p in parts]) for name in _ARRAYS]
+    arrays = [a.view(np.recarray) if a.dtype.names else a for a in arrays]
     lists = [[(int(start) + row, what) for start, p in zip(starts, parts)
               for row, what in getattr(p, name)] for name in ('events', 'reports')]
     return Answers(*arrays, *lists)

@@ -233,7 +233,7 @@ def _trend(unit, sensor, rows):
     means = np.array([row[f'fault_mean_{number}'] for row in rows])
     slope, _, low, high = (float(v) for v in stats.theilslopes(means, days, _LEVEL))
     probability = float(stats.kendalltau(days, means).pvalue)
-    threshold = float(np.median([row[f'mean_threshold_{number}'] for row in rows]))
+    threshold = float(np.median([row[f'threshold_mean_{number}'] for row in rows]))
     level = float(np.median(means) + slope * (days[-1] - np.median(days)))
     left = math.inf
     if slope * level > 0.0:

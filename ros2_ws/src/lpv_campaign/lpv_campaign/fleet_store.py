@@ -18,7 +18,7 @@ ALARM = pa.struct([('sensor', pa.string()), ('kind', pa.string()), ('count', pa.
                    ('onset', pa.float64()), ('detected', pa.float64()), ('size', pa.float64()),
                    ('bound', pa.float64())])
 """Alarms of one sensor and kind; times since the first measurement."""
-_EACH = ('score', 'fault_largest', 'fault_mean', 'fault_rms', 'mean_threshold',
+_EACH = ('score', 'fault_largest', 'fault_mean', 'fault_rms', 'threshold_mean',
          'reference_error', *(f'time_{name}' for name in STATES))
 
 
@@ -35,7 +35,7 @@ def _schema():
     columns.update(seed=whole, kind=text, sensor=text)
     for group, kind in ((FLOATS, number), (TEXTS, text), (COUNTS, whole), (FLAGS, flag),
                         (LISTS, pa.list_(number))):
-        columns.update({name: kind for name in group if name not in columns})
+        columns.update({name: kind for name in group})
     return pa.schema(list(columns.items()))
 
 

@@ -101,7 +101,7 @@ class Tally:
                 f'fault_largest_{number}': float(self._largest[i]),
                 f'fault_mean_{number}': _number(mean[i]),
                 f'fault_rms_{number}': _number(np.sqrt(square[i])),
-                f'mean_threshold_{number}': _number(threshold[i]),
+                f'threshold_mean_{number}': _number(threshold[i]),
                 f'reference_error_{number}': _number(tracking[i])})
         return row
 
