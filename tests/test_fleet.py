@@ -296,6 +296,22 @@ def test_given_a_bag_when_watched_then_nothing_is_written_and_answers_are_those_
         Replay(settings.monitor(), start=100.0).watch(archive / 'b' / 'bias', lambda *_: None)
 
 
+def test_given_a_long_bag_when_replayed_then_memory_does_not_grow_without_truth_and_has_an_end_with(
+        archive, settings, monkeypatch):
+    kept = []
+    true = fleet.TruthKeeper.row
+    monkeypatch.setattr(fleet.TruthKeeper, 'row',
+                        lambda self, *a: kept.append(dict(self._parts)) or true(self, *a))
+    monkeypatch.setattr('lpv_campaign.fleet_truth.MOST_SAMPLES', 1000)
+    bags = {bag.name: bag for bag in find_bags(archive)}
+    for name in ('foreign', 'b/bias'):
+        row = watch_bag(settings, str(archive), bags[name])
+        assert (row['alarms'], row['error']) == (1, '')
+        assert 'false_alarms' not in row
+        assert kept.pop() == {}
+    assert 'too long' in row['warnings']
+
+
 def test_given_samples_one_by_one_or_many_when_taken_then_contradictions_are_said_alike(
         runs, paper_arm, settings):
     run = runs['bias'][1]

@@ -55,15 +55,16 @@ class Bystander:
 
         Returns
         -------
-        dict of str to tuple
-            By stream: header stamps [ns], shape (n,), and arrays by field, n rows each.
+        dict of str to tuple or None
+            By stream that the bag has: header stamps [ns], shape (n,), and arrays by field, n rows
+            each; None where the block has no message of it.
 
         Raises
         ------
         BagError
             If a message is damaged.
         """
-        found = {}
+        found = dict.fromkeys(self._readers)
         for name, stream in self._readers.items():
             mine = np.array([c.topic == stream.topic for c in self._connections])
             positions = np.flatnonzero(mine[block.connection])

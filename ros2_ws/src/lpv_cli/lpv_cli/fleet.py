@@ -114,6 +114,9 @@ def _replay(arguments, settings, root, bags, folder, console, total):
                 if len(waiting) >= _TOGETHER or time.monotonic() - since > _EVERY:
                     folder.add(waiting)
                     waiting, since = [], time.monotonic()
+        except KeyboardInterrupt:
+            console.print('what is finished is kept; the same command goes on')
+            raise
         finally:
             # Also of what was stopped: nothing is done twice.
             if waiting:
