@@ -45,7 +45,7 @@ def run_to_bag(arguments):
     run = plan.simulate()
     twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
     found = figures(plan, run, twin)
-    stored = stored_row(folder, arguments.number)
+    stored = stored_row(folder, arguments.number) if folder is not None else None
     console.print(_table(arguments.number, stored, found))
     if stored is not None:
         wrong = differences(stored, {**plan.values, **found})
@@ -71,7 +71,8 @@ def open_campaign(path, out=None):
     Returns
     -------
     tuple
-        `Campaign` and `CampaignFolder`; the folder may be empty where a file is given.
+        `Campaign`, and `CampaignFolder` of its results, or None if there are none of this
+        campaign file.
 
     Raises
     ------
@@ -90,7 +91,7 @@ def open_campaign(path, out=None):
     begun = folder.load()
     # The gains that were used, where there are results.
     same = begun is not None and begun.key == campaign.key
-    return begun if same else campaign, folder if same else CampaignFolder(path / 'nothing')
+    return (begun, folder) if same else (campaign, None)
 
 
 def stored_row(folder, number):
