@@ -5,7 +5,7 @@ import numpy as np
 from lpv_core.errors import SampleError
 from lpv_core.monitor import ANSWER, Answers
 
-_ARRAYS = ('answered', 'has_fault', 'restarted', 'state', 'fault')
+_ARRAYS = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault')
 
 
 def take_all(monitor, measured, torque, rejected):
@@ -61,7 +61,7 @@ def _as_row(answer):
     if answer is None:
         return result
     row.answered, row.has_fault = True, answer.fault is not None
-    row.restarted = answer.restarted
+    row.restarted, row.inconsistent = answer.restarted, answer.inconsistent
     for part, fields in ((row.state, answer.state), (row.fault, answer.fault)):
         for name in part.dtype.names if fields is not None else ():
             part[name][0] = fields[name]
@@ -73,6 +73,7 @@ def _as_row(answer):
 def _join(parts):
     starts = np.cumsum([0] + [len(p.answered) for p in parts])
     arrays = [np.concatenate([np.asarray(getattr(p, name)) for p in parts]) for name in _ARRAYS]
+    arrays = [a.view(np.recarray) if a.dtype.names else a for a in arrays]
     lists = [[(int(start) + row, what) for start, p in zip(starts, parts)
               for row, what in getattr(p, name)] for name in ('events', 'reports')]
     return Answers(*arrays, *lists)

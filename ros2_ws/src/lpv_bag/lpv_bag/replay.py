@@ -10,6 +10,7 @@ import numpy as np
 
 from lpv_bag.answer_rows import take_all
 from lpv_bag.blocks import read_blocks
+from lpv_bag.bystander import Bystander
 from lpv_bag.efforts import EFFORT_TYPES, EffortReader
 from lpv_bag.injection import CHANGED, BlockInjector
 from lpv_bag.measurements import MEASUREMENT_TYPE, MeasurementReader
@@ -69,12 +70,24 @@ class ReplayResult:
         Alarm events.
     seconds : dict of str to float
         Processor time by stage [s].
+    topic : str
+        Of the measurements.
+    streams : set of str
+        Other streams that were asked for and are there.
+    warnings : list of str
+        What is wrong with the bag, and was put up with.
+    lost : int
+        Measurements that the recorder says it has lost.
     """
 
     measurements: int = 0
     rejected: Counter = field(default_factory=Counter)
     events: list = field(default_factory=list)
     seconds: dict = field(default_factory=Counter)
+    topic: str = ''
+    streams: set = field(default_factory=set)
+    warnings: list = field(default_factory=list)
+    lost: int = 0
 
     @contextmanager
     def stage(self, name):
@@ -139,8 +152,7 @@ class Replay:
                 writer.announce(reader.connections, not self._options.estimates_only)
                 self._run(reader, inputs, writer, result)
                 if not result.measurements:
-                    raise BagError(f'{bag}: holds no message on {inputs.measured} in the chosen '
-                                   'interval')
+                    raise _nothing(bag, inputs)
                 with result.stage('writing'):
                     writer.close()
             except BaseException:
@@ -150,17 +162,56 @@ class Replay:
                 raise
         return result
 
+    def watch(self, bag, take, streams=()):
+        """Run over one bag and write nothing.
+
+        Parameters
+        ----------
+        bag : str or pathlib.Path
+            Bag to read.
+        take : callable
+            Called with measurements, answers, and other streams as of `Bystander.read`, block by
+            block.
+        streams : sequence of str, optional
+            Other streams of the bag, names of `lpv_bag.run_record.STREAMS`.
+
+        Returns
+        -------
+        ReplayResult
+            What was found.
+
+        Raises
+        ------
+        BagError
+            If the bag cannot be read or lacks measurements.
+        """
+        result = ReplayResult()
+        with open_bag(bag) as reader:
+            inputs = self._inputs(reader)
+            bystander = Bystander(reader, inputs.prefix, streams)
+            result.topic, result.streams = inputs.measured, bystander.present
+            for batch in ahead(self._batches(reader, inputs, bystander, result)):
+                answers = self._answer(batch, result)
+                take(batch.measured, answers, bystander.read(batch.block))
+            result.warnings = list(reader.warnings)
+            result.lost = int(reader.known.get(inputs.measured, {}).get('lost', 0))
+        if not result.measurements:
+            raise _nothing(bag, inputs)
+        return result
+
+    def _answer(self, batch, result):
+        result.measurements += len(batch.positions)
+        with result.stage('recursion'):
+            answers = take_all(self._monitor, batch.measured, batch.torque, result.rejected)
+        for _, event in answers.events:
+            result.events.append(event)
+            self._on_event(event)
+        return answers
+
     def _run(self, reader, inputs, writer, result):
         with Behind(lambda *parts: writer.write(*parts, result)) as write:
             for batch in ahead(self._batches(reader, inputs, writer, result)):
-                result.measurements += len(batch.positions)
-                with result.stage('recursion'):
-                    answers = take_all(self._monitor, batch.measured, batch.torque,
-                                       result.rejected)
-                for _, event in answers.events:
-                    result.events.append(event)
-                    self._on_event(event)
-                write(batch, answers)
+                write(batch, self._answer(batch, result))
 
     def _inputs(self, reader):
         options = self._options
@@ -231,6 +282,10 @@ class _Batch:
     copied: np.ndarray
     channels: np.ndarray
     changed: dict
+
+
+def _nothing(bag, inputs):
+    return BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
 
 
 def _effort_connection(reader, topic):

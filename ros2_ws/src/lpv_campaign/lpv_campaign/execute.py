@@ -1,27 +1,18 @@
 """Runs a campaign: here, on all cores, or on a cluster; the results are the same."""
 
-import logging
-import os
-import signal
-import threading
-from contextlib import contextmanager
 from pathlib import Path
 
 import lpv_core
 from lpv_campaign.campaign import campaign_of
+from lpv_campaign.cluster import WorkerError, on_cluster
 from lpv_campaign.figures import figures
 from lpv_campaign.runs import plan_run
 from lpv_core.errors import LpvError
 from lpv_core.jit import source_digest
 
+__all__ = ['CHUNK', 'WorkerError', 'execute', 'run_chunk', 'run_one', 'software']
 CHUNK = 20
 """Runs that are sent to a worker, and written, together."""
-_AHEAD = 3
-"""Chunks a worker has in front of it: enough not to wait, few enough to hold in memory."""
-
-
-class WorkerError(LpvError):
-    """A worker does not run the same software, or died of a run."""
 
 
 def software():
@@ -110,81 +101,4 @@ def execute(campaign, numbers, workers=None, scheduler=None, chunk=CHUNK):
         for part in chunks:
             yield run_chunk(campaign.text, part)[1]
         return
-    with _client(workers, scheduler) as client:
-        yield from _on_cluster(client, campaign.text, chunks)
-
-
-def _client(workers, scheduler):
-    from distributed import Client, LocalCluster
-    if scheduler is not None:
-        try:
-            return Client(scheduler, timeout=5)
-        except (OSError, ValueError, ImportError) as error:
-            raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
-    with _deaf_children():
-        cluster = LocalCluster(
-            n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
-            host='127.0.0.1', dashboard_address='127.0.0.1:0', memory_limit=0,
-            silence_logs=logging.ERROR)
-    return _OwnCluster(cluster)
-
-
-@contextmanager
-def _deaf_children():
-    """Processes that are started within ignore Ctrl-C: the one that started them ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-class _OwnCluster:
-    """A cluster that ends with its client."""
-
-    def __init__(self, cluster):
-        from distributed import Client
-        self._cluster = cluster
-        self._client = Client(cluster)
-
-    def __enter__(self):
-        return self._client
-
-    def __exit__(self, *_):
-        self._client.close()
-        self._cluster.close()
-
-
-def _on_cluster(client, text, chunks):
-    from distributed import as_completed
-    from distributed.scheduler import KilledWorker
-    waiting, mine = iter(chunks), software()
-
-    def submit():
-        part = next(waiting, None)
-        if part is None:
-            return None
-        # Not pure: a key by content would hash the text again for each chunk.
-        return client.submit(run_chunk, text, part, pure=False)
-
-    first = [f for f in (submit() for _ in range(_width(client))) if f is not None]
-    done = as_completed(first)
-    for future in done:
-        try:
-            theirs, rows = future.result()
-        except KilledWorker as error:
-            raise WorkerError(f'workers died of the same runs again and again: {error}') from error
-        if theirs != mine:
-            raise WorkerError('a worker runs another version of this software: install the same '
-                              'one everywhere')
-        another = submit()
-        if another is not None:
-            done.add(another)
-        yield rows
-
-
-def _width(client):
-    return _AHEAD * max(1, sum(client.nthreads().values()))
+    yield from on_cluster(run_chunk, campaign.text, chunks, software(), workers, scheduler)

@@ -15,6 +15,8 @@ from rich.progress import (
 from lpv_campaign.campaign import resolve
 from lpv_campaign.execute import execute
 from lpv_campaign.store import CampaignFolder
+from lpv_cli import fleet
+from lpv_cli.campaign_run import run_to_bag
 from lpv_core.config import read_yaml
 from lpv_core.errors import ConfigError
 from lpv_core.resources import bringup_file
@@ -29,7 +31,8 @@ def add_arguments(parser):
         Receives them.
     """
     parser.add_argument('spec', nargs='?', help='campaign file (YAML) or name of a shipped one; '
-                        'or a folder of results: only its report is written again')
+                        'or a folder of results: its report is written again, or with --run one '
+                        'of its runs as a bag')
     parser.add_argument('--out', default=None,
                         help='folder of the results (out/campaign/NAME); where it holds a part '
                         'of this campaign, the rest is run')
@@ -39,6 +42,10 @@ def add_arguments(parser):
                         help='put the results together, and write no report')
     parser.add_argument('--scheduler', default=None, metavar='ADDRESS',
                         help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786')
+    parser.add_argument('--run', type=int, dest='number', metavar='N', help='do this run again, '
+                        'and write it as the bag that --bag names')
+    parser.add_argument('--bag', metavar='FOLDER', help='bag of the run to write')
+    fleet.add_arguments(parser)
 
 
 def run(arguments):
@@ -52,12 +59,15 @@ def run(arguments):
     Returns
     -------
     int
-        0.
+        0; 3 if a bag of an archive could not be read.
     """
+    _check_workers(arguments)
+    if arguments.bags is not None:
+        return _replay_archive(arguments)
+    if arguments.number is not None or arguments.bag is not None:
+        return run_to_bag(arguments)
     if arguments.spec is None:
         raise ConfigError('spec', 'is missing: name a campaign file')
-    if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
-        raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
     console = Console(soft_wrap=True)
     if Path(arguments.spec).is_dir():
         return _report_again(arguments, console)
@@ -99,6 +109,17 @@ def _report_again(arguments, console):
                       f'with --out {folder.path} runs them')
     _report(campaign, folder, table, console)
     return 0
+
+
+def _check_workers(arguments):
+    if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
+        raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
+
+
+def _replay_archive(arguments):
+    if arguments.spec is not None or arguments.number is not None or arguments.bag is not None:
+        raise ConfigError('--bags', 'goes without a campaign file, --run and --bag')
+    return fleet.replay_archive(arguments)
 
 
 def _open(arguments):

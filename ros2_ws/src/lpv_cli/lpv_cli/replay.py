@@ -33,18 +33,11 @@ def add_arguments(parser):
         Receives them.
     """
     parser.add_argument('bag', help='rosbag2 directory, MCAP or sqlite3 file')
-    parser.add_argument('--arm', help='arm file, or name of a shipped arm; the one that the gains '
-                        'were designed for if not given')
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument('--gains', help='gains file of this arm')
-    source.add_argument('--requirement', help='requirement to design gains for, a file or a '
-                        'shipped one; without both, the shipped one of the arm\'s name')
-    parser.add_argument('--parameters', help='parameter file of the node, for its diagnosis, '
-                        'initial_samples and max_gap')
+    add_diagnosis(parser)
     parser.add_argument('--out', default='out/replay', help='bag to write (out/replay); an earlier '
                         'result of this command is replaced')
     parser.add_argument('--report', help='folder for a report of the new bag')
-    _add_reading(parser)
+    add_reading(parser)
     parser.add_argument('--inject', '--faults', metavar='FAULTS', help='YAML file whose list of '
                         'faults is added to the measurements: shows what would be found')
     parser.add_argument('--estimates-only', action='store_true', help='write estimates, alarms '
@@ -54,7 +47,32 @@ def add_arguments(parser):
     _add_publishing(parser)
 
 
-def _add_reading(parser):
+def add_diagnosis(parser):
+    """Declare the arguments that say what observes.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('--arm', help='arm file, or name of a shipped arm; the one that the gains '
+                        'were designed for if not given')
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument('--gains', help='gains file of this arm')
+    source.add_argument('--requirement', help='requirement to design gains for, a file or a '
+                        'shipped one; without both, the shipped one of the arm\'s name')
+    parser.add_argument('--parameters', help='parameter file of the node, for its diagnosis, '
+                        'initial_samples and max_gap')
+
+
+def add_reading(parser):
+    """Declare the arguments that say what of a bag is read.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
     parser.add_argument('--from', dest='start', type=float, metavar='S', help='leave out what is '
                         'before this time, counted from the first message of the bag [s]')
     parser.add_argument('--to', dest='end', type=float, metavar='S', help='leave out what is at '
@@ -97,8 +115,9 @@ def run(arguments):
         return _publish(arguments, console)
     out = Path(arguments.out).resolve()
     _check_out(out, Path(arguments.bag).resolve())
-    arm, gains = _arm_and_gains(arguments, console)
-    monitor = _monitor(arguments, arm, gains)
+    arm, gains = arm_and_gains(arguments, console)
+    diagnosis, others = diagnosis_parameters(arguments.parameters)
+    monitor = SensorMonitor('/uio', arm, gains, diagnosis, **others)
     injector = _injector(arguments.inject, arm)
     _remove(out)
     begin = time.perf_counter()
@@ -159,7 +178,26 @@ def _remove(out):
         shutil.rmtree(out)
 
 
-def _arm_and_gains(arguments, console):
+def arm_and_gains(arguments, console):
+    """Arm and gains as arguments say.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_diagnosis`.
+    console : rich.console.Console
+        Is told of a design.
+
+    Returns
+    -------
+    tuple
+        `ArmParameters` and `Gains`.
+
+    Raises
+    ------
+    LpvError
+        If a file is wrong, or the design is infeasible.
+    """
     gains = load_gains(arguments.gains) if arguments.gains else None
     name = arguments.arm or (gains and gains.arm_name)
     if not name:
@@ -178,10 +216,27 @@ def _design(arguments, arm, console):
     return design(arm, requirement).gains
 
 
-def _monitor(arguments, arm, gains):
-    if not arguments.parameters:
-        return SensorMonitor('/uio', arm, gains)
-    path = arguments.parameters
+def diagnosis_parameters(path):
+    """Tuning of the diagnosis in a parameter file of the node.
+
+    Parameters
+    ----------
+    path : str or None
+        The file; None for what the node has without one.
+
+    Returns
+    -------
+    tuple
+        `DiagnosisParameters`, and a dict with what is given of ``max_gap`` and
+        ``initial_samples``.
+
+    Raises
+    ------
+    ConfigError
+        Naming what is wrong.
+    """
+    if not path:
+        return DiagnosisParameters(), {}
     try:
         values = dict(read_yaml(path)['/**']['ros__parameters'])
         diagnosis = DiagnosisParameters(**values.get('diagnosis') or {})
@@ -192,7 +247,7 @@ def _monitor(arguments, arm, gains):
     for name, value in (*vars(diagnosis).items(), *chosen.items()):
         if not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
             raise ConfigError(name, f'must be a number from 0, got {value!r}', path)
-    return SensorMonitor('/uio', arm, gains, diagnosis, **chosen)
+    return diagnosis, chosen
 
 
 def _injector(path, arm):

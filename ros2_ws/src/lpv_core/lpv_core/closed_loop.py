@@ -41,10 +41,12 @@ whether the last command is one."""
 
 _ROW = record_type(
     ('time', 'f8'), ('position', 'f8', (2,)), ('velocity', 'f8', (2,)), ('measured', 'f8', (2,)),
+    ('measured_velocity', 'f8', (2,)), ('lost', '?'), ('compensated', 'f8', (2,)),
     ('estimate', 'f8', (2,)), ('estimated_velocity', 'f8', (2,)), ('reference', 'f8', (2,)),
     ('fault', 'f8', (2,)), ('fault_estimate', 'f8', (2,)), ('threshold', 'f8', (2,)),
     ('torque', 'f8', (2,)), ('alarm', 'u1', (2,)), ('inconsistent', '?'), ('trustworthy', '?'),
-    ('braked', '?'))
+    ('braked', '?'), ('command', 'f8', (2,)), ('safe_stop', '?'), ('disturbance', 'f8'),
+    ('place', 'i8'))
 
 
 @njit
@@ -66,8 +68,8 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
                 return k
             read_sensors(c_plant, plant, faults, noise, chance)
             _record_truth(plant, row, k * period)
-            lost = loop.loss > 0.0 and losses.random() < loop.loss
-            if not lost:
+            row.lost = loop.loss > 0.0 and losses.random() < loop.loss
+            if not row.lost:
                 position[:] = plant.measured_position
                 velocity[:] = plant.measured_velocity
                 effort[:] = plant.torque
@@ -92,6 +94,8 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
                 loop.offset += 1  # the clock of the path stands still
             place = min(max(k - loop.offset, 0), len(positions) - 1)
             _record_answer(answer, monitor.diagnosis.decision, row, positions[place])
+            row.place, row.safe_stop = place, loop.stop
+            row.command[0], row.command[1] = controller.torque[0], controller.torque[1]
             slot = k % _MOST_DELAY
             loop.queue[slot, 0], loop.queue[slot, 1] = controller.torque[0], controller.torque[1]
             loop.stops[slot] = loop.stop
@@ -110,20 +114,23 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
     return len(rows)
 
 
+def _stamps(first, end, period):
+    return np.rint(np.arange(first, end) * period * NANOSECONDS).astype(np.int64)
+
+
 def _guide_on(guide, first, period, position, reference):
     """Lay references from row ``first`` on for a loop that starts, or goes on after a stop.
 
     Rows count the samples in which the clock of the path runs.
     """
-    stamps = np.rint(np.arange(first, len(reference.position)) * period * NANOSECONDS).astype(
-        np.int64)
+    stamps = _stamps(first, len(reference.position), period)
     if guide.running:
         guide.stop(round((first - 1) * period * NANOSECONDS))
     guide.reference(int(stamps[0]), np.array(position))
     if first == 0 and guide.is_on_path:
         return  # they are there
     ahead = guide.ahead(stamps)
-    for name in ('position', 'velocity', 'acceleration'):
+    for name in ('position', 'velocity', 'acceleration', 'tip'):
         getattr(reference, name)[first:] = getattr(ahead, name)
 
 
@@ -165,10 +172,11 @@ def _keep_events(loop, monitor, answer, events):
 
 @njit
 def _record_truth(plant, row, time):
-    row.time = time
+    row.time, row.disturbance = time, plant.disturbance
     for i in range(2):
         row.position[i], row.velocity[i] = plant.position[i], plant.velocity[i]
         row.measured[i], row.fault[i] = plant.measured_position[i], plant.fault[i]
+        row.measured_velocity[i] = plant.measured_velocity[i]
 
 
 @njit
@@ -177,6 +185,7 @@ def _record_answer(answer, decision, row, reference):
     for i in range(2):
         row.estimate[i] = answer.state.position[i]
         row.estimated_velocity[i] = answer.state.velocity[i]
+        row.compensated[i] = answer.state.compensated_position[i]
         row.fault_estimate[i] = answer.fault.estimate[i]
         row.threshold[i] = answer.fault.threshold[i]
         row.alarm[i] = answer.fault.alarm[i]
@@ -195,6 +204,10 @@ class Run:
         True joint positions and rates.
     measured, estimate, estimated_velocity, reference : ndarray, shape (n, 2)
         Joint positions as measured and estimated, estimated rates, references.
+    measured_velocity, compensated : ndarray, shape (n, 2)
+        Measured joint rates; measured joint positions without the confirmed faults.
+    lost : ndarray of bool, shape (n,)
+        Samples whose measurement never reached the observer.
     fault, fault_estimate, threshold : ndarray, shape (n, 2)
         Of the physical sensors [rad].
     torque : ndarray, shape (n, 2)
@@ -205,6 +218,16 @@ class Run:
         As in `lpv_core.diagnosis.DECISION`.
     braked : ndarray of bool, shape (n,)
         Whether the brakes held the arm over the step after the sample.
+    command : ndarray, shape (n, 2)
+        Joint torques that the tracker asked for last [N m].
+    safe_stop : ndarray of bool, shape (n,)
+        Whether it asked for a safe stop instead, or has not begun.
+    disturbance : ndarray, shape (n,)
+        d over the step before the sample.
+    place : ndarray of int, shape (n,)
+        Row of ``path`` that is the sample's reference: the path's clock stands still in a stop.
+    path : ndarray, shape (4, n, 2)
+        Positions, rates, accelerations [rad], [rad/s], [rad/s2] and tip [m] of references.
     alarms : list of Alarm
         Events.
     """
@@ -213,6 +236,9 @@ class Run:
     position: np.ndarray
     velocity: np.ndarray
     measured: np.ndarray
+    measured_velocity: np.ndarray
+    lost: np.ndarray
+    compensated: np.ndarray
     estimate: np.ndarray
     estimated_velocity: np.ndarray
     reference: np.ndarray
@@ -224,6 +250,11 @@ class Run:
     inconsistent: np.ndarray
     trustworthy: np.ndarray
     braked: np.ndarray
+    command: np.ndarray
+    safe_stop: np.ndarray
+    disturbance: np.ndarray
+    place: np.ndarray
+    path: np.ndarray
     alarms: list
 
 
@@ -262,7 +293,8 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
     rows = np.zeros(round(scenario.duration / arm.sample_time) + 1, _ROW).view(np.recarray)
     path = scenario.path(arm)
     guide = PathGuide(arm, path)
-    reference = path.sample(arm.sample_time * np.arange(len(rows)))
+    # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
+    reference = path.sample(_stamps(0, len(rows), arm.sample_time) / NANOSECONDS)
     loop = new_record(_LOOP, compensation=COMPENSATION.index(compensation), delay=delay, loss=loss,
                       literal=gains.controller.method == 'paper', previous=NEVER, stop=True,
                       external=plant.engine is not None)
@@ -284,4 +316,6 @@ def run_closed_loop(arm, gains, scenario, compensation='confirmed', parameters=N
             feedback = feedback_position(compensation, state.estimate,
                                          state.diagnosis.decision.confirmed_fault, plant.joints)
             _guide_on(guide, k - int(loop.offset), arm.sample_time, feedback, reference)
-    return Run(**{name: rows[name] for name in rows.dtype.names}, alarms=alarms)
+    return Run(**{name: rows[name] for name in rows.dtype.names}, alarms=alarms,
+               path=np.stack([reference.position, reference.velocity, reference.acceleration,
+                              reference.tip]))

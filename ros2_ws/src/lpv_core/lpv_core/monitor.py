@@ -63,7 +63,7 @@ _FAULT = record_type(
     ('state', 'u1', (2,)), ('alarm', 'u1', (2,)))
 ANSWER = record_type(
     ('answered', '?'), ('has_fault', '?'), ('restarted', '?'), ('has_events', '?'), ('due', '?'),
-    ('state', _STATE), ('fault', _FAULT))
+    ('inconsistent', '?'), ('state', _STATE), ('fault', _FAULT))
 """What one measurement leads to.
 
 answered
@@ -74,6 +74,8 @@ restarted
     Time went backwards: observer and alarms started anew.
 has_events, due
     Whether alarms changed, and whether a diagnostics report is due.
+inconsistent
+    Whether rates, torques and model contradict each other.
 state, fault
     Fields of lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate.
 """
@@ -137,6 +139,7 @@ def _fill(c, s, answer, mode):
     state, fault, e, d = answer.state, answer.fault, s.estimate, s.diagnosis.decision
     joints = c.observer.recursion.joints
     answer.has_fault, state.mode = s.has_estimate, mode
+    answer.inconsistent = s.has_estimate and d.inconsistent
     if not s.has_estimate:
         for i in range(2):
             state.position[i] = state.velocity[i] = state.compensated_position[i] = 0.0
@@ -223,6 +226,8 @@ class Answer:
         The alarm events themselves.
     restarted : bool
         Time went backwards: observer and alarms started anew.
+    inconsistent : bool
+        Rates, torques and model contradict each other.
     """
 
     stamp: int
@@ -232,6 +237,7 @@ class Answer:
     status: list = None
     events: list = field(default_factory=list)
     restarted: bool = False
+    inconsistent: bool = False
 
 
 @dataclass
@@ -240,7 +246,7 @@ class Answers:
 
     Attributes
     ----------
-    answered, has_fault, restarted : ndarray of bool, shape (n,)
+    answered, has_fault, restarted, inconsistent : ndarray of bool, shape (n,)
         As in `ANSWER`.
     state, fault : numpy.recarray, shape (n,)
         Fields of lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate as attributes, one row each.
@@ -253,6 +259,7 @@ class Answers:
     answered: np.ndarray
     has_fault: np.ndarray
     restarted: np.ndarray
+    inconsistent: np.ndarray
     state: np.recarray
     fault: np.recarray
     events: list
@@ -384,7 +391,8 @@ class SensorMonitor:
         now = self._answer
         if not now.answered:
             return None
-        answer = Answer(stamp, answers.state_fields(now.state), restarted=bool(now.restarted))
+        answer = Answer(stamp, answers.state_fields(now.state), restarted=bool(now.restarted),
+                        inconsistent=bool(now.inconsistent))
         if now.has_fault:
             answer.fault = answers.fault_fields(now.fault, self.arm.sensor_names)
         if now.has_events:
@@ -418,7 +426,7 @@ class SensorMonitor:
                            for kind in (_EVENT, _REPORT))
         found, row = np.zeros(2, np.int64), 0
         result = Answers(answered.answered, answered.has_fault, answered.restarted,
-                         answered.state, answered.fault, [], [])
+                         answered.inconsistent, answered.state, answered.fault, [], [])
         while row < len(stamps):
             row = _steps(self._constants, self._state, *self._history, answered, row, stamps,
                          *given, events, reports, found)

@@ -1,0 +1,124 @@
+"""Chunks of work on a Dask cluster: processes of this machine, or whoever a scheduler has."""
+
+import logging
+import os
+import signal
+import threading
+from contextlib import contextmanager
+
+from lpv_core.errors import LpvError
+
+_AHEAD = 3
+"""Chunks a worker has in front of it: enough not to wait, few enough to hold in memory."""
+
+
+class WorkerError(LpvError):
+    """A worker does not run the same software, or died of its work."""
+
+
+def on_cluster(function, text, chunks, software, workers=None, scheduler=None):
+    """Have chunks done; a chunk whose worker is killed is done by another one.
+
+    Parameters
+    ----------
+    function : callable
+        Of ``text`` and a chunk; returns a hash of the worker's software, and the result.
+    text : str
+        What all chunks have in common.
+    chunks : iterable
+        Taken as workers get free.
+    software : str
+        The hash that is expected.
+    workers : int, optional
+        Processes of a cluster on this machine; by default as many as there are cores.
+    scheduler : str, optional
+        Address of a Dask scheduler to use instead.
+
+    Yields
+    ------
+    object
+        Results, as chunks are done, in any order.
+
+    Raises
+    ------
+    WorkerError
+        If a worker runs other software, or workers die of the same chunk again and again.
+    """
+    with _client(workers, scheduler) as client:
+        yield from _map(client, function, text, chunks, software)
+
+
+def _client(workers, scheduler):
+    from distributed import Client, LocalCluster
+    if scheduler is not None:
+        try:
+            return Client(scheduler, timeout=5)
+        except (OSError, ValueError, ImportError) as error:
+            raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
+    with _deaf_children():
+        cluster = LocalCluster(
+            n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
+            host='127.0.0.1', dashboard_address='127.0.0.1:0', memory_limit=0,
+            silence_logs=logging.ERROR)
+    return _OwnCluster(cluster)
+
+
+@contextmanager
+def _deaf_children():
+    """Processes that are started within ignore Ctrl-C: the one that started them ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class _OwnCluster:
+    """A cluster that ends with its client."""
+
+    def __init__(self, cluster):
+        from distributed import Client
+        self._cluster = cluster
+        self._client = Client(cluster)
+
+    def __enter__(self):
+        return self._client
+
+    def __exit__(self, *_):
+        self._client.close()
+        self._cluster.close()
+
+
+def _map(client, function, text, chunks, software):
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+    waiting = iter(chunks)
+
+    def submit():
+        part = next(waiting, None)
+        if part is None:
+            return None
+        # Not pure: a key by content would hash the text again for each chunk.
+        return client.submit(function, text, part, pure=False)
+
+    first = [f for f in (submit() for _ in range(_width(client))) if f is not None]
+    done = as_completed(first)
+    for future in done:
+        try:
+            theirs, result = future.result()
+        except KilledWorker as error:
+            raise WorkerError(f'workers died of the same work again and again: {error}') from error
+        if theirs != software:
+            raise WorkerError('a worker runs another version of this software: install the same '
+                              'one everywhere')
+        another = submit()
+        if another is not None:
+            done.add(another)
+        yield result
+
+
+def _width(client):
+    return _AHEAD * max(1, sum(client.nthreads().values()))

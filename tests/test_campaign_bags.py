@@ -1,0 +1,217 @@
+"""Runs of a campaign as bags: the signals of the run, its answers, and files to repeat it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from lpv_bag.run_record import load_run
+from lpv_campaign.bag_of_run import START, check_answers, differences, stamps_of, write_run_bag
+from lpv_campaign.campaign import resolve
+from lpv_campaign.run_files import (
+    arm_to_dict,
+    scenario_to_dict,
+    write_run_files,
+)
+from lpv_campaign.runs import plan_run
+from lpv_cli.main import main
+from lpv_core.arm import load_arm, parse_arm
+from lpv_core.config import read_yaml
+from lpv_core.errors import LpvError
+from lpv_core.faults import Fault
+from lpv_core.gains import load_gains, save_gains
+from lpv_core.scenario import load_scenario, parse_scenario
+
+SPEC = '''
+name: bags
+seed: 5
+plan: {method: random, runs: 3}
+duration: 2.5
+designs: [gains.yaml]
+factors:
+  path: random
+  fault.kind: [bias, dropout, spike]
+  fault.sensor: both
+  fault.size: {bias: 0.3, spike: 0.4}
+  fault.rate: {spike: 20.0}
+  fault.onset: {low: 0.8, high: 1.0}
+  fault.duration: 0.7
+  mass_2: {low: 0.97, high: 1.03}
+  command_delay: 2
+  sample_loss: 0.05
+  diagnosis.dwell: 0.02
+'''
+
+
+@pytest.fixture(scope='module')
+def folder(paper_gains, tmp_path_factory):
+    """Folder with a campaign file and its gains."""
+    folder = tmp_path_factory.mktemp('campaign')
+    save_gains(paper_gains, folder / 'gains.yaml')
+    (folder / 'spec.yaml').write_text(SPEC)
+    return folder
+
+
+@pytest.fixture(scope='module')
+def campaign(folder):
+    return resolve(read_yaml(folder / 'spec.yaml'), 'spec.yaml', folder)
+
+
+@pytest.fixture(scope='module')
+def results(folder):
+    """Results folder of the campaign."""
+    assert main(['campaign', str(folder / 'spec.yaml'), '--out', str(folder / 'out'),
+                 '--workers', '0']) == 0
+    return folder / 'out'
+
+
+@pytest.fixture(scope='module')
+def done(campaign, tmp_path_factory):
+    """Plan, run and bag of a run with lost samples and late commands."""
+    plan = plan_run(campaign, 1)
+    run, bag = plan.simulate(), tmp_path_factory.mktemp('run') / 'bag'
+    write_run_bag(plan, run, bag)
+    return plan, run, bag
+
+
+def test_given_a_run_when_written_as_a_bag_then_its_signals_are_there_without_the_lost_samples(
+        done):
+    _, run, bag = done
+    record, kept = load_run(bag), ~run.lost
+    assert 20 < run.lost.sum() < 150
+    stamps = stamps_of(run)
+    np.testing.assert_array_equal(record.stamps['joint_states'], stamps[kept])
+    np.testing.assert_array_equal(record.stamps['ground_truth'], stamps)
+    effort = np.vstack([[0.0, 0.0], run.torque[:-1]])
+    answered = kept & ~run.safe_stop
+    for stream, field, expected in (
+            ('joint_states', 'position', run.measured[kept]),
+            ('joint_states', 'velocity', run.measured_velocity[kept]),
+            ('joint_states', 'effort', effort[kept]),
+            ('ground_truth', 'position', run.position), ('ground_truth', 'velocity', run.velocity),
+            ('ground_truth', 'fault', run.fault), ('ground_truth', 'torque', effort),
+            ('ground_truth', 'disturbance', run.disturbance),
+            ('state_estimate', 'compensated_position', run.compensated[kept]),
+            ('torque_command', 'safe_stop', run.safe_stop[kept]),
+            ('reference', 'position', run.reference[answered])):
+        np.testing.assert_array_equal(record.get(stream, field), expected, f'{stream} {field}')
+    np.testing.assert_array_equal(record.stamps['reference'], stamps[answered])
+    assert [a.kind for a in record.alarms] == [a.kind for a in run.alarms] != []
+    assert record.counts['/diagnostics'] >= 2
+    # A command acts so many samples later, within limits.
+    torque = record.get('torque_command', 'torque')
+    assert record.seconds(record.stamps['torque_command'][-1]) == pytest.approx(2.5, abs=0.05)
+    row = int(np.flatnonzero(answered & ~run.braked)[300])
+    np.testing.assert_array_equal(torque[np.searchsorted(stamps[kept], stamps[row])],
+                                  run.torque[row + 2])
+    reference = record.get('reference', 'position'), record.get('reference', 'velocity')
+    rate = np.gradient(reference[0], (record.stamps['reference'] - START) / 1e9, axis=0)
+    np.testing.assert_allclose(rate[50:-50], reference[1][50:-50], atol=5e-3)
+
+
+def test_given_the_bag_of_a_run_when_replayed_with_its_files_then_every_bit_is_the_same(
+        done, tmp_path, capsys):
+    plan, _, bag = done
+    assert load_arm(bag / 'arm.yaml') == plan.arm
+    assert load_scenario(bag / 'scenario.yaml') == plan.scenario
+    assert load_gains(bag / 'gains.yaml').certificate == plan.gains.certificate
+    files = ['--arm', str(bag / 'arm.yaml')]
+    again = tmp_path / 'again'
+    assert main(['replay', str(bag), *files, '--gains', str(bag / 'gains.yaml'), '--parameters',
+                 str(bag / 'parameters.yaml'), '--out', str(again)]) == 0
+    assert main(['compare', str(bag), str(again), *files, '--exact']) == 0
+    assert main(['report', str(bag), *files, '--scenario', str(bag / 'scenario.yaml'), '--out',
+                 str(tmp_path / 'report')]) == 0
+    assert (tmp_path / 'report' / 'report.html').stat().st_size > 10_000
+    capsys.readouterr()
+
+
+def test_given_a_replay_that_answers_otherwise_when_checked_then_the_signal_is_named(done):
+    _, run, bag = done
+    check_answers(run, bag)
+    for name in ('estimate', 'threshold', 'fault_estimate'):
+        values = getattr(run, name).copy()
+        values[np.flatnonzero(~run.lost)[-1], 1] += 1e-15
+        with pytest.raises(LpvError, match=f'another {name} '):
+            check_answers(replace(run, **{name: values}), bag)
+    with pytest.raises(LpvError, match='alarms'):
+        check_answers(replace(run, alarms=run.alarms[:-1]), bag)
+    with pytest.raises(LpvError, match='other samples'):
+        check_answers(replace(run, lost=np.roll(run.lost, 1)), bag)
+
+
+def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_the_bag_is_there(
+        results, tmp_path, capsys):
+    assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 0
+    text = capsys.readouterr().out
+    assert 'detection_delay' in text
+    assert 'lpv replay' in text
+    assert load_run(tmp_path / 'bag').counts['/lpv/ground_truth'] == 1251
+    assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['bag']
+
+
+def test_given_a_campaign_file_when_a_run_is_asked_for_then_results_are_not_needed(
+        folder, tmp_path, capsys):
+    assert main(['campaign', str(folder / 'spec.yaml'), '--out', str(tmp_path / 'none'), '--run',
+                 '0', '--bag', str(tmp_path / 'bag')]) == 0
+    assert (tmp_path / 'bag' / 'metadata.yaml').is_file()
+    assert not (tmp_path / 'none').exists()
+    capsys.readouterr()
+
+
+def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figure_is_named(
+        results, tmp_path, capsys):
+    other = tmp_path / 'out'
+    other.mkdir()
+    (other / 'campaign.json').write_bytes((results / 'campaign.json').read_bytes())
+    table = pq.read_table(results / 'runs.parquet')
+    index = table.schema.get_field_index('angle_rms')
+    pq.write_table(table.set_column(index, 'angle_rms', pa.array([1.0] * len(table))),
+                   other / 'runs.parquet')
+    assert main(['campaign', str(other), '--run', '0', '--bag', str(tmp_path / 'bag')]) == 2
+    assert 'another angle_rms now' in capsys.readouterr().err
+    assert not (tmp_path / 'bag').exists()
+
+
+@pytest.mark.parametrize(('arguments', 'told'), [
+    (['--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
+    (['--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
+    (['--run', '1'], 'belong together'), (['--bag', 'x'], 'belong together')])
+def test_given_a_run_that_is_not_there_when_asked_for_then_it_is_told(
+        results, capsys, arguments, told):
+    assert main(['campaign', str(results), *arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_given_a_folder_without_results_when_asked_for_a_run_then_it_is_told(tmp_path, capsys):
+    assert main(['campaign', str(tmp_path), '--run', '1', '--bag', str(tmp_path / 'b')]) == 2
+    assert 'holds no results' in capsys.readouterr().err
+
+
+def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_count():
+    nan = float('nan')
+    stored = {'a': 1.0, 'b': nan, 'c': [1.0, nan], 'd': 'x', 'e': True}
+    assert differences(stored, {**stored, 'a': 1.0 + 1e-14, 'more': 1}) == []
+    assert differences(stored, {'a': 1.1, 'b': 0.0, 'c': [1.0, 0.0], 'd': 'y', 'e': False}) == [
+        'a', 'b', 'c', 'd', 'e']
+
+
+def test_given_arm_and_scenario_when_written_and_read_then_every_bit_is_the_same(arm, two_faults):
+    assert parse_arm(yaml.safe_load(yaml.safe_dump(arm_to_dict(arm)))) == arm
+    for scenario in (two_faults, replace(two_faults, plant='mujoco', coulomb='dry', noise=False,
+                                         payload=-1e-7, friction_factor=0.1 + 0.2, faults=(
+                                             Fault('link1_angle', 'drift', 1 / 3, rate=1e-5),))):
+        data = yaml.safe_load(yaml.safe_dump(scenario_to_dict(scenario)))
+        assert parse_scenario(data) == scenario
+
+
+def test_given_what_no_file_can_say_when_written_then_it_is_an_error(campaign, tmp_path):
+    plan = plan_run(campaign, 0)
+    plan = replace(plan, scenario=replace(plan.scenario, plant='nonlinear', coulomb='dry'))
+    with pytest.raises(LpvError, match='does not describe'):
+        write_run_files(plan, tmp_path)
