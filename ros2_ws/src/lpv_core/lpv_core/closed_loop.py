@@ -41,6 +41,7 @@ whether the last command is one."""
 
 _ROW = record_type(
     ('time', 'f8'), ('position', 'f8', (2,)), ('velocity', 'f8', (2,)), ('measured', 'f8', (2,)),
+    ('measured_velocity', 'f8', (2,)), ('lost', '?'), ('compensated', 'f8', (2,)),
     ('estimate', 'f8', (2,)), ('estimated_velocity', 'f8', (2,)), ('reference', 'f8', (2,)),
     ('fault', 'f8', (2,)), ('fault_estimate', 'f8', (2,)), ('threshold', 'f8', (2,)),
     ('torque', 'f8', (2,)), ('alarm', 'u1', (2,)), ('inconsistent', '?'), ('trustworthy', '?'),
@@ -66,8 +67,8 @@ def _run(loop, c_plant, plant, faults, noise, push, chance, losses, c_monitor, m
                 return k
             read_sensors(c_plant, plant, faults, noise, chance)
             _record_truth(plant, row, k * period)
-            lost = loop.loss > 0.0 and losses.random() < loop.loss
-            if not lost:
+            row.lost = loop.loss > 0.0 and losses.random() < loop.loss
+            if not row.lost:
                 position[:] = plant.measured_position
                 velocity[:] = plant.measured_velocity
                 effort[:] = plant.torque
@@ -169,6 +170,7 @@ def _record_truth(plant, row, time):
     for i in range(2):
         row.position[i], row.velocity[i] = plant.position[i], plant.velocity[i]
         row.measured[i], row.fault[i] = plant.measured_position[i], plant.fault[i]
+        row.measured_velocity[i] = plant.measured_velocity[i]
 
 
 @njit
@@ -177,6 +179,7 @@ def _record_answer(answer, decision, row, reference):
     for i in range(2):
         row.estimate[i] = answer.state.position[i]
         row.estimated_velocity[i] = answer.state.velocity[i]
+        row.compensated[i] = answer.state.compensated_position[i]
         row.fault_estimate[i] = answer.fault.estimate[i]
         row.threshold[i] = answer.fault.threshold[i]
         row.alarm[i] = answer.fault.alarm[i]
@@ -195,6 +198,10 @@ class Run:
         True joint positions and rates.
     measured, estimate, estimated_velocity, reference : ndarray, shape (n, 2)
         Joint positions as measured and estimated, estimated rates, references.
+    measured_velocity, compensated : ndarray, shape (n, 2)
+        Measured joint rates; measured joint positions without the confirmed faults.
+    lost : ndarray of bool, shape (n,)
+        Samples whose measurement never reached the observer.
     fault, fault_estimate, threshold : ndarray, shape (n, 2)
         Of the physical sensors [rad].
     torque : ndarray, shape (n, 2)
@@ -213,6 +220,9 @@ class Run:
     position: np.ndarray
     velocity: np.ndarray
     measured: np.ndarray
+    measured_velocity: np.ndarray
+    lost: np.ndarray
+    compensated: np.ndarray
     estimate: np.ndarray
     estimated_velocity: np.ndarray
     reference: np.ndarray
