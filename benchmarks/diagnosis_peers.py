@@ -12,7 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from kalman_peers import make_ekf, make_ukf
+from lpv_campaign.kalman import make_ekf, make_ukf
 from rich.console import Console
 from rich.table import Table
 
