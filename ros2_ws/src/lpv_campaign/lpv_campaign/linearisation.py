@@ -236,7 +236,7 @@ def linearise(arm, scenario, run, knowledge, faults, states, substeps=2):
                           "got 'lpv'")
     n, size = states.shape
     torques = JointMap(arm).absolute_torque(run.torque)
-    mean = arm.disturbance_mean if scenario.disturbance else 0.0
+    mean = scenario.disturbance_factor * arm.disturbance_mean if scenario.disturbance else 0.0
     moved, f, g = np.empty((n, 4)), np.empty((n, 4, size)), np.empty((n, 4))
     move_and_derive(np.ascontiguousarray(states), torques, np.ascontiguousarray(run.braked),
                     knowledge.constants, knowledge.sensitivity,

@@ -14,7 +14,11 @@ from lpv_core.errors import LpvError
 from lpv_core.jit import njit
 from lpv_core.joints import JointMap
 
-_ITERATIONS = 12
+_ITERATIONS = 15
+_ARM_HELD = 2
+_HELD = 1e-3
+"""In the first iterations the arm is nearly the nominal one: while angles are far off, its
+parameters would explain them and run away."""
 _CONVERGED = 1e-7
 """Largest step of angles, parameters and faults at which iteration ends [rad]."""
 
@@ -320,6 +324,8 @@ def smooth(arm, scenario, run, knowledge, faults, substeps=2, iterations=_ITERAT
     states, readings = _first_guess(arm, run, knowledge, faults), measurements(arm, run)
     for count in range(1, iterations + 1):
         system = linearise(arm, scenario, run, knowledge, faults, states, substeps)
+        if count <= _ARM_HELD:
+            system.deviation[4:4 + len(knowledge.deviation)] *= _HELD
         defect = np.zeros_like(states)
         defect[:-1] = system.memory * states[:-1] - states[1:]
         defect[:-1, :4] = system.moved[:-1] - states[1:, :4]
@@ -329,7 +335,7 @@ def smooth(arm, scenario, run, knowledge, faults, substeps=2, iterations=_ITERAT
             raise LpvError(f'the smoother diverged in iteration {count}')
         states = states + step
         largest = np.abs(np.delete(step, (2, 3), axis=1)).max()
-        if largest < _CONVERGED:
+        if count > _ARM_HELD and largest < _CONVERGED:
             break
     fault = np.einsum('kqj,kj->kq', system.fault[:, :, 4:], states[:, 4:])
     return Smoothed(states[:, :2], fault, states, count, bool(largest < _CONVERGED))
