@@ -2,8 +2,8 @@
 
 All figures are root mean squares over one window [rad]: over a run with faults, from `SETTLED`
 after each onset to the fault's end, of the faulty sensors; over a healthy run, from twice
-`SETTLED` on, of both sensors; samples that were lost do not count.  A single run is one draw: its root mean square may be below a
-limit, the root of the mean square over many runs is not.
+`SETTLED` on, of both sensors; samples that were lost do not count.  A single run is one draw: its
+root mean square may be below a limit, the root of the mean square over many runs is not.
 """
 
 import math

@@ -14,13 +14,18 @@ from lpv_core.errors import LpvError
 from lpv_core.jit import njit
 from lpv_core.joints import JointMap
 
-_ITERATIONS = 15
+_ITERATIONS = 25
 _ARM_HELD = 2
 _HELD = 1e-3
 """In the first iterations the arm is nearly the nominal one: while angles are far off, its
 parameters would explain them and run away."""
-_CONVERGED = 1e-7
-"""Largest step of angles, parameters and faults at which iteration ends [rad]."""
+_CONVERGED = 1e-6
+_ARM_CONVERGED = 1e-3
+"""Largest steps at which iteration ends: of angles and faults [rad], of the arm's parameters over
+their standard deviation before any data."""
+_SHRINKING = 0.5
+"""A step that is not shorter than the last one by so much is halved: Coulomb friction turns over
+within a small fraction of a rad/s, about which full steps may swing."""
 
 
 @njit
@@ -322,6 +327,7 @@ def smooth(arm, scenario, run, knowledge, faults, substeps=2, iterations=_ITERAT
         If iteration diverged.
     """
     states, readings = _first_guess(arm, run, knowledge, faults), measurements(arm, run)
+    before = np.inf
     for count in range(1, iterations + 1):
         system = linearise(arm, scenario, run, knowledge, faults, states, substeps)
         if count <= _ARM_HELD:
@@ -329,16 +335,27 @@ def smooth(arm, scenario, run, knowledge, faults, substeps=2, iterations=_ITERAT
         defect = np.zeros_like(states)
         defect[:-1] = system.memory * states[:-1] - states[1:]
         defect[:-1, :4] = system.moved[:-1] - states[1:, :4]
-        passes = both_passes(system, readings - system.readings, defect, system.start - states[0])
-        step = passes.smoothed
+        step = both_passes(system, readings - system.readings, defect,
+                           system.start - states[0]).smoothed
         if not np.isfinite(step).all():
             raise LpvError(f'the smoother diverged in iteration {count}')
-        states = states + step
-        largest = np.abs(np.delete(step, (2, 3), axis=1)).max()
-        if count > _ARM_HELD and largest < _CONVERGED:
+        length = _length(step, knowledge)
+        if count > _ARM_HELD + 1 and length > _SHRINKING * before:
+            step *= 0.5
+        states, before = states + step, length
+        if count > _ARM_HELD and length < 1.0:
             break
     fault = np.einsum('kqj,kj->kq', system.fault[:, :, 4:], states[:, 4:])
-    return Smoothed(states[:, :2], fault, states, count, bool(largest < _CONVERGED))
+    return Smoothed(states[:, :2], fault, states, count, bool(length < 1.0))
+
+
+def _length(step, knowledge):
+    """Largest element of a step over what is small."""
+    p = 4 + len(knowledge.deviation)
+    moved = np.abs(step).max(axis=0)
+    small = np.full(len(moved), _CONVERGED)
+    small[4:p] = _ARM_CONVERGED * knowledge.deviation
+    return float(np.delete(moved / small, (2, 3)).max())
 
 
 def _first_guess(arm, run, knowledge, faults):
