@@ -14,15 +14,16 @@ from lpv_campaign.arm_knowledge import known_exactly, known_within_priors
 from lpv_campaign.fault_knowledge import acting, anything, biases_since, known_shape
 from lpv_campaign.kalman import filter_run, make_ekf, make_ukf
 from lpv_campaign.limit import accuracy_limit
-from lpv_campaign.smoother import smooth
+from lpv_campaign.smoother import filter_adaptively, smooth
 from lpv_core.errors import LpvError
 from lpv_core.joints import JointMap
 
 SETTLED = 1.0
 """Time after an onset, or after the start, that is left out [s]."""
-ESTIMATORS = ('ours', 'confirmed', 'ekf', 'ukf', 'smoother')
+ESTIMATORS = ('ours', 'confirmed', 'ekf', 'ukf', 'adaptive', 'smoother')
 """Fault estimate of the observer and its angles; confirmed fault and the angles without it, which
-the loop closes on; FilterPy's filters; iterated smoother that knows onset and shape of the faults
+the loop closes on; FilterPy's filters; extended filter that learns the arm from rates and torques
+alone, and assumes nothing of the faults; iterated smoother that knows onset and shape of the faults
 and the arm within priors."""
 LIMITS = ('limit_arm_known', 'limit_within_priors', 'limit_any_fault_arm_known',
           'limit_any_fault_within_priors', 'smoothed_limit_arm_known',
@@ -138,6 +139,8 @@ def _estimates(arm, scenario, run, joints, peers, smoother, substeps):
     if peers:
         tasks['ekf'] = lambda: filter_run(make_ekf, arm, run)
         tasks['ukf'] = lambda: filter_run(make_ukf, arm, run)
+        tasks['adaptive'] = lambda: filter_adaptively(
+            arm, scenario, run, known_within_priors(arm, scenario), anything(run), substeps)
     if smoother:
         tasks['smoother'] = lambda: _smoothed(arm, scenario, run, substeps)
     for name, task in tasks.items():

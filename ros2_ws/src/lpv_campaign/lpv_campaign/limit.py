@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_campaign.linearisation import linearise, true_states
-from lpv_campaign.smoother import both_passes
+from lpv_campaign.passes import both_passes
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_campaign.fault_knowledge import RATE, SCALE, acting
+from lpv_campaign.recursions import move_and_derive
 from lpv_core.arm import G_1, G_2
-from lpv_core.dynamics import rk4_step
 from lpv_core.errors import ConfigError
-from lpv_core.jit import njit
 from lpv_core.joints import JointMap
 
 READINGS = 6
@@ -25,8 +24,6 @@ _HOLDING_NOISE = 1e-3
 """The same of the torque that holds a braked arm [N m]."""
 _REST = 1e-6
 """Standard deviation of the rates of an arm at rest [rad/s]."""
-_STEP = 1e-5
-"""Of central differences: [rad], [rad/s], [rad/s2] and parameters."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +38,8 @@ class LinearSystem:
         Jacobian of that.
     g : ndarray, shape (n, 4)
         Its derivative by the disturbance d [rad], [rad/s].
+    mean : float
+        Mean of d.
     push : ndarray, shape (n,)
         Variance of d.
     memory, growth : ndarray, shape (N,)
@@ -60,6 +59,7 @@ class LinearSystem:
     moved: np.ndarray
     f: np.ndarray
     g: np.ndarray
+    mean: float
     push: np.ndarray
     memory: np.ndarray
     growth: np.ndarray
@@ -69,108 +69,6 @@ class LinearSystem:
     fault: np.ndarray
     start: np.ndarray
     deviation: np.ndarray
-
-
-@njit
-def flow(x, torque, push_1, push_2, dt, substeps, c):
-    """Mechanical state after ``substeps`` Runge-Kutta steps, as the plant takes them.
-
-    Parameters
-    ----------
-    x : ndarray, shape (4,)
-        Absolute angles and rates [rad], [rad/s].
-    torque : ndarray, shape (2,)
-        Generalised torques Q [N m].
-    push_1, push_2 : float
-        Accelerations by the disturbance [rad/s2].
-    dt : float
-        Length of one such step [s].
-    substeps : int
-        How many.
-    c : ndarray, shape (12,)
-        Constants of the arm.
-
-    Returns
-    -------
-    tuple of float
-        The state.
-    """
-    a, b, u, v = x[0], x[1], x[2], x[3]
-    for _ in range(substeps):
-        a, b, u, v = rk4_step(a, b, u, v, torque[0], torque[1], push_1, push_2, dt, c)
-    return a, b, u, v
-
-
-@njit
-def move_and_derive(states, torques, braked, constants, sensitivity, direction, mean, sample_time,
-                    substeps, moved, f, g):
-    """Sampled dynamics along a trajectory, with Jacobians by central differences.
-
-    Parameters
-    ----------
-    states : ndarray, shape (n, N)
-        Trajectory.
-    torques : ndarray, shape (n, 2)
-        Generalised torques over the step after each sample [N m].
-    braked : ndarray of bool, shape (n,)
-        Whether brakes hold the arm over that step.
-    constants, sensitivity : ndarray, shapes (12,) and (p, 12)
-        `lpv_campaign.arm_knowledge.ArmKnowledge`.
-    direction : ndarray, shape (2,)
-        Accelerations by a unit of disturbance.
-    mean : float
-        Mean disturbance.
-    sample_time : float
-        [s].
-    substeps : int
-        Runge-Kutta steps a sample.
-    moved, f, g : ndarray, shapes (n, 4), (n, 4, N), (n, 4)
-        Receive the state a sample later and its derivatives by state and disturbance.
-    """
-    count, dt = sensitivity.shape[0], sample_time / substeps
-    x, c, half = np.empty(4), np.empty(12), 0.5 / _STEP
-    f[:] = 0.0
-    g[:] = 0.0
-    for k in range(len(states)):
-        if braked[k]:
-            for i in range(2):
-                moved[k, i], moved[k, 2 + i] = states[k, i], 0.0
-                f[k, i, i] = 1.0
-            continue
-        c[:] = constants
-        for j in range(count):
-            for i in range(12):
-                c[i] += states[k, 4 + j] * sensitivity[j, i]
-        for i in range(4):
-            x[i] = states[k, i]
-        push_1, push_2 = direction[0] * mean, direction[1] * mean
-        a = flow(x, torques[k], push_1, push_2, dt, substeps, c)
-        moved[k, 0], moved[k, 1], moved[k, 2], moved[k, 3] = a[0], a[1], a[2], a[3]
-        for j in range(4 + count):
-            if j < 4:
-                centre = x[j]
-                x[j] = centre + _STEP
-                a = flow(x, torques[k], push_1, push_2, dt, substeps, c)
-                x[j] = centre - _STEP
-                b = flow(x, torques[k], push_1, push_2, dt, substeps, c)
-                x[j] = centre
-            else:
-                for i in range(12):
-                    c[i] += _STEP * sensitivity[j - 4, i]
-                a = flow(x, torques[k], push_1, push_2, dt, substeps, c)
-                for i in range(12):
-                    c[i] -= 2.0 * _STEP * sensitivity[j - 4, i]
-                b = flow(x, torques[k], push_1, push_2, dt, substeps, c)
-                for i in range(12):
-                    c[i] += _STEP * sensitivity[j - 4, i]
-            f[k, 0, j], f[k, 1, j] = half * (a[0] - b[0]), half * (a[1] - b[1])
-            f[k, 2, j], f[k, 3, j] = half * (a[2] - b[2]), half * (a[3] - b[3])
-        a = flow(x, torques[k], push_1 + _STEP * direction[0], push_2 + _STEP * direction[1], dt,
-                 substeps, c)
-        b = flow(x, torques[k], push_1 - _STEP * direction[0], push_2 - _STEP * direction[1], dt,
-                 substeps, c)
-        g[k, 0], g[k, 1] = half * (a[0] - b[0]), half * (a[1] - b[1])
-        g[k, 2], g[k, 3] = half * (a[2] - b[2]), half * (a[3] - b[3])
 
 
 def true_states(arm, run, knowledge, faults):
@@ -252,7 +150,7 @@ def linearise(arm, scenario, run, knowledge, faults, states, substeps=2):
     start[:2] = JointMap(arm).absolute_position(run.measured[0])
     deviation = np.concatenate([[1.0, 1.0, _REST, _REST], knowledge.deviation,
                                 [model.deviation for model in faults]])
-    return LinearSystem(moved, f, g, push, memory, growth, h, readings,
+    return LinearSystem(moved, f, g, mean, push, memory, growth, h, readings,
                         _variances(arm, scenario, run), fault, start, deviation)
 
 
