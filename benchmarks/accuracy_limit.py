@@ -1,7 +1,7 @@
 """How near our estimates are to the best that any estimator could do on the same data.
 
     python benchmarks/accuracy_limit.py                      # under 2 minutes on one core
-    python benchmarks/accuracy_limit.py --runs 12 --jobs 2   # the tables of docs/accuracy-limit.md
+    python benchmarks/accuracy_limit.py --runs 8 --jobs 2    # the tables of docs/accuracy-limit.md
 
 Random closed-loop runs as in diagnosis_campaign.py: the true arm differs from the model within what
 the arm file states.  The first tables put our estimates beside FilterPy's EKF and UKF, a
