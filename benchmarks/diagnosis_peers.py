@@ -12,10 +12,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from kalman_peers import make_ekf, make_ukf
 from rich.console import Console
 from rich.table import Table
 
+from lpv_campaign.kalman import make_ekf, make_ukf
 from lpv_core.arm import load_arm
 from lpv_core.diagnosis import AlarmEvent
 from lpv_core.faults import Fault, FaultInjector

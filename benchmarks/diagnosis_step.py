@@ -9,8 +9,8 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
-from kalman_peers import make_ekf
 
+from lpv_campaign.kalman import make_ekf
 from lpv_core.arm import load_arm
 from lpv_core.joints import JointMap
 from lpv_core.monitor import SensorMonitor
