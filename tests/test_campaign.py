@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from lpv_campaign.campaign import Campaign, resolve
-from lpv_campaign.execute import execute, run_one
+from lpv_campaign.execute import execute, has_limit, run_one
 from lpv_campaign.figures import figures
 from lpv_campaign.paths import random_path
 from lpv_campaign.runs import plan_run
@@ -112,6 +112,7 @@ def test_given_a_wrong_field_when_parsed_then_the_error_names_it(field, change):
 @pytest.mark.parametrize('field, change', [
     ('factors.fault.sensor', {'factors': {'fault.sensor': 'elbow'}}),
     ('factors.design', {'factors': {'design': 'other'}}),
+    ('limit', {'limit': 1, 'factors': {'plant': ['nonlinear', 'lpv']}}),
     ('requirement', {'designs': ['nowhere']}),
     ('arm', {'arm': 'nowhere'}),
     ('scenario', {'scenario': 'nowhere'}),
@@ -285,6 +286,16 @@ def test_given_a_twin_when_run_then_the_ratio_of_tracking_errors_is_there():
         'fault.kind': 'bias', 'fault.size': 0.3, 'fault.onset': 1.5, 'compensation': 'off'}),
         's', '.')
     assert run_one(campaign, 0)['tracking_ratio'] > 5.0
+
+
+def test_given_a_limit_when_run_then_so_many_runs_are_compared_with_the_best_possible():
+    campaign = resolve(small(limit=2, plan={'method': 'random', 'runs': 5}, factors={
+        'fault.kind': 'bias', 'fault.size': 0.3, 'fault.onset': 1.2}), 's', '.')
+    assert [has_limit(campaign.spec, n) for n in range(5)] == [False, False, True, False, True]
+    row = run_one(campaign, 2)
+    assert 0.0 < row['limit_fault_limit_arm_known'] < row['limit_fault_limit_within_priors']
+    assert row['limit_fault_ours'] > row['limit_fault_limit_arm_known']
+    assert not any(name.startswith('limit') for name in run_one(campaign, 0))
 
 
 def test_given_a_loop_that_cannot_work_when_run_then_it_is_not_stable():

@@ -425,11 +425,15 @@ def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign
     assert command('a', 3) == 'lpv campaign a --run 3 --bag a/bags/run_3'
 
 
-def test_given_figures_of_the_limit_when_shown_then_each_has_its_median(campaign):
-    rows = [row(campaign, k, limit_ratio=float(k) if k < 3 else math.nan, limit_ekf=math.nan)
-            for k in range(5)]
-    one, = limit(results(campaign, rows))
-    assert (one['name'], one['count'], one['median']) == ('ratio', 3, 1.0)
+def test_given_figures_of_the_limit_when_shown_then_squares_are_averaged_by_kind(campaign):
+    rows = [row(campaign, k, limit_fault_ours=ours, limit_fault_limit_within_priors=1e-3)
+            for k, ours in enumerate((1e-3, 7e-3, math.nan))]
+    rows.append(row(campaign, 3, kind='bias', limit_fault_ours=2e-3))
+    healthy, bias = limit(results(campaign, rows))
+    assert (healthy['kind'], healthy['runs'], bias['kind'], bias['runs']) == ('none', 2, 'bias', 1)
+    assert healthy['rms']['ours'] == pytest.approx(5e-3)
+    assert healthy['ratio'] == pytest.approx(5.0)
+    assert bias['ratio'] is None and bias['rms']['ekf'] is None
 
 
 # ------------------------------------------------------------------ the whole report
@@ -438,7 +442,7 @@ def test_given_figures_of_the_limit_when_shown_then_each_has_its_median(campaign
 @pytest.fixture(scope='module')
 def whole(campaign, tmp_path_factory):
     folder = tmp_path_factory.mktemp('whole')
-    rows = [{**r, 'limit_ratio': 1.25} for r in made_up(campaign)]
+    rows = [{**r, 'limit_fault_ours': 0.0125} for r in made_up(campaign)]
     return write_report(campaign, pa.Table.from_pylist(rows, schema=schema(campaign, rows)), folder)
 
 

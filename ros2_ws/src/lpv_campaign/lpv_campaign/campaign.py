@@ -172,6 +172,9 @@ class Campaign:
             if name not in known:
                 raise ConfigError('factors.fault.sensor', f'{name!r} is none of '
                                   + ', '.join(known))
+        plants = _values(self.spec, 'plant', self.scenario(self.spec.scenario).plant)
+        if self.spec.limit and 'lpv' in plants:
+            raise ConfigError('limit', 'there is none for the plant lpv, which is no rigid arm')
         for name in _values(self.spec, 'design', self.spec.designs[0]):
             if name not in self.spec.designs:
                 raise ConfigError('factors.design', f'{name!r} is none of the designs '

@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
+
 import lpv_core
+from lpv_campaign.accuracy import limit_figures
 from lpv_campaign.campaign import campaign_of
 from lpv_campaign.cluster import WorkerError, on_cluster
 from lpv_campaign.figures import figures
@@ -10,7 +13,7 @@ from lpv_campaign.runs import plan_run
 from lpv_core.errors import LpvError
 from lpv_core.jit import source_digest
 
-__all__ = ['CHUNK', 'WorkerError', 'execute', 'run_chunk', 'run_one', 'software']
+__all__ = ['CHUNK', 'WorkerError', 'execute', 'has_limit', 'run_chunk', 'run_one', 'software']
 CHUNK = 20
 """Runs that are sent to a worker, and written, together."""
 
@@ -47,7 +50,29 @@ def run_one(campaign, number):
         twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
     except LpvError as error:
         raise LpvError(f'run {number}: {error}') from error
-    return {'number': number, **plan.values, **figures(plan, run, twin)}
+    row = {'number': number, **plan.values, **figures(plan, run, twin)}
+    if has_limit(campaign.spec, number) and np.isfinite(run.position).all():
+        found = limit_figures(plan.arm, plan.scenario, run, substeps=plan.substeps)
+        row.update((f'limit_{name}', value) for name, value in found.items())
+    return row
+
+
+def has_limit(spec, number):
+    """Whether the estimates of a run are compared with the best possible ones.
+
+    Parameters
+    ----------
+    spec : CampaignSpec
+        ``limit`` of its ``runs`` are, spread evenly.
+    number : int
+        Number of the run.
+
+    Returns
+    -------
+    bool
+        The answer.
+    """
+    return (number + 1) * spec.limit // spec.runs > number * spec.limit // spec.runs
 
 
 def run_chunk(text, numbers):

@@ -1,13 +1,19 @@
 """Estimates beside the best possible ones, in the runs that compared them."""
 
-from lpv_campaign.report.intervals import spread
+import numpy as np
 
-PREFIX = 'limit_'
-"""Columns that belong here begin so."""
+from lpv_campaign.accuracy import ESTIMATORS, LIMITS
+from lpv_campaign.spec import NO_FAULT
+from lpv_core.faults import KINDS
+
+QUANTITIES = ('fault', 'angle')
+OURS, BEST = 'ours', 'limit_within_priors'
 
 
 def limit(results):
-    """Spread of every figure of the accuracy's limit.
+    """Root mean squares over all runs of a kind, by estimator and limit.
+
+    The bound holds for the mean over runs, not for one run: squares are averaged, not ratios.
 
     Parameters
     ----------
@@ -17,9 +23,24 @@ def limit(results):
     Returns
     -------
     list of dict
-        ``name`` (without the prefix), ``count``, ``low``, ``median``, ``high``; none that no run
-        has.
+        For each quantity and kind of fault that was compared: ``quantity``, ``kind``, ``runs``,
+        ``ratio`` (ours over the limit within priors) and ``rms`` [rad] by the names of
+        `lpv_campaign.accuracy`; None where no run has it.
     """
-    entries = [{'name': name[len(PREFIX):], **spread(results.number(name))}
-               for name in sorted(results.columns) if name.startswith(PREFIX)]
-    return [entry for entry in entries if entry['count']]
+    return [entry for quantity in QUANTITIES for kind in (NO_FAULT, *KINDS)
+            if (entry := _entry(results, quantity, kind))['runs']]
+
+
+def _entry(results, quantity, kind):
+    ours = results.number(f'limit_{quantity}_{OURS}')
+    chosen = (results.kind == kind) & np.isfinite(ours)
+    rms = {name: _rms(results.number(f'limit_{quantity}_{name}')[chosen])
+           for name in (*ESTIMATORS, *LIMITS)}
+    ratio = rms[OURS] / rms[BEST] if rms[OURS] is not None and rms[BEST] else None
+    return {'quantity': quantity, 'kind': kind, 'runs': int(chosen.sum()), 'ratio': ratio,
+            'rms': rms}
+
+
+def _rms(values):
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if values.size else None

@@ -6,6 +6,11 @@ def number(value, digits=3):
     return '-' if value is None else f'{value:.{digits}g}'
 
 
+def milli(value, digits=3):
+    """A thousand times a number, or ``-``."""
+    return '-' if value is None else number(1e3 * value, digits)
+
+
 def percent(share):
     """Rate of `lpv_campaign.report.intervals.proportion`, or ``-``."""
     return '-' if share['rate'] is None else f'{100.0 * share["rate"]:.1f}%'
