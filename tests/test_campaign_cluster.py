@@ -101,6 +101,11 @@ def test_given_a_worker_of_another_version_when_run_then_its_results_are_refused
         list(execute(resolve(MANY, 'many', '.'), range(20), scheduler=cluster.address))
 
 
+def test_given_a_scheduler_without_workers_when_run_then_one_line_says_so(cluster):
+    with pytest.raises(WorkerError, match='has no workers'):
+        next(execute(resolve(MANY, 'many', '.'), range(20), scheduler=cluster.address))
+
+
 def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, capsys, monkeypatch):
     file = tmp_path / 'many.yaml'
     file.write_text(yaml.safe_dump(MANY))

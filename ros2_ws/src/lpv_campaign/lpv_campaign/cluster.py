@@ -11,6 +11,9 @@ from lpv_core.errors import LpvError
 _AHEAD = 3
 """Chunks a worker has in front of it: enough not to wait, few enough to hold in memory."""
 
+_PATIENCE = 5.0
+"""How long a scheduler may take to answer, and to have a worker [s]."""
+
 
 class WorkerError(LpvError):
     """A worker does not run the same software, or died of its work."""
@@ -51,16 +54,26 @@ def on_cluster(function, text, chunks, software, workers=None, scheduler=None):
 def _client(workers, scheduler):
     from distributed import Client, LocalCluster
     if scheduler is not None:
-        try:
-            return Client(scheduler, timeout=5)
-        except (OSError, ValueError, ImportError) as error:
-            raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
+        return _remote(Client, scheduler)
     with _deaf_children():
         cluster = LocalCluster(
             n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
             host='127.0.0.1', dashboard_address='127.0.0.1:0', memory_limit=0,
             silence_logs=logging.ERROR)
     return _OwnCluster(cluster)
+
+
+def _remote(connect, scheduler):
+    try:
+        client = connect(scheduler, timeout=_PATIENCE)
+    except (OSError, ValueError, ImportError) as error:
+        raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+    except TimeoutError:
+        client.close()
+        raise WorkerError(f'scheduler {scheduler!r} has no workers') from None
+    return client
 
 
 @contextmanager

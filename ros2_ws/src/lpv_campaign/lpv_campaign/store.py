@@ -56,6 +56,22 @@ class CampaignFolder(PartsFolder):
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ConfigError('campaign', f'cannot be read ({error})', str(file)) from error
 
+    def holds_another(self, campaign):
+        """Whether another campaign was begun here.
+
+        Parameters
+        ----------
+        campaign : Campaign
+            That was not.
+
+        Returns
+        -------
+        bool
+            False for a new folder, too.
+        """
+        begun = self.load()
+        return begun is not None and begun.key != campaign.key
+
     def begin(self, campaign):
         """Keep the campaign, so that it can go on after a crash.
 

@@ -3,23 +3,13 @@
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
-from lpv_campaign.campaign import resolve
 from lpv_campaign.execute import execute
-from lpv_campaign.store import CampaignFolder
 from lpv_cli import fleet
+from lpv_cli.campaign_files import open_file, open_folder
 from lpv_cli.campaign_run import run_to_bag
-from lpv_core.config import read_yaml
+from lpv_cli.progress import counted
 from lpv_core.errors import ConfigError
-from lpv_core.resources import bringup_file
 
 
 def add_arguments(parser):
@@ -71,7 +61,10 @@ def run(arguments):
     console = Console(soft_wrap=True)
     if Path(arguments.spec).is_dir():
         return _report_again(arguments, console)
-    campaign, folder = _open(arguments)
+    campaign, folder = open_file(arguments.spec, arguments.out)
+    if folder.holds_another(campaign):
+        raise ConfigError('--out', 'holds results of another campaign (file, arm or scenario '
+                          'changed): take another folder, or remove it', str(folder.path))
     finished = folder.finished()
     numbers = [n for n in range(campaign.spec.runs) if n not in finished]
     if finished:
@@ -98,10 +91,7 @@ def _report_again(arguments, console):
     """Report of what is in a folder, whether it is all or not."""
     if arguments.out is not None:
         raise ConfigError('--out', 'goes with a campaign file, not with a folder of results')
-    folder = CampaignFolder(arguments.spec)
-    campaign = folder.load()
-    if campaign is None:
-        raise ConfigError('spec', 'is a folder without a campaign', str(folder.path))
+    campaign, folder = open_folder(arguments.spec)
     table = folder.table()
     missing = campaign.spec.runs - table.num_rows
     if missing > 0:
@@ -122,32 +112,9 @@ def _replay_archive(arguments):
     return fleet.replay_archive(arguments)
 
 
-def _open(arguments):
-    """The campaign of a file, with the gains that were used if it has begun already."""
-    path = Path(arguments.spec)
-    if not path.is_file():
-        path = bringup_file('campaigns', arguments.spec)
-    campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
-    folder = CampaignFolder(arguments.out or Path('out') / 'campaign' / path.stem)
-    begun = folder.load()
-    if begun is None:
-        return campaign, folder
-    if begun.key != campaign.key:
-        raise ConfigError('--out', 'holds results of another campaign (file, arm or scenario '
-                          'changed): take another folder, or remove it', str(folder.path))
-    return begun, folder
-
-
 def _run(arguments, campaign, folder, numbers, console):
-    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn(), TextColumn('left'), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(campaign.spec.name, total=campaign.spec.runs,
-                                 completed=campaign.spec.runs - len(numbers))
-        try:
-            for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):
-                folder.add(campaign, rows)
-                progress.advance(task, len(rows))
-        except KeyboardInterrupt:
-            console.print('what is finished is kept; the same command goes on')
-            raise
+    total = campaign.spec.runs
+    with counted(console, campaign.spec.name, total, total - len(numbers)) as advance:
+        for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):
+            folder.add(campaign, rows)
+            advance(len(rows))

@@ -6,11 +6,9 @@ from rich.console import Console
 from rich.table import Table
 
 from lpv_campaign.bag_of_run import differences, write_run_bag
-from lpv_campaign.campaign import resolve
 from lpv_campaign.figures import figures
 from lpv_campaign.runs import plan_run
-from lpv_campaign.store import CampaignFolder
-from lpv_core.config import read_yaml
+from lpv_cli.campaign_files import open_file, open_folder
 from lpv_core.errors import ConfigError, LpvError
 
 
@@ -37,7 +35,10 @@ def run_to_bag(arguments):
     if arguments.number is None or arguments.bag is None:
         raise ConfigError('--run', 'and --bag belong together: which run, and where to')
     console = Console(soft_wrap=True, highlight=False)
-    campaign, folder = open_campaign(arguments.spec, arguments.out)
+    if Path(arguments.spec).is_dir():
+        campaign, folder = open_folder(arguments.spec)
+    else:
+        campaign, folder = open_file(arguments.spec, arguments.out)
     if not 0 <= arguments.number < campaign.spec.runs:
         raise ConfigError('--run', f'must lie within 0 and {campaign.spec.runs - 1}, got '
                           f'{arguments.number}')
@@ -45,7 +46,7 @@ def run_to_bag(arguments):
     run = plan.simulate()
     twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
     found = figures(plan, run, twin)
-    stored = stored_row(folder, arguments.number) if folder is not None else None
+    stored = None if folder.holds_another(campaign) else stored_row(folder, arguments.number)
     console.print(_table(arguments.number, stored, found))
     if stored is not None:
         wrong = differences(stored, {**plan.values, **found})
@@ -56,42 +57,6 @@ def run_to_bag(arguments):
     write_run_bag(plan, run, arguments.bag)
     _hints(Path(arguments.bag), plan, console)
     return 0
-
-
-def open_campaign(path, out=None):
-    """Campaign of a results folder, or of a campaign file.
-
-    Parameters
-    ----------
-    path : str
-        Folder or file.
-    out : str, optional
-        Results folder of a campaign file, if it is not the usual one.
-
-    Returns
-    -------
-    tuple
-        `Campaign`, and `CampaignFolder` of its results, or None if there are none of this
-        campaign file.
-
-    Raises
-    ------
-    ConfigError
-        If there is no campaign.
-    """
-    path = Path(path)
-    if path.is_dir():
-        folder = CampaignFolder(path)
-        campaign = folder.load()
-        if campaign is None:
-            raise ConfigError('spec', 'holds no results of a campaign', str(path))
-        return campaign, folder
-    campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
-    folder = CampaignFolder(out or Path('out') / 'campaign' / path.stem)
-    begun = folder.load()
-    # The gains that were used, where there are results.
-    same = begun is not None and begun.key == campaign.key
-    return (begun, folder) if same else (campaign, None)
 
 
 def stored_row(folder, number):

@@ -4,14 +4,6 @@ import time
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from lpv_bag.replay import ReplayOptions
@@ -19,6 +11,7 @@ from lpv_campaign.fleet import FleetSettings, watch_fleet
 from lpv_campaign.fleet_find import find_bags
 from lpv_campaign.fleet_stats import fleet_statistics
 from lpv_campaign.fleet_store import FleetFolder
+from lpv_cli.progress import counted
 from lpv_cli.replay import add_diagnosis, add_reading, arm_and_gains, diagnosis_parameters
 from lpv_core.certificate import require
 from lpv_core.errors import ConfigError
@@ -102,21 +95,15 @@ def _settings(arguments, console):
 
 
 def _replay(arguments, settings, root, bags, folder, console, total):
-    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
-               TimeElapsedColumn(), TextColumn('left'), TimeRemainingColumn())
     waiting, since = [], time.monotonic()
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task('bags', total=total, completed=total - len(bags))
+    with counted(console, 'bags', total, total - len(bags)) as advance:
         try:
             for rows in watch_fleet(settings, root, bags, arguments.workers, arguments.scheduler):
                 waiting += rows
-                progress.advance(task, len(rows))
+                advance(len(rows))
                 if len(waiting) >= _TOGETHER or time.monotonic() - since > _EVERY:
                     folder.add(waiting)
                     waiting, since = [], time.monotonic()
-        except KeyboardInterrupt:
-            console.print('what is finished is kept; the same command goes on')
-            raise
         finally:
             # Also of what was stopped: nothing is done twice.
             if waiting:
