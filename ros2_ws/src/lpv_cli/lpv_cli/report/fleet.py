@@ -1,14 +1,13 @@
 """Statistics of an archive of bags as one self-contained HTML file."""
 
-import base64
 import math
 import time
 from pathlib import Path
 
-import jinja2
 import matplotlib.pyplot as plt
 
-from lpv_cli.report.style import BAND, SENSOR, SETTINGS, png
+from lpv_report.page import embedded, environment
+from lpv_report.style import BAND, SENSOR, SETTINGS, png
 
 _MOST = 500
 """Rows of a table in the report; all are in the Parquet file."""
@@ -34,16 +33,22 @@ def write_fleet_report(path, statistics, arm, title, parquet, healthy=False):
     healthy : bool, optional
         Whether alarms of bags without truth count as false.
     """
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined,
-        loader=jinja2.FileSystemLoader(Path(__file__).parent))
     picture = _trend_picture(statistics.trends, arm)
-    Path(path).write_text(environment.get_template('fleet.html').render(
+    Path(path).write_text(environment(Path(__file__).parent).get_template('fleet.html').render(
         title=title, s=statistics, arm=arm.name, sensors=arm.sensor_names, most=_MOST,
         parquet=parquet, rates=rates(statistics), truth=truth_text(statistics, healthy),
-        trend_picture=picture and base64.b64encode(picture).decode(), number=number, date=date,
+        tiles=_tiles(statistics), trend_picture=picture and embedded(picture),
+        number=number, date=date,
         milli=lambda value: '-' if value is None else f'{1e3 * value:.1f}',
         unusable=lambda row: sum(row[name] for name in _UNUSABLE)), encoding='utf-8')
+
+
+def _tiles(statistics):
+    alarms, false = statistics.alarms['all'], statistics.false_alarms
+    return [('bags', statistics.bags), ('hours observed', number(statistics.hours)),
+            ('alarms per hour', number(alarms.value)),
+            ('false alarms per hour', number(false.value)),
+            ('clear trends', sum(trend.significant for trend in statistics.trends))]
 
 
 def rates(statistics):
