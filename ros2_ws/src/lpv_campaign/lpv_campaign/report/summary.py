@@ -34,9 +34,12 @@ def print_summary(numbers, console=None):
         console.print(table)
     else:
         console.print(table.title)
-    alarms = numbers['false_alarms']
-    console.print(f'false alarms: {alarms["events"]} in {alarms["hours"]:.3g} h without a fault; '
-                  f'{rate(alarms)}')
+    healthy, after = (numbers['false_alarms'][name] for name in ('before', 'after'))
+    console.print(f'false alarms of healthy arms: {healthy["events"]} in {healthy["hours"]:.3g} h; '
+                  f'{rate(healthy)}')
+    if after['hours']:
+        console.print(f'alarms after the end of a fault: {after["events"]} in '
+                      f'{after["hours"]:.3g} h')
     console.print(f'stable: {percent(stability["stable"])}, unstable {stability["unstable"]}, '
                   f'safe stops {stability["safe_stops"]} in {stability["stopped"]} runs')
 

@@ -25,7 +25,8 @@ def tiles(numbers):
          'note': f'of {detected["cases"]}'},
         {'name': 'detected and isolated', 'value': text.percent(overall['isolated']),
          'note': 'no other sensor blamed'},
-        {'name': 'false alarms', 'value': alarms['events'],
-         'note': f'in {text.number(alarms["hours"])} h without a fault'},
+        {'name': 'false alarms of healthy arms', 'value': alarms['before']['events'],
+         'note': f'in {text.number(alarms["before"]["hours"])} h; '
+                 f'{alarms["after"]["events"]} after the end of a fault'},
         {'name': 'unstable runs', 'value': stability['unstable'],
          'note': f'safe stops in {stability["stopped"]}'}]
