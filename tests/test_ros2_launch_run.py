@@ -167,6 +167,10 @@ def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no
             'lpv.recorder.*recording 8 topics', 'lpv.uio.*measurements flow')
         with urllib.request.urlopen(page, timeout=10) as answer:
             assert answer.status == 200
+        first, deadline = tmp_path / 'bag' / 'bag.mcap', time.monotonic() + 30.0
+        while first.stat().st_size <= 10_000:  # what is younger than a second may be lost
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
         os.kill(int(uio), signal.SIGKILL)
         os.kill(int(recorder), signal.SIGKILL)
         until(started.format('uio'), 'lpv.uio.*measurements flow',
