@@ -105,13 +105,40 @@ def execute(campaign, numbers, workers=None, scheduler=None, chunk=CHUNK):
     WorkerError
         If a worker runs other software, or workers die of the same chunk again and again.
     """
-    chunks = [list(numbers[k:k + chunk]) for k in range(0, len(numbers), chunk)]
+    with crew(workers, scheduler) as do:
+        yield from do(campaign, numbers, chunk)
+
+
+@contextmanager
+def crew(workers=None, scheduler=None):
+    """Workers that stay for more than one campaign.
+
+    Parameters
+    ----------
+    workers, scheduler
+        As in `execute`.
+
+    Yields
+    ------
+    callable
+        Called with a campaign, numbers of runs and, if wanted, the size of a chunk; yields what
+        `execute` does.
+    """
     if scheduler is None and workers == 0:
-        for part in chunks:
-            yield run_chunk(campaign.text, part)[1]
+        yield _here
         return
     with _client(workers, scheduler) as client:
-        yield from _on_cluster(client, campaign.text, chunks)
+        yield lambda campaign, numbers, chunk=CHUNK: _on_cluster(
+            client, campaign.text, _chunks(numbers, chunk))
+
+
+def _here(campaign, numbers, chunk=CHUNK):
+    for part in _chunks(numbers, chunk):
+        yield run_chunk(campaign.text, part)[1]
+
+
+def _chunks(numbers, chunk):
+    return [list(numbers[k:k + chunk]) for k in range(0, len(numbers), chunk)]
 
 
 def _client(workers, scheduler):
