@@ -62,7 +62,7 @@ def _front(axis, result):
     axis.axvline(result['study']['limits'].get('healthy_score', 1.0), color='grey', lw=0.8, ls=':')
     axis.set(xlabel='largest estimate / threshold without fault', ylabel='cost')
     axis.set_ylim(top=_top(result))
-    if axis.has_data():
+    if axis.get_legend_handles_labels()[0]:
         axis.legend(fontsize=7)
 
 
@@ -84,12 +84,16 @@ def _importance(axis, result):
 
 
 def _slice(axis, result, name):
+    from matplotlib.ticker import LogLocator, NullFormatter
     for _, colour, trials in _points(result):
         axis.plot([t['values'][name] for t in trials], [t['cost'] for t in trials], '.',
                   color=colour)
     _marked(axis, result, lambda t: t['values'][name], lambda t: t['cost'])
     if result['study']['search'][name].get('spacing') == 'log':
         axis.set_xscale('log')
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=6))
+        axis.xaxis.set_major_formatter('{x:g}')
+        axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set(xlabel=name, ylabel='cost')
     axis.set_ylim(top=_top(result))
 

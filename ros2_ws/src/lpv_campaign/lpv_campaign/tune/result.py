@@ -52,7 +52,7 @@ def conclude(bench, search):
         return {**result, 'accepted': True,
                 'verdict': 'certified; the values before the search are not'}
     found = validate(bench, bench.gains(picked['values']), picked['values'], first)
-    verdict = 'better with the stated confidence' if found['accepted'] else found['reason']
+    verdict = 'better, with the stated confidence' if found['accepted'] else found['reason']
     return {**result, 'accepted': found['accepted'], 'verdict': verdict, 'validation': found}
 
 

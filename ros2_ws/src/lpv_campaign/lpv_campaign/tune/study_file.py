@@ -48,6 +48,8 @@ class Validation:
         Of the bootstrap.
     confidence : float
         Of its intervals.
+    least_gain : float
+        By how much of the first cost the picked one must be lower, with that confidence.
     """
 
     seed: int
@@ -55,6 +57,7 @@ class Validation:
     healthy_score: float
     resamples: int
     confidence: float
+    least_gain: float
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,8 @@ def _validation(section, limits):
     validation = Validation(
         section.integer('seed', low=0), section.integer('runs', low=1),
         section.number('healthy_score', limits.healthy_score, above=0.0),
-        section.integer('resamples', 2000, low=100), section.number('confidence', 0.95, 0.5, 0.999))
+        section.integer('resamples', 2000, low=100), section.number('confidence', 0.95, 0.5, 0.999),
+        section.number('least_gain', 0.02, 0.0, 1.0))
     section.finish()
     return validation
 

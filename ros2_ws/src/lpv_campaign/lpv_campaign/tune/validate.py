@@ -36,15 +36,17 @@ def validate(bench, gains, values, first):
     columns = {name: {f.name: f.values(found, bench.length) for f in study.figures}
                for name, found in rows.items()}
     result = {'runs': wanted.runs, 'seed': wanted.seed, 'confidence': wanted.confidence,
-              'resamples': wanted.resamples, **_compare(study, columns)}
+              'resamples': wanted.resamples, 'least_gain': wanted.least_gain,
+              **_compare(study, columns)}
     for name in ('healthy_score', 'false_alarms'):
         result[name] = {which: getattr(found, name) for which, found in outcomes.items()}
     broken = [f'{name} by {excess:.3g}' for name, excess in over.items() if excess > 0.0]
     result['reason'] = ''
     if broken:
         result['reason'] = 'beyond the limits: ' + ', '.join(broken)
-    elif not result['cost']['interval'][1] < 0.0:
-        result['reason'] = 'the cost is not lower with the stated confidence'
+    elif not result['cost']['interval'][1] < -wanted.least_gain * result['cost']['first']:
+        result['reason'] = (f'the cost is not lower by {wanted.least_gain:.3g} of what it was with '
+                            f'{wanted.confidence:.3g} confidence')
     result['accepted'] = not result['reason']
     return result
 
