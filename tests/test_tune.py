@@ -200,7 +200,10 @@ def test_given_a_file_that_is_no_study_when_it_should_go_on_then_it_is_refused(t
     ({'figures': {'delay': {'column': 'detection_delay', 'weight': 1.0,
                             'where': {'kind': 'stuck'}}}}, 'no run of the campaign'),
     ({'figures': {'missed': {'column': 'false_alarms', 'weight': 1.0}}}, 'give it a scale'),
-    ({'limits': {'healthy': ['well']}}, "'well' is none of"),
+    ({'healthy': {'all': {'kind': {'low': 2.0, 'high': 1.0}}}}, 'must be a value, a list, or'),
+    ({'healthy': {'all': {'kind': 'spike'}}, 'campaign': {
+        **TOY['campaign'], 'factors': {'fault.kind': 'stuck', 'fault.onset': 0.0}}},
+     'has a part without fault'),
     ({'validation': {'seed': 1, 'runs': 5}}, "another one than the campaign's"),
     ({'campaign': {**TOY['campaign'], 'designs': ['paper']}}, 'designs: is set by the study'),
     ({'campaign': {**TOY['campaign'], 'plan': {'method': 'factorial'}}}, 'must draw its runs'),
@@ -277,7 +280,8 @@ def test_given_equal_costs_when_picked_then_the_furthest_from_a_false_alarm_is()
 
 def toy_study(**changes):
     figures = (Figure('delay', 'detection_delay', weight=1.0, at_most=0.6, at_most_ratio=1.1),)
-    return Study('toy', 1, 1, 'paper', {}, {}, figures, Limits(('none',), 0.7, 0.5), 0.0,
+    limits = Limits(({'kind': ('none',)},), 0.7, 0.5)
+    return Study('toy', 1, 1, 'paper', {}, {}, figures, limits, 0.0,
                  Validation(2, 200, 0.8, 300, 0.95, 0.001), {}, '.', **changes)
 
 

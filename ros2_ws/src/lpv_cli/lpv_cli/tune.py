@@ -130,13 +130,12 @@ def _show(result, console):
 def _show_validation(found, console):
     table = Table(title=f'on {found["runs"]} other runs; intervals hold '
                   f'{found["confidence"]:.0%} of {found["resamples"]} resamples')
-    for name in ('figure', 'before', 'picked', 'difference', 'interval'):
+    for name in ('figure', 'before', 'picked', 'difference, from to'):
         table.add_column(name, justify='right', no_wrap=True)
     for name, entry in (('cost', found['cost']), *found['figures'].items()):
         table.add_row(name, f'{entry["first"]:.4g}', f'{entry["picked"]:.4g}',
-                      f'{entry["difference"]:+.4g}',
-                      '{:+.4g} to {:+.4g}'.format(*entry['interval']))
+                      '{:+.3g} {:+.3g}'.format(*entry['interval']))
     for name in ('healthy_score', 'false_alarms'):
         table.add_row(name.replace('_', ' '), *(f'{found[name][which]:.4g}'
-                                                for which in ('first', 'picked')), '', '')
+                                                for which in ('first', 'picked')), '')
     console.print(table)

@@ -97,12 +97,37 @@ class Figure:
         return float(_SUMMARIES[self.statistic](values)) if values.size else math.nan
 
     def _counts(self, row):
-        for name, wanted in (self.where or {}).items():
-            if name not in row:
-                raise ConfigError(f'figures.{self.name}.where', f'there is no column {name!r}')
-            if row[name] not in wanted:
-                return False
-        return True
+        return meets(row, self.where or {}, f'figures.{self.name}.where')
+
+
+def meets(row, where, name):
+    """Whether a run meets a condition.
+
+    Parameters
+    ----------
+    row : dict
+        Its results.
+    where : dict of str to tuple or Span
+        The condition.
+    name : str
+        Its name, for the message.
+
+    Returns
+    -------
+    bool
+        True if every column has one of its values.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such column.
+    """
+    for column, wanted in where.items():
+        if column not in row:
+            raise ConfigError(name, f'there is no column {column!r}')
+        if row[column] not in wanted:
+            return False
+    return True
 
 
 def _value(row, column, length):
@@ -141,7 +166,7 @@ def parse_figure(section, name):
     known = (*FLOATS, *COUNTS, *FLAGS, *DERIVED)
     figure = Figure(
         name, section.text('column', choices=known),
-        section.text('statistic', 'mean', STATISTICS), _where(section),
+        section.text('statistic', 'mean', STATISTICS), parse_where(section, section.plain('where')),
         section.number('weight', 0.0, low=0.0), *(
             section.number(key, above=above) if key in section else default
             for key, above, default in (('scale', 0.0, None), ('at_most', None, math.inf),
@@ -150,16 +175,35 @@ def parse_figure(section, name):
     return figure
 
 
-def _where(section):
+def parse_where(section, data):
+    """Read a condition on runs.
+
+    Parameters
+    ----------
+    section : lpv_core.config.Section
+        For messages.
+    data : dict
+        By column a value, a list of values, or ``{low: ..., high: ...}``.
+
+    Returns
+    -------
+    dict of str to tuple or Span
+        The condition.
+
+    Raises
+    ------
+    ConfigError
+        Naming the column.
+    """
     found = {}
-    for name, wanted in section.plain('where').items():
+    for name, wanted in data.items():
         if isinstance(wanted, dict):
             low, high = (wanted.get(key, default) for key, default in (
                 ('low', -math.inf), ('high', math.inf)))
             numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool)
                           for v in (low, high))
             if set(wanted) - {'low', 'high'} or not numbers or not low <= high:
-                raise section.error(f'where.{name}', 'must be a value, a list, or a range '
+                raise section.error(name, 'must be a value, a list, or a range '
                                     '{low: ..., high: ...}')
             found[str(name)] = Span(low, high)
         else:

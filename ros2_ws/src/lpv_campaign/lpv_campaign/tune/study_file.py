@@ -5,10 +5,9 @@ from pathlib import Path
 
 from lpv_campaign.factors import Range, parse_factor
 from lpv_campaign.spec import NO_FAULT
-from lpv_campaign.tune.figure import Figure, parse_figure
+from lpv_campaign.tune.figure import Figure, parse_figure, parse_where
 from lpv_core.config import Section, read_yaml
 from lpv_core.errors import ConfigError
-from lpv_core.faults import KINDS
 
 MOST_TRIALS = 100_000
 _OWN = ('arm', 'designs', 'name')
@@ -21,8 +20,8 @@ class Limits:
 
     Attributes
     ----------
-    healthy : tuple of str
-        Kinds of runs in which any alarm is false.
+    healthy : tuple of dict
+        Conditions; in a run that meets one of them any alarm is false.
     healthy_score : float
         Largest abs(fault estimate) / threshold without a fault.
     pole_step : float
@@ -128,7 +127,7 @@ def load_study(path):
     top = Section(data, source)
     arm = top.text('arm')
     search = _search(top)
-    limits = _limits(top.section('limits'))
+    limits = _limits(top.section('limits'), top.plain('healthy'))
     figures = _figures(top)
     study = Study(
         name=top.text('name'), seed=top.integer('seed', 1, low=0),
@@ -170,12 +169,10 @@ def _figures(top):
     return figures
 
 
-def _limits(section):
-    healthy = section.texts('healthy', (NO_FAULT,))
-    for kind in healthy:
-        if kind not in (NO_FAULT, *KINDS):
-            raise section.error('healthy', f'{kind!r} is none of ' + ', '.join((NO_FAULT, *KINDS)))
-    limits = Limits(healthy, section.number('healthy_score', 1.0, above=0.0),
+def _limits(section, healthy):
+    conditions = tuple(parse_where(Section(where, 'study', f'healthy.{name}'), where)
+                       for name, where in healthy.items()) or ({'kind': (NO_FAULT,)},)
+    limits = Limits(conditions, section.number('healthy_score', 1.0, above=0.0),
                     section.number('pole_step', 0.5, above=0.0))
     section.finish()
     return limits

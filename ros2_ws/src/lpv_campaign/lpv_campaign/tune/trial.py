@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, field
 
 from lpv_campaign.campaign import resolve
-from lpv_campaign.spec import NO_FAULT
 from lpv_campaign.tune.fields import base_value, changed, check_range, diagnosis_values
+from lpv_campaign.tune.figure import meets
 from lpv_core.certificate import require
 from lpv_core.config import read_yaml
 from lpv_core.errors import ConfigError
@@ -156,11 +156,14 @@ class Bench:
         Outcome
             Without a reason.
         """
-        healthy = self.study.limits.healthy
+        healthy = [self._is_healthy(row) for row in rows]
         return Outcome(
             figures={f.name: f.summary(f.values(rows, self.length)) for f in self.study.figures},
             healthy_score=_score(rows, healthy),
-            false_alarms=sum(row['false_alarms'] for row in rows if row['kind'] in healthy))
+            false_alarms=sum(row['false_alarms'] for row, well in zip(rows, healthy) if well))
+
+    def _is_healthy(self, row):
+        return any(meets(row, where, 'limits.healthy') for where in self.study.limits.healthy)
 
 
 def _base(study):
@@ -171,9 +174,9 @@ def _base(study):
 
 def _score(rows, healthy):
     """Over whole healthy runs, and up to the faults of the others."""
-    scores = [row[f'score_{part}_{i}'] for row in rows for i in (1, 2)
-              for part in (('before', 'during') if row['kind'] in healthy else ('before',))
-              if not (part == 'during' and row['kind'] == NO_FAULT)]
+    parts = [(row, part) for row, well in zip(rows, healthy)
+             for part in (('before', 'during') if well else ('before',))]
+    scores = [row[f'score_{part}_{i}'] for row, part in parts for i in (1, 2)]
     scores = [score for score in scores if not math.isnan(score)]
     if not scores:
         raise ConfigError('limits.healthy', 'no run of the campaign has a part without fault')
