@@ -243,6 +243,13 @@ def test_given_a_fault_that_is_not_found_when_measured_then_its_delay_lasts_to_i
                                   [0.0, 1.0, 1.0, math.nan])
 
 
+def test_given_a_loop_that_ran_away_when_measured_then_it_counts_and_can_be_written():
+    figure = Figure('lost', 'tracking_max', 'largest')
+    rows = [row(tracking_max=value) for value in (0.1, math.inf, math.nan)]
+    assert figure.summary(figure.values(rows, 10.0)) == 1e6
+    np.testing.assert_array_equal(figure.values(rows, 10.0), [0.1, 1e6, math.nan])
+
+
 def test_given_a_condition_when_measured_then_only_runs_that_meet_it_count():
     rows = [row(detection_delay=d, **{'fault.onset': d}) for d in (0.0, 1.0, 2.0, 4.0)]
     where = {'kind': ('bias',), 'fault.onset': Span(1.0, 3.0)}
@@ -282,7 +289,7 @@ def toy_study(**changes):
     figures = (Figure('delay', 'detection_delay', weight=1.0, at_most=0.6, at_most_ratio=1.1),)
     limits = Limits(({'kind': ('none',)},), 0.7, 0.5)
     return Study('toy', 1, 1, 'paper', {}, {}, figures, limits, 0.0,
-                 Validation(2, 200, 0.8, 300, 0.95, 0.001), {}, '.', **changes)
+                 Validation(2, 200, 0.8, 0.5, 300, 0.95, 0.001), {}, '.', **changes)
 
 
 def test_given_limits_when_a_trial_is_beyond_them_then_each_excess_is_named():
@@ -290,6 +297,10 @@ def test_given_limits_when_a_trial_is_beyond_them_then_each_excess_is_named():
     found = excesses(study, Outcome('', {'delay': 0.7}, 0.5, 2), {'delay': 0.5})
     assert found == pytest.approx({'false_alarms': 2.0, 'healthy_score': -0.2,
                                    'delay at_most': 0.1, 'delay at_most_ratio': 0.15})
+    relaxed = excesses(study, Outcome('', {'delay': 0.7}, 0.5, 2), {'delay': 0.5},
+                       study.validation)
+    assert relaxed == pytest.approx({'false_alarms': 2.0, 'healthy_score': -0.3,
+                                     'delay at_most': -0.2, 'delay at_most_ratio': -0.125})
 
 
 class PairedBench:

@@ -38,7 +38,7 @@ def cost(figures, values, first):
     return total / weights
 
 
-def excesses(study, outcome, first, healthy_score=None):
+def excesses(study, outcome, first, validation=None):
     """How far a trial is beyond each limit.
 
     Parameters
@@ -49,24 +49,25 @@ def excesses(study, outcome, first, healthy_score=None):
         Of the trial.
     first : dict of str to float
         Figures of the first trial.
-    healthy_score : float, optional
-        Another limit than the study's.
+    validation : Validation, optional
+        Its limit of the score and its slack, in place of the study's.
 
     Returns
     -------
     dict of str to float
         By limit; at most 0: it is kept.
     """
-    limit = study.limits.healthy_score if healthy_score is None else healthy_score
+    limit = (validation or study.limits).healthy_score
+    share = 1.0 + (validation.slack if validation else 0.0)
     found = {'false_alarms': float(outcome.false_alarms),
              'healthy_score': outcome.healthy_score - limit}
     for figure in study.figures:
         value = outcome.figures[figure.name]
         if figure.at_most < float('inf'):
-            found[f'{figure.name} at_most'] = value - figure.at_most
+            found[f'{figure.name} at_most'] = value - share * figure.at_most
         if figure.at_most_ratio < float('inf'):
             found[f'{figure.name} at_most_ratio'] = \
-                value - figure.at_most_ratio * first[figure.name]
+                value - share * figure.at_most_ratio * first[figure.name]
     return found
 
 

@@ -20,6 +20,8 @@ _SUMMARIES = {
     'largest': np.max,
 }
 STATISTICS = tuple(_SUMMARIES)
+BEYOND = 1e6
+"""In place of infinity, where a loop ran away: it must count, and be written as JSON."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +141,7 @@ def _value(row, column, length):
     if column == 'detection_delay' and faulty and not row['detected']:
         left = length - row['fault.onset']
         return min(left, row['fault.duration']) if row['fault.duration'] > 0.0 else left
-    value = float(row[column])
-    return value if math.isfinite(value) else math.nan
+    return max(min(float(row[column]), BEYOND), -BEYOND)    # leaves NaN alone
 
 
 def parse_figure(section, name):

@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 import optuna
 from optuna.trial import TrialState
+from sqlalchemy.exc import SQLAlchemyError
 
 from lpv_campaign.tune.cost import cost, excesses
 from lpv_campaign.tune.trial import Outcome
@@ -49,7 +50,7 @@ class Search:
                 load_if_exists=True)
             known = self._found.user_attrs.get('key', key)
             self._found.set_user_attr('key', known)
-        except Exception as error:  # noqa: BLE001 - SQLAlchemy's own kinds
+        except (SQLAlchemyError, optuna.exceptions.OptunaError, RuntimeError) as error:
             text = str(error).split('\n')[0]
             raise ConfigError('study', f'cannot be read ({text}); remove the file to begin anew',
                               str(path)) from error

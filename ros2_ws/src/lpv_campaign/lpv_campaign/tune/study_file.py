@@ -43,6 +43,8 @@ class Validation:
         Of the campaign.
     healthy_score : float
         As in `Limits`: more runs have a larger largest value.
+    slack : float
+        Share by which a figure may be beyond its limit: what the search found lies on it.
     resamples : int
         Of the bootstrap.
     confidence : float
@@ -54,6 +56,7 @@ class Validation:
     seed: int
     runs: int
     healthy_score: float
+    slack: float
     resamples: int
     confidence: float
     least_gain: float
@@ -182,7 +185,8 @@ def _validation(section, limits):
     validation = Validation(
         section.integer('seed', low=0), section.integer('runs', low=1),
         section.number('healthy_score', limits.healthy_score, above=0.0),
-        section.integer('resamples', 2000, low=100), section.number('confidence', 0.95, 0.5, 0.999),
+        section.number('slack', 0.0, 0.0, 1.0), section.integer('resamples', 2000, low=100),
+        section.number('confidence', 0.95, 0.5, 0.999),
         section.number('least_gain', 0.02, 0.0, 1.0))
     section.finish()
     return validation

@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from lpv_campaign.campaign import resolve
 from lpv_campaign.tune.fields import base_value, changed, check_range, diagnosis_values
-from lpv_campaign.tune.figure import meets
+from lpv_campaign.tune.figure import BEYOND, meets
 from lpv_core.certificate import require
 from lpv_core.config import read_yaml
 from lpv_core.errors import ConfigError
@@ -167,7 +168,6 @@ class Bench:
 
 
 def _base(study):
-    from pathlib import Path
     path = Path(study.folder) / study.requirement
     return load_requirement(path if path.is_file() else study.requirement)
 
@@ -180,4 +180,4 @@ def _score(rows, healthy):
     scores = [score for score in scores if not math.isnan(score)]
     if not scores:
         raise ConfigError('limits.healthy', 'no run of the campaign has a part without fault')
-    return max(scores)
+    return min(max(scores), BEYOND)

@@ -32,7 +32,7 @@ def validate(bench, gains, values, first):
     plan = {'seed': wanted.seed, 'runs': wanted.runs}
     rows = {'first': bench.rows(first, bench.base, plan), 'picked': bench.rows(gains, values, plan)}
     outcomes = {name: bench.measure(found) for name, found in rows.items()}
-    over = excesses(study, outcomes['picked'], outcomes['first'].figures, wanted.healthy_score)
+    over = excesses(study, outcomes['picked'], outcomes['first'].figures, wanted)
     columns = {name: {f.name: f.values(found, bench.length) for f in study.figures}
                for name, found in rows.items()}
     result = {'runs': wanted.runs, 'seed': wanted.seed, 'confidence': wanted.confidence,
