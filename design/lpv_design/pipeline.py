@@ -1,11 +1,13 @@
 """From an arm and a requirement to gains that were checked."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
+from lpv_core.arm import arm_from_json
 from lpv_core.certificate import controller_loop, verify
 from lpv_core.error_system import link_errors
 from lpv_core.gains import ControllerGains, ExactObserverGains, Gains, PaperObserverGains
@@ -201,8 +203,15 @@ def _paper_sigma(arm, problem, k):
 
 
 def _controller(arm, requirement):
-    wanted = requirement.controller
-    loop = controller_loop(arm, requirement.controller_method, requirement.controller_sinc_min)
+    return _tracking(arm.to_json(), requirement.controller, requirement.controller_method,
+                     requirement.controller_sinc_min)
+
+
+@lru_cache(maxsize=4)
+def _tracking(arm_json, wanted, method, sinc_min):
+    """Kept: a search for observers asks for the same controller again and again."""
+    arm = arm_from_json(arm_json)
+    loop = controller_loop(arm, method, sinc_min)
     m, q, status = solve_loop(arm, loop, wanted)
     margin = np.inf if m is None else check_loop(loop, m, q, wanted.alpha)
     if not margin < 0.0:
@@ -216,5 +225,5 @@ def _controller(arm, requirement):
         raise InfeasibleError(f'controller: pole {fastest:.1f}/s times the sample time '
                               f'{arm.sample_time:g} s exceeds {SAMPLED_POLE_LIMIT}')
     p = np.linalg.inv(q)
-    return ControllerGains(requirement.controller_method, m[:, :4], m[:, 4:], 0.5 * (p + p.T),
-                           wanted.alpha, requirement.controller_sinc_min), status
+    return ControllerGains(method, m[:, :4], m[:, 4:], 0.5 * (p + p.T), wanted.alpha,
+                           sinc_min), status

@@ -83,12 +83,35 @@ def load_requirement(name):
         if not path.exists():
             known = ', '.join(sorted(p.stem for p in SHIPPED.glob('*.yaml')))
             raise ConfigError('requirement', f'{name!r} is not shipped; there are {known}')
-    top = Section(read_yaml(path), str(path))
+    return parse_requirement(read_yaml(path), str(path))
+
+
+def parse_requirement(data, source):
+    """Build a requirement from the mapping of a requirement file.
+
+    Parameters
+    ----------
+    data : dict
+        Content.
+    source : str
+        File name, for error messages and the record.
+
+    Returns
+    -------
+    Requirement
+        Validated.
+
+    Raises
+    ------
+    ConfigError
+        Naming the offending field.
+    """
+    top = Section(data, source)
     observer, controller = top.section('observer'), top.section('controller')
     requirement = Requirement(
         observer=_observer(observer), controller=_controller(controller),
         controller_method=controller.text('method', choices=('paper', 'exact')),
-        controller_sinc_min=controller.number('sinc_min', -0.2, -0.3, 0.99), source=str(path))
+        controller_sinc_min=controller.number('sinc_min', -0.2, -0.3, 0.99), source=source)
     for section in (observer, controller, top):
         section.finish()
     return requirement

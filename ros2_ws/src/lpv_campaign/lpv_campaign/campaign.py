@@ -17,7 +17,7 @@ from lpv_core.resources import bringup_file
 from lpv_core.scenario import parse_scenario
 
 
-def resolve(data, source, folder):
+def resolve(data, source, folder, designed=True):
     """Inline all files that a campaign names, and design its gains.
 
     Parameters
@@ -28,6 +28,8 @@ def resolve(data, source, folder):
         Its name.
     folder : str or pathlib.Path
         Where relative names of files count from.
+    designed : bool, optional
+        Whether gains are found, too; if not, `Campaign.with_gains` gives them.
 
     Returns
     -------
@@ -51,7 +53,7 @@ def resolve(data, source, folder):
             name = spec.scenario if name == 'scenario' else name
             parse_scenario(content['scenarios'][name], name).path(arm)
     for time in _sample_times(spec, arm):
-        for design in spec.designs:
+        for design in spec.designs if designed else ():
             gains = _gains(design, replace(arm, sample_time=time), folder)
             content['gains'][f'{design}@{time!r}'] = gains_to_dict(gains)
     campaign = Campaign(json.dumps(content, sort_keys=True))
@@ -135,6 +137,27 @@ class Campaign:
     def gains(self, design, sample_time):
         """Gains of a design at a sample time [s]."""
         return self._gains[f'{design}@{sample_time!r}']
+
+    def with_gains(self, gains, factors):
+        """The same runs with other gains.
+
+        Parameters
+        ----------
+        gains : Gains
+            Used for every design and sample time.
+        factors : dict of str to float
+            New values of factors that are fixed.
+
+        Returns
+        -------
+        Campaign
+            Ready to be run.
+        """
+        content, data = json.loads(self.text), gains_to_dict(gains)
+        content['spec']['factors'] = {**content['spec'].get('factors', {}), **factors}
+        content['gains'] = {f'{design}@{time!r}': data for design in self.spec.designs
+                            for time in _sample_times(self.spec, self.arm)}
+        return Campaign(json.dumps(content, sort_keys=True))
 
     def values(self, number):
         """Value of every factor in one run.

@@ -47,11 +47,28 @@ def on_cluster(function, text, chunks, software, workers=None, scheduler=None):
     WorkerError
         If a worker runs other software, or workers die of the same chunk again and again.
     """
-    with _client(workers, scheduler) as client:
-        yield from _map(client, function, text, chunks, software)
+    with connect(workers, scheduler) as client:
+        yield from map_chunks(client, function, text, chunks, software)
 
 
-def _client(workers, scheduler):
+def connect(workers=None, scheduler=None):
+    """Client of a cluster, to be used as a context; a cluster of its own ends with it.
+
+    Parameters
+    ----------
+    workers, scheduler
+        As in `on_cluster`.
+
+    Returns
+    -------
+    context manager
+        Gives a ``distributed.Client``.
+
+    Raises
+    ------
+    WorkerError
+        If the scheduler does not answer, or has no workers.
+    """
     from distributed import Client, LocalCluster
     if scheduler is not None:
         return _remote(Client, scheduler)
@@ -105,7 +122,26 @@ class _OwnCluster:
         self._cluster.close()
 
 
-def _map(client, function, text, chunks, software):
+def map_chunks(client, function, text, chunks, software):
+    """`on_cluster` with a client that stays for other work.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Of `connect`.
+    function, text, chunks, software
+        As in `on_cluster`.
+
+    Yields
+    ------
+    object
+        Results, as chunks are done, in any order.
+
+    Raises
+    ------
+    WorkerError
+        As in `on_cluster`.
+    """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
     waiting = iter(chunks)

@@ -1,5 +1,6 @@
 """Runs a campaign: here, on all cores, or on a cluster; the results are the same."""
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +8,14 @@ import numpy as np
 import lpv_core
 from lpv_campaign.accuracy import limit_figures
 from lpv_campaign.campaign import campaign_of
-from lpv_campaign.cluster import WorkerError, on_cluster
+from lpv_campaign.cluster import WorkerError, connect, map_chunks
 from lpv_campaign.figures import figures
 from lpv_campaign.runs import plan_run
 from lpv_core.errors import LpvError
 from lpv_core.jit import source_digest
 
-__all__ = ['CHUNK', 'WorkerError', 'execute', 'has_limit', 'run_chunk', 'run_one', 'software']
+__all__ = ['CHUNK', 'WorkerError', 'crew', 'execute', 'has_limit', 'run_chunk',
+           'run_one', 'software']
 CHUNK = 20
 """Runs that are sent to a worker, and written, together."""
 
@@ -121,9 +123,37 @@ def execute(campaign, numbers, workers=None, scheduler=None, chunk=CHUNK):
     WorkerError
         If a worker runs other software, or workers die of the same chunk again and again.
     """
-    chunks = [list(numbers[k:k + chunk]) for k in range(0, len(numbers), chunk)]
+    with crew(workers, scheduler) as do:
+        yield from do(campaign, numbers, chunk)
+
+
+@contextmanager
+def crew(workers=None, scheduler=None):
+    """Workers that stay for more than one campaign.
+
+    Parameters
+    ----------
+    workers, scheduler
+        As in `execute`.
+
+    Yields
+    ------
+    callable
+        Called with a campaign, numbers of runs and, if wanted, the size of a chunk; yields what
+        `execute` does.
+    """
     if scheduler is None and workers == 0:
-        for part in chunks:
-            yield run_chunk(campaign.text, part)[1]
+        yield _here
         return
-    yield from on_cluster(run_chunk, campaign.text, chunks, software(), workers, scheduler)
+    with connect(workers, scheduler) as client:
+        yield lambda campaign, numbers, chunk=CHUNK: map_chunks(
+            client, run_chunk, campaign.text, _chunks(numbers, chunk), software())
+
+
+def _here(campaign, numbers, chunk=CHUNK):
+    for part in _chunks(numbers, chunk):
+        yield run_chunk(campaign.text, part)[1]
+
+
+def _chunks(numbers, chunk):
+    return [list(numbers[k:k + chunk]) for k in range(0, len(numbers), chunk)]

@@ -13,6 +13,7 @@ COMMANDS = {
     'demo': ('lpv_cli.demo', 'design, simulate with the real graph, record, report'),
     'doctor': ('lpv_cli.doctor', 'find the usual mistakes in files, environment and graph'),
     'campaign': ('lpv_cli.campaign', 'run thousands of simulations, or replay many bags'),
+    'tune': ('lpv_cli.tune', 'search the weights of a design by campaigns of runs'),
     'run': ('lpv_cli.run_command', 'start a node, as ros2 run does'),
     'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),

@@ -1,0 +1,1 @@
+"""Search for the weights of a design by campaigns of runs."""

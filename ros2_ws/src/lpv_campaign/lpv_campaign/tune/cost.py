@@ -1,0 +1,98 @@
+"""What a trial costs, how far it is beyond the limits, and which one is picked."""
+
+from lpv_core.errors import ConfigError
+
+
+def cost(figures, values, first):
+    """Weighted mean of the figures, each over that of the first trial or over its scale.
+
+    Parameters
+    ----------
+    figures : sequence of Figure
+        What counts.
+    values : dict of str to float
+        Of a trial.
+    first : dict of str to float
+        Of the first trial with gains.
+
+    Returns
+    -------
+    float
+        1 for the first trial, if no figure has a scale of its own.
+
+    Raises
+    ------
+    ConfigError
+        If a figure has nothing to be compared with.
+    """
+    total = weights = 0.0
+    for figure in figures:
+        if figure.weight == 0.0:
+            continue
+        scale = figure.scale or first[figure.name]
+        if not scale > 0.0:
+            raise ConfigError(f'figures.{figure.name}', f'is {scale:g} in the first trial: give '
+                              'it a scale')
+        total += figure.weight * values[figure.name] / scale
+        weights += figure.weight
+    return total / weights
+
+
+def excesses(study, outcome, first, validation=None):
+    """How far a trial is beyond each limit.
+
+    Parameters
+    ----------
+    study : Study
+        Its limits.
+    outcome : Outcome
+        Of the trial.
+    first : dict of str to float
+        Figures of the first trial.
+    validation : Validation, optional
+        Its limit of the score and its slack, in place of the study's.
+
+    Returns
+    -------
+    dict of str to float
+        By limit; at most 0: it is kept.
+    """
+    limit = (validation or study.limits).healthy_score
+    share = 1.0 + (validation.slack if validation else 0.0)
+    found = {'false_alarms': float(outcome.false_alarms),
+             'healthy_score': outcome.healthy_score - limit}
+    for figure in study.figures:
+        value = outcome.figures[figure.name]
+        if figure.at_most < float('inf'):
+            found[f'{figure.name} at_most'] = value - share * figure.at_most
+        if figure.at_most_ratio < float('inf'):
+            found[f'{figure.name} at_most_ratio'] = \
+                value - share * figure.at_most_ratio * first[figure.name]
+    return found
+
+
+def pick(trials, tolerance):
+    """The trial that the study chooses.
+
+    Of the trials that keep all limits, those whose cost is within the tolerance of the lowest are
+    taken as equal; of these the one with the lowest score of healthy runs, the furthest from a
+    false alarm, is picked.
+
+    Parameters
+    ----------
+    trials : list of dict
+        As `Search.trials`.
+    tolerance : float
+        Relative.
+
+    Returns
+    -------
+    dict or None
+        None if no trial keeps all limits.
+    """
+    good = [trial for trial in trials if trial['state'] == 'good']
+    if not good:
+        return None
+    lowest = min(trial['cost'] for trial in good)
+    near = [trial for trial in good if trial['cost'] <= (1.0 + tolerance) * lowest]
+    return min(near, key=lambda trial: (trial['healthy_score'], trial['number']))

@@ -1,0 +1,148 @@
+"""What can be searched: numbers of the requirement, and of the diagnosis."""
+
+import copy
+import math
+import re
+from dataclasses import fields
+
+from lpv_core.diagnosis import DiagnosisParameters
+from lpv_core.errors import ConfigError
+
+DIAGNOSIS_LIMITS = {
+    'threshold_factor': (1.0, math.inf), 'sigmas': (3.0, math.inf), 'dwell': (1e-3, math.inf),
+    'hysteresis': (0.1, 1.0), 'false_alarm_hours': (1.0, math.inf)}
+"""Widest ranges: below its bound a threshold means nothing, whatever a campaign says."""
+_NAME = re.compile(r'(observer|controller)\.(\w+)(?:\[(\d)\])?')
+_DIAGNOSIS = 'diagnosis.'
+
+
+def base_value(name, requirement):
+    """Value of a field before the search.
+
+    Parameters
+    ----------
+    name : str
+        ``observer.FIELD``, ``controller.FIELD`` (with ``[0]`` for one of several numbers), or
+        ``diagnosis.FIELD``.
+    requirement : Requirement
+        The base.
+
+    Returns
+    -------
+    float
+        The value.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such number.
+    """
+    if name.startswith(_DIAGNOSIS):
+        return _diagnosis(name[len(_DIAGNOSIS):], name)
+    match = _NAME.fullmatch(name)
+    part = getattr(requirement, match[1]) if match else None
+    known = {f.name for f in fields(part)} if match else set()
+    if not match or match[2] not in known:
+        raise _unknown(name, requirement)
+    value, index = getattr(part, match[2]), match[3]
+    if isinstance(value, tuple):
+        if index is None:
+            if len(set(value)) > 1:
+                raise ConfigError(f'search.{name}', f'is {list(value)}: search {name}[0] ...')
+            return float(value[0])
+        if int(index) < len(value):
+            return float(value[int(index)])
+    elif isinstance(value, float) and index is None:
+        return value
+    raise _unknown(name, requirement)
+
+
+def _unknown(name, requirement):
+    known = [f'{part}.{f.name}' for part in ('observer', 'controller')
+             for f in fields(getattr(requirement, part))
+             if isinstance(getattr(getattr(requirement, part), f.name), (float, tuple))]
+    known += [f'{_DIAGNOSIS}{f.name}' for f in fields(DiagnosisParameters) if f.name != 'latch']
+    return ConfigError(f'search.{name}', 'cannot be searched; there are ' + ', '.join(known))
+
+
+def _diagnosis(field, name):
+    value = getattr(DiagnosisParameters(), field, None)
+    if not isinstance(value, float):
+        raise ConfigError(f'search.{name}', 'is no number of the diagnosis')
+    return value
+
+
+def check_range(name, found, base):
+    """Refuse a range that lies outside what means something, or not around the base.
+
+    Parameters
+    ----------
+    name : str
+        Field.
+    found : Range
+        What is searched.
+    base : float
+        `base_value`.
+
+    Raises
+    ------
+    ConfigError
+        Naming the field.
+    """
+    low, high = DIAGNOSIS_LIMITS.get(name[len(_DIAGNOSIS):], (0.0, math.inf)) \
+        if name.startswith(_DIAGNOSIS) else (0.0, math.inf)
+    if not (low <= found.low and found.high <= high):
+        raise ConfigError(f'search.{name}', f'must lie within {low:g} and {high:g}')
+    if not found.low <= base <= found.high:
+        raise ConfigError(f'search.{name}', f'must hold {base:g}, the value before the search, '
+                          'which is tried first')
+
+
+def changed(data, requirement, values):
+    """A requirement file with other values.
+
+    Parameters
+    ----------
+    data : dict
+        Content of the base's file.
+    requirement : Requirement
+        The base.
+    values : dict of str to float
+        By field; those of the diagnosis are left out.
+
+    Returns
+    -------
+    dict
+        Content.
+    """
+    result = copy.deepcopy(data)
+    for name, value in values.items():
+        match = _NAME.fullmatch(name)
+        if match is None:
+            continue
+        part, field, index = match.groups()
+        old = getattr(getattr(requirement, part), field)
+        if isinstance(old, tuple):
+            new = list(result[part].get(field, old)) if isinstance(
+                result[part].get(field, old), (list, tuple)) else list(old)
+            for k in range(len(new)) if index is None else (int(index),):
+                new[k] = value
+            value = new
+        result[part][field] = value
+    return result
+
+
+def diagnosis_values(values):
+    """Those of the diagnosis alone, named as factors of a campaign are.
+
+    Parameters
+    ----------
+    values : dict of str to float
+        By field.
+
+    Returns
+    -------
+    dict of str to float
+        A part of them.
+    """
+    return {name: value for name, value in values.items() if name.startswith(_DIAGNOSIS)}

@@ -1,0 +1,183 @@
+"""One trial: a design, its runs, its figures."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lpv_campaign.campaign import resolve
+from lpv_campaign.tune.fields import base_value, changed, check_range, diagnosis_values
+from lpv_campaign.tune.figure import BEYOND, meets
+from lpv_core.certificate import require
+from lpv_core.config import read_yaml
+from lpv_core.errors import ConfigError
+from lpv_design.pipeline import design
+from lpv_design.requirement import load_requirement, parse_requirement
+from lpv_design.solve import InfeasibleError
+
+
+@dataclass
+class Outcome:
+    """What came out of a trial.
+
+    Attributes
+    ----------
+    reason : str
+        Why there are no gains; empty if there are.
+    figures : dict of str to float
+        By name.
+    healthy_score : float
+        Largest abs(fault estimate) / threshold without a fault.
+    false_alarms : int
+        Alarms in healthy runs.
+    """
+
+    reason: str = ''
+    figures: dict = field(default_factory=dict)
+    healthy_score: float = math.nan
+    false_alarms: int = 0
+
+
+class Bench:
+    """Designs by given values, and runs them on the study's campaign.
+
+    Parameters
+    ----------
+    study : Study
+        The study.
+    execute : callable
+        As `lpv_campaign.execute.crew` gives it.
+    """
+
+    def __init__(self, study, execute):
+        self.study, self._execute = study, execute
+        self.requirement = _base(study)
+        self.base = {name: base_value(name, self.requirement) for name in study.search}
+        for name, found in study.search.items():
+            check_range(name, found, self.base[name])
+        self._data = read_yaml(self.requirement.source)
+        self._campaign = resolve(study.campaign, study.name, study.folder, designed=False)
+        self.arm = self._campaign.arm
+        spec = self._campaign.spec
+        self.length = spec.duration or self._campaign.scenario(spec.scenario).duration
+
+    @property
+    def key(self):
+        """Hash of the campaign; see `lpv_campaign.campaign.Campaign.key`."""
+        return self._campaign.key
+
+    def content(self, values):
+        """Content of the requirement file with given values."""
+        return changed(self._data, self.requirement, values)
+
+    def gains(self, values):
+        """Certified gains.
+
+        Parameters
+        ----------
+        values : dict of str to float
+            Of the searched fields.
+
+        Returns
+        -------
+        Gains
+            Checked by their certificate.
+
+        Raises
+        ------
+        InfeasibleError, ConfigError
+            If there are none, or they move too fast for the sample time.
+        """
+        requirement = parse_requirement(self.content(values), self.study.name)
+        observer = requirement.observer
+        fastest = getattr(observer, 'fastest', None) or observer.q + observer.r
+        step = fastest * self.arm.sample_time
+        if step > self.study.limits.pole_step:
+            raise InfeasibleError(f'observer: pole {fastest:g}/s times the sample time is '
+                                  f'{step:.3g}, beyond {self.study.limits.pole_step:g}')
+        gains = design(self.arm, requirement).gains
+        require(self.arm, gains, self.study.name)
+        return gains
+
+    def rows(self, gains, values, plan=None):
+        """Results of all runs with given gains.
+
+        Parameters
+        ----------
+        gains : Gains
+            The gains.
+        values : dict of str to float
+            Of the searched fields.
+        plan : dict, optional
+            Other ``seed`` and ``runs`` than the study's.
+
+        Returns
+        -------
+        list of dict
+            In the order of the runs.
+        """
+        campaign = self._campaign if plan is None else self._other(**plan)
+        tried = campaign.with_gains(gains, diagnosis_values(values))
+        rows = [row for part in self._execute(tried, range(tried.spec.runs)) for row in part]
+        return sorted(rows, key=lambda row: row['number'])
+
+    def _other(self, seed, runs):
+        data = {**self.study.campaign, 'seed': seed,
+                'plan': {**self.study.campaign['plan'], 'runs': runs}}
+        return resolve(data, self.study.name, self.study.folder, designed=False)
+
+    def outcome(self, values):
+        """Design, run, and measure.
+
+        Parameters
+        ----------
+        values : dict of str to float
+            Of the searched fields.
+
+        Returns
+        -------
+        Outcome
+            With the reason if there is no design.
+        """
+        try:
+            gains = self.gains(values)
+        except (InfeasibleError, ConfigError) as error:
+            return Outcome(reason=str(error))
+        return self.measure(self.rows(gains, values))
+
+    def measure(self, rows):
+        """Figures of a campaign's results.
+
+        Parameters
+        ----------
+        rows : list of dict
+            Results.
+
+        Returns
+        -------
+        Outcome
+            Without a reason.
+        """
+        healthy = [self._is_healthy(row) for row in rows]
+        return Outcome(
+            figures={f.name: f.summary(f.values(rows, self.length)) for f in self.study.figures},
+            healthy_score=_score(rows, healthy),
+            false_alarms=sum(row['false_alarms'] for row, well in zip(rows, healthy) if well))
+
+    def _is_healthy(self, row):
+        return any(meets(row, where, 'limits.healthy') for where in self.study.limits.healthy)
+
+
+def _base(study):
+    path = Path(study.folder) / study.requirement
+    return load_requirement(path if path.is_file() else study.requirement)
+
+
+def _score(rows, healthy):
+    """Over whole healthy runs, and up to the faults of the others."""
+    parts = [(row, part) for row, well in zip(rows, healthy)
+             for part in (('before', 'during') if well else ('before',))]
+    scores = [row[f'score_{part}_{i}'] for row, part in parts for i in (1, 2)]
+    scores = [score for score in scores if not math.isnan(score)]
+    if not scores:
+        raise ConfigError('limits.healthy', 'no run of the campaign has a part without fault')
+    return min(max(scores), BEYOND)
