@@ -91,7 +91,7 @@ def _slice(axis, result, name):
     _marked(axis, result, lambda t: t['values'][name], lambda t: t['cost'])
     if result['study']['search'][name].get('spacing') == 'log':
         axis.set_xscale('log')
-        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=6))
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0), numticks=6))
         axis.xaxis.set_major_formatter('{x:g}')
         axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set(xlabel=name, ylabel='cost')
