@@ -1,10 +1,12 @@
 """Processes of ``ros2 launch``: output, ends, signals; small shell programs in place of nodes."""
 
 import os
+import random
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from pathlib import Path
@@ -126,6 +128,25 @@ def test_given_a_process_that_ignores_signals_when_stopped_then_it_is_killed_in_
     assert "failed to terminate '0.3' seconds after receiving 'SIGTERM', escalating to 'SIGKILL'" \
         in text
     assert 'user interrupted with ctrl-c (SIGINT) again, ignoring...' in text
+
+
+def test_given_a_storm_of_signals_when_stopped_then_none_of_them_blocks_the_end(launch):
+    trap = 'trap &quot;&quot; INT; echo ready; while true; do sleep 0.05; done'
+    process = launch(shell(trap, 'output="screen" sigterm_timeout="2.0"'))
+    wait_for_line(process, 'ready')
+    pauses = random.Random(1).choices(range(100), k=8000)
+
+    def storm():
+        for pause in pauses:
+            process.send_signal(signal.SIGINT)  # nothing once the process has ended
+            time.sleep(pause * 1e-6)
+
+    thread = threading.Thread(target=storm)
+    thread.start()
+    code, text = ended(process)
+    thread.join()
+    assert code == 0
+    assert text.count('ignoring...') > 100
 
 
 def test_given_a_launch_file_when_only_shown_then_nothing_is_started(launch, tmp_path):

@@ -60,7 +60,7 @@ class Runner:
         self._log = log
         numbers = itertools.count(1)
         self._processes = [_Process(spec, next(numbers)) for spec in specs]
-        self._events = queue.Queue()
+        self._events = queue.SimpleQueue()  # its put may interrupt its get, as _on_signal does
         self._stopping = False
         self._failed = False
 
