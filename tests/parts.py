@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from lpv_core import change_test, error_bound, fault_kind, history, sensor_decision
+from lpv_core import (
+    change_test,
+    error_bound,
+    fault_kind,
+    history,
+    sensor_decision,
+    sensor_record,
+)
 from lpv_core.diagnosis import diagnosis_constants
 from lpv_core.observer import ESTIMATE
 from lpv_core.records import new_record
@@ -24,9 +31,9 @@ class History:
     def clear(self):
         self.end = 0
 
-    def add(self, stamp, fault, reading, expected):
-        self.end = history.add_sample(self.stamps, self.values, self.end, stamp, fault, reading,
-                                      expected)
+    def add(self, stamp, residual, reading, expected, allowance=0.0, innovation=0.0):
+        self.end = history.add_sample(self.stamps, self.values, self.end, stamp, residual, reading,
+                                      expected, allowance, innovation)
 
     def row(self, stamp):
         """Row of a stamp: the same wherever the search starts."""
@@ -37,10 +44,10 @@ class History:
 
     def at(self, stamp):
         row = self.row(stamp)
-        return None if row < 0 else (self.stamps[row], self.values[row, history.FAULT])
+        return None if row < 0 else (self.stamps[row], self.values[row, history.RESIDUAL])
 
-    def median_at(self, stamp):
-        return history.median_before(self.values, self.row(stamp))
+    def median_at(self, stamp, count=5):
+        return history.median_before(self.values, self.row(stamp), count)
 
     def since(self, stamp):
         first = history.first_since(self.stamps, self.end, stamp)
@@ -53,13 +60,16 @@ class ChangeTest:
     def __init__(self, arm, hours, smallest=0.0):
         self.constants = change_test.change_test(arm, hours, smallest)
 
-    def limit(self, window, speed):
-        return change_test.change_limit(self.constants, window, speed)
+    def limit(self, window, error):
+        return change_test.change_limit(self.constants, window, error)
 
-    def find(self, past, stamp, fault, speed):
-        window, before = change_test.find_change(self.constants, past.stamps, past.values,
-                                                 past.end, stamp, fault, speed)
-        return None if window < 0 else (window, before)
+    def find(self, past, stamp, residual, speed, allowance=0.0):
+        """Window, residual before, and whether no rate sensor does that; None for no change."""
+        sample = new_record(sensor_record.SAMPLE, stamp=stamp, residual=residual, speed=speed,
+                            allowance=allowance)
+        window, _, before, certain = change_test.find_change(
+            self.constants, past.stamps, past.values, past.end, sample)
+        return None if window < 0 else (window, before, certain)
 
 
 class SensorDecision:
@@ -70,7 +80,7 @@ class SensorDecision:
 
     def __init__(self, arm, gains, parameters):
         self.constants = diagnosis_constants(arm, gains, parameters).sensor
-        self.state = new_record(sensor_decision.SENSOR_STATE)
+        self.state = new_record(sensor_record.SENSOR_STATE)
         self.past = history.new_history(round(1.5 / arm.sample_time))
         self.reset()
 
@@ -90,10 +100,10 @@ class SensorDecision:
         return sensor_decision.suspected(self.state)
 
     def reset(self):
-        sensor_decision.reset_sensor(self.state)
+        sensor_record.reset_sensor(self.state)
 
     def restart(self):
-        sensor_decision.restart_sensor(self.state)
+        sensor_record.restart_sensor(self.state)
 
     def update(self, **sample):
         for name, value in sample.items():
@@ -129,6 +139,7 @@ class UnknownTorque:
         return out
 
 
-def classify(*arguments):
-    """Name of the kind."""
-    return fault_kind.KINDS[fault_kind.classify(*arguments)]
+def classify(stamps, values, onset, baseline, noise):
+    """Name of the kind of a course that fills a history."""
+    return fault_kind.KINDS[fault_kind.classify(stamps, values, 0, len(values), onset, baseline,
+                                                noise)]

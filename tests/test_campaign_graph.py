@@ -26,8 +26,7 @@ SPEC = {
         'inertia_2': {'low': 0.95, 'high': 1.05}, 'payload': 0.2, 'friction': 1.3, 'noise': 1.5,
         'disturbance': 0.7, 'compensation': ['confirmed', 'always'], 'diagnosis.dwell': 0.02}}
 # The arm is stopped, and led back to its path.
-STOPS = {'fault.kind': ['drift', 'dropout', 'noise', 'scale'], 'diagnosis.safe_stop_bound': 0.15,
-         'fault.size': {'scale': 0.4, 'noise': 0.03}}
+STOPS = {'fault.kind': 'rate_bias', 'fault.size': 0.4, 'fault.duration': 1.5}
 SIGNALS = {
     'position': ('ground_truth', 'position'), 'velocity': ('ground_truth', 'velocity'),
     'fault': ('ground_truth', 'fault'), 'disturbance': ('ground_truth', 'disturbance'),

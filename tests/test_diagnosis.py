@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from parts import ErrorBound, UnknownTorque, make_estimate
 
+from lpv_core.change_test import sigmas_for
 from lpv_core.closed_loop import run_closed_loop
 from lpv_core.diagnosis import (
     AlarmEvent,
@@ -26,7 +27,8 @@ PARAMETERS = DiagnosisParameters(dwell=0.01, clear_dwell=0.1, hysteresis=0.5)
 def estimate_at(k, fault=(0.0, 0.0), theta=(0.0, 0.0), held=(False, False),
                 missing=(False, False), mode=Mode.OBSERVING, interval=0.002):
     return make_estimate(stamp=k * TS, fault=fault, absolute_position=theta, held=held,
-                         missing=missing, mode=mode, interval=interval)
+                         sensor_position=np.add(theta, fault), missing=missing, mode=mode,
+                         interval=interval)
 
 
 @pytest.fixture(scope='module')
@@ -85,7 +87,12 @@ def test_given_an_excursion_when_the_dwell_is_over_then_the_right_sensor_is_name
     assert (alarm.sensor_index, alarm.sensor) == (0, paper_arm.sensor_names[0])
     assert (alarm.onset, alarm.detected) == (100 * TS, 105 * TS)
     assert alarm.size == pytest.approx(-1.1 * threshold)
-    assert alarm.bound == pytest.approx(diagnosis.bound[0], rel=1e-3)
+    # A step is known better than a level.
+    z = sigmas_for(PARAMETERS.false_alarm_hours, paper_arm.sample_time)
+    noise = np.hypot(math.sqrt(2) * paper_arm.position_noise,
+                     paper_arm.velocity_noise * math.sqrt(0.002 * 0.01))
+    assert alarm.bound == pytest.approx(z * noise, rel=0.2)
+    assert alarm.bound < 0.5 * diagnosis.bound[0]
     assert diagnosis.state == [SensorState.ERROR, SensorState.OK]
     assert diagnosis.alarm.tolist() == [True, False]
     np.testing.assert_allclose(diagnosis.confirmed_fault, [-1.1 * threshold, 0.0])

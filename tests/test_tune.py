@@ -26,7 +26,7 @@ from lpv_design.pipeline import design
 from lpv_design.requirement import load_requirement
 
 STUDIES = Path(__file__).resolve().parents[1] / 'design' / 'studies'
-# A poor base: it believes in so much noise that its bounds see few drifts.
+# A poor base: it believes in so much noise that a fault from the first sample on is learnt late.
 BASE = {'observer': {'method': 'exact', 'decay': 0.5, 'fastest': 60.0,
                      'acceleration_noise': [0.6, 0.6], 'rate_noise': 0.001},
         'controller': {'method': 'exact', 'alpha': 2.0, 'fastest': 100.0,
@@ -37,9 +37,9 @@ TOY = {
                'observer.acceleration_noise': {'low': 0.03, 'high': 0.6, 'spacing': 'log'},
                'diagnosis.dwell': {'low': 0.004, 'high': 0.02}},
     'campaign': {
-        'seed': 1, 'plan': {'method': 'latin_hypercube', 'runs': 8}, 'duration': 3.0,
-        'factors': {'path': 'random', 'fault.kind': ['none', 'drift'], 'fault.onset': 1.0,
-                    'fault.rate': {'drift': 0.15}}},
+        'seed': 1, 'plan': {'method': 'latin_hypercube', 'runs': 8}, 'duration': 4.0,
+        'factors': {'path': 'random', 'fault.kind': ['none', 'bias'], 'fault.onset': 0.0,
+                    'fault.size': {'bias': 0.3}}},
     'figures': {
         'delay': {'column': 'detection_delay', 'statistic': 'geometric_mean', 'weight': 1.0},
         'missed': {'column': 'missed', 'scale': 0.5, 'weight': 0.2}},

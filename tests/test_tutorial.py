@@ -101,7 +101,8 @@ def test_given_the_tutorials_fault_when_simulated_then_one_alarm_names_the_senso
     assert alarms[0].onset == 4_000_000_000
     assert alarms[0].detected == 4_010_000_000
     assert alarms[0].size == pytest.approx(0.25, abs=0.005)
-    assert alarms[0].bound == pytest.approx(0.09, abs=0.01)
+    assert alarms[0].bound == pytest.approx(0.005, abs=0.001)
+    assert namespace['run'].threshold[2000, 1] == pytest.approx(0.09, abs=0.01)
 
 
 def test_given_the_tutorials_fault_when_compensated_then_the_arm_is_off_by_the_estimates_error(

@@ -17,7 +17,7 @@ from lpv_core.observer import NANOSECONDS
 
 _CLOCK = '/clock'
 _SETTLING = 1.0
-"""Subscribers find publishers one after the other: so long after the first one [s]."""
+"""Subscribers find publishers one after the other: so long after the latest one [s]."""
 
 _LAST_CALL = 5.0
 """How long slow subscribers may take for the last messages [s]."""
@@ -97,7 +97,7 @@ class Player:
                     raise BagError(f'{self._bag}: no type of its topics is installed here')
                 clock = node.create_publisher(Clock, _CLOCK, 10) if self._tick else None
                 chosen = [c for c in chosen if c.topic in publishers]
-                self._await(list(publishers.values()), say)
+                self._await([*publishers.values(), *([clock] if clock else [])], say)
                 playback = Playback(reader, chosen, publishers, self._rate, clock, self._tick,
                                     context.ok)
                 published = 0
@@ -124,13 +124,17 @@ class Player:
         return [c for c in reader.connections if c.topic not in answers]
 
     def _await(self, publishers, say):
-        deadline = time.monotonic() + self._wait
-        while time.monotonic() < deadline:
-            if any(p.get_subscription_count() for p in publishers):
-                time.sleep(min(_SETTLING, self._wait))
+        """Wait for somebody who listens, and until no more come."""
+        counts, since = [0] * len(publishers), time.monotonic()
+        deadline = since + self._wait
+        while (now := time.monotonic()) < deadline:
+            before, counts = counts, [p.get_subscription_count() for p in publishers]
+            if counts != before:
+                since = now
+            if any(counts) and now - since >= _SETTLING:
                 return
             time.sleep(0.02)
-        if self._wait:
+        if self._wait and not any(counts):
             say('nobody listens; playing all the same')
 
     def _limits(self, reader):

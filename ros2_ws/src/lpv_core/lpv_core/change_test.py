@@ -1,28 +1,29 @@
-"""Changes of a fault estimate that no healthy arm can make: several windows at once.
+"""Changes of a sensor's residual that no healthy arm can make: several windows at once.
 
-A position fault enters f^ = y_p - S theta^ undelayed, while theta^ moves by the measured rates and
-by a correction whose speed is bounded.  Over a window the estimate of a healthy sensor therefore
-changes by no more than noise and that speed times the window; this holds in every configuration,
-even where gravity says nothing.  Short windows see abrupt faults in milliseconds, long ones see
-drifts before their size does: a generalised likelihood ratio over the time of onset, on a grid.
+The residual r of a sensor (`lpv_core.dead_reckoning`) changes over a window by no more than noise
+and the stated errors of the rates; this holds in every configuration, even where gravity says
+nothing.  Short windows see abrupt faults in milliseconds, long ones see drifts before their size
+does: a generalised likelihood ratio over the time of onset, on a grid.
+
+A slow change may also be the fault of a rate sensor.  What is faster than any error of the rates
+that the consistency test would overlook is the position sensor's; the rest is doubtful.
 """
 
 import math
 from statistics import NormalDist
 
-from lpv_core.history import FAULT, index_at, median_before
+from lpv_core.history import ALLOWANCE, RESIDUAL, index_at, median_before
 from lpv_core.jit import njit
 from lpv_core.records import new_record, record_type
 
-WINDOWS = (0.01, 0.05, 0.2, 1.0)
+WINDOWS = (0.01, 0.05, 0.2, 1.0, 2.5)
 """Lengths of the windows [s]."""
+_MEDIAN_OF = 5
 
-_ONSET_RESERVE = 1.5
-"""Rates' noise also acts through the observer's correction; over that of the rates alone."""
-
-CHANGE_TEST = record_type(('noise', 'f8', (len(WINDOWS),)), ('smallest', 'f8'),
-                          ('sample_time', 'f8'))
-"""Constants: limit by noise alone for each window, smallest limit [rad]; sample time [s]."""
+CHANGE_TEST = record_type(
+    ('noise', 'f8', (len(WINDOWS),)), ('walk', 'f8'), ('smallest', 'f8'), ('sample_time', 'f8'))
+"""Constants: limit by noise alone for each window [rad]; growth of the limit by noise of the rates
+[rad/sqrt(s)]; smallest limit [rad]; sample time [s]."""
 
 
 def sigmas_for(hours, sample_time):
@@ -65,14 +66,15 @@ def change_test(arm, hours, smallest=0.0):
         Of type `CHANGE_TEST`.
     """
     z = sigmas_for(hours, arm.sample_time)
-    noise = [z * math.sqrt(2.0 * arm.position_noise**2
-                           + (_ONSET_RESERVE * arm.velocity_noise) ** 2 * arm.sample_time * window)
+    walk = z * arm.velocity_noise * math.sqrt(arm.sample_time)
+    noise = [math.hypot(z * math.sqrt(2.0) * arm.position_noise, walk * math.sqrt(window))
              for window in WINDOWS]
-    return new_record(CHANGE_TEST, noise=noise, smallest=smallest, sample_time=arm.sample_time)
+    return new_record(CHANGE_TEST, noise=noise, walk=walk, smallest=smallest,
+                      sample_time=arm.sample_time)
 
 
 @njit
-def change_limit(c, window, speed):
+def change_limit(c, window, error):
     """Largest healthy change over a window.
 
     Parameters
@@ -81,20 +83,20 @@ def change_limit(c, window, speed):
         `change_test`.
     window : int
         Index into `WINDOWS`.
-    speed : float
-        Bound on the speed of the estimate's error [rad/s].
+    error : float
+        What errors of the rates can add up to over the window, beside noise [rad].
 
     Returns
     -------
     float
         [rad].
     """
-    return max(c.smallest, c.noise[window] + speed * WINDOWS[window])
+    return max(c.smallest, c.noise[window] + error)
 
 
 @njit
-def find_change(c, stamps, values, end, stamp, fault, speed):
-    """The shortest window over which the estimate changed too much.
+def find_change(c, stamps, values, end, d):
+    """The shortest window over which the residual changed too much.
 
     Parameters
     ----------
@@ -102,26 +104,29 @@ def find_change(c, stamps, values, end, stamp, fault, speed):
         `change_test`.
     stamps, values, end
         The sensor's past, see `lpv_core.history`.
-    stamp : int
-        Present [ns].
-    fault : float
-        Present f^ [rad].
-    speed : float
-        Bound on the speed of the error [rad/s].
+    d : numpy.record
+        The present, of type `lpv_core.sensor_record.SAMPLE`.
 
     Returns
     -------
     tuple
-        Index of the window, -1 if there is none, and f^ before the change [rad].
+        Index of the window, -1 if there is none; its row; r before the change [rad]; and whether
+        no rate sensor does that.  Windows of which this is so come before those that are doubtful.
     """
+    doubtful, at, before = -1, -1, 0.0
     for window in range(len(WINDOWS)):
-        limit = change_limit(c, window, speed)
-        then = stamp - round(WINDOWS[window] * 1e9)
+        then = d.stamp - round(WINDOWS[window] * 1e9)
         # Without gaps the present sample would be row ``end``.
         row = index_at(stamps, end, then, end - round(WINDOWS[window] / c.sample_time))
-        if row < 0 or abs(fault - values[row, FAULT]) <= limit:
+        if row < 0:
             continue
-        before = median_before(values, row)
-        if abs(fault - before) > limit:
-            return window, before
-    return -1, 0.0
+        limit = change_limit(c, window, d.allowance - values[row, ALLOWANCE])
+        if abs(d.residual - values[row, RESIDUAL]) <= limit:
+            continue
+        median = median_before(values, row, _MEDIAN_OF)
+        change = abs(d.residual - median)
+        if change > change_limit(c, window, d.speed * WINDOWS[window]) and change > limit:
+            return window, row, median, True
+        if change > limit and doubtful < 0:
+            doubtful, at, before = window, row, median
+    return doubtful, at, before, False

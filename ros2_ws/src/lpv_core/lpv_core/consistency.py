@@ -4,6 +4,9 @@ The observer's rate innovation r = theta^' - v is, in momentum coordinates, what
 rate errors leave behind: a position fault does not touch it.  A healthy arm keeps it within the
 reachable set and noise.  Where it leaves them, a rate sensor, a torque sensor or the model is
 wrong, and which one cannot be told from two encoders and two rates.
+
+A rate that goes wrong suddenly shows for as long as the observer takes to follow, 1/mu.  Smaller
+errors of the rates stay unseen.
 """
 
 import math
@@ -13,6 +16,7 @@ import numpy as np
 from lpv_core.arm import A_11, C_22
 from lpv_core.dynamics import coupling
 from lpv_core.jit import njit
+from lpv_core.joints import JointMap
 from lpv_core.records import NEVER, new_record, record_type
 
 _FILTERS = (0.02, 0.2)
@@ -21,11 +25,14 @@ _HOLD = 1_000_000_000
 """An inconsistency is believed to last so long after it was seen [ns]."""
 
 CONSISTENCY_CONSTANTS = record_type(
-    ('used', '?'), ('arm', 'f8', (12,)), ('inertia', 'f8', (2,)),
-    ('noise', 'f8', (len(_FILTERS), 2)), ('tolerance', 'f8', (2,)))
-"""Whether the test is made; constants of the arm; Xi_ii; limits by noise for each average and by
-tolerated torques [rad/s]."""
-CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', 'i8'))
+    ('used', '?'), ('arm', 'f8', (12,)), ('inertia', 'f8', (2,)), ('angle', 'f8', (2, 2)),
+    ('noise', 'f8', (len(_FILTERS), 2)), ('tolerance', 'f8', (2,)), ('peak', 'f8', (2,)))
+"""Whether the test is made; constants of the arm; Xi_ii; S^-1; limits by noise for each average and
+by tolerated torques [rad/s]; what the shorter average shows of a sudden error of a momentum."""
+CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', 'i8'),
+                                ('unseen', 'f8', (2,)))
+"""Averages [rad/s]; end of the inconsistency [ns]; sudden error of a rate sensor that may stay
+unseen [rad/s]."""
 
 
 def consistency_test(arm, gains, sigmas):
@@ -55,9 +62,16 @@ def consistency_test(arm, gains, sigmas):
                                            else math.sqrt(2.0))
     noise = [sigmas * rows * arm.velocity_noise * math.sqrt(arm.sample_time / (2.0 * tau))
              for tau in _FILTERS]
-    tolerance = np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
+    mu = np.asarray(gains.observer.mu)
     return new_record(CONSISTENCY_CONSTANTS, used=True, arm=constants, inertia=inertia,
-                      noise=noise, tolerance=tolerance)
+                      angle=np.linalg.inv(JointMap(arm).sensor_matrix), noise=noise,
+                      tolerance=np.asarray(arm.torque_tolerance) / (mu * inertia),
+                      peak=[_peak(m * _FILTERS[0]) for m in mu])
+
+
+def _peak(x):
+    """Largest average, of time constant one, of exp(-x t)."""
+    return math.exp(-1.0) if abs(x - 1.0) < 1e-6 else x ** (x / (1.0 - x))
 
 
 @njit
@@ -65,6 +79,7 @@ def reset_consistency(s):
     """Forget the past."""
     s.means[:] = 0.0
     s.until = NEVER
+    s.unseen[:] = math.inf
 
 
 @njit
@@ -95,4 +110,17 @@ def is_inconsistent(c, s, e, healthy):
             s.means[f, i] += share * (momentum - s.means[f, i])
             if abs(s.means[f, i]) > healthy[i] + c.tolerance[i] + c.noise[f, i]:
                 s.until = e.stamp + _HOLD
+    _reckon_unseen(c, s, off, healthy)
     return e.stamp < s.until
+
+
+@njit
+def _reckon_unseen(c, s, off, healthy):
+    """Each rate sensor's error shows in the momenta of all links that it moves."""
+    for sensor in range(2):
+        s.unseen[sensor] = math.inf
+        for i in range(2):
+            share = c.angle[i, sensor] + off * c.angle[1 - i, sensor] / c.inertia[i]
+            if share != 0.0:
+                limit = healthy[i] + c.tolerance[i] + c.noise[0, i]
+                s.unseen[sensor] = min(s.unseen[sensor], limit / (c.peak[i] * abs(share)))

@@ -14,6 +14,13 @@ from lpv_core.consistency import (
     is_inconsistent,
     reset_consistency,
 )
+from lpv_core.dead_reckoning import (
+    RECKONING_CONSTANTS,
+    RECKONING_STATE,
+    dead_reckoning,
+    reckon,
+    reset_reckoning,
+)
 from lpv_core.error_bound import (
     BOUND_CONSTANTS,
     BOUND_STATE,
@@ -22,21 +29,19 @@ from lpv_core.error_bound import (
     update_bound,
 )
 from lpv_core.fault_kind import DROPOUT, INCONSISTENT, KINDS, NOISE, SPIKE
+from lpv_core.fault_size import removable, size_error
 from lpv_core.history import new_history
 from lpv_core.jit import njit
-from lpv_core.joints import JointMap, weigh
+from lpv_core.joints import weigh
 from lpv_core.observer import NANOSECONDS, Mode
+from lpv_core.rate_fault import rate_test
 from lpv_core.records import NEVER, new_record, record_type
-from lpv_core.sensor_decision import (
-    NOTHING,
+from lpv_core.sensor_decision import NOTHING, decide, is_compensable, suspected
+from lpv_core.sensor_record import (
     SENSOR_CONSTANTS,
     SENSOR_STATE,
-    decide,
-    is_compensable,
-    removable,
     reset_sensor,
     restart_sensor,
-    suspected,
 )
 
 _HISTORY = 3.0
@@ -120,8 +125,7 @@ class Alarm:
     onset, detected : int
         First sample above the threshold and time of the decision [ns].
     size, bound : float
-        Fault at the event, with sign, and bound on the error of its level [rad]; a fault that was
-        seen as a change is known better than that.
+        Fault at the event, with sign, and bound on its error [rad].
     kind : str
         One of `lpv_core.fault_kind.KINDS`.
     confidence : float
@@ -145,9 +149,8 @@ _INITIALISING = int(Mode.INITIALISING)
 
 DIAGNOSIS_CONSTANTS = record_type(
     ('bound', BOUND_CONSTANTS), ('consistency', CONSISTENCY_CONSTANTS),
-    ('sensor', SENSOR_CONSTANTS), ('sensor_matrix', 'f8', (2, 2)), ('velocity_error', 'f8'),
-    ('threshold_factor', 'f8'), ('minimum_threshold', 'f8'), ('compensation_rate', 'f8'),
-    ('safe_stop_bound', 'f8'))
+    ('reckoning', RECKONING_CONSTANTS), ('sensor', SENSOR_CONSTANTS), ('threshold_factor', 'f8'),
+    ('minimum_threshold', 'f8'), ('compensation_rate', 'f8'), ('safe_stop_bound', 'f8'))
 
 ALARM_EVENT = record_type(
     ('happened', 'i8'), ('sensor', 'i8'), ('onset', 'i8'), ('detected', 'i8'), ('amount', 'f8'),
@@ -181,7 +184,8 @@ DIAGNOSIS_STATE = record_type(
     # Beside the parts' states: last stamp [ns]; what is removed from the readings of each sensor
     # [rad], and whether it has reached the confirmed fault; since when a level is beyond its bound
     # without an alarm [ns].
-    ('bound', BOUND_STATE), ('consistency', CONSISTENCY_STATE), ('sensors', SENSOR_STATE, (2,)),
+    ('bound', BOUND_STATE), ('consistency', CONSISTENCY_STATE), ('reckoning', RECKONING_STATE),
+    ('sensors', SENSOR_STATE, (2,)),
     ('stamp', 'i8'), ('applied', 'f8', (2,)), ('engaged', 'u1', (2,)),
     ('above_since', 'i8', (2,)), ('decision', DECISION))
 
@@ -206,7 +210,8 @@ def diagnosis_constants(arm, gains, parameters):
     p = parameters
     sensor = new_record(
         SENSOR_CONSTANTS, changes=change_test(arm, p.false_alarm_hours, p.minimum_threshold),
-        noise=arm.position_noise, dwell=math.ceil(p.dwell * NANOSECONDS),
+        rates=rate_test(arm, gains), noise=arm.position_noise,
+        step=arm.velocity_noise * arm.sample_time, dwell=math.ceil(p.dwell * NANOSECONDS),
         clear_dwell=math.ceil(p.clear_dwell * NANOSECONDS), hysteresis=p.hysteresis,
         latch=p.latch)
     return new_record(
@@ -214,8 +219,8 @@ def diagnosis_constants(arm, gains, parameters):
         bound=error_bound(arm, gains, p.sigmas, p.friction_uncertainty),
         consistency=consistency_test(arm, gains, sigmas_for(p.false_alarm_hours,
                                                             arm.sample_time)),
-        sensor_matrix=JointMap(arm).sensor_matrix, velocity_error=arm.velocity_error,
-        threshold_factor=p.threshold_factor, minimum_threshold=p.minimum_threshold,
+        reckoning=dead_reckoning(arm), threshold_factor=p.threshold_factor,
+        minimum_threshold=p.minimum_threshold,
         compensation_rate=p.compensation_rate, safe_stop_bound=p.safe_stop_bound)
 
 
@@ -241,6 +246,7 @@ def reset_diagnosis(s):
     """Clear alarms and past."""
     reset_bound(s.bound)
     reset_consistency(s.consistency)
+    reset_reckoning(s.reckoning)
     for i in range(2):
         reset_sensor(s.sensors[i])
     s.stamp = NEVER
@@ -267,6 +273,7 @@ def diagnose(c, s, stamps, values, e):
     s.stamp = e.stamp
     d = s.decision
     update_bound(c.bound, s.bound, e)
+    reckon(c.reckoning, s.reckoning, e)
     d.inconsistent = is_inconsistent(c.consistency, s.consistency, e, s.bound.momentum)
     for i in range(2):
         d.bound[i] = s.bound.bound[i]
@@ -279,13 +286,13 @@ def diagnose(c, s, stamps, values, e):
 
 @njit
 def _decide_one(c, s, stamps, values, e, i):
-    d, sensor, matrix = s.decision, s.sensors[i], c.sensor_matrix
+    d, sensor, reckoned = s.decision, s.sensors[i], s.reckoning
     sample = sensor.sample
     sample.stamp, sample.fault, sample.reading = e.stamp, e.fault[i], e.sensor_position[i]
-    sample.expected = weigh(matrix, i, e.absolute_position[0], e.absolute_position[1])
-    rate = abs(weigh(matrix, i, e.absolute_velocity[0], e.absolute_velocity[1]))
-    sample.threshold = d.threshold[i]
-    sample.speed = s.bound.speed[i] + c.velocity_error * rate
+    sample.residual, sample.allowance = reckoned.residual[i], reckoned.allowance[i]
+    sample.expected = reckoned.residual[i] + reckoned.travel[i] - e.fault[i]
+    sample.threshold, sample.speed = d.threshold[i], s.consistency.unseen[i]
+    sample.innovation = weigh(c.reckoning.sensor_matrix, i, e.innovation[0], e.innovation[1])
     sample.missing, sample.inconsistent = e.missing[i], d.inconsistent
     sample.lost = _is_lost(c, d, e, i)
     decided = decide(c.sensor, sensor, stamps, values)
@@ -293,10 +300,19 @@ def _decide_one(c, s, stamps, values, e, i):
     event.happened = decided
     if decided != NOTHING:
         event.sensor, event.onset, event.detected = i, sensor.onset, sensor.detected
-        event.amount, event.bound, event.kind = sensor.amount, d.bound[i], sensor.kind
+        event.amount, event.bound, event.kind = sensor.amount, _bound(c, s, i), sensor.kind
         event.by_change, event.inconsistent = sensor.by_change, d.inconsistent
     d.alarm[i] = sensor.alarm
     d.state[i] = _state(sensor)
+
+
+@njit
+def _bound(c, s, i):
+    """Bound on the error of the size of a fault."""
+    bound, sensor = s.decision.bound[i], s.sensors[i]
+    if not sensor.by_change or sensor.kind == INCONSISTENT:
+        return bound
+    return min(bound, size_error(c.sensor, sensor))
 
 
 @njit
@@ -327,7 +343,12 @@ def _compensate(c, s, interval):
     for i in range(2):
         sensor = s.sensors[i]
         known = is_compensable(sensor)
-        gap = (removable(c.sensor, sensor) if known else 0.0) - s.applied[i]
+        wanted = removable(c.sensor, sensor) if known else 0.0
+        if known:
+            # Rates alone may lead away in time; gravity's bound holds.
+            fault, bound = sensor.sample.fault, s.decision.bound[i]
+            wanted = min(max(wanted, fault - bound), fault + bound)
+        gap = wanted - s.applied[i]
         at_once = sensor.stepped or sensor.kind == NOISE or sensor.kind == SPIKE
         reached = at_once or abs(gap) <= 2.0 * step
         # What was reached once is followed whatever it does: a fault may end abruptly.
@@ -354,7 +375,7 @@ def _is_trustworthy(c, s):
         if sensor.alarm and sensor.kind == INCONSISTENT and above:
             trusted = False
         # What did not begin with a jump rests on the estimate alone.
-        relied = abs(sensor.amount) + s.decision.bound[i]
+        relied = abs(sensor.amount) + _bound(c, s, i)
         if is_compensable(sensor) and not sensor.stepped and relied > c.safe_stop_bound:
             trusted = False
     return trusted
@@ -381,7 +402,7 @@ def make_alarm(event, arm, parameters):
     confidence = math.erf(parameters.sigmas * abs(size) / max(bound, 1e-12) / math.sqrt(2.0))
     if event.by_change or event.kind == DROPOUT:
         confidence = 1.0 - 1.0 / (3600.0 * parameters.false_alarm_hours)
-    elif event.inconsistent:
+    if event.kind == INCONSISTENT or (event.inconsistent and not event.by_change):
         confidence *= 0.5
     index = int(event.sensor)
     return Alarm(AlarmEvent(event.happened), index, arm.sensor_names[index], int(event.onset),

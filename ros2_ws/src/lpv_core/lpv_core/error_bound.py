@@ -15,21 +15,18 @@ import math
 import numpy as np
 
 from lpv_core.arm import A_11, B_12, C_22, G_1, G_2
-from lpv_core.change_test import WINDOWS
+from lpv_core.dead_reckoning import RATE_BIAS
 from lpv_core.jit import njit
 from lpv_core.joints import JointMap, weigh
 from lpv_core.records import new_record, record_type
 from lpv_core.unknown_torque import UNKNOWN_TORQUE, healthy_arm, unknown_torque
 from lpv_core.zonotope import COLUMNS, SIZE, extent, map_columns, reduce_columns
 
-_FASTEST = 100.0
 _LARGEST = 10.0
 """A larger set says nothing more [rad]."""
 _LONGEST = 60.0
 """After so long a gap the set has come to rest; a clock that jumps by years must not take hours
 [s]."""
-_RATE_BIAS = 0.1
-"""Bias of a rate sensor, over the standard deviation of its noise."""
 
 BOUND_CONSTANTS = record_type(
     ('exact', '?'), ('sign', 'f8'), ('kappa', 'f8', (2,)), ('mu', 'f8', (2,)),
@@ -43,13 +40,12 @@ noise of the rates [rad/sqrt(s)] and by their bias [rad/s]; G_i, Xi_ii, region; 
 
 BOUND_STATE = record_type(
     ('count', 'i8'), ('columns', 'f8', (SIZE, COLUMNS)), ('extent', 'f8', (SIZE,)),
-    ('held_for', 'f8', (2,)), ('alone', 'f8', (2,)), ('bound', 'f8', (2,)), ('speed', 'f8', (2,)),
+    ('held_for', 'f8', (2,)), ('bound', 'f8', (2,)),
     ('momentum', 'f8', (2,)), ('torque', 'f8', (2,)), ('margin', 'f8', (2,)),
     ('map', 'f8', (SIZE, SIZE)), ('n', 'f8', (SIZE, SIZE)))
 """The set of the errors (e_1, e_2, r_1, r_2), r_i = s m_i/Xi_ii the momentum error in units of a
-rate (method paper: ``extent`` alone); how long links have been held, less what was unlearnt, and
-now [s]; results: bounds on the error per sensor [rad], on its speed without noise [rad/s], on r of
-a healthy arm [rad/s]; work space."""
+rate (method paper: ``extent`` alone); how long links have been held, less what was unlearnt [s];
+results: bounds on the error per sensor [rad], on r of a healthy arm [rad/s]; work space."""
 
 
 def error_bound(arm, gains, sigmas, friction_uncertainty):
@@ -82,7 +78,7 @@ def error_bound(arm, gains, sigmas, friction_uncertainty):
         start=sigmas * arm.position_noise * to_angle.sum(axis=1),
         drift=(sigmas * arm.velocity_noise * math.sqrt(arm.sample_time)
                * np.hypot(*to_angle.T)),
-        bias=_RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1), gravity=gravity,
+        bias=RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1), gravity=gravity,
         inertia=inertia, cos_min=arm.cos_min, decay=observer.decay,
         unknown=healthy_arm(arm, friction_uncertainty))
     if observer.method == 'exact':
@@ -97,13 +93,13 @@ def reset_bound(s):
     """Forget the past: the next estimate is a first one."""
     s.columns[:] = 0.0
     s.extent[:] = 0.0
-    s.held_for[:] = s.alone[:] = 0.0
+    s.held_for[:] = 0.0
     s.count = 0
 
 
 @njit
 def update_bound(c, s, e):
-    """Follow the configuration; fills ``bound``, ``speed`` and ``momentum`` of the state.
+    """Follow the configuration; fills ``bound`` and ``momentum`` of the state.
 
     Parameters
     ----------
@@ -129,24 +125,9 @@ def _follow_set(c, s, e):
     _reckon(c, s, e)
     error_1 = min(s.extent[0] + c.drift[0] * math.sqrt(s.held_for[0]), _LARGEST)
     error_2 = min(s.extent[1] + c.drift[1] * math.sqrt(s.held_for[1]), _LARGEST)
-    speed_1, speed_2 = _angle_speed(c, s, e, 0), _angle_speed(c, s, e, 1)
     for i in range(2):
         s.bound[i] = weigh(c.spread, i, error_1, error_2) + c.noise[i]
-        s.speed[i] = weigh(c.spread, i, speed_1, speed_2)
         s.momentum[i] = s.extent[2 + i]
-
-
-@njit
-def _angle_speed(c, s, e, i):
-    """Speed of a link's angle error: the correction by its momentum error, and bias of the rates.
-
-    A link that is held has no correction; it counts once that has been so for every window of the
-    change test.
-    """
-    s.alone[i] = s.alone[i] + e.interval if e.held[i] else 0.0
-    if s.alone[i] > WINDOWS[-1]:
-        return c.bias[i]
-    return c.kappa[i] * c.inertia[i] * min(s.extent[2 + i], _FASTEST) + c.bias[i]
 
 
 @njit
@@ -256,9 +237,6 @@ def _follow_static(c, s, e):
     s.count = 1
     for i in range(2):
         s.bound[i] = weigh(c.spread, i, s.extent[0], s.extent[1]) + c.noise[i]
-        # Twice what the error covers at the decay rate.
-        s.speed[i] = weigh(c.spread, i, 2.0 * c.decay * s.extent[0] + 0.02,
-                           2.0 * c.decay * s.extent[1] + 0.02)
 
 
 def static_bound(c, theta):

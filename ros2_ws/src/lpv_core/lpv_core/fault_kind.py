@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lpv_core.history import EXPECTED, FAULT, READING
+from lpv_core.history import ALLOWANCE, EXPECTED, READING, RESIDUAL
 from lpv_core.jit import njit
 
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'inconsistent',
@@ -14,9 +14,12 @@ BIAS, DRIFT, SCALE, STUCK, NOISE, SPIKE, DROPOUT, INCONSISTENT, UNCLASSIFIED = r
 _SETTLED = 0.1
 """Shortest time since the onset for a judgement of the course [s]."""
 _STUCK_SAMPLES = 20
-_TELLING = 30.0
-"""Drifts and scale errors show in a change of so many standard deviations of a reading: the error
-of a healthy estimate changes, too."""
+_MOVED = 6.0
+"""Motion that a reading must show, over its standard deviation; that of an encoder's steps is less
+than a third of one."""
+_TELLING = 10.0
+"""Drifts and scale errors show in a change of so many standard deviations of a reading: the
+residual of a healthy sensor changes, too; and beyond what stated errors of the rates may add."""
 _EXPLAINED = 0.1
 """Part of the change that a scale error may leave unexplained."""
 _CLEARLY = 4.0
@@ -29,7 +32,7 @@ def span(values, column, first):
 
     Parameters
     ----------
-    values : ndarray, shape (n, 3)
+    values : ndarray, shape (n, 5)
         Samples of a history.
     column, first : int
         Column and row.
@@ -46,13 +49,15 @@ def span(values, column, first):
 
 
 @njit
-def is_stuck(values, position_noise):
-    """Whether a reading stands still while the arm moves.
+def is_stuck(values, end, position_noise):
+    """Whether a reading has stood still while the arm moved.
 
     Parameters
     ----------
-    values : ndarray, shape (n, 3)
+    values : ndarray, shape (n, 5)
         Samples of a history.
+    end : int
+        Rows in use.
     position_noise : float
         Standard deviation of a healthy reading [rad].
 
@@ -61,19 +66,51 @@ def is_stuck(values, position_noise):
     bool
         False without enough motion to tell.
     """
-    first = len(values) - _STUCK_SAMPLES
     # Noise alone moves a healthy reading from sample to sample.
-    return (first >= 0 and span(values, READING, first) < 0.2 * position_noise
-            and span(values, EXPECTED, first) > 3.0 * position_noise)
+    if end < _STUCK_SAMPLES or not _stands(values, end - _STUCK_SAMPLES, end, position_noise):
+        return False
+    row = standstill(values, end, position_noise)
+    moved = (values[end - 1, READING] - values[end - 1, RESIDUAL]
+             - values[row, READING] + values[row, RESIDUAL])
+    return abs(moved) > _MOVED * position_noise
+
+
+@njit
+def _stands(values, first, end, position_noise):
+    return span(values[first:end], READING, 0) < 0.2 * position_noise
+
+
+@njit
+def standstill(values, end, position_noise):
+    """First row of those up to the end over which a reading has stood still.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 5)
+        Samples of a history.
+    end : int
+        Rows in use.
+    position_noise : float
+        Standard deviation of a healthy reading [rad].
+
+    Returns
+    -------
+    int
+        ``end - 1`` or less.
+    """
+    row, last = end - 1, values[end - 1, READING]
+    while row > 0 and abs(values[row - 1, READING] - last) < 0.2 * position_noise:
+        row -= 1
+    return row
 
 
 @njit
 def noise_level(values):
-    """Standard deviation of white noise in a fault estimate, by second differences.
+    """Standard deviation of white noise in a residual, by second differences.
 
     Parameters
     ----------
-    values : ndarray, shape (n, 3)
+    values : ndarray, shape (n, 5)
         At least 10 samples.
 
     Returns
@@ -84,26 +121,27 @@ def noise_level(values):
     count = len(values) - 2
     second = np.empty(count)
     for k in range(count):
-        second[k] = abs(values[k + 2, FAULT] - 2.0 * values[k + 1, FAULT] + values[k, FAULT])
+        second[k] = abs(values[k + 2, RESIDUAL] - 2.0 * values[k + 1, RESIDUAL]
+                        + values[k, RESIDUAL])
     second.sort()
     median = 0.5 * (second[count // 2] + second[(count - 1) // 2])
     return median / (0.6745 * np.sqrt(6.0))
 
 
 @njit
-def classify(stamps, values, onset, baseline, position_noise):
+def classify(stamps, values, first, end, onset, baseline, position_noise):
     """Name the kind of a fault that still acts.
 
     Parameters
     ----------
-    stamps : ndarray, shape (n,)
-        Samples since the onset [ns].
-    values : ndarray, shape (n, 3)
-        f^, y_p, S theta^ [rad].
+    stamps, values : ndarray
+        A history: stamps [ns]; r, y_p, S theta^ [rad].
+    first, end : int
+        First row since the onset, and rows in use.
     onset : int
         [ns].
     baseline : float
-        f^ before the onset [rad].
+        r before the onset [rad].
     position_noise : float
         Standard deviation of a healthy reading [rad].
 
@@ -112,51 +150,54 @@ def classify(stamps, values, onset, baseline, position_noise):
     int
         Index into `KINDS`; ``UNCLASSIFIED`` while there is too little to tell.
     """
-    count = len(values)
-    if is_stuck(values, position_noise):
+    count = end - first
+    if is_stuck(values, end, position_noise):
         return STUCK
-    if count >= 25 and noise_level(values[max(0, count - 50):]) > 3.0 * position_noise:
+    if count >= 25 and noise_level(values[max(first, end - 50):end]) > 3.0 * position_noise:
         return NOISE
-    if count < 10 or (stamps[count - 1] - onset) / 1e9 < _SETTLED:
+    if count < 10 or (stamps[end - 1] - onset) / 1e9 < _SETTLED:
         return UNCLASSIFIED
-    time = (stamps - onset) / 1e9
-    return _course(time, values, baseline, position_noise)
+    time = (stamps[first:end] - onset) / 1e9
+    return _course(time, values[first:end], baseline, position_noise)
 
 
 @njit
-def fits_better(kind, than, values, baseline):
+def fits_better(kind, than, time, values, baseline):
     """Whether one course of a fault is to replace another one that was named before.
 
     Parameters
     ----------
     kind, than : int
         ``BIAS``, ``DRIFT`` or ``SCALE``; what `classify` says now, and what was said.
-    values : ndarray, shape (n, 3)
-        f^, y_p, S theta^ [rad].
+    time : ndarray, shape (n,)
+        Since the onset [s].
+    values : ndarray, shape (n, 5)
+        r, y_p, S theta^ [rad].
     baseline : float
-        f^ before the onset [rad].
+        r before the onset [rad].
 
     Returns
     -------
     bool
         A scale error shows late, in motion; it does not turn into a bias by standing still.
     """
+    fault, expected = values[:, RESIDUAL] - baseline, values[:, EXPECTED]
     if kind == SCALE:
-        return True
+        return than == BIAS or _CLEARLY * _residual(expected, fault) < _residual(time, fault)
     if kind != BIAS or than != SCALE:
         return False
-    fault = values[:, FAULT] - baseline
-    return _CLEARLY * _residual(np.ones(len(fault)), fault) < _residual(values[:, EXPECTED], fault)
+    return _CLEARLY * _residual(np.ones(len(fault)), fault) < _residual(expected, fault)
 
 
 @njit
 def _course(time, values, baseline, position_noise):
     """Bias, drift or scale: the model that leaves the smallest residual, simplest first."""
-    fault, expected = values[:, FAULT] - baseline, values[:, EXPECTED]
-    floor = len(time) * position_noise**2
+    fault, expected = values[:, RESIDUAL] - baseline, values[:, EXPECTED]
+    allowed = values[-1, ALLOWANCE] - values[0, ALLOWANCE]
+    floor = len(time) * (position_noise**2 + 0.25 * allowed**2)
     bias = _residual(np.ones(len(time)), fault)
     drift, scale = _residual(time, fault), _residual(expected, fault)
-    if (shows_scale(values, baseline, position_noise) and scale < _EXPLAINED * bias
+    if (_shows_scale(values, baseline, position_noise) and scale < _EXPLAINED * bias
             and scale < drift):
         return SCALE
     best, left = BIAS, bias
@@ -164,7 +205,7 @@ def _course(time, values, baseline, position_noise):
         best, left = DRIFT, drift
     middle = time - _mean(time, 0, len(time))
     growth = _weight(middle, fault) * (time[-1] - time[0])
-    if abs(growth) > _TELLING * position_noise and left > 4.0 * (
+    if abs(growth) > _TELLING * position_noise + allowed and left > 4.0 * (
             _residual(middle, fault - _mean(fault, 0, len(fault))) + floor):
         # Neither fits alone, a ramp from an offset does: it grows, whatever it started from.
         return DRIFT
@@ -172,25 +213,31 @@ def _course(time, values, baseline, position_noise):
 
 
 @njit
-def shows_scale(values, baseline, position_noise):
-    """Whether the arm has moved so far that a scale error would have shown itself.
+def _shows_scale(values, baseline, position_noise):
+    """Whether the arm has moved so far that a scale error would have shown itself; also where the
+    fault is none."""
+    allowed = values[-1, ALLOWANCE] - values[0, ALLOWANCE]
+    shown = abs(scale_of(values, baseline)) * span(values, EXPECTED, 0)
+    return shown > _TELLING * position_noise + allowed
+
+
+@njit
+def scale_of(values, baseline):
+    """Scale error that explains the residual best.
 
     Parameters
     ----------
-    values : ndarray, shape (n, 3)
-        f^, y_p, S theta^ since the onset [rad].
+    values : ndarray, shape (n, 5)
+        r, y_p, S theta^ since the onset [rad].
     baseline : float
-        f^ before the onset [rad].
-    position_noise : float
-        Standard deviation of a healthy reading [rad].
+        r before the onset [rad].
 
     Returns
     -------
-    bool
-        Also where the fault is no scale error.
+    float
+        Fault over true angle.
     """
-    scale = _weight(values[:, EXPECTED], values[:, FAULT] - baseline)
-    return abs(scale) * span(values, EXPECTED, 0) > _TELLING * position_noise
+    return _weight(values[:, EXPECTED], values[:, RESIDUAL] - baseline)
 
 
 @njit
@@ -206,14 +253,14 @@ def _mean(values, first, last):
 def step_of(stamps, values, row):
     """Height of a step: two levels with one common slope, by least squares.
 
-    The slope is that of the healthy estimate's error, which goes on beside the fault.
+    The slope is that of the residual's healthy error, which goes on beside the fault.
 
     Parameters
     ----------
     stamps : ndarray, shape (n,)
         Samples before and after the step [ns].
-    values : ndarray, shape (n, 3)
-        f^, y_p, S theta^ [rad].
+    values : ndarray, shape (n, 5)
+        r, y_p, S theta^ [rad].
     row : int
         First sample after the step, with some on either side.
 
@@ -222,7 +269,7 @@ def step_of(stamps, values, row):
     float
         [rad].
     """
-    time, fault = (stamps - stamps[row]) / 1e9, values[:, FAULT]
+    time, fault = (stamps - stamps[row]) / 1e9, values[:, RESIDUAL]
     square = cross = height = middle = 0.0
     for first, last, sign in ((0, row, -1.0), (row, len(time), 1.0)):
         mean_time, mean = _mean(time, first, last), _mean(fault, first, last)

@@ -1,17 +1,16 @@
-"""The last second of one sensor: fault estimate, reading, and the reading that was expected.
+"""The last seconds of one sensor: residual, reading, the reading that was expected, allowance,
+innovation of the rate.
 
-A buffer is two arrays, stamps (2*size,) and values (2*size, 3), and the number ``end`` of rows in
-use; the newest ``size`` of them count.
+A buffer is two arrays, stamps (2*size,) and values (2*size, 5), and the number ``end`` of rows in
+use; the newest ``size`` of them count.  Residual and allowance: see `lpv_core.dead_reckoning`.
 """
 
 import numpy as np
 
 from lpv_core.jit import njit
 
-FAULT, READING, EXPECTED = range(3)
+RESIDUAL, READING, EXPECTED, ALLOWANCE, INNOVATION = range(5)
 """Columns of the values."""
-
-_MEDIAN_OF = 5
 
 
 def new_history(size):
@@ -25,13 +24,13 @@ def new_history(size):
     Returns
     -------
     tuple of ndarray
-        Stamps (2*size,) [ns] and values (2*size, 3) [rad].
+        Stamps (2*size,) [ns] and values (2*size, 5) [rad].
     """
-    return np.zeros(2 * size, dtype=np.int64), np.zeros((2 * size, 3))
+    return np.zeros(2 * size, dtype=np.int64), np.zeros((2 * size, 5))
 
 
 @njit
-def add_sample(stamps, values, end, stamp, fault, reading, expected):
+def add_sample(stamps, values, end, stamp, residual, reading, expected, allowance, innovation):
     """Add a sample.
 
     Parameters
@@ -42,8 +41,8 @@ def add_sample(stamps, values, end, stamp, fault, reading, expected):
         Rows in use.
     stamp : int
         [ns], larger than the last one.
-    fault, reading, expected : float
-        f^, y_p and S theta^ of the sensor [rad].
+    residual, reading, expected, allowance, innovation : float
+        What the columns hold [rad], [rad/s].
 
     Returns
     -------
@@ -55,10 +54,12 @@ def add_sample(stamps, values, end, stamp, fault, reading, expected):
         end = len(stamps) // 2
         for k in range(end):
             stamps[k] = stamps[end + k]
-            for column in range(3):
+            for column in range(5):
                 values[k, column] = values[end + k, column]
     stamps[end] = stamp
-    values[end, FAULT], values[end, READING], values[end, EXPECTED] = fault, reading, expected
+    row = values[end]
+    row[RESIDUAL], row[READING], row[EXPECTED] = residual, reading, expected
+    row[ALLOWANCE], row[INNOVATION] = allowance, innovation
     return end + 1
 
 
@@ -117,22 +118,24 @@ def first_since(stamps, end, stamp):
 
 
 @njit
-def median_before(values, row):
-    """Median of up to five fault estimates that end at a row.
+def median_before(values, row, count):
+    """Median of up to so many residuals that end at a row.
 
     A single bad sample must not be what later ones are compared with.
 
     Parameters
     ----------
-    values : ndarray, shape (2*size, 3)
+    values : ndarray, shape (2*size, 5)
         The buffer's.
     row : int
         Last row.
+    count : int
+        Samples; fewer where the buffer begins.
 
     Returns
     -------
     float
         [rad].
     """
-    few = np.sort(values[max(0, row + 1 - _MEDIAN_OF):row + 1, FAULT])
+    few = np.sort(values[max(0, row + 1 - count):row + 1, RESIDUAL])
     return few[len(few) // 2]

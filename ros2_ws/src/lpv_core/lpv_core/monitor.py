@@ -493,5 +493,5 @@ def describe(event):
     """
     words = {AlarmEvent.RAISED: 'ALARM', AlarmEvent.UPDATED: 'alarm updated',
              AlarmEvent.CLEARED: 'alarm cleared'}
-    return (f'{words[event.event]}, {event.sensor}: {event.kind}, {event.size:+.3f} rad, bound of '
-            f'the level {event.bound:.3f} rad, confidence {event.confidence:.3f}')
+    return (f'{words[event.event]}, {event.sensor}: {event.kind}, {event.size:+.3f} rad within '
+            f'{event.bound:.3f} rad, confidence {event.confidence:.3f}')

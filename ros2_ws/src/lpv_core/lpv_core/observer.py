@@ -66,7 +66,7 @@ OBSERVER_CONSTANTS = record_type(
 OBSERVER_STATE = record_type(
     ('recursion', RECURSION_STATE), ('stamp', 'i8'), ('started', 'i8'), ('counters', COUNTERS),
     ('y', 'f8', (4,)), ('y_new', 'f8', (4,)), ('before', 'f8', (4,)), ('after', 'f8', (4,)),
-    ('torque', 'f8', (2,)), ('fault', 'f8', (2,)))
+    ('torque', 'f8', (2,)))
 
 ESTIMATE = record_type(
     ('stamp', 'i8'), ('interval', 'f8'), ('mode', 'u1'), ('position', 'f8', (2,)),
@@ -74,7 +74,7 @@ ESTIMATE = record_type(
     ('measured_velocity', 'f8', (2,)), ('fault', 'f8', (2,)), ('absolute_position', 'f8', (2,)),
     ('sensor_position', 'f8', (2,)), ('held', 'u1', (2,)), ('missing', 'u1', (2,)),
     ('absolute_velocity', 'f8', (2,)), ('absolute_acceleration', 'f8', (2,)),
-    ('innovation', 'f8', (2,)))
+    ('innovation', 'f8', (2,)), ('bridged', '?'))
 """One estimate.
 
 stamp, interval
@@ -90,7 +90,9 @@ absolute_position
 held
     Links whose configuration carries no gravity information: dead reckoning.
 missing
-    Position sensors that delivered no finite value; their fault estimate is held.
+    Position sensors that delivered no finite value; their readings are carried on by their rates.
+bridged
+    The interval was too long to be integrated: angles went on by the encoders' increments.
 absolute_velocity, absolute_acceleration
     Measured theta' and the model's theta'' at the estimate [rad/s], [rad/s2].
 innovation
@@ -138,7 +140,7 @@ def observe(c, s, e, stamp, position, velocity, effort):
 
     Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s back
     means that time restarted, and so does the observer; a position that is not finite, or absurd,
-    is bridged with the last fault estimate of that sensor (the state estimate does not need it); a
+    is carried on by the rates of that sensor (the state estimate does not need it); a
     velocity or effort that is not finite, or beyond what the arm can do, drops the sample; an
     interval above ``max_gap`` re-anchors the estimate.
 
@@ -165,9 +167,8 @@ def observe(c, s, e, stamp, position, velocity, effort):
     interval = _interval(s, stamp)
     if interval < 0.0:
         return False
-    missing_1, missing_2 = _outputs(c.recursion.joints, s, position, velocity)
+    missing_1, missing_2 = _outputs(c, s, position, velocity, interval)
     missing = missing_1 or missing_2
-    s.fault[0], s.fault[1] = r.x[4], r.x[5]
     s.torque[0], s.torque[1] = effort[0] - effort[1], effort[1]  # Q = J^T tau
     if s.stamp == NEVER:
         if missing:
@@ -177,8 +178,6 @@ def observe(c, s, e, stamp, position, velocity, effort):
         _bridge(c, s)
     else:
         _advance(c, s, interval)
-    if missing:
-        _keep_fault(c, s, missing_1, missing_2)
     if s.started < c.initial_samples:
         _average_start(c, s)
     for i in range(6):
@@ -190,7 +189,7 @@ def observe(c, s, e, stamp, position, velocity, effort):
     s.stamp = stamp
     s.y[:] = s.y_new
     s.started += 1
-    e.stamp, e.interval = stamp, interval
+    e.stamp, e.interval, e.bridged = stamp, interval, interval > c.max_gap
     e.missing[0], e.missing[1] = missing_1, missing_2
     _fill(c, s, e)
     return True
@@ -229,9 +228,12 @@ def _usable(c, s, velocity, effort):
 
 
 @njit
-def _outputs(joints, s, position, velocity):
-    """Readings of the sensors into ``y_new``; whether the first and the second one are silent."""
-    y = s.y_new
+def _outputs(c, s, position, velocity, interval):
+    """Readings of the sensors into ``y_new``; whether the first and the second one are silent.
+
+    A silent sensor is taken to read on as its rates say: as if its fault stayed what it was.
+    """
+    y, joints = s.y_new, c.recursion.joints
     for i in range(2):
         y[i] = weigh(joints.from_joint, i, position[0] + joints.zero, position[1])
         y[2 + i] = weigh(joints.from_joint, i, velocity[0], velocity[1])
@@ -241,20 +243,11 @@ def _outputs(joints, s, position, velocity):
             s.counters.implausible += 1
         else:
             s.counters.not_finite += 1
-        y[0] = s.y[0] if missing_1 else y[0]
-        y[1] = s.y[1] if missing_2 else y[1]
+        half = 0.5 * interval if interval <= c.max_gap else 0.0
+        for i in range(2):
+            if (missing_1 if i == 0 else missing_2):
+                y[i] = s.y[i] + half * (s.y[2 + i] + y[2 + i])
     return missing_1, missing_2
-
-
-@njit
-def _keep_fault(c, s, missing_1, missing_2):
-    """A silent sensor reads S theta^ + f^, as if its fault stayed what it was."""
-    r = s.recursion
-    for i in range(2):
-        if (missing_1 if i == 0 else missing_2):
-            r.x[4 + i] = s.fault[i]
-            s.y_new[i] = weigh(c.recursion.joints.sensor, i, r.x[0], r.x[1]) + s.fault[i]
-    place(c.recursion, r, s.y_new)
 
 
 @njit

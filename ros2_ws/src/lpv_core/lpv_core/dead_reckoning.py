@@ -1,0 +1,76 @@
+"""How far each sensor should have moved by the measured rates, and what its reading says instead.
+
+The residual r = y_p - S int theta' dt of a healthy sensor stands still, but for noise and errors of
+the rates: no torque, no mass and no gravity enters.  A position fault enters it undelayed, and is
+in it for good.  It says nothing of where the sensor stood at the start, which only gravity tells;
+the fault estimate f^ says that, slowly and within the error of the model.
+
+What stated errors of the rates can have added to the residual since some time is the difference of
+two values of the allowance, plus their noise (`lpv_core.change_test`).
+"""
+
+import numpy as np
+
+from lpv_core.jit import njit
+from lpv_core.joints import JointMap, weigh
+from lpv_core.records import new_record, record_type
+
+RATE_BIAS = 0.1
+"""Bias of a rate sensor, over the standard deviation of its noise."""
+
+RECKONING_CONSTANTS = record_type(('sensor_matrix', 'f8', (2, 2)), ('bias', 'f8'), ('scale', 'f8'))
+"""S; bias [rad/s] and relative error of the rates."""
+RECKONING_STATE = record_type(
+    ('started', '?'), ('rate', 'f8', (2,)), ('travel', 'f8', (2,)), ('residual', 'f8', (2,)),
+    ('allowance', 'f8', (2,)))
+"""Per sensor: rate at the last sample [rad/s]; S int theta' dt, residual and allowance [rad]."""
+
+
+def dead_reckoning(arm):
+    """Constants of `reckon` for one arm.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its sensors.
+
+    Returns
+    -------
+    numpy.record
+        Of type `RECKONING_CONSTANTS`.
+    """
+    return new_record(RECKONING_CONSTANTS, sensor_matrix=np.asarray(JointMap(arm).sensor_matrix),
+                      bias=RATE_BIAS * arm.velocity_noise, scale=arm.velocity_error)
+
+
+@njit
+def reset_reckoning(s):
+    """Start anew with the next estimate."""
+    s.started = False
+
+
+@njit
+def reckon(c, s, e):
+    """Follow one estimate; fills ``residual`` and ``allowance`` of the state.
+
+    Parameters
+    ----------
+    c, s : numpy.record
+        Constants and state.
+    e : numpy.record
+        Latest estimate.
+    """
+    for i in range(2):
+        rate = weigh(c.sensor_matrix, i, e.absolute_velocity[0], e.absolute_velocity[1])
+        expected = weigh(c.sensor_matrix, i, e.absolute_position[0], e.absolute_position[1])
+        if not s.started:
+            s.travel[i], s.allowance[i] = expected, 0.0
+        elif e.bridged:
+            # The encoder's own increment is all that is known of a gap: r stays what it was.
+            s.travel[i] = e.fault[i] + expected - s.residual[i]
+        else:
+            s.travel[i] += 0.5 * e.interval * (s.rate[i] + rate)
+        s.residual[i] = e.fault[i] + expected - s.travel[i]
+        s.allowance[i] += e.interval * (c.bias + c.scale * abs(rate))
+        s.rate[i] = rate
+    s.started = True
