@@ -101,6 +101,23 @@ def test_given_a_worker_of_another_version_when_run_then_its_results_are_refused
         list(execute(resolve(MANY, 'many', '.'), range(20), scheduler=cluster.address))
 
 
+def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_with_a_new_one(
+        cluster, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr('lpv_campaign.cluster._LONELY', 2.0)
+    worker, file, out = cluster.worker('one'), tmp_path / 'many.yaml', tmp_path / 'out'
+    file.write_text(yaml.safe_dump(MANY))
+    command = ['campaign', str(file), '--out', str(out), '--scheduler', cluster.address,
+               '--no-report']
+    found = execute(resolve(MANY, 'many', '.'), range(400), scheduler=cluster.address, chunk=5)
+    next(found)
+    os.killpg(worker.pid, signal.SIGKILL)
+    with pytest.raises(WorkerError, match='no worker is left'):
+        list(found)
+    cluster.worker('two')
+    assert main(command) == 0
+    assert pq.read_table(out / 'runs.parquet').num_rows == 400
+
+
 def test_given_a_scheduler_without_workers_when_run_then_one_line_says_so(cluster):
     with pytest.raises(WorkerError, match='has no workers'):
         next(execute(resolve(MANY, 'many', '.'), range(20), scheduler=cluster.address))

@@ -17,6 +17,7 @@ from lpv_bag.recovery import recover
 from lpv_bag.run_record import load_run
 from lpv_bag.writing import BagWriter
 from lpv_cli.main import main
+from lpv_core.gains import save_gains
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -372,3 +373,18 @@ def test_given_messages_of_a_topic_when_recovered_then_times_and_numbers_stay(ba
     recover(tmp_path / 'a', tmp_path / 'b', 'none')
     assert storage(tmp_path / 'b').read_bytes()[:3000].count(struct.pack('<Q', START - 9)) == 1
     assert contents(tmp_path / 'a') == contents(tmp_path / 'b')
+
+
+def test_given_gains_in_a_bag_when_recovered_then_they_are_copied_if_they_are_whole(
+        tmp_path, paper_gains):
+    with BagWriter(tmp_path / 'a') as writer:
+        writer.add_topic(CHATTER, 'std_msgs/msg/String')
+        writer.write_raw(CHATTER, START, bytes(12))
+    gains = tmp_path / 'a' / 'gains.yaml'
+    save_gains(paper_gains, gains)
+    assert recover(tmp_path / 'a', tmp_path / 'b').damages == []
+    assert (tmp_path / 'b' / 'gains.yaml').read_bytes() == gains.read_bytes()
+    gains.write_bytes(gains.read_bytes()[:500])
+    damage, = recover(tmp_path / 'a', tmp_path / 'c').damages
+    assert damage.startswith('gains.yaml is left out')
+    assert not (tmp_path / 'c' / 'gains.yaml').exists()

@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
+from lpv_bag.bag_place import GAINS_NAME, copy_gains, read_gains_file
 from lpv_bag.counting import RECORD_NAME
 from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap_content import records
@@ -10,6 +11,7 @@ from lpv_bag.mcap_survey import read_metadata
 from lpv_bag.mcap_writer import LIBRARY
 from lpv_bag.reading import open_bag
 from lpv_bag.writing import BagWriter
+from lpv_core.errors import ConfigError
 
 _ORDER = 1 << 31
 
@@ -103,9 +105,11 @@ def recover(path, out=None, preset='zstd_fast'):
         if out is None:
             for _ in tally.messages():
                 pass
-        else:
-            _write(bag, tally, out, preset)
-        return tally.finish()
+            return tally.finish()
+        place = _write(bag, tally, out, preset)
+        result = tally.finish()
+        result.damages += _copy_gains(bag.path, place)
+        return result
 
 
 def _write(bag, tally, out, preset):
@@ -122,6 +126,19 @@ def _write(bag, tally, out, preset):
                              message.publish_time)
         _copy_metadata(bag.parts[part], writer)
         writer.close(bag.known)
+    return writer.path
+
+
+def _copy_gains(bag, out):
+    """Copy the gains that a run was answered with, if they lie in the bag; what is wrong."""
+    file = bag / GAINS_NAME
+    if not file.is_file():
+        return []
+    try:
+        copy_gains(read_gains_file(file), out)
+    except ConfigError as error:
+        return [f'{GAINS_NAME} is left out: {error}']
+    return []
 
 
 def _copy_metadata(part, writer):

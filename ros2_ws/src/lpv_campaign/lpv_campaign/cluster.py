@@ -4,6 +4,7 @@ import logging
 import os
 import signal
 import threading
+import time
 from contextlib import contextmanager
 
 from lpv_core.errors import LpvError
@@ -13,6 +14,9 @@ _AHEAD = 3
 
 _PATIENCE = 5.0
 """How long a scheduler may take to answer, and to have a worker [s]."""
+
+_LONELY = 60.0
+"""After so long without any worker a campaign gives up [s]."""
 
 
 class WorkerError(LpvError):
@@ -45,7 +49,8 @@ def on_cluster(function, text, chunks, software, workers=None, scheduler=None):
     Raises
     ------
     WorkerError
-        If a worker runs other software, or workers die of the same chunk again and again.
+        If a worker runs other software, workers die of the same chunk again and again, or none is
+        left for a minute.
     """
     with connect(workers, scheduler) as client:
         yield from map_chunks(client, function, text, chunks, software)
@@ -142,7 +147,6 @@ def map_chunks(client, function, text, chunks, software):
     WorkerError
         As in `on_cluster`.
     """
-    from distributed import as_completed
     from distributed.scheduler import KilledWorker
     waiting = iter(chunks)
 
@@ -153,20 +157,38 @@ def map_chunks(client, function, text, chunks, software):
         # Not pure: a key by content would hash the text again for each chunk.
         return client.submit(function, text, part, pure=False)
 
-    first = [f for f in (submit() for _ in range(_width(client))) if f is not None]
-    done = as_completed(first)
-    for future in done:
+    pending = {f for f in (submit() for _ in range(_width(client))) if f is not None}
+    while pending:
+        done = _some_of(client, pending)
+        pending -= done
+        for future in done:
+            try:
+                theirs, result = future.result()
+            except KilledWorker as error:
+                raise WorkerError('workers died of the same work again and again: '
+                                  f'{error}') from error
+            if theirs != software:
+                raise WorkerError('a worker runs another version of this software: install the '
+                                  'same one everywhere')
+            another = submit()
+            if another is not None:
+                pending.add(another)
+            yield result
+
+
+def _some_of(client, pending):
+    """Those of some futures that are done, at least one; a campaign without workers must not wait
+    for ever."""
+    from distributed import wait
+    seen = time.monotonic()
+    while time.monotonic() - seen < _LONELY:
         try:
-            theirs, result = future.result()
-        except KilledWorker as error:
-            raise WorkerError(f'workers died of the same work again and again: {error}') from error
-        if theirs != software:
-            raise WorkerError('a worker runs another version of this software: install the same '
-                              'one everywhere')
-        another = submit()
-        if another is not None:
-            done.add(another)
-        yield result
+            return wait(pending, timeout=0.1 * _LONELY, return_when='FIRST_COMPLETED').done
+        except TimeoutError:
+            if client.nthreads():
+                seen = time.monotonic()
+    raise WorkerError(f'no worker is left since {_LONELY:g} s; what is done is kept: start workers '
+                      'and run the command again')
 
 
 def _width(client):
