@@ -417,7 +417,81 @@ def test_given_no_reading_when_the_dwell_is_over_then_a_dropout_is_raised_once(s
     news = feed(sensor, 305, np.zeros(500), missing=True)
     assert news == [(305, 'raised', 'dropout')]
     assert sensor.onset == 300 * TS
-    assert not sensor.compensable
+    assert removed(sensor) == 0.0                 # the rates carry the reading on
+
+
+def test_given_noise_when_the_reading_stops_then_its_last_error_is_not_carried_on(sensor):
+    feed(sensor, 0, noise(300, SIGMA))
+    feed(sensor, 300, np.full(50, 0.003), missing=True)
+    assert sensor.kind == 'dropout'
+    assert sensor.amount - removed(sensor) == 0.0
+    assert removed(sensor) == pytest.approx(0.003, abs=0.0006)
+
+
+@pytest.mark.parametrize(('back', 'kinds'), [
+    (0.004, [('cleared', 'dropout')]), (0.2, [('updated', 'unclassified'), ('updated', 'bias')])])
+def test_given_a_dropout_when_readings_come_back_wrong_then_the_alarm_goes_on_with_their_error(
+        sensor, back, kinds):
+    feed(sensor, 0, noise(300, SIGMA))
+    feed(sensor, 300, np.zeros(100), missing=True)
+    news = feed(sensor, 400, back + noise(500, SIGMA, seed=1))
+    assert [n[1:] for n in news] == kinds
+    assert sensor.alarm == (back > 0.1)
+    if sensor.alarm:
+        assert removed(sensor) == pytest.approx(0.2, abs=0.004)
+
+
+@pytest.mark.parametrize(('speed', 'kind', 'compensable'), [
+    (0.0, 'drift', True), (1.0, 'inconsistent', False)])
+def test_given_a_slow_change_when_rates_could_feign_it_unseen_then_the_cause_is_unknown(
+        sensor, speed, kind, compensable):
+    feed(sensor, 0, noise(300), speed=speed)
+    ramp = 0.03 * 0.002 * np.arange(800)          # up to 0.05 rad: the level says nothing
+    feed(sensor, 300, ramp + noise(800, seed=1), speed=speed)
+    assert (sensor.kind, sensor.compensable) == (kind, compensable)
+
+
+def test_given_a_doubtful_change_when_the_level_says_the_same_then_the_sensor_is_blamed(sensor):
+    feed(sensor, 0, noise(300), speed=1.0)
+    ramp = 0.03 * 0.002 * np.arange(2500)         # passes the threshold of 0.1 rad after 3.3 s
+    news = feed(sensor, 300, ramp + noise(2500, seed=1), speed=1.0)
+    assert [n[2] for n in news][0] == 'inconsistent'
+    assert (sensor.kind, sensor.compensable) == ('drift', True)
+    assert removed(sensor) == pytest.approx(ramp[-1], abs=0.004)
+
+
+def test_given_a_doubtful_change_when_the_level_does_not_follow_then_nobody_is_blamed(sensor):
+    feed(sensor, 0, noise(300), speed=1.0)
+    for k, moved in enumerate(0.03 * 0.002 * np.arange(2500), 300):
+        sensor.update(**sample_at(k, 0.02, residual=moved, reading=0.5 + moved, speed=1.0))
+    assert (sensor.kind, sensor.compensable) == ('inconsistent', False)
+
+
+def test_given_dead_reckoning_when_the_level_contradicts_it_then_the_cause_is_unknown(sensor):
+    feed(sensor, 0, noise(300))
+    feed(sensor, 300, 0.3 + noise(300, seed=1))
+    assert sensor.kind == 'bias'
+    sensor.update(**sample_at(600, 0.02, residual=0.3))
+    assert sensor.kind == 'inconsistent'
+
+
+def test_given_a_sensor_that_lied_lately_when_it_changes_slowly_then_it_is_not_doubted(sensor):
+    feed(sensor, 0, noise(300), speed=1.0)
+    feed(sensor, 300, 0.3 + noise(100, seed=1), speed=1.0)
+    feed(sensor, 400, noise(500, seed=2), speed=1.0)
+    assert not sensor.alarm
+    feed(sensor, 900, 0.03 * 0.002 * np.arange(800) + noise(800, seed=3), speed=1.0)
+    assert sensor.kind == 'drift'
+
+
+def test_given_a_scale_error_when_the_angle_passes_zero_then_the_alarm_stays(sensor):
+    feed(sensor, 0, noise(300))
+    for k, error in enumerate(noise(2000, SIGMA, seed=4), 300):
+        true = 0.3 * math.cos(0.003 * (k - 300))
+        decided = sensor.update(**sample_at(k, 0.4 * true + error, reading=1.4 * true,
+                                            expected=true))
+        assert decided != 'cleared'
+    assert sensor.kind == 'scale'
 
 
 def test_given_a_dropout_when_data_return_then_it_clears_after_the_clear_dwell(sensor):

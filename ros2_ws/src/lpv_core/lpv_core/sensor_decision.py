@@ -167,37 +167,43 @@ def _pending(c, s, stamps, values):
         return _drop(c, s, stamps, values)
     if not _lasts(s.since, d, c.dwell):
         return NOTHING
-    if not level and _is_end(s):
-        s.since = NEVER
-        s.end = 0
+    if s.window >= 0:
+        return _confirm_change(c, s, stamps, values, change, level)
+    s.baseline, s.allowance_before = 0.0, d.allowance
+    kind = INCONSISTENT if d.inconsistent else UNCLASSIFIED
+    decided = _raise(s, kind, s.since, False, False)
+    _name(c, s, stamps, values)
+    return decided
+
+
+@njit
+def _confirm_change(c, s, stamps, values, change, level):
+    """Raise an alarm for a change: of the position sensor, or of cause unknown."""
+    d = s.sample
+    row = first_since(stamps, s.end, s.since - round(WINDOWS[s.window] * NANOSECONDS))
+    take_baseline(s, values, row)
+    stepped, onset, verdict = is_step(s, stamps, values), s.since, INNOCENT
+    if stepped and not level and _is_end(s):
+        s.since, s.end = NEVER, 0
         return NOTHING
-    if s.window < 0:
-        s.baseline, s.allowance_before = 0.0, d.allowance
-        kind = INCONSISTENT if d.inconsistent else UNCLASSIFIED
-        decided = _raise(s, kind, s.since, False, False)
-    else:
-        row = first_since(stamps, s.end, s.since - round(WINDOWS[s.window] * NANOSECONDS))
-        take_baseline(s, values, row)
-        stepped, onset, verdict = is_step(s, stamps, values), s.since, INNOCENT
-        if not stepped:
-            speed, onset = find_slope(c, s, stamps, values, row)
-            unseen = change_limit(c.changes, s.window, d.speed * WINDOWS[s.window])
-            if not level and change <= unseen:
-                verdict = judge_rate(c, s, stamps, values, onset, speed)
-        # Whoever lied lately is not given the benefit of the doubt.
-        s.doubted = verdict == UNKNOWN and d.stamp >= s.convicted_until
-        wrong_rates = verdict == GUILTY or (d.inconsistent and not stepped)
-        kind = INCONSISTENT if s.doubted or wrong_rates else UNCLASSIFIED
-        decided = _raise(s, kind, onset, True, stepped)
-    if kind == UNCLASSIFIED:
-        _name(c, s, stamps, values)
+    if not stepped:
+        speed, onset = find_slope(c, s, stamps, values, row)
+        unseen = change_limit(c.changes, s.window, d.speed * WINDOWS[s.window])
+        if not level and change <= unseen:
+            verdict = judge_rate(c, s, stamps, values, onset, speed)
+    # Whoever lied lately is not given the benefit of the doubt.
+    s.doubted = verdict == UNKNOWN and d.stamp >= s.convicted_until
+    wrong_rates = verdict == GUILTY or (d.inconsistent and not stepped)
+    kind = INCONSISTENT if s.doubted or wrong_rates else UNCLASSIFIED
+    decided = _raise(s, kind, onset, True, stepped)
+    _name(c, s, stamps, values)
     return decided
 
 
 @njit
 def _is_end(s):
-    """Whether a change brings f^ back from where healthy estimates hardly are: more likely the end
-    of a fault that stayed unnoticed than a new one that cancels a healthy error."""
+    """Whether a jump brings f^ back from where healthy estimates hardly are: more likely the end of
+    a fault that stayed unnoticed than a new one that cancels a healthy error."""
     d = s.sample
     before = d.fault - (d.residual - s.before)
     return abs(before) > 0.5 * d.threshold and abs(d.fault) < 0.5 * abs(before)
