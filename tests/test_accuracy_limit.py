@@ -296,7 +296,8 @@ def test_given_a_run_when_asked_twice_then_figures_are_the_same_and_beside_their
         assert one['limit_arm_known'] <= one['limit_within_priors'] < one['ours']
         assert one['smoothed_limit_arm_known'] <= one['smoothed_limit_within_priors']
         assert one['limit_within_priors'] < one['limit_any_fault_within_priors']
-        assert one['limit_any_fault_within_priors'] < min(one['ekf'], one['ukf'], one['ours'])
+        # Ours knows the reading before the onset, which that limit takes for no better than others.
+        assert one['limit_any_fault_within_priors'] < min(one['ekf'], one['ukf'])
         assert one['smoother'] < 3.0 * one['smoothed_limit_within_priors']
         assert one['ratio'] == one['ours'] / one['limit_within_priors']
 

@@ -322,7 +322,7 @@ def test_given_an_alarm_when_raised_and_cleared_then_both_are_answered_with_a_st
     # Seen as a change: its size is that of the change, less the healthy error before.
     assert fields['size'] == pytest.approx(-0.3, abs=0.01)
     assert raised.fault['estimate'][1] == pytest.approx(-0.3, abs=0.01)
-    assert 0.005 < fields['bound'] < 0.5 * raised.fault['bound'][1]
+    assert 0.005 < fields['bound'] == raised.fault['bound'][1] < 0.5 * raised.fault['threshold'][1]
     assert raised.fault['alarm'] == [False, True]
     assert cleared.fault['alarm'] == [False, False]
     assert cleared.stamp == pytest.approx(START + 301 * TS, abs=2 * TS)

@@ -159,16 +159,19 @@ ALARM_EVENT = record_type(
 
 DECISION = record_type(
     ('bound', 'f8', (2,)), ('threshold', 'f8', (2,)), ('state', 'u1', (2,)), ('alarm', 'u1', (2,)),
-    ('confirmed_fault', 'f8', (2,)), ('inconsistent', '?'), ('trustworthy', '?'),
-    ('events', ALARM_EVENT, (2,)))
+    ('estimate', 'f8', (2,)), ('estimate_bound', 'f8', (2,)), ('confirmed_fault', 'f8', (2,)),
+    ('inconsistent', '?'), ('trustworthy', '?'), ('events', ALARM_EVENT, (2,)))
 """Decision at one sample.
 
 bound, threshold
-    Per physical sensor [rad].
+    Of the levels f^, per physical sensor [rad].
 state
     Of `SensorState`, per physical sensor.
 alarm
     Confirmed faults.
+estimate, estimate_bound
+    The best that is known of the faults, and bound on its error: confirmed faults that were seen as
+    a change are measured by that, all else by the level [rad].
 confirmed_fault
     What is to be removed from the readings: confirmed faults, faded in and out where their size was
     not known at once; and jumps that are not confirmed yet, which are bridged for the dwell [rad].
@@ -308,9 +311,9 @@ def _decide_one(c, s, stamps, values, e, i):
 
 @njit
 def _bound(c, s, i):
-    """Bound on the error of the size of a fault."""
+    """Bound on the error of the size of a fault, or of the level."""
     bound, sensor = s.decision.bound[i], s.sensors[i]
-    if not sensor.by_change or sensor.kind == INCONSISTENT:
+    if not sensor.alarm or not sensor.by_change or sensor.kind == INCONSISTENT:
         return bound
     return min(bound, size_error(c.sensor, sensor))
 
@@ -343,12 +346,13 @@ def _compensate(c, s, interval):
     for i in range(2):
         sensor = s.sensors[i]
         known = is_compensable(sensor)
-        wanted = removable(c.sensor, sensor) if known else 0.0
+        fault, bound = sensor.sample.fault, s.decision.bound[i]
+        wanted = fault
         if known:
             # Rates alone may lead away in time; gravity's bound holds.
-            fault, bound = sensor.sample.fault, s.decision.bound[i]
-            wanted = min(max(wanted, fault - bound), fault + bound)
-        gap = wanted - s.applied[i]
+            wanted = min(max(removable(c.sensor, sensor), fault - bound), fault + bound)
+        s.decision.estimate[i], s.decision.estimate_bound[i] = wanted, _bound(c, s, i)
+        gap = (wanted if known else 0.0) - s.applied[i]
         at_once = sensor.stepped or sensor.kind == NOISE or sensor.kind == SPIKE
         reached = at_once or abs(gap) <= 2.0 * step
         # What was reached once is followed whatever it does: a fault may end abruptly.

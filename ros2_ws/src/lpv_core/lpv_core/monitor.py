@@ -154,7 +154,7 @@ def _fill(c, s, answer, mode):
                                                     healthy_2)
         state.measured_position[i] = e.measured_position[i]
         state.measured_velocity[i] = e.measured_velocity[i]
-        fault.estimate[i], fault.bound[i] = e.fault[i], d.bound[i]
+        fault.estimate[i], fault.bound[i] = d.estimate[i], d.estimate_bound[i]
         fault.threshold[i], fault.alarm[i] = d.threshold[i], d.alarm[i]
         fault.state[i] = _SENSOR_STALE if mode == _STALE else d.state[i]
     state.trustworthy = d.trustworthy
