@@ -311,9 +311,9 @@ def _decide_one(c, s, stamps, values, e, i):
 
 @njit
 def _bound(c, s, i):
-    """Bound on the error of the size of a fault, or of the level."""
+    """Bound on the error of the size of a fault."""
     bound, sensor = s.decision.bound[i], s.sensors[i]
-    if not sensor.alarm or not sensor.by_change or sensor.kind == INCONSISTENT:
+    if not sensor.by_change or sensor.kind == INCONSISTENT:
         return bound
     return min(bound, size_error(c.sensor, sensor))
 
@@ -346,13 +346,14 @@ def _compensate(c, s, interval):
     for i in range(2):
         sensor = s.sensors[i]
         known = is_compensable(sensor)
-        fault, bound = sensor.sample.fault, s.decision.bound[i]
-        wanted = fault
+        best = sensor.sample.fault
         if known:
             # Rates alone may lead away in time; gravity's bound holds.
-            wanted = min(max(removable(c.sensor, sensor), fault - bound), fault + bound)
-        s.decision.estimate[i], s.decision.estimate_bound[i] = wanted, _bound(c, s, i)
-        gap = (wanted if known else 0.0) - s.applied[i]
+            bound = s.decision.bound[i]
+            best = min(max(removable(c.sensor, sensor), best - bound), best + bound)
+        s.decision.estimate[i] = best
+        s.decision.estimate_bound[i] = _bound(c, s, i) if known else s.decision.bound[i]
+        gap = (best if known else 0.0) - s.applied[i]
         at_once = sensor.stepped or sensor.kind == NOISE or sensor.kind == SPIKE
         reached = at_once or abs(gap) <= 2.0 * step
         # What was reached once is followed whatever it does: a fault may end abruptly.
