@@ -130,7 +130,8 @@ def _monitor(c, s, stamps, values, answer, measured, period, part, position, vel
         observe(c.observer, s.observer, s.estimate, round(k * period * 1e9), position, velocity,
                 effort)
         if part == 1:
-            update_bound(c.diagnosis.bound, s.diagnosis.bound, s.estimate)
+            update_bound(c.diagnosis.bound, s.diagnosis.bound, s.estimate,
+                         s.diagnosis.reckoning.lost)
 
 
 @njit

@@ -1,5 +1,7 @@
 """Parts of the compiled diagnosis as objects, one by one: each holds what its functions work on."""
 
+import math
+
 import numpy as np
 
 from lpv_core import (
@@ -11,6 +13,8 @@ from lpv_core import (
     sensor_record,
 )
 from lpv_core.diagnosis import diagnosis_constants
+from lpv_core.dynamics import inverse_dynamics
+from lpv_core.joints import JointMap
 from lpv_core.observer import ESTIMATE
 from lpv_core.records import new_record
 from lpv_core.unknown_torque import healthy_arm, unknown_torque
@@ -122,7 +126,7 @@ class ErrorBound:
         return error_bound.static_bound(self.constants, theta)
 
     def update(self, estimate):
-        error_bound.update_bound(self.constants, self.state, estimate)
+        error_bound.update_bound(self.constants, self.state, estimate, np.zeros(2))
         return self.state.bound.copy()
 
 
@@ -143,3 +147,27 @@ def classify(stamps, values, onset, baseline, noise):
     """Name of the kind of a course that fills a history."""
     return fault_kind.KINDS[fault_kind.classify(stamps, values, 0, len(values), onset, baseline,
                                                 noise)]
+
+
+class Swing:
+    """A smooth motion about the vertical as joint-space samples with their exact torques."""
+
+    def __init__(self, arm, pace=1.0):
+        self.joints, self.c, self.pace = JointMap(arm), arm.constants(), pace
+        self.rest = 0.0 if arm.orientation == 'upright' else math.pi
+
+    def absolute(self, t):
+        p, t = self.pace, self.pace * t
+        return (self.rest + np.array([0.5 * math.sin(1.1 * t), 0.3 * math.sin(1.7 * t)]),
+                p * np.array([0.55 * math.cos(1.1 * t), 0.51 * math.cos(1.7 * t)]),
+                p * p * np.array([-0.605 * math.sin(1.1 * t), -0.867 * math.sin(1.7 * t)]))
+
+    def sample(self, t, dt=0.002, fault=(0.0, 0.0)):
+        theta, rate, _ = self.absolute(t)
+        reading = self.joints.sensor_position(self.joints.joint_position(theta)) + fault
+        torque = inverse_dynamics(*np.concatenate(self.absolute(t - dt / 2)), self.c)
+        return (self.joints.joint_from_sensor(reading), self.joints.joint_velocity(rate),
+                self.joints.joint_torque(np.array(torque)))
+
+    def position(self, t):
+        return self.joints.joint_position(self.absolute(t)[0])

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import History, make_estimate
+from parts import History, Swing, make_estimate
 
 from lpv_core.closed_loop import run_closed_loop
 from lpv_core.dead_reckoning import (
@@ -17,6 +17,7 @@ from lpv_core.dead_reckoning import (
 )
 from lpv_core.diagnosis import AlarmEvent, Diagnoser
 from lpv_core.faults import Fault
+from lpv_core.monitor import SensorMonitor
 from lpv_core.observer import UnknownInputObserver
 from lpv_core.rate_fault import GUILTY, INNOCENT, UNKNOWN, rate_test, rate_verdict
 from lpv_core.records import new_record
@@ -222,3 +223,44 @@ def test_given_a_long_dropout_when_rates_are_biased_then_gravity_bounds_what_is_
     expected = estimate.absolute_position
     assert np.all(np.abs(followed - expected) <= decision.bound + 1e-9)
     assert abs(followed[0]) < 0.15
+
+
+# ------------------------------------------------------------------ lost samples
+
+
+def drop(count, probability, burst, seed):
+    """Which of some samples arrive, if losses of a length begin with a probability."""
+    kept = np.ones(count, bool)
+    for k in np.flatnonzero(np.random.default_rng(seed).random(count) < probability):
+        kept[k:k + burst] = False
+    kept[:20] = True
+    return kept
+
+
+@pytest.mark.parametrize(('probability', 'burst'), [(0.05, 1), (0.3, 1), (0.01, 10), (0.004, 40)])
+@pytest.mark.parametrize('seed', range(4))
+def test_given_a_quick_healthy_arm_when_samples_are_lost_then_nothing_is_raised(
+        real_arm, real_gains, probability, burst, seed):
+    swing = Swing(real_arm, pace=8.0)
+    kept = np.flatnonzero(drop(5000, probability, burst, seed))
+    samples = [swing.sample(0.002 * k) for k in kept]
+    position, velocity, effort = (np.array(part) for part in zip(*samples))
+    position += 0.001 * np.random.default_rng(seed).standard_normal(position.shape)
+    velocity += 0.01 * np.random.default_rng(seed + 9).standard_normal(velocity.shape)
+    answers = SensorMonitor('', real_arm, real_gains).take_many(kept * TS, position, velocity,
+                                                                effort)
+    assert np.abs(velocity).max() > 4.0           # quick enough to say something
+    assert answers.events == []
+
+
+def test_given_lost_samples_when_a_step_comes_after_them_then_it_is_seen_all_the_same(
+        real_arm, real_gains):
+    swing = Swing(real_arm)
+    kept = np.flatnonzero(drop(3000, 0.05, 1, 3))
+    samples = [swing.sample(0.002 * k, fault=(0.0, 0.2 * (k >= 2000))) for k in kept]
+    answers = SensorMonitor('', real_arm, real_gains).take_many(
+        kept * TS, *(np.array(part) for part in zip(*samples)))
+    raised = [alarm for _, alarm in answers.events if alarm.event == AlarmEvent.RAISED]
+    assert [a.sensor_index for a in raised] == [1]
+    assert raised[0].detected <= 2010 * TS
+    assert raised[0].size == pytest.approx(0.2, abs=0.01)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from parts import Swing
 
-from lpv_core.dynamics import inverse_dynamics
 from lpv_core.errors import ConfigError, SampleError
 from lpv_core.joints import JointMap
 from lpv_core.observer import NANOSECONDS, Counters, Mode, UnknownInputObserver
@@ -18,29 +18,6 @@ TS = 2_000_000
 
 VECTORS = ('position', 'velocity', 'measured_position', 'measured_velocity', 'fault',
            'absolute_position', 'sensor_position')
-
-
-class Swing:
-    """A smooth motion about the vertical as joint-space samples with their exact torques."""
-
-    def __init__(self, arm):
-        self.joints, self.c = JointMap(arm), arm.constants()
-        self.rest = 0.0 if arm.orientation == 'upright' else math.pi
-
-    def absolute(self, t):
-        return (self.rest + np.array([0.5 * math.sin(1.1 * t), 0.3 * math.sin(1.7 * t)]),
-                np.array([0.55 * math.cos(1.1 * t), 0.51 * math.cos(1.7 * t)]),
-                np.array([-0.605 * math.sin(1.1 * t), -0.867 * math.sin(1.7 * t)]))
-
-    def sample(self, t, dt=0.002, fault=(0.0, 0.0)):
-        theta, rate, _ = self.absolute(t)
-        reading = self.joints.sensor_position(self.joints.joint_position(theta)) + fault
-        torque = inverse_dynamics(*np.concatenate(self.absolute(t - dt / 2)), self.c)
-        return (self.joints.joint_from_sensor(reading), self.joints.joint_velocity(rate),
-                self.joints.joint_torque(np.array(torque)))
-
-    def position(self, t):
-        return self.joints.joint_position(self.absolute(t)[0])
 
 
 @pytest.fixture

@@ -18,12 +18,19 @@ from lpv_core.records import new_record, record_type
 RATE_BIAS = 0.1
 """Bias of a rate sensor, over the standard deviation of its noise."""
 
-RECKONING_CONSTANTS = record_type(('sensor_matrix', 'f8', (2, 2)), ('bias', 'f8'), ('scale', 'f8'))
-"""S; bias [rad/s] and relative error of the rates."""
+_RESERVE = 4.0
+"""What may be between two samples, over what is known of the accelerations at both."""
+_LATE = 1.5
+"""Samples that come after so many sample times have others lost before them."""
+
+RECKONING_CONSTANTS = record_type(
+    ('sensor_matrix', 'f8', (2, 2)), ('bias', 'f8'), ('scale', 'f8'), ('longest', 'f8'))
+"""S; bias [rad/s] and relative error of the rates; longest interval without lost samples [s]."""
 RECKONING_STATE = record_type(
-    ('started', '?'), ('rate', 'f8', (2,)), ('travel', 'f8', (2,)), ('residual', 'f8', (2,)),
-    ('allowance', 'f8', (2,)))
-"""Per sensor: rate at the last sample [rad/s]; S int theta' dt, residual and allowance [rad]."""
+    ('started', '?'), ('rate', 'f8', (2,)), ('acceleration', 'f8', (2,)), ('travel', 'f8', (2,)),
+    ('residual', 'f8', (2,)), ('allowance', 'f8', (2,)), ('lost', 'f8', (2,)))
+"""Per sensor: rate and acceleration at the last sample [rad/s], [rad/s2]; S int theta' dt, residual
+and allowance [rad]; part of the allowance that samples lost just before this one make [rad]."""
 
 
 def dead_reckoning(arm):
@@ -40,7 +47,8 @@ def dead_reckoning(arm):
         Of type `RECKONING_CONSTANTS`.
     """
     return new_record(RECKONING_CONSTANTS, sensor_matrix=np.asarray(JointMap(arm).sensor_matrix),
-                      bias=RATE_BIAS * arm.velocity_noise, scale=arm.velocity_error)
+                      bias=RATE_BIAS * arm.velocity_noise, scale=arm.velocity_error,
+                      longest=_LATE * arm.sample_time)
 
 
 @njit
@@ -51,7 +59,7 @@ def reset_reckoning(s):
 
 @njit
 def reckon(c, s, e):
-    """Follow one estimate; fills ``residual`` and ``allowance`` of the state.
+    """Follow one estimate; fills ``residual``, ``allowance`` and ``lost`` of the state.
 
     Parameters
     ----------
@@ -62,7 +70,10 @@ def reckon(c, s, e):
     """
     for i in range(2):
         rate = weigh(c.sensor_matrix, i, e.absolute_velocity[0], e.absolute_velocity[1])
+        acceleration = weigh(c.sensor_matrix, i, e.absolute_acceleration[0],
+                             e.absolute_acceleration[1])
         expected = weigh(c.sensor_matrix, i, e.absolute_position[0], e.absolute_position[1])
+        s.lost[i] = 0.0
         if not s.started:
             s.travel[i], s.allowance[i] = expected, 0.0
         elif e.bridged:
@@ -70,7 +81,19 @@ def reckon(c, s, e):
             s.travel[i] = e.fault[i] + expected - s.residual[i]
         else:
             s.travel[i] += 0.5 * e.interval * (s.rate[i] + rate)
+            if e.interval > c.longest:
+                _bridge(s, i, e.interval, rate, acceleration)
         s.residual[i] = e.fault[i] + expected - s.travel[i]
-        s.allowance[i] += e.interval * (c.bias + c.scale * abs(rate))
-        s.rate[i] = rate
+        s.allowance[i] += e.interval * (c.bias + c.scale * abs(rate)) + s.lost[i]
+        s.rate[i], s.acceleration[i] = rate, acceleration
     s.started = True
+
+
+@njit
+def _bridge(s, i, interval, rate, acceleration):
+    """Lost samples: the trapezoid is corrected by the model's accelerations at both ends (Euler and
+    Maclaurin), and what may have been between them is allowed for."""
+    before, twelfth = s.acceleration[i], interval * interval / 12.0
+    s.travel[i] += twelfth * (before - acceleration)
+    mean = abs(rate - s.rate[i]) / interval
+    s.lost[i] = _RESERVE * twelfth * (abs(before) + abs(acceleration) + mean)

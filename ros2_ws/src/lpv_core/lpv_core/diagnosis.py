@@ -275,8 +275,8 @@ def diagnose(c, s, stamps, values, e):
             restart_sensor(s.sensors[i])
     s.stamp = e.stamp
     d = s.decision
-    update_bound(c.bound, s.bound, e)
     reckon(c.reckoning, s.reckoning, e)
+    update_bound(c.bound, s.bound, e, s.reckoning.lost)
     d.inconsistent = is_inconsistent(c.consistency, s.consistency, e, s.bound.momentum)
     for i in range(2):
         d.bound[i] = s.bound.bound[i]

@@ -32,11 +32,13 @@ BOUND_CONSTANTS = record_type(
     ('exact', '?'), ('sign', 'f8'), ('kappa', 'f8', (2,)), ('mu', 'f8', (2,)),
     ('fastest', 'f8'), ('unlearn', 'f8'), ('decay', 'f8'), ('spread', 'f8', (2, 2)),
     ('noise', 'f8', (2,)), ('angle_noise', 'f8', (2,)), ('start', 'f8', (2,)),
-    ('drift', 'f8', (2,)), ('bias', 'f8', (2,)), ('gravity', 'f8', (2,)), ('inertia', 'f8', (2,)),
-    ('cos_min', 'f8', (2,)), ('unknown', UNKNOWN_TORQUE))
+    ('drift', 'f8', (2,)), ('bias', 'f8', (2,)), ('to_angle', 'f8', (2, 2)),
+    ('gravity', 'f8', (2,)), ('inertia', 'f8', (2,)), ('cos_min', 'f8', (2,)),
+    ('unknown', UNKNOWN_TORQUE))
 """Method; s; gains; largest mu and slowest recovery [1/s]; decay rate of method paper [1/s];
 abs(S); noise part of the bound, per sensor and per angle [rad]; error at the start [rad]; growth by
-noise of the rates [rad/sqrt(s)] and by their bias [rad/s]; G_i, Xi_ii, region; healthy arm."""
+noise of the rates [rad/sqrt(s)] and by their bias [rad/s]; abs(S^-1); G_i, Xi_ii, region; healthy
+arm."""
 
 BOUND_STATE = record_type(
     ('count', 'i8'), ('columns', 'f8', (SIZE, COLUMNS)), ('extent', 'f8', (SIZE,)),
@@ -78,8 +80,8 @@ def error_bound(arm, gains, sigmas, friction_uncertainty):
         start=sigmas * arm.position_noise * to_angle.sum(axis=1),
         drift=(sigmas * arm.velocity_noise * math.sqrt(arm.sample_time)
                * np.hypot(*to_angle.T)),
-        bias=RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1), gravity=gravity,
-        inertia=inertia, cos_min=arm.cos_min, decay=observer.decay,
+        bias=RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1), to_angle=to_angle,
+        gravity=gravity, inertia=inertia, cos_min=arm.cos_min, decay=observer.decay,
         unknown=healthy_arm(arm, friction_uncertainty))
     if observer.method == 'exact':
         kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
@@ -98,7 +100,7 @@ def reset_bound(s):
 
 
 @njit
-def update_bound(c, s, e):
+def update_bound(c, s, e, lost):
     """Follow the configuration; fills ``bound`` and ``momentum`` of the state.
 
     Parameters
@@ -107,11 +109,30 @@ def update_bound(c, s, e):
         Constants and state.
     e : numpy.record
         Latest estimate.
+    lost : ndarray, shape (2,)
+        What samples that were lost just before leave unknown of each sensor's angle [rad].
     """
+    for i in range(2):
+        gap = weigh(c.to_angle, i, lost[0], lost[1])
+        if gap > 0.0 and s.count > 0:
+            _widen(c, s, i, gap)
     if c.exact:
         _follow_set(c, s, e)
     else:
         _follow_static(c, s, e)
+
+
+@njit
+def _widen(c, s, i, gap):
+    """Add an unknown part of an angle to the errors."""
+    if not c.exact:
+        s.extent[i] += gap
+        return
+    s.columns[:, s.count] = 0.0
+    s.columns[i, s.count] = gap
+    s.count += 1
+    if s.count + SIZE > COLUMNS:
+        s.count = reduce_columns(s.columns, s.count)
 
 
 @njit
