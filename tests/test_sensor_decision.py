@@ -391,6 +391,7 @@ def test_given_a_frozen_reading_when_the_arm_moves_then_it_is_stuck(sensor):
         sensor.update(**sample_at(k, error, reading=0.5 + error))
     news = freeze(sensor, 300, 200)
     assert news[0][1:] == ('raised', 'stuck')
+    assert sensor.onset == 300 * TS
     assert {kind for _, _, kind in news} == {'stuck'}
 
 

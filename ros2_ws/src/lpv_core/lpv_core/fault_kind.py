@@ -7,7 +7,8 @@ from lpv_core.jit import njit
 
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'inconsistent',
          'unclassified')
-"""What an alarm may be called; ``inconsistent``: rates, torques and model contradict each other."""
+"""What an alarm may be called; ``inconsistent``: the cause is unknown, as rates, torques and model
+contradict each other, or because it may be the rate sensor's fault."""
 
 BIAS, DRIFT, SCALE, STUCK, NOISE, SPIKE, DROPOUT, INCONSISTENT, UNCLASSIFIED = range(len(KINDS))
 

@@ -146,7 +146,7 @@ def _decide_healthy(c, s, stamps, values):
         return _pending(c, s, stamps, values)
     window, row, before, _ = find_change(c.changes, stamps, values, s.end, d)
     if window < 0 and not _above(d):
-        return _look(c, s, values)
+        return _look(c, s, stamps, values)
     s.since, s.window, s.before = d.stamp, window, before
     s.allowed = values[row, ALLOWANCE] if window >= 0 else d.allowance
     return _pending(c, s, stamps, values)
@@ -231,21 +231,20 @@ def _drop(c, s, stamps, values):
 
 
 @njit
-def _look(c, s, values):
+def _look(c, s, stamps, values):
     """From time to time: readings that stand still, and noise."""
     if not _due(s) or s.end < _RECENT:
         return NOTHING
-    recent = values[s.end - _RECENT:s.end]
-    scatter = noise_level(recent)
+    scatter = noise_level(values[s.end - _RECENT:s.end])
     if is_stuck(values, s.end, c.noise):
-        kind, row = STUCK, standstill(values, s.end, c.noise) - 1
+        first = standstill(values, s.end, c.noise)
+        kind, row, onset = STUCK, first - 1, stamps[first]
     elif scatter > 3.0 * c.noise:
-        kind, row = NOISE, s.end - _NOISY
+        kind, row, onset = NOISE, s.end - _NOISY, s.sample.stamp
     else:
         return NOTHING
-    row = max(row, 0, s.end - len(values) // 2)
-    take_baseline(s, values, row)
-    decided = _raise(s, kind, s.sample.stamp, True, False)
+    take_baseline(s, values, max(row, 0, s.end - len(values) // 2))
+    decided = _raise(s, kind, onset, True, False)
     s.scatter = scatter
     return decided
 
