@@ -114,7 +114,7 @@ def judge(arm, gains, runs, sizes, console, title):
     """One table: delay, misses, wrong alarms, error, cost."""
     table = Table(title=title)
     for name in ('', 'step [rad]', 'detected', 'delay max [ms]', 'wrong alarms',
-                 'error after 0.1 s, RMS [rad]', 'us a step'):
+                 'RMS error after 0.1 s, faulty sensor [rad]', 'other sensor [rad]', 'us a step'):
         table.add_column(name, justify='right')
     makers = {'EKF': make_ekf, 'UKF': make_ukf}
     healthy = {name: [peer(make, arm, run)[0] for run in runs] for name, make in makers.items()}
@@ -142,10 +142,12 @@ def judge(arm, gains, runs, sizes, console, title):
             delays = [1e3 * (a[s] - o) for _, a, _, s, o, _, _ in results
                       if s in a and a[s] >= o - 1e-9]
             wrong = sum(len(set(a) - {s}) for _, a, _, s, _, _, _ in results)
-            error = np.sqrt(np.mean([np.mean((f - t)[late] ** 2)
-                                     for f, _, _, _, _, t, late in results]))
+            errors = np.sqrt([np.mean([np.mean((f - t)[late, s ^ other] ** 2)
+                                       for f, _, _, s, _, t, late in results])
+                              for other in (0, 1)])
             table.add_row(name, f'{size:g}', f'{len(delays)}/{len(results)}',
-                          f'{max(delays):.0f}' if delays else '-', str(wrong), f'{error:.3f}',
+                          f'{max(delays):.0f}' if delays else '-', str(wrong),
+                          *(f'{error:.4f}' for error in errors),
                           f'{1e6 * np.mean([c for _, _, c, *_ in results]):.0f}')
     console.print(table)
 
