@@ -197,6 +197,30 @@ def test_given_an_alarm_by_level_when_raised_then_compensation_fades_in_at_its_r
     np.testing.assert_array_equal(applied[:, 1], 0.0)
 
 
+def test_given_a_fault_that_outgrows_the_compensation_rate_when_faded_in_then_it_is_caught_up_with(
+        paper_arm, paper_gains):
+    diagnoser = Diagnoser(paper_arm, paper_gains, DiagnosisParameters(compensation_rate=0.25))
+    for k in range(300):
+        diagnoser.update(estimate_at(k))
+    ramp = 2.0 * 0.002 * np.arange(400)           # eight times as fast
+    applied = np.array([diagnoser.update(estimate_at(k, (size, 0.0))).confirmed_fault[0]
+                        for k, size in enumerate(ramp, 300)])
+    assert diagnoser.state.sensors[0].by_change and not diagnoser.state.sensors[0].stepped
+    first = np.flatnonzero(applied)[0]
+    # What the fault adds is removed at once, what it was before at the rate.
+    steps = np.diff(applied[first + 10:first + 40])
+    np.testing.assert_allclose(steps, 0.004 + 0.25 * 0.002, atol=1e-9)
+    np.testing.assert_allclose(applied[250:], ramp[250:], atol=1e-9)
+    # A fault that ends meanwhile leaves nothing behind.
+    assert diagnoser.update(estimate_at(700)).confirmed_fault[0] == 0.0
+
+
+def test_given_a_stuck_reading_when_the_arm_is_quick_then_it_keeps_its_path(simulate, paper_arm):
+    run = simulate(Fault('link1_angle', 'stuck', onset=1.0), duration=6.0)
+    assert np.abs(run.fault[:, 0]).max() > 0.3
+    assert np.abs(tracking_error(run)).max() < 0.03
+
+
 def test_given_a_compensated_fault_when_it_is_over_then_compensation_fades_out(
         paper_arm, paper_gains):
     diagnoser = Diagnoser(paper_arm, paper_gains)

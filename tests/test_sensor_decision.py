@@ -372,6 +372,14 @@ def test_given_more_noise_than_healthy_when_below_every_limit_then_the_kind_is_n
     assert [n[1:] for n in feed(sensor, 500, noise(500, SIGMA, seed=2))] == [('cleared', 'noise')]
 
 
+@pytest.mark.parametrize('factor', [3.2, 3.6])
+def test_given_noise_near_the_limit_when_it_goes_on_then_it_is_not_called_a_bias(sensor, factor):
+    feed(sensor, 0, noise(300, SIGMA))
+    news = feed(sensor, 300, noise(3000, factor * SIGMA, seed=6))
+    assert raised(news)
+    assert {kind for _, _, kind in news} == {'noise'}
+
+
 def test_given_healthy_noise_when_it_goes_on_for_a_minute_then_there_is_no_alarm(sensor):
     assert feed(sensor, 0, noise(30_000, SIGMA)) == []
 

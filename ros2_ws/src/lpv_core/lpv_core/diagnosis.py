@@ -185,11 +185,11 @@ events
 
 DIAGNOSIS_STATE = record_type(
     # Beside the parts' states: last stamp [ns]; what is removed from the readings of each sensor
-    # [rad], and whether it has reached the confirmed fault; since when a level is beyond its bound
-    # without an alarm [ns].
+    # [rad], whether that is being done, and what it lacks of the confirmed fault while it is faded
+    # in [rad]; since when a level is beyond its bound without an alarm [ns].
     ('bound', BOUND_STATE), ('consistency', CONSISTENCY_STATE), ('reckoning', RECKONING_STATE),
     ('sensors', SENSOR_STATE, (2,)),
-    ('stamp', 'i8'), ('applied', 'f8', (2,)), ('engaged', 'u1', (2,)),
+    ('stamp', 'i8'), ('applied', 'f8', (2,)), ('engaged', 'u1', (2,)), ('missing', 'f8', (2,)),
     ('above_since', 'i8', (2,)), ('decision', DECISION))
 
 
@@ -253,7 +253,7 @@ def reset_diagnosis(s):
     for i in range(2):
         reset_sensor(s.sensors[i])
     s.stamp = NEVER
-    s.applied[:] = 0.0
+    s.applied[:] = s.missing[:] = 0.0
     s.engaged[:] = 0
 
 
@@ -353,16 +353,24 @@ def _compensate(c, s, interval):
             best = min(max(removable(c.sensor, sensor), best - bound), best + bound)
         s.decision.estimate[i] = best
         s.decision.estimate_bound[i] = _bound(c, s, i) if known else s.decision.bound[i]
-        gap = (best if known else 0.0) - s.applied[i]
-        at_once = sensor.stepped or sensor.kind == NOISE or sensor.kind == SPIKE
-        reached = at_once or abs(gap) <= 2.0 * step
-        # What was reached once is followed whatever it does: a fault may end abruptly.
-        s.engaged[i] = known and (reached or s.engaged[i] != 0)
         # An arm that is stopped feels no step.
-        if not s.engaged[i] and s.decision.trustworthy:
-            gap = min(max(gap, -step), step)
-        s.applied[i] += gap
+        fade = step if s.decision.trustworthy else math.inf
+        if known:
+            at_once = sensor.stepped or sensor.kind == NOISE or sensor.kind == SPIKE
+            missing = s.missing[i] if s.engaged[i] else best - s.applied[i]
+            missing = 0.0 if at_once else _toward_zero(missing, fade)
+            # What the fault does meanwhile is followed; nothing beyond it is removed.
+            s.applied[i] = min(max(best - missing, min(best, 0.0)), max(best, 0.0))
+            s.missing[i] = best - s.applied[i]
+        else:
+            s.applied[i] = _toward_zero(s.applied[i], fade)
+        s.engaged[i] = known
         s.decision.confirmed_fault[i] = s.applied[i] + suspected(sensor)
+
+
+@njit
+def _toward_zero(value, step):
+    return max(value - step, 0.0) if value > 0.0 else min(value + step, 0.0)
 
 
 @njit

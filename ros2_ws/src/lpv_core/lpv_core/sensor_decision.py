@@ -387,7 +387,7 @@ def _name(c, s, stamps, values):
     if s.doubted and is_stuck(values, s.end, c.noise):
         s.doubted, s.kind = False, STUCK  # no rate sensor does that
         return True
-    if s.kind == INCONSISTENT or s.kind == DROPOUT or s.kind == STUCK:
+    if s.kind == INCONSISTENT or STUCK <= s.kind <= NOISE or s.kind == DROPOUT:
         return False
     if s.kind == SPIKE:
         if noise_level(values[max(0, s.end - _RECENT):s.end]) <= 3.0 * c.noise:
@@ -396,8 +396,6 @@ def _name(c, s, stamps, values):
         return True
     # Later courses are those of the arm more than of the fault; but motion tells a scale error.
     late = s.kind != UNCLASSIFIED and _lasts(s.detected, s.sample, _DECIDED)
-    if late and s.kind > SCALE:
-        return False
     row = first_since(stamps, s.end, s.onset)
     kind = classify(stamps, values, row, s.end, s.onset, s.baseline, c.noise)
     if kind == s.kind or kind == UNCLASSIFIED:
