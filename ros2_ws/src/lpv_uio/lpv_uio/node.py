@@ -35,7 +35,7 @@ DIAGNOSIS_SPECS = (
     Spec('diagnosis.sigmas', _DIAGNOSIS.sigmas,
          'standard deviations of noise in the bound [1]', 1.0, 10.0),
     Spec('diagnosis.false_alarm_hours', _DIAGNOSIS.false_alarm_hours,
-         'mean time between false alarms by noise, for changes of the estimate [h]', 0.01, 1e6),
+         'mean time between false alarms by noise, for changes of readings [h]', 0.01, 1e6),
     Spec('diagnosis.latch', _DIAGNOSIS.latch,
          'alarms stay until ~/reset, even if the fault is over'),
     Spec('diagnosis.compensation_rate', _DIAGNOSIS.compensation_rate,
