@@ -218,7 +218,8 @@ def test_given_a_bag_when_played_to_a_node_then_it_answers_as_the_replay_does(
         heard = client.listen(Clock, '/clock', qos_profile_sensor_data)
         states = client.listen(StateEstimate, 'state_estimate', qos_profile_sensor_data)
         assert client.wait(lambda: client.node.count_subscribers('joint_states') == 1, _START)
-        player = start_player(healthy_bag, domain, '--rate', '0.5')
+        # Slowly: discovery of /clock may take a second or two.
+        player = start_player(healthy_bag, domain, '--rate', '0.2')
         assert client.wait(lambda: states)
         begin = time.monotonic()
         assert client.wait(lambda: player.poll() is not None)
@@ -234,7 +235,8 @@ def test_given_a_bag_when_played_to_a_node_then_it_answers_as_the_replay_does(
     assert len(clocks) > 50
     assert set(np.diff(clocks)) <= {10_000_000 * n for n in range(1, 30)}
     assert 5 * NANOSECONDS <= clocks[0] < clocks[-1] <= 5 * NANOSECONDS + 250 * PERIOD
-    assert seconds[0] > 1.7, 'half the rate, twice the time'
+    # Of five seconds, counted from the first answer, which may be late, too.
+    assert seconds[0] > 1.7, 'a fifth of the rate, five times the time'
 
 
 def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_player_ends(
