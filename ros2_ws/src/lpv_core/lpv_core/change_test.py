@@ -95,6 +95,23 @@ def change_limit(c, window, error):
 
 
 @njit
+def least_change(c):
+    """Change from one sample to the next that noise does not make.
+
+    Parameters
+    ----------
+    c : numpy.record
+        `change_test`.
+
+    Returns
+    -------
+    float
+        [rad].
+    """
+    return change_limit(c, 0, 0.0)
+
+
+@njit
 def find_change(c, stamps, values, end, d):
     """The shortest window over which the residual changed too much.
 

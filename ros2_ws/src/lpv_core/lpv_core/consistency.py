@@ -62,11 +62,29 @@ def consistency_test(arm, gains, sigmas):
                                            else math.sqrt(2.0))
     noise = [sigmas * rows * arm.velocity_noise * math.sqrt(arm.sample_time / (2.0 * tau))
              for tau in _FILTERS]
-    mu = np.asarray(gains.observer.mu)
     return new_record(CONSISTENCY_CONSTANTS, used=True, arm=constants, inertia=inertia,
                       angle=np.linalg.inv(JointMap(arm).sensor_matrix), noise=noise,
-                      tolerance=np.asarray(arm.torque_tolerance) / (mu * inertia),
-                      peak=[_peak(m * _FILTERS[0]) for m in mu])
+                      tolerance=tolerated_rates(arm, gains),
+                      peak=[_peak(mu * _FILTERS[0]) for mu in gains.observer.mu])
+
+
+def tolerated_rates(arm, gains):
+    """What tolerated torques make of the momentum innovation of method ``exact``.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its inertia and torque tolerance.
+    gains : Gains
+        Its gains.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        By link [rad/s].
+    """
+    inertia = arm.constants()[[A_11, C_22]]
+    return np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
 
 
 def _peak(x):

@@ -14,7 +14,8 @@ BIAS, DRIFT, SCALE, STUCK, NOISE, SPIKE, DROPOUT, INCONSISTENT, UNCLASSIFIED = r
 
 _SETTLED = 0.1
 """Shortest time since the onset for a judgement of the course [s]."""
-_STUCK_SAMPLES = 20
+_STUCK_SAMPLES, _STILL = 20, 0.2
+"""A reading stands still if so many samples stay within that part of its standard deviation."""
 _MOVED = 6.0
 """Motion that a reading must show, over its standard deviation; that of an encoder's steps is less
 than a third of one."""
@@ -28,23 +29,23 @@ _CLEARLY = 4.0
 
 
 @njit
-def span(values, column, first):
-    """Largest minus smallest value of a column from a row on.
+def span(values, column):
+    """Largest minus smallest value of a column.
 
     Parameters
     ----------
     values : ndarray, shape (n, 5)
         Samples of a history.
-    column, first : int
-        Column and row.
+    column : int
+        Which one.
 
     Returns
     -------
     float
         [rad].
     """
-    low = high = values[first, column]
-    for k in range(first + 1, len(values)):
+    low = high = values[0, column]
+    for k in range(1, len(values)):
         low, high = min(low, values[k, column]), max(high, values[k, column])
     return high - low
 
@@ -68,17 +69,13 @@ def is_stuck(values, end, position_noise):
         False without enough motion to tell.
     """
     # Noise alone moves a healthy reading from sample to sample.
-    if end < _STUCK_SAMPLES or not _stands(values, end - _STUCK_SAMPLES, end, position_noise):
+    first = end - _STUCK_SAMPLES
+    if first < 0 or span(values[first:end], READING) >= _STILL * position_noise:
         return False
     row = standstill(values, end, position_noise)
     moved = (values[end - 1, READING] - values[end - 1, RESIDUAL]
              - values[row, READING] + values[row, RESIDUAL])
     return abs(moved) > _MOVED * position_noise
-
-
-@njit
-def _stands(values, first, end, position_noise):
-    return span(values[first:end], READING, 0) < 0.2 * position_noise
 
 
 @njit
@@ -100,7 +97,7 @@ def standstill(values, end, position_noise):
         ``end - 1`` or less.
     """
     row, last = end - 1, values[end - 1, READING]
-    while row > 0 and abs(values[row - 1, READING] - last) < 0.2 * position_noise:
+    while row > 0 and abs(values[row - 1, READING] - last) < _STILL * position_noise:
         row -= 1
     return row
 
@@ -218,7 +215,7 @@ def _shows_scale(values, baseline, position_noise):
     """Whether the arm has moved so far that a scale error would have shown itself; also where the
     fault is none."""
     allowed = values[-1, ALLOWANCE] - values[0, ALLOWANCE]
-    shown = abs(scale_of(values, baseline)) * span(values, EXPECTED, 0)
+    shown = abs(scale_of(values, baseline)) * span(values, EXPECTED)
     return shown > _TELLING * position_noise + allowed
 
 

@@ -3,7 +3,7 @@
 import math
 
 from lpv_core.change_origin import AROUND
-from lpv_core.change_test import change_limit
+from lpv_core.change_test import least_change
 from lpv_core.fault_kind import BIAS, NOISE, SPIKE, step_of
 from lpv_core.history import first_since
 from lpv_core.jit import njit
@@ -35,7 +35,7 @@ def removable(c, s):
     """
     if s.kind == SPIKE:
         away = s.amount - s.average
-        return away if abs(away) > change_limit(c.changes, 0, 0.0) else 0.0
+        return away if abs(away) > least_change(c.changes) else 0.0
     if s.kind == NOISE:
         return s.amount - s.average
     return s.height if s.kind == BIAS and s.measured == MEASURED else s.amount
@@ -105,7 +105,7 @@ def follow_fault(c, s):
     c, s : numpy.record
         Constants and state.
     """
-    away = abs(s.amount - s.average) > change_limit(c.changes, 0, 0.0)
+    away = abs(s.amount - s.average) > least_change(c.changes)
     if s.kind == SPIKE and away:
         s.spikes[0] = s.sample.stamp
     elif s.kind == NOISE or s.kind == SPIKE:
@@ -116,6 +116,6 @@ def follow_fault(c, s):
     if s.measured == MEASURED:
         rest = s.amount - s.height
         s.rest += _REST_SHARE * (rest - s.rest)
-        if (abs(rest) > change_limit(c.changes, 0, 0.0)
+        if (abs(rest) > least_change(c.changes)
                 or abs(s.rest) > _APART * c.noise + 0.5 * growth(c, s)):
             s.measured = IMPOSSIBLE

@@ -9,9 +9,7 @@ slowly, or within what the arm file tolerates.
 
 import math
 
-import numpy as np
-
-from lpv_core.arm import A_11, C_22
+from lpv_core.consistency import tolerated_rates
 from lpv_core.history import INNOVATION
 from lpv_core.jit import njit
 from lpv_core.records import new_record, record_type
@@ -47,13 +45,10 @@ def rate_test(arm, gains):
     """
     if gains.observer.method != 'exact':
         return new_record(RATE_TEST)
-    mu = np.asarray(gains.observer.mu)
-    fall = math.exp(-mu.max() * arm.sample_time)
-    length = math.ceil(_LENGTH / (mu.max() * arm.sample_time))
-    inertia = arm.constants()[[A_11, C_22]]
-    tolerated = np.max(np.asarray(arm.torque_tolerance) / (mu * inertia))
-    return new_record(RATE_TEST, used=True, fall=fall, length=length, noise=arm.velocity_noise,
-                      smallest=2.0 * tolerated)
+    share = max(gains.observer.mu) * arm.sample_time
+    return new_record(RATE_TEST, used=True, fall=math.exp(-share),
+                      length=math.ceil(_LENGTH / share), noise=arm.velocity_noise,
+                      smallest=2.0 * tolerated_rates(arm, gains).max())
 
 
 @njit

@@ -12,7 +12,7 @@ All functions take the records of `lpv_core.sensor_record`.  A decision is `NOTH
 """
 
 from lpv_core.change_origin import find_slope, is_step, judge_rate, take_baseline
-from lpv_core.change_test import WINDOWS, change_limit, find_change
+from lpv_core.change_test import WINDOWS, change_limit, find_change, least_change
 from lpv_core.fault_kind import (
     DROPOUT,
     INCONSISTENT,
@@ -235,7 +235,7 @@ def _look(c, s, stamps, values):
     """From time to time: readings that stand still, and noise."""
     if not _due(s) or s.end < _RECENT:
         return NOTHING
-    scatter = noise_level(values[s.end - _RECENT:s.end])
+    scatter = _scatter(s, values)
     if is_stuck(values, s.end, c.noise):
         first = standstill(values, s.end, c.noise)
         kind, row, onset = STUCK, first - 1, stamps[first]
@@ -289,7 +289,7 @@ def _decide_alarm(c, s, stamps, values):
         if _name(c, s, stamps, values):
             decided = UPDATED
         if s.kind == NOISE or s.kind == SPIKE:
-            s.scatter = noise_level(values[max(0, s.end - _RECENT):s.end])
+            s.scatter = _scatter(s, values)
         if s.measured == UNMEASURED and s.stepped:
             measure_step(s, stamps, values)
         if s.kind == SCALE:
@@ -309,7 +309,7 @@ def _weigh_cause(c, s, certain):
     """Whether it is the position sensor at all; UPDATED if that is seen otherwise now."""
     d = s.sample
     if s.doubted and not d.inconsistent:
-        away = abs(s.amount) > change_limit(c.changes, 0, 0.0)
+        away = abs(s.amount) > least_change(c.changes)
         if not (certain and away or _above(d) and d.fault * s.amount > 0.0):
             return NOTHING
         # Too fast for an unseen error of the rates, or gravity contradicts the reading, too.
@@ -340,7 +340,7 @@ def _is_over(c, s, values, changing):
         # Errors of the rates stay in the residual when they are over.
         back = abs(d.fault - s.level_before) <= max(0.5 * abs(s.amount), c.changes.smallest)
         return back and not changing and not _above(d)
-    level = (c.hysteresis * min(d.threshold, change_limit(c.changes, 0, 0.0))
+    level = (c.hysteresis * min(d.threshold, least_change(c.changes))
              + min(growth(c, s), _MOST_GROWTH * s.peak))
     if s.kind == SCALE and abs(s.scale * d.expected) <= 2.0 * level:
         return False  # the fault is small where the angle is
@@ -355,12 +355,12 @@ def _quiet(c, s, values):
         return False
     if s.kind == SPIKE and d.stamp - s.spikes[0] < _SPIKE_TIME:
         return False
-    if s.kind == STUCK and span(recent, READING, 0) < c.noise:
+    if s.kind == STUCK and span(recent, READING) < c.noise:
         return False  # a healthy reading shows its noise even at rest
-    limit = max(change_limit(c.changes, 0, 0.0), c.hysteresis * d.threshold)
+    limit = max(least_change(c.changes), c.hysteresis * d.threshold)
     if abs(s.amount) >= limit + growth(c, s):
         return False
-    return noise_level(recent) < 2.0 * c.noise and not is_stuck(values, s.end, c.noise)
+    return _scatter(s, values) < 2.0 * c.noise and not is_stuck(values, s.end, c.noise)
 
 
 @njit
@@ -382,6 +382,11 @@ def _wait(c, s, over):
 
 
 @njit
+def _scatter(s, values):
+    return noise_level(values[max(0, s.end - _RECENT):s.end])
+
+
+@njit
 def _name(c, s, stamps, values):
     """Name the kind anew; whether it is another one."""
     if s.doubted and is_stuck(values, s.end, c.noise):
@@ -390,7 +395,7 @@ def _name(c, s, stamps, values):
     if s.kind == INCONSISTENT or STUCK <= s.kind <= NOISE or s.kind == DROPOUT:
         return False
     if s.kind == SPIKE:
-        if noise_level(values[max(0, s.end - _RECENT):s.end]) <= 3.0 * c.noise:
+        if _scatter(s, values) <= 3.0 * c.noise:
             return False
         s.kind = NOISE
         return True
