@@ -6,6 +6,7 @@ import sys
 
 from lpv_ros2cli.completion import complete
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.interrupts import raising_signals
 from lpv_ros2cli.parsing import parse
 
 
@@ -26,39 +27,32 @@ def main(argv=None):
     complete()
     # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    signal.signal(signal.SIGTERM, _terminate)
-    interrupted = []
-
-    def interrupt(number, frame):
-        interrupted.append(number)
-        signal.default_int_handler(number, frame)
-
-    signal.signal(signal.SIGINT, interrupt)  # also in the background of a script
-    try:
-        arguments = parse(sys.argv[1:] if argv is None else argv)
-        if arguments.run is None:
-            arguments.parser.print_help()
-            return 0
-        code = arguments.run(arguments) or 0
-        sys.stdout.flush()
-        return code
-    except CliError as error:
-        print(error, file=sys.stderr)
-        return error.code
-    except KeyboardInterrupt:
-        return int(signal.SIGINT)
-    except BrokenPipeError:  # the reader, head for instance, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except Exception:
-        # An interrupt that falls into a call of the middleware comes out as another exception.
-        if interrupted:
+    with raising_signals() as received:
+        try:
+            return _run(sys.argv[1:] if argv is None else argv)
+        except CliError as error:
+            print(error, file=sys.stderr)
+            return error.code
+        except KeyboardInterrupt:
             return int(signal.SIGINT)
-        raise
+        except BrokenPipeError:  # the reader, head for instance, has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except Exception:
+            # An interrupt that falls into a call of the middleware comes out as another exception.
+            if received:
+                return int(signal.SIGINT)
+            raise
 
 
-def _terminate(_number, _frame):
-    raise SystemExit(128 + signal.SIGTERM)  # through the clean-up of contexts and nodes
+def _run(argv):
+    arguments = parse(argv)
+    if arguments.run is None:
+        arguments.parser.print_help()
+        return 0
+    code = arguments.run(arguments) or 0
+    sys.stdout.flush()
+    return code
 
 
 if __name__ == '__main__':
