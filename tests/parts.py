@@ -35,9 +35,9 @@ class History:
     def clear(self):
         self.end = 0
 
-    def add(self, stamp, residual, reading, expected, allowance=0.0, innovation=0.0):
+    def add(self, stamp, residual, reading, allowance=0.0, innovation=0.0):
         self.end = history.add_sample(self.stamps, self.values, self.end, stamp, residual, reading,
-                                      expected, allowance, innovation)
+                                      allowance, innovation)
 
     def row(self, stamp):
         """Row of a stamp: the same wherever the search starts."""

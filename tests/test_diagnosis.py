@@ -117,9 +117,9 @@ def test_given_an_alarm_when_the_fault_shrinks_into_the_hysteresis_then_it_stays
 def test_given_an_alarm_when_the_fault_is_gone_for_the_dwell_then_it_clears_once(
         diagnoser, threshold):
     feed(diagnoser, 0, 20, fault=(2 * threshold, 0.0))
-    _, events = feed(diagnoser, 21, 70, fault=(0.4 * threshold, 0.0))
+    _, events = feed(diagnoser, 21, 70, fault=(0.2 * threshold, 0.0))
     assert events == []                                   # 98 ms of 100
-    _, events = feed(diagnoser, 71, 200, fault=(0.4 * threshold, 0.0))
+    _, events = feed(diagnoser, 71, 200, fault=(0.2 * threshold, 0.0))
     assert [(e.event, e.sensor_index) for e in events] == [(AlarmEvent.CLEARED, 0)]
     diagnosis, events = feed(diagnoser, 201, 210)
     assert events == []

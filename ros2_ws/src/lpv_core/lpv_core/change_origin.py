@@ -2,7 +2,6 @@
 
 import math
 
-from lpv_core.change_test import WINDOWS
 from lpv_core.history import ALLOWANCE, RESIDUAL, first_since, median_before
 from lpv_core.jit import njit
 from lpv_core.observer import NANOSECONDS
@@ -11,7 +10,7 @@ from lpv_core.rate_fault import INNOCENT, UNKNOWN, rate_verdict
 AROUND = 50
 """Samples before a fault that its size is measured from."""
 _OUT = 4.0
-"""A residual so many standard deviations away is out of the noise."""
+"""An onset is known within the time in which the residual moves so many standard deviations."""
 _FEW = 5
 _STRAIGHT = 0.35
 """Half-way in time a straight course has gone half its way, a parabola a quarter."""
@@ -35,37 +34,41 @@ def take_baseline(s, values, row):
 
 
 @njit
-def _leaving(c, s, values, row):
-    """First row after which the residual stays out of the noise around its baseline."""
-    first = s.end
-    while first > row and abs(values[first - 1, RESIDUAL] - s.baseline) > _OUT * c.noise:
-        first -= 1
-    return first
+def fit_course(s, stamps, values, row):
+    """Whether a residual has jumped or begun to move, and when.
 
-
-@njit
-def find_slope(c, s, stamps, values, row):
-    """Mean speed of a residual that moves, and when it began.
+    A reading can jump; what wrong rates do to the residual takes time.  Least squares fits of a
+    step, r_0 + h for t >= t_0, and of a straight course, r_0 + b (t - t_0) for t >= t_0: for each
+    t_0 the best h and b follow from sums over the samples since then.
 
     Parameters
     ----------
-    c, s, stamps, values
-        See `lpv_core.sensor_record`.
+    s, stamps, values
+        See `lpv_core.sensor_record`; ``s.baseline`` is r_0.
     row : int
-        Last row before the motion.
+        Last row before the change.
 
     Returns
     -------
-    tuple of float and int
-        [rad/s], [ns].
+    tuple of bool, float and int
+        Whether the step fits better; b [rad/s], of no meaning for a step; and t_0 [ns].
     """
-    first = _leaving(c, s, values, row)
-    left = stamps[first] if first < s.end else s.since
-    away, hidden = s.sample.residual - s.baseline, _OUT * c.noise
-    time = max(s.sample.stamp - left, 1)
-    moved = max(abs(away) - hidden, hidden)
-    onset = left - round(min(hidden / moved, 1.0) * time)
-    return math.copysign(moved, away) / time * NANOSECONDS, onset
+    now = s.sample.stamp
+    count, times, squares = 1.0, 0.0, 0.0  # the present sample, at time zero
+    away, products = s.sample.residual - s.baseline, 0.0
+    step, jumped, course, speed, began = away * away, now, 0.0, 0.0, now
+    for k in range(s.end - 1, row - 1, -1):
+        time, value = (stamps[k] - now) / NANOSECONDS, values[k, RESIDUAL] - s.baseline
+        power = squares - 2.0 * time * times + time * time * count
+        cross = products - time * away
+        if count > 1.0 and cross * cross > course * power:  # one sample alone has jumped
+            course, speed, began = cross * cross / power, cross / power, stamps[k]
+        count, times, squares = count + 1.0, times + time, squares + time * time
+        away, products = away + value, products + value * time
+        if away * away > step * count:
+            step, jumped = away * away / count, stamps[k]
+    stepped = step >= course
+    return stepped, speed, jumped if stepped else began
 
 
 @njit
@@ -103,28 +106,3 @@ def judge_rate(c, s, stamps, values, onset, speed):
     if verdict == INNOCENT and not _is_straight(s, stamps, values, onset):
         return UNKNOWN
     return verdict
-
-
-@njit
-def is_step(s, stamps, values):
-    """Whether most of a change came from one sample to the next.
-
-    A reading can jump; what wrong rates do to the residual takes time.
-
-    Parameters
-    ----------
-    s, stamps, values
-        See `lpv_core.sensor_record`.
-
-    Returns
-    -------
-    bool
-        True for a jump.
-    """
-    start = s.since - round(1.5 * WINDOWS[s.window] * NANOSECONDS)
-    row = first_since(stamps, s.end, start)
-    largest = 0.0
-    for k in range(row, s.end):
-        after = values[k + 1, RESIDUAL] if k + 1 < s.end else s.sample.residual
-        largest = max(largest, abs(after - values[k, RESIDUAL]))
-    return largest >= 0.5 * abs(s.sample.residual - s.before)

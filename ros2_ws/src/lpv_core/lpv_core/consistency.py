@@ -23,6 +23,8 @@ _FILTERS = (0.02, 0.2)
 """Time constants of the averages [s]: a jump of a rate, and a lasting contradiction."""
 _HOLD = 1_000_000_000
 """An inconsistency is believed to last so long after it was seen [ns]."""
+_LATELY = 5.0
+"""Time constant with which it is forgotten how much could have stayed unseen [s]."""
 
 CONSISTENCY_CONSTANTS = record_type(
     ('used', '?'), ('arm', 'f8', (12,)), ('inertia', 'f8', (2,)), ('angle', 'f8', (2, 2)),
@@ -128,17 +130,22 @@ def is_inconsistent(c, s, e, healthy):
             s.means[f, i] += share * (momentum - s.means[f, i])
             if abs(s.means[f, i]) > healthy[i] + c.tolerance[i] + c.noise[f, i]:
                 s.until = e.stamp + _HOLD
-    _reckon_unseen(c, s, off, healthy)
+    _reckon_unseen(c, s, off, healthy, e.interval)
     return e.stamp < s.until
 
 
 @njit
-def _reckon_unseen(c, s, off, healthy):
-    """Each rate sensor's error shows in the momenta of all links that it moves."""
+def _reckon_unseen(c, s, off, healthy, interval):
+    """Each rate sensor's error shows in the momenta of all links that it moves.
+
+    What counts is what could have stayed unseen when it came: the largest of the last seconds.
+    """
     for sensor in range(2):
-        s.unseen[sensor] = math.inf
+        now = math.inf
         for i in range(2):
             share = c.angle[i, sensor] + off * c.angle[1 - i, sensor] / c.inertia[i]
             if share != 0.0:
                 limit = healthy[i] + c.tolerance[i] + c.noise[0, i]
-                s.unseen[sensor] = min(s.unseen[sensor], limit / (c.peak[i] * abs(share)))
+                now = min(now, limit / (c.peak[i] * abs(share)))
+        fall = min(1.0, interval / _LATELY) * (s.unseen[sensor] - now)
+        s.unseen[sensor] = max(now, s.unseen[sensor] - fall) if fall < math.inf else now

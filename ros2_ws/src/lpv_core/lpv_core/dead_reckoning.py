@@ -20,6 +20,8 @@ RATE_BIAS = 0.1
 
 _RESERVE = 4.0
 """What may be between two samples, over what is known of the accelerations at both."""
+_LATELY = 0.05
+"""Time constant of the average of roughness [s]."""
 _LATE = 1.5
 """Samples that come after so many sample times have others lost before them."""
 
@@ -28,9 +30,11 @@ RECKONING_CONSTANTS = record_type(
 """S; bias [rad/s] and relative error of the rates; longest interval without lost samples [s]."""
 RECKONING_STATE = record_type(
     ('started', '?'), ('rate', 'f8', (2,)), ('acceleration', 'f8', (2,)), ('travel', 'f8', (2,)),
-    ('residual', 'f8', (2,)), ('allowance', 'f8', (2,)), ('lost', 'f8', (2,)))
+    ('residual', 'f8', (2,)), ('allowance', 'f8', (2,)), ('lost', 'f8', (2,)),
+    ('roughness', 'f8', (2,)))
 """Per sensor: rate and acceleration at the last sample [rad/s], [rad/s2]; S int theta' dt, residual
-and allowance [rad]; part of the allowance that samples lost just before this one make [rad]."""
+and allowance [rad]; part of the allowance that samples lost just before this one make [rad]; mean
+change of the rate from one sample to the next beyond its acceleration [rad/s]."""
 
 
 def dead_reckoning(arm):
@@ -75,7 +79,7 @@ def reckon(c, s, e):
         expected = weigh(c.sensor_matrix, i, e.absolute_position[0], e.absolute_position[1])
         s.lost[i] = 0.0
         if not s.started:
-            s.travel[i], s.allowance[i] = expected, 0.0
+            s.travel[i], s.allowance[i], s.roughness[i] = expected, 0.0, 0.0
         elif e.bridged:
             # The encoder's own increment is all that is known of a gap: r stays what it was.
             s.travel[i] = e.fault[i] + expected - s.residual[i]
@@ -83,6 +87,8 @@ def reckon(c, s, e):
             s.travel[i] += 0.5 * e.interval * (s.rate[i] + rate)
             if e.interval > c.longest:
                 _bridge(s, i, e.interval, rate, acceleration)
+            else:
+                _watch_roughness(s, i, e.interval, rate)
         s.residual[i] = e.fault[i] + expected - s.travel[i]
         s.allowance[i] += e.interval * (c.bias + c.scale * abs(rate)) + s.lost[i]
         s.rate[i], s.acceleration[i] = rate, acceleration
@@ -96,4 +102,13 @@ def _bridge(s, i, interval, rate, acceleration):
     before, twelfth = s.acceleration[i], interval * interval / 12.0
     s.travel[i] += twelfth * (before - acceleration)
     mean = abs(rate - s.rate[i]) / interval
-    s.lost[i] = _RESERVE * twelfth * (abs(before) + abs(acceleration) + mean)
+    s.lost[i] = (_RESERVE * twelfth * (abs(before) + abs(acceleration) + mean)
+                 + interval * s.roughness[i])
+
+
+@njit
+def _watch_roughness(s, i, interval, rate):
+    """A gap is carried on by the two rates at its ends: their noise counts as it is, which may be
+    more than stated where the arm is quick."""
+    rough = abs(rate - s.rate[i] - interval * s.acceleration[i])
+    s.roughness[i] += min(1.0, interval / _LATELY) * (rough - s.roughness[i])

@@ -98,7 +98,7 @@ class DiagnosisParameters:
     """
 
     threshold_factor: float = 1.0
-    minimum_threshold: float = 0.02
+    minimum_threshold: float = 0.01
     dwell: float = 0.01
     clear_dwell: float = 0.2
     hysteresis: float = 0.7
@@ -238,7 +238,7 @@ def diagnosis_history(arm):
     Returns
     -------
     tuple of ndarray
-        Stamps (2, n) [ns] and values (2, n, 3), see `lpv_core.history`.
+        Stamps (2, n) [ns] and values (2, n, 4), see `lpv_core.history`.
     """
     both = [new_history(round(_HISTORY / arm.sample_time)) for _ in range(2)]
     return tuple(np.stack(part) for part in zip(*both))
@@ -293,7 +293,6 @@ def _decide_one(c, s, stamps, values, e, i):
     sample = sensor.sample
     sample.stamp, sample.fault, sample.reading = e.stamp, e.fault[i], e.sensor_position[i]
     sample.residual, sample.allowance = reckoned.residual[i], reckoned.allowance[i]
-    sample.expected = reckoned.residual[i] + reckoned.travel[i] - e.fault[i]
     sample.threshold, sample.speed = d.threshold[i], s.consistency.unseen[i]
     sample.innovation = weigh(c.reckoning.sensor_matrix, i, e.innovation[0], e.innovation[1])
     sample.missing, sample.inconsistent = e.missing[i], d.inconsistent

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lpv_core.history import ALLOWANCE, EXPECTED, READING, RESIDUAL
+from lpv_core.history import ALLOWANCE, READING, RESIDUAL
 from lpv_core.jit import njit
 
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'inconsistent',
@@ -29,24 +29,22 @@ _CLEARLY = 4.0
 
 
 @njit
-def span(values, column):
-    """Largest minus smallest value of a column.
+def span(values):
+    """Largest minus smallest value.
 
     Parameters
     ----------
-    values : ndarray, shape (n, 5)
-        Samples of a history.
-    column : int
-        Which one.
+    values : ndarray, shape (n,)
+        [rad].
 
     Returns
     -------
     float
         [rad].
     """
-    low = high = values[0, column]
+    low = high = values[0]
     for k in range(1, len(values)):
-        low, high = min(low, values[k, column]), max(high, values[k, column])
+        low, high = min(low, values[k]), max(high, values[k])
     return high - low
 
 
@@ -56,7 +54,7 @@ def is_stuck(values, end, position_noise):
 
     Parameters
     ----------
-    values : ndarray, shape (n, 5)
+    values : ndarray, shape (n, 4)
         Samples of a history.
     end : int
         Rows in use.
@@ -70,7 +68,7 @@ def is_stuck(values, end, position_noise):
     """
     # Noise alone moves a healthy reading from sample to sample.
     first = end - _STUCK_SAMPLES
-    if first < 0 or span(values[first:end], READING) >= _STILL * position_noise:
+    if first < 0 or span(values[first:end, READING]) >= _STILL * position_noise:
         return False
     row = standstill(values, end, position_noise)
     moved = (values[end - 1, READING] - values[end - 1, RESIDUAL]
@@ -84,7 +82,7 @@ def standstill(values, end, position_noise):
 
     Parameters
     ----------
-    values : ndarray, shape (n, 5)
+    values : ndarray, shape (n, 4)
         Samples of a history.
     end : int
         Rows in use.
@@ -108,7 +106,7 @@ def noise_level(values):
 
     Parameters
     ----------
-    values : ndarray, shape (n, 5)
+    values : ndarray, shape (n, 4)
         At least 10 samples.
 
     Returns
@@ -133,7 +131,7 @@ def classify(stamps, values, first, end, onset, baseline, position_noise):
     Parameters
     ----------
     stamps, values : ndarray
-        A history: stamps [ns]; r, y_p, S theta^ [rad].
+        A history, see `lpv_core.history`.
     first, end : int
         First row since the onset, and rows in use.
     onset : int
@@ -169,8 +167,8 @@ def fits_better(kind, than, time, values, baseline):
         ``BIAS``, ``DRIFT`` or ``SCALE``; what `classify` says now, and what was said.
     time : ndarray, shape (n,)
         Since the onset [s].
-    values : ndarray, shape (n, 5)
-        r, y_p, S theta^ [rad].
+    values : ndarray, shape (n, 4)
+        See `lpv_core.history`.
     baseline : float
         r before the onset [rad].
 
@@ -179,23 +177,27 @@ def fits_better(kind, than, time, values, baseline):
     bool
         A scale error shows late, in motion; it does not turn into a bias by standing still.
     """
-    fault, expected = values[:, RESIDUAL] - baseline, values[:, EXPECTED]
+    fault = values[:, RESIDUAL] - baseline
+    angle = values[:, READING] - fault  # as dead reckoning has it
     if kind == SCALE:
-        return than == BIAS or _CLEARLY * _residual(expected, fault) < _residual(time, fault)
+        return than == BIAS or _CLEARLY * _residual(angle, fault) < _residual(time, fault)
     if kind != BIAS or than != SCALE:
         return False
-    return _CLEARLY * _residual(np.ones(len(fault)), fault) < _residual(expected, fault)
+    return _CLEARLY * _residual(np.ones(len(fault)), fault) < _residual(angle, fault)
 
 
 @njit
 def _course(time, values, baseline, position_noise):
     """Bias, drift or scale: the model that leaves the smallest residual, simplest first."""
-    fault, expected = values[:, RESIDUAL] - baseline, values[:, EXPECTED]
+    fault = values[:, RESIDUAL] - baseline
+    angle = values[:, READING] - fault
     allowed = values[-1, ALLOWANCE] - values[0, ALLOWANCE]
     floor = len(time) * (position_noise**2 + 0.25 * allowed**2)
     bias = _residual(np.ones(len(time)), fault)
-    drift, scale = _residual(time, fault), _residual(expected, fault)
-    if (_shows_scale(values, baseline, position_noise) and scale < _EXPLAINED * bias
+    drift, scale = _residual(time, fault), _residual(angle, fault)
+    # Has the arm moved so far that a scale error would have shown itself, also where it is none?
+    shown = abs(_weight(angle, fault)) * span(angle)
+    if (shown > _TELLING * position_noise + allowed and scale < _EXPLAINED * bias
             and scale < drift):
         return SCALE
     best, left = BIAS, bias
@@ -208,34 +210,6 @@ def _course(time, values, baseline, position_noise):
         # Neither fits alone, a ramp from an offset does: it grows, whatever it started from.
         return DRIFT
     return best
-
-
-@njit
-def _shows_scale(values, baseline, position_noise):
-    """Whether the arm has moved so far that a scale error would have shown itself; also where the
-    fault is none."""
-    allowed = values[-1, ALLOWANCE] - values[0, ALLOWANCE]
-    shown = abs(scale_of(values, baseline)) * span(values, EXPECTED)
-    return shown > _TELLING * position_noise + allowed
-
-
-@njit
-def scale_of(values, baseline):
-    """Scale error that explains the residual best.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, 5)
-        r, y_p, S theta^ since the onset [rad].
-    baseline : float
-        r before the onset [rad].
-
-    Returns
-    -------
-    float
-        Fault over true angle.
-    """
-    return _weight(values[:, EXPECTED], values[:, RESIDUAL] - baseline)
 
 
 @njit
@@ -257,8 +231,8 @@ def step_of(stamps, values, row):
     ----------
     stamps : ndarray, shape (n,)
         Samples before and after the step [ns].
-    values : ndarray, shape (n, 5)
-        r, y_p, S theta^ [rad].
+    values : ndarray, shape (n, 4)
+        See `lpv_core.history`.
     row : int
         First sample after the step, with some on either side.
 

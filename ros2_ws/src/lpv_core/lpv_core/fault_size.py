@@ -4,10 +4,11 @@ import math
 
 from lpv_core.change_origin import AROUND
 from lpv_core.change_test import least_change
-from lpv_core.fault_kind import BIAS, NOISE, SPIKE, step_of
+from lpv_core.fault_kind import BIAS, NOISE, SCALE, SPIKE, step_of
 from lpv_core.history import first_since
 from lpv_core.jit import njit
 from lpv_core.observer import NANOSECONDS
+from lpv_core.scale_filter import follow_scale
 from lpv_core.sensor_record import IMPOSSIBLE, MEASURED
 
 _APART, _REST_SHARE = 2.0, 0.02
@@ -38,6 +39,8 @@ def removable(c, s):
         return away if abs(away) > least_change(c.changes) else 0.0
     if s.kind == NOISE:
         return s.amount - s.average
+    if s.kind == SCALE and s.filter.used:
+        return s.amount - s.filter.astray
     return s.height if s.kind == BIAS and s.measured == MEASURED else s.amount
 
 
@@ -113,6 +116,8 @@ def follow_fault(c, s):
         moved = c.step + s.sample.allowance - s.last_allowance
         share = moved / max(s.scatter, c.noise, moved)
         s.average += share * (s.amount - s.average)
+    elif s.kind == SCALE and s.filter.used:
+        follow_scale(c, s)
     if s.measured == MEASURED:
         rest = s.amount - s.height
         s.rest += _REST_SHARE * (rest - s.rest)

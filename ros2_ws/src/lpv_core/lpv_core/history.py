@@ -1,7 +1,6 @@
-"""The last seconds of one sensor: residual, reading, the reading that was expected, allowance,
-innovation of the rate.
+"""The last seconds of one sensor: residual, reading, allowance, innovation of the rate.
 
-A buffer is two arrays, stamps (2*size,) and values (2*size, 5), and the number ``end`` of rows in
+A buffer is two arrays, stamps (2*size,) and values (2*size, 4), and the number ``end`` of rows in
 use; the newest ``size`` of them count.  Residual and allowance: see `lpv_core.dead_reckoning`.
 """
 
@@ -9,7 +8,7 @@ import numpy as np
 
 from lpv_core.jit import njit
 
-RESIDUAL, READING, EXPECTED, ALLOWANCE, INNOVATION = range(5)
+RESIDUAL, READING, ALLOWANCE, INNOVATION = range(4)
 """Columns of the values."""
 
 
@@ -24,13 +23,13 @@ def new_history(size):
     Returns
     -------
     tuple of ndarray
-        Stamps (2*size,) [ns] and values (2*size, 5) [rad].
+        Stamps (2*size,) [ns] and values (2*size, 4) [rad].
     """
-    return np.zeros(2 * size, dtype=np.int64), np.zeros((2 * size, 5))
+    return np.zeros(2 * size, dtype=np.int64), np.zeros((2 * size, 4))
 
 
 @njit
-def add_sample(stamps, values, end, stamp, residual, reading, expected, allowance, innovation):
+def add_sample(stamps, values, end, stamp, residual, reading, allowance, innovation):
     """Add a sample.
 
     Parameters
@@ -41,7 +40,7 @@ def add_sample(stamps, values, end, stamp, residual, reading, expected, allowanc
         Rows in use.
     stamp : int
         [ns], larger than the last one.
-    residual, reading, expected, allowance, innovation : float
+    residual, reading, allowance, innovation : float
         What the columns hold [rad], [rad/s].
 
     Returns
@@ -54,11 +53,11 @@ def add_sample(stamps, values, end, stamp, residual, reading, expected, allowanc
         end = len(stamps) // 2
         for k in range(end):
             stamps[k] = stamps[end + k]
-            for column in range(5):
+            for column in range(4):
                 values[k, column] = values[end + k, column]
     stamps[end] = stamp
     row = values[end]
-    row[RESIDUAL], row[READING], row[EXPECTED] = residual, reading, expected
+    row[RESIDUAL], row[READING] = residual, reading
     row[ALLOWANCE], row[INNOVATION] = allowance, innovation
     return end + 1
 
@@ -125,7 +124,7 @@ def median_before(values, row, count):
 
     Parameters
     ----------
-    values : ndarray, shape (2*size, 5)
+    values : ndarray, shape (2*size, 4)
         The buffer's.
     row : int
         Last row.

@@ -11,7 +11,7 @@ All functions take the records of `lpv_core.sensor_record`.  A decision is `NOTH
 `RAISED`, `UPDATED` or `CLEARED`.
 """
 
-from lpv_core.change_origin import find_slope, is_step, judge_rate, take_baseline
+from lpv_core.change_origin import fit_course, judge_rate, take_baseline
 from lpv_core.change_test import WINDOWS, change_limit, find_change, least_change
 from lpv_core.fault_kind import (
     DROPOUT,
@@ -25,7 +25,6 @@ from lpv_core.fault_kind import (
     fits_better,
     is_stuck,
     noise_level,
-    scale_of,
     span,
     standstill,
 )
@@ -35,6 +34,7 @@ from lpv_core.jit import njit
 from lpv_core.observer import NANOSECONDS
 from lpv_core.rate_fault import GUILTY, INNOCENT, UNKNOWN
 from lpv_core.records import NEVER
+from lpv_core.scale_filter import start_scale
 from lpv_core.sensor_record import SPIKES, UNMEASURED
 
 NOTHING, RAISED, UPDATED, CLEARED = range(-1, 3)
@@ -49,6 +49,8 @@ _RECENT = 50
 """Samples that show noise and standstill."""
 _NOISY = 150
 """Readings before so many samples were not yet noisy when noise is seen first."""
+_BEFORE = 2.0
+"""A course is looked for so many windows back: a slow one began before the window."""
 _MOST_GROWTH = 0.25
 """What errors of the rates may add to a residual excuses no more than this part of a fault."""
 _MEMORY = 10 * NANOSECONDS
@@ -89,7 +91,7 @@ def decide(c, s, stamps, values):
         follow_fault(c, s)
     else:
         decided = _decide_healthy(c, s, stamps, values)
-    s.end = add_sample(stamps, values, s.end, d.stamp, d.residual, d.reading, d.expected,
+    s.end = add_sample(stamps, values, s.end, d.stamp, d.residual, d.reading,
                        d.allowance, d.innovation)
     s.last_allowance = d.allowance
     return decided
@@ -180,14 +182,16 @@ def _pending(c, s, stamps, values):
 def _confirm_change(c, s, stamps, values, change, level):
     """Raise an alarm for a change: of the position sensor, or of cause unknown."""
     d = s.sample
-    row = first_since(stamps, s.end, s.since - round(WINDOWS[s.window] * NANOSECONDS))
+    row = first_since(stamps, s.end, s.since - round(_BEFORE * WINDOWS[s.window] * NANOSECONDS))
     take_baseline(s, values, row)
-    stepped, onset, verdict = is_step(s, stamps, values), s.since, INNOCENT
+    stepped, speed, onset = fit_course(s, stamps, values, row)
+    verdict = INNOCENT
     if stepped and not level and _is_end(s):
         s.since, s.end = NEVER, 0
         return NOTHING
-    if not stepped:
-        speed, onset = find_slope(c, s, stamps, values, row)
+    if stepped:
+        take_baseline(s, values, max(0, first_since(stamps, s.end, onset) - 1))
+    else:
         unseen = change_limit(c.changes, s.window, d.speed * WINDOWS[s.window])
         if not level and change <= unseen:
             verdict = judge_rate(c, s, stamps, values, onset, speed)
@@ -256,10 +260,10 @@ def _raise(s, kind, onset, by_change, stepped):
     s.doubted = s.doubted and kind == INCONSISTENT
     s.onset, s.detected = onset, d.stamp
     s.amount = s.reported = _size(s)
-    s.level_before = d.fault - s.amount
+    s.level_before, s.unseen = d.fault - s.amount, d.speed
     s.peak = abs(s.amount)
     s.since = s.below_since = s.look_at = NEVER
-    s.measured, s.scale, s.average, s.scatter = UNMEASURED, 0.0, 0.0, 0.0
+    s.measured, s.filter.used, s.average, s.scatter = UNMEASURED, False, 0.0, 0.0
     return RAISED
 
 
@@ -278,6 +282,8 @@ def _decide_alarm(c, s, stamps, values):
     s.peak = max(s.peak, abs(s.amount))
     changing = certain = False
     if s.by_change and s.kind == INCONSISTENT:
+        # An error of the rates that came unseen stays unseen where it would not come so.
+        d.speed = s.unseen = max(d.speed, s.unseen)
         window, _, _, certain = find_change(c.changes, stamps, values, s.end, d)
         changing = window >= 0
     decided = _weigh_cause(c, s, certain)
@@ -292,9 +298,6 @@ def _decide_alarm(c, s, stamps, values):
             s.scatter = _scatter(s, values)
         if s.measured == UNMEASURED and s.stepped:
             measure_step(s, stamps, values)
-        if s.kind == SCALE:
-            row = first_since(stamps, s.end, s.onset)
-            s.scale = scale_of(values[row:s.end], s.baseline)
     if s.kind == SPIKE or s.kind == NOISE:
         return decided
     if abs(s.amount - s.reported) > max(d.threshold, 0.5 * abs(s.reported)):
@@ -342,7 +345,7 @@ def _is_over(c, s, values, changing):
         return back and not changing and not _above(d)
     level = (c.hysteresis * min(d.threshold, least_change(c.changes))
              + min(growth(c, s), _MOST_GROWTH * s.peak))
-    if s.kind == SCALE and abs(s.scale * d.expected) <= 2.0 * level:
+    if s.kind == SCALE and abs(s.filter.scale * (d.reading - s.amount)) <= 2.0 * level:
         return False  # the fault is small where the angle is
     return abs(s.amount) <= level and not _above(d)
 
@@ -355,7 +358,7 @@ def _quiet(c, s, values):
         return False
     if s.kind == SPIKE and d.stamp - s.spikes[0] < _SPIKE_TIME:
         return False
-    if s.kind == STUCK and span(recent, READING) < c.noise:
+    if s.kind == STUCK and span(recent[:, READING]) < c.noise:
         return False  # a healthy reading shows its noise even at rest
     limit = max(least_change(c.changes), c.hysteresis * d.threshold)
     if abs(s.amount) >= limit + growth(c, s):
@@ -409,4 +412,6 @@ def _name(c, s, stamps, values):
     if late and not fits_better(kind, s.kind, time, values[row:s.end], s.baseline):
         return False
     s.kind = kind
+    if kind == SCALE:
+        start_scale(c, s, values, row)
     return True

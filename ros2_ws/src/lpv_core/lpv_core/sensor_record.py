@@ -10,6 +10,7 @@ from lpv_core.fault_kind import UNCLASSIFIED
 from lpv_core.jit import njit
 from lpv_core.rate_fault import RATE_TEST
 from lpv_core.records import NEVER, record_type
+from lpv_core.scale_filter import SCALE_FILTER
 
 SPIKES = 3
 """So many excursions shorter than the dwell, close together, are a fault of kind spike."""
@@ -24,12 +25,12 @@ noise of the rates adds to the residual in one sample time [rad]; dwells [ns]; t
 `DiagnosisParameters`."""
 
 SAMPLE = record_type(
-    ('stamp', 'i8'), ('fault', 'f8'), ('residual', 'f8'), ('reading', 'f8'), ('expected', 'f8'),
-    ('threshold', 'f8'), ('allowance', 'f8'), ('innovation', 'f8'), ('speed', 'f8'),
+    ('stamp', 'i8'), ('fault', 'f8'), ('residual', 'f8'), ('reading', 'f8'), ('threshold', 'f8'),
+    ('allowance', 'f8'), ('innovation', 'f8'), ('speed', 'f8'),
     ('missing', '?'), ('lost', '?'), ('inconsistent', '?'))
 """What is known of one sensor at one sample.
 
-stamp [ns]; f^, r, y_p, S theta^ [rad]; the level that a healthy estimate stays below [rad];
+stamp [ns]; f^, r, y_p [rad]; the level that a healthy estimate stays below [rad];
 allowance of r (`lpv_core.dead_reckoning`) [rad]; estimated less measured rate of the sensor, and
 error of the rates that would stay unseen [rad/s]; no reading; gravity does not renew the estimate,
 its level is no evidence; rates, torques and model contradict each other.
@@ -38,9 +39,10 @@ its level is no evidence; rates, torques and model contradict each other.
 SENSOR_STATE = record_type(
     # The alarm: whether there is one, its kind (index into KINDS), first and deciding sample [ns],
     # amount: change since the onset, or level [rad]; whether it rests on a change, and on a jump;
-    # whether it may be a rate sensor's.
+    # whether it may be a rate sensor's, and which error of that would have stayed unseen [rad/s].
     ('alarm', '?'), ('kind', 'i8'), ('onset', 'i8'), ('detected', 'i8'), ('amount', 'f8'),
-    ('by_change', '?'), ('stepped', '?'), ('doubted', '?'), ('reported', 'f8'), ('peak', 'f8'),
+    ('by_change', '?'), ('stepped', '?'), ('doubted', '?'), ('unseen', 'f8'), ('reported', 'f8'),
+    ('peak', 'f8'),
     # Before the fault: r (zero for an alarm by level), f^ and allowance [rad].
     ('baseline', 'f8'), ('level_before', 'f8'), ('allowance_before', 'f8'),
     # Evidence that is not confirmed: since when, over which window, r and allowance before [rad].
@@ -50,9 +52,9 @@ SENSOR_STATE = record_type(
     ('missing_since', 'i8'), ('below_since', 'i8'), ('look_at', 'i8'), ('convicted_until', 'i8'),
     ('spikes', 'i8', (SPIKES,)), ('spike_count', 'i8'), ('end', 'i8'),
     # A step: whether its height is known, its height, and what r differs from it by in the mean
-    # [rad]; a scale error [1]; mean and standard deviation of a noisy reading [rad].
-    ('measured', 'i8'), ('height', 'f8'), ('rest', 'f8'), ('scale', 'f8'), ('average', 'f8'),
-    ('scatter', 'f8'), ('last_allowance', 'f8'), ('sample', SAMPLE))
+    # [rad]; a scale error; mean and standard deviation of a noisy reading [rad].
+    ('measured', 'i8'), ('height', 'f8'), ('rest', 'f8'), ('filter', SCALE_FILTER),
+    ('average', 'f8'), ('scatter', 'f8'), ('last_allowance', 'f8'), ('sample', SAMPLE))
 
 
 @njit
@@ -61,7 +63,7 @@ def reset_sensor(s):
     s.end = 0
     s.alarm, s.kind, s.by_change, s.stepped, s.doubted = False, UNCLASSIFIED, False, False, False
     s.onset = s.detected = 0
-    s.amount = s.reported = s.peak = s.baseline = s.average = 0.0
+    s.amount = s.reported = s.peak = s.baseline = s.average = s.unseen = 0.0
     s.level_before = s.allowance_before = s.last_allowance = s.scatter = 0.0
     s.measured = UNMEASURED
     forget(s)
