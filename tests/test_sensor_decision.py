@@ -34,7 +34,8 @@ def sample_at(k, fault=0.0, **fields):
     """Fields of sample k of a sensor that is expected to read 0.5 rad, without any error of the
     estimate or of the rates."""
     given = {'stamp': k * TS, 'fault': fault, 'residual': fault, 'reading': 0.5 + fault,
-             'threshold': THRESHOLD, 'allowance': 0.0, 'innovation': 0.0, 'speed': 0.0, 'missing': False, 'lost': False, 'inconsistent': False}
+             'threshold': THRESHOLD, 'allowance': 0.0, 'innovation': 0.0, 'speed': 0.0,
+             'missing': False, 'lost': False, 'inconsistent': False}
     return {**given, **fields}
 
 

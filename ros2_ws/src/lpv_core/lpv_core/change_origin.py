@@ -1,7 +1,5 @@
 """Where a change of a residual comes from: when it began, from what, and through whose fault."""
 
-import math
-
 from lpv_core.history import ALLOWANCE, RESIDUAL, first_since, median_before
 from lpv_core.jit import njit
 from lpv_core.observer import NANOSECONDS

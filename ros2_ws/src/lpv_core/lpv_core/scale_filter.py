@@ -13,8 +13,8 @@ from lpv_core.records import record_type
 
 SCALE_FILTER = record_type(('used', '?'), ('scale', 'f8'), ('astray', 'f8'),
                            ('variance', 'f8', (3,)), ('surprise', 'f8'))
-"""Whether the fault is a scale error to the filter; a [1] and w [rad]; their covariance, P_aa, P_aw,
-P_ww; mean of the innovations over their deviation."""
+"""Whether the fault is a scale error to the filter; a [1] and w [rad]; their covariance, P_aa,
+P_aw, P_ww; mean of the innovations over their deviation."""
 
 _SHARE = 0.02
 """Share of a sample in the mean of the innovations."""
