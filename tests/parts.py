@@ -67,13 +67,13 @@ class ChangeTest:
     def limit(self, window, error):
         return change_test.change_limit(self.constants, window, error)
 
-    def find(self, past, stamp, residual, speed, allowance=0.0):
-        """Window, residual before, and whether no rate sensor does that; None for no change."""
-        sample = new_record(sensor_record.SAMPLE, stamp=stamp, residual=residual, speed=speed,
+    def find(self, past, stamp, residual, allowance=0.0):
+        """Window and residual before; None for no change."""
+        sample = new_record(sensor_record.SAMPLE, stamp=stamp, residual=residual,
                             allowance=allowance)
-        window, _, before, certain = change_test.find_change(
+        window, _, before = change_test.find_change(
             self.constants, past.stamps, past.values, past.end, sample)
-        return None if window < 0 else (window, before, certain)
+        return None if window < 0 else (window, before)
 
 
 class SensorDecision:

@@ -71,7 +71,7 @@ class Moving:
             self.decision.update(
                 stamp=self.k * TS, fault=wrong + noise, residual=wrong + noise + self.astray,
                 reading=angle + wrong + noise, threshold=0.1, allowance=0.0, innovation=0.0,
-                speed=0.0, missing=False, lost=False, inconsistent=False)
+                missing=False, lost=False, inconsistent=False)
             removed = (removable(self.decision.constants, self.decision.state)
                        if self.decision.alarm else 0.0)
             errors.append(wrong + noise - removed)

@@ -265,6 +265,17 @@ def test_given_a_small_bias_of_a_rate_sensor_when_its_dead_reckoning_errs_then_n
     assert {a.kind for a in run.alarms} == {'inconsistent'}
 
 
+@pytest.mark.parametrize('rise', [0.03, 0.06, 0.15, 0.5, 1.5])
+@pytest.mark.parametrize('size', [0.1, -0.3])
+def test_given_a_rate_that_goes_wrong_little_by_little_when_seen_then_no_position_sensor_is_blamed(
+        simulate, paper_arm, size, rise):
+    steps = [replace(rate_bias(paper_arm, size / 12), onset=1.0 + rise * (k + 0.5) / 12)
+             for k in range(12)]
+    run = simulate(*steps, duration=4.0)
+    assert {a.kind for a in run.alarms} == {'inconsistent'}
+    assert np.abs(tracking_error(run)).max() < 0.12
+
+
 def test_given_a_small_bias_of_a_rate_sensor_when_it_lasts_then_the_arm_stops_rather_than_err(
         simulate, paper_arm):
     run = simulate(rate_bias(paper_arm, 0.1, duration=1.5), duration=4.0)

@@ -34,7 +34,7 @@ def sample_at(k, fault=0.0, **fields):
     """Fields of sample k of a sensor that is expected to read 0.5 rad, without any error of the
     estimate or of the rates."""
     given = {'stamp': k * TS, 'fault': fault, 'residual': fault, 'reading': 0.5 + fault,
-             'threshold': THRESHOLD, 'allowance': 0.0, 'innovation': 0.0, 'speed': 0.0,
+             'threshold': THRESHOLD, 'allowance': 0.0, 'innovation': 0.0,
              'missing': False, 'lost': False, 'inconsistent': False}
     return {**given, **fields}
 
@@ -195,33 +195,23 @@ def history_of(faults):
 def test_given_a_step_above_the_limit_when_searched_then_the_shortest_window_has_the_value_before(
         changes):
     history = history_of(np.full(600, 0.013))
-    found = changes.find(history, 600 * TS, 0.013 + 0.03, 0.0)
-    assert found == (0, 0.013, True)
-    assert changes.find(history, 600 * TS, 0.013 + 0.019, 0.0) is None
-    assert changes.find(history, 600 * TS, 0.013 - 0.03, 0.0) == (0, 0.013, True)
+    found = changes.find(history, 600 * TS, 0.013 + 0.03)
+    assert found == (0, 0.013)
+    assert changes.find(history, 600 * TS, 0.013 + 0.019) is None
+    assert changes.find(history, 600 * TS, 0.013 - 0.03) == (0, 0.013)
 
 
 def test_given_a_step_within_the_allowance_of_the_rates_when_searched_then_it_is_none(changes):
     history = history_of(np.zeros(600))
-    assert changes.find(history, 600 * TS, 0.03, 0.0) is not None
-    assert changes.find(history, 600 * TS, 0.03, 0.0, allowance=0.03) is None
-
-
-def test_given_a_change_that_rates_could_feign_when_searched_then_it_is_doubtful(changes):
-    history = history_of(np.zeros(600))
-    # 3 rad/s make 30 mrad in 10 ms, and more in longer windows.
-    assert changes.find(history, 600 * TS, 0.03, 3.0) == (0, 0.0, False)
-    # A longer window may be certain where shorter ones are not, and comes first then.
-    ramp = history_of(np.repeat([0.0, 0.05], [550, 50]))
-    assert changes.find(ramp, 600 * TS, 0.08, 0.5) == (0, 0.05, True)
-    assert changes.find(ramp, 600 * TS, 0.08, 2.5) == (0, 0.05, False)
+    assert changes.find(history, 600 * TS, 0.03) is not None
+    assert changes.find(history, 600 * TS, 0.03, allowance=0.03) is None
 
 
 @pytest.mark.parametrize(('rate', 'window'), [(0.03, 3), (0.15, 2), (0.6, 1), (3.0, 0)])
 def test_given_a_ramp_when_searched_then_only_windows_that_are_long_enough_see_it(
         changes, rate, window):
     history = history_of(rate * 0.002 * np.arange(600))
-    found = changes.find(history, 600 * TS, rate * 1.2, 0.0)
+    found = changes.find(history, 600 * TS, rate * 1.2)
     assert found[0] == window
     # The median lags by two samples.
     assert found[1] == pytest.approx(rate * (1.2 - WINDOWS[window] - 0.004))
@@ -229,21 +219,21 @@ def test_given_a_ramp_when_searched_then_only_windows_that_are_long_enough_see_i
 
 def test_given_a_ramp_below_every_limit_when_searched_then_it_is_none(changes):
     history = history_of(0.015 * 0.002 * np.arange(600))
-    assert changes.find(history, 600 * TS, 0.015 * 1.2, 0.0) is None
+    assert changes.find(history, 600 * TS, 0.015 * 1.2) is None
 
 
 def test_given_a_spike_as_reference_when_searched_then_it_makes_no_change(changes):
     faults = np.zeros(600)
     faults[595] = 0.3                             # 10 ms before
-    assert changes.find(history_of(faults), 600 * TS, 0.0, 0.0) is None
+    assert changes.find(history_of(faults), 600 * TS, 0.0) is None
     faults[591:596] = 0.3                         # no spike any more
-    assert changes.find(history_of(faults), 600 * TS, 0.0, 0.0) == (0, 0.3, True)
+    assert changes.find(history_of(faults), 600 * TS, 0.0) == (0, 0.3)
 
 
 def test_given_a_history_shorter_than_a_window_when_searched_then_nothing_is_found(changes):
-    assert changes.find(history_of([]), TS, 1.0, 0.0) is None
-    assert changes.find(history_of(np.zeros(5)), 4 * TS, 1.0, 0.0) is None
-    assert changes.find(history_of(np.zeros(5)), 5 * TS, 1.0, 0.0) == (0, 0.0, True)
+    assert changes.find(history_of([]), TS, 1.0) is None
+    assert changes.find(history_of(np.zeros(5)), 4 * TS, 1.0) is None
+    assert changes.find(history_of(np.zeros(5)), 5 * TS, 1.0) == (0, 0.0)
 
 
 # ------------------------------------------------------------------ steps and levels
@@ -450,38 +440,72 @@ def test_given_a_dropout_when_readings_come_back_wrong_then_the_alarm_goes_on_wi
 
 
 @pytest.mark.parametrize(('speed', 'kind', 'compensable'), [
-    (0.0, 'drift', True), (1.0, 'inconsistent', False)])
+    (0.2, 'drift', True), (0.03, 'inconsistent', False)])
 def test_given_a_slow_change_when_rates_could_feign_it_unseen_then_the_cause_is_unknown(
         sensor, speed, kind, compensable):
-    feed(sensor, 0, noise(300), speed=speed)
-    ramp = 0.03 * 0.002 * np.arange(800)          # up to 0.05 rad: the level says nothing
-    feed(sensor, 300, ramp + noise(800, seed=1), speed=speed)
+    feed(sensor, 0, noise(300))
+    ramp = speed * 0.002 * np.arange(round(0.048 / speed / 0.002))  # the level says nothing yet
+    feed(sensor, 300, ramp + noise(len(ramp), seed=1))
     assert (sensor.kind, sensor.compensable) == (kind, compensable)
 
 
-def test_given_a_doubtful_change_when_the_level_says_the_same_then_the_sensor_is_blamed(sensor):
-    feed(sensor, 0, noise(300), speed=1.0)
-    ramp = 0.03 * 0.002 * np.arange(2500)         # passes the threshold of 0.1 rad after 3.3 s
-    news = feed(sensor, 300, ramp + noise(2500, seed=1), speed=1.0)
+def test_given_a_doubtful_change_when_no_rate_draws_the_level_so_far_then_the_sensor_is_blamed(
+        sensor):
+    feed(sensor, 0, noise(300))
+    ramp = 0.03 * 0.002 * np.arange(4000)         # passes the threshold of 0.1 rad after 3.3 s
+    news = feed(sensor, 300, ramp + noise(4000, seed=1))
     assert [n[2] for n in news][0] == 'inconsistent'
+    cleared_up = next(n[0] for n in news if n[2] != 'inconsistent')
+    assert cleared_up > 300 + 1650 + 500
     assert (sensor.kind, sensor.compensable) == ('drift', True)
     assert removed(sensor) == pytest.approx(ramp[-1], abs=0.004)
 
 
-def test_given_a_change_that_came_unseen_when_it_would_be_seen_later_then_it_stays_doubtful(
-        sensor):
-    feed(sensor, 0, noise(300), speed=1.0)
-    ramp = 0.03 * 0.002 * np.arange(1200)
-    feed(sensor, 300, ramp[:400] + noise(400, seed=1), speed=1.0)
-    assert sensor.kind == 'inconsistent'
-    feed(sensor, 700, ramp[400:] + noise(800, seed=2), speed=0.0)
-    assert (sensor.kind, sensor.compensable) == ('inconsistent', False)
+def test_given_a_wrong_rate_when_it_draws_the_level_then_nobody_is_blamed(sensor):
+    """f^ follows the residual at first, and falls behind as gravity pulls the estimate back."""
+    feed(sensor, 0, noise(300))
+    errors, decay = noise(6000, seed=1), sensor.constants.decay
+    for k in range(6000):
+        time = 0.002 * k
+        level = 0.06 * (1.0 - math.exp(-decay * time)) / decay
+        sensor.update(**sample_at(300 + k, level + errors[k], residual=0.06 * time + errors[k]))
+        assert sensor.kind in ('inconsistent', 'unclassified')
+    assert (sensor.alarm, sensor.kind, sensor.compensable) == (True, 'inconsistent', False)
+
+
+def test_given_a_level_that_grows_with_the_residual_when_above_then_the_cause_is_unknown(sensor):
+    """Too slow for any window: a rate that is a little wrong, or a drift."""
+    news = []
+    for k in range(40_000):
+        slow = 0.003 * 0.002 * k
+        decided = sensor.update(**sample_at(k, slow))
+        news += [(decided, sensor.kind)] * (decided is not None)
+    assert news[0] == ('raised', 'inconsistent')
+
+
+def test_given_a_fault_from_the_start_when_the_level_learns_it_then_the_sensor_is_blamed(sensor):
+    news = []
+    for k, error in enumerate(noise(5000)):
+        level = 0.2 * (1.0 - math.exp(-0.002 * k))
+        decided = sensor.update(**sample_at(k, level, residual=error))
+        news += [(decided, sensor.kind)] * (decided is not None)
+    assert news[0][0] == 'raised'
+    assert 'inconsistent' not in {kind for _, kind in news}
+
+
+def test_given_noise_when_it_begins_with_a_lasting_excursion_then_no_rate_is_suspected(sensor):
+    feed(sensor, 0, noise(300))
+    course = 0.03 * np.random.default_rng(3).standard_normal(500)
+    course[:8] = np.abs(course[:8]) + 0.02
+    news = feed(sensor, 300, course)
+    assert 'inconsistent' not in {n[2] for n in news}
+    assert sensor.kind == 'noise'
 
 
 def test_given_a_doubtful_change_when_the_level_does_not_follow_then_nobody_is_blamed(sensor):
-    feed(sensor, 0, noise(300), speed=1.0)
+    feed(sensor, 0, noise(300))
     for k, moved in enumerate(0.03 * 0.002 * np.arange(2500), 300):
-        sensor.update(**sample_at(k, 0.02, residual=moved, reading=0.5 + moved, speed=1.0))
+        sensor.update(**sample_at(k, 0.02, residual=moved, reading=0.5 + moved))
     assert (sensor.kind, sensor.compensable) == ('inconsistent', False)
 
 
@@ -494,11 +518,11 @@ def test_given_dead_reckoning_when_the_level_contradicts_it_then_the_cause_is_un
 
 
 def test_given_a_sensor_that_lied_lately_when_it_changes_slowly_then_it_is_not_doubted(sensor):
-    feed(sensor, 0, noise(300), speed=1.0)
-    feed(sensor, 300, 0.3 + noise(100, seed=1), speed=1.0)
-    feed(sensor, 400, noise(500, seed=2), speed=1.0)
+    feed(sensor, 0, noise(300))
+    feed(sensor, 300, 0.3 + noise(100, seed=1))
+    feed(sensor, 400, noise(500, seed=2))
     assert not sensor.alarm
-    feed(sensor, 900, 0.03 * 0.002 * np.arange(800) + noise(800, seed=3), speed=1.0)
+    feed(sensor, 900, 0.03 * 0.002 * np.arange(800) + noise(800, seed=3))
     assert sensor.kind == 'drift'
 
 

@@ -1,19 +1,14 @@
-"""Where a change of a residual comes from: when it began, from what, and through whose fault."""
+"""Where a change of a residual comes from: when it began, and how."""
 
+from lpv_core.change_test import WINDOWS, least_change
 from lpv_core.history import ALLOWANCE, RESIDUAL, first_since, median_before
 from lpv_core.jit import njit
 from lpv_core.observer import NANOSECONDS
-from lpv_core.rate_fault import INNOCENT, UNKNOWN, rate_verdict
 
 AROUND = 50
 """Samples before a fault that its size is measured from."""
-_OUT = 4.0
-"""An onset is known within the time in which the residual moves so many standard deviations."""
-_FEW = 5
-_STRAIGHT = 0.35
-"""Half-way in time a straight course has gone half its way, a parabola a quarter."""
-_NEAR = 20_000_000
-"""Uncertainty of an onset [ns]."""
+_FEW, _JUMP = 5, 0.6
+"""A jump shows between the means of so many samples, by that part of a jump of single ones."""
 
 
 @njit
@@ -70,37 +65,31 @@ def fit_course(s, stamps, values, row):
 
 
 @njit
-def _is_straight(s, stamps, values, onset):
-    """Whether the residual moved as it does if it started suddenly."""
-    middle = first_since(stamps, s.end, (onset + s.sample.stamp) // 2)
-    if middle >= s.end:
-        return False
-    half = median_before(values, middle, _FEW) - s.baseline
-    return half / (s.sample.residual - s.baseline) > _STRAIGHT
-
-
-@njit
-def judge_rate(c, s, stamps, values, onset, speed):
-    """Whether a slow change may be the rate sensor's.
+def has_jumped(c, s, stamps, values):
+    """Whether a change that is no step came by jumps, or began with one; rates move r little by
+    little.
 
     Parameters
     ----------
     c, s, stamps, values
         See `lpv_core.sensor_record`.
-    onset : int
-        When the residual began to move [ns].
-    speed : float
-        Of the residual [rad/s].
 
     Returns
     -------
-    int
-        As `lpv_core.rate_fault.rate_verdict`; a course that did not begin suddenly excuses nobody.
+    bool
+        True if r differed between neighbouring samples by more than noise, or between the means of
+        a few by more than any error of a rate that would not show at once.
     """
-    reach = max(_NEAR, round(_OUT * c.noise / abs(speed) * NANOSECONDS))
-    first = first_since(stamps, s.end, onset - reach)
-    last = first_since(stamps, s.end, onset + reach)
-    verdict = rate_verdict(c.rates, values, s.end, first, last, speed)
-    if verdict == INNOCENT and not _is_straight(s, stamps, values, onset):
-        return UNKNOWN
-    return verdict
+    limit = least_change(c.changes)
+    first = first_since(stamps, s.end, s.since - round(WINDOWS[s.window] * NANOSECONDS))
+    for k in range(first, s.end):
+        after = values[k + 1, RESIDUAL] if k + 1 < s.end else s.sample.residual
+        if abs(after - values[k, RESIDUAL]) > limit:
+            return True
+        if first + _FEW <= k <= s.end - _FEW:
+            across = 0.0
+            for i in range(_FEW):
+                across += values[k + i, RESIDUAL] - values[k - 1 - i, RESIDUAL]
+            if abs(across) > _JUMP * _FEW * limit:
+                return True
+    return False

@@ -5,8 +5,7 @@ and the stated errors of the rates; this holds in every configuration, even wher
 nothing.  Short windows see abrupt faults in milliseconds, long ones see drifts before their size
 does: a generalised likelihood ratio over the time of onset, on a grid.
 
-A slow change may also be the fault of a rate sensor.  What is faster than any error of the rates
-that the consistency test would overlook is the position sensor's; the rest is doubtful.
+A slow change may also be the fault of a rate sensor (`lpv_core.rate_fault`).
 """
 
 import math
@@ -127,10 +126,8 @@ def find_change(c, stamps, values, end, d):
     Returns
     -------
     tuple
-        Index of the window, -1 if there is none; its row; r before the change [rad]; and whether
-        no rate sensor does that.  Windows of which this is so come before those that are doubtful.
+        Index of the window, -1 if there is none; its row; r before the change [rad].
     """
-    doubtful, at, before = -1, -1, 0.0
     for window in range(len(WINDOWS)):
         then = d.stamp - round(WINDOWS[window] * 1e9)
         # Without gaps the present sample would be row ``end``.
@@ -141,9 +138,6 @@ def find_change(c, stamps, values, end, d):
         if abs(d.residual - values[row, RESIDUAL]) <= limit:
             continue
         median = median_before(values, row, _MEDIAN_OF)
-        change = abs(d.residual - median)
-        if change > change_limit(c, window, d.speed * WINDOWS[window]) and change > limit:
-            return window, row, median, True
-        if change > limit and doubtful < 0:
-            doubtful, at, before = window, row, median
-    return doubtful, at, before, False
+        if abs(d.residual - median) > limit:
+            return window, row, median
+    return -1, -1, 0.0

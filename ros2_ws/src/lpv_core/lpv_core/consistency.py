@@ -16,25 +16,20 @@ import numpy as np
 from lpv_core.arm import A_11, C_22
 from lpv_core.dynamics import coupling
 from lpv_core.jit import njit
-from lpv_core.joints import JointMap
 from lpv_core.records import NEVER, new_record, record_type
 
 _FILTERS = (0.02, 0.2)
 """Time constants of the averages [s]: a jump of a rate, and a lasting contradiction."""
 _HOLD = 1_000_000_000
 """An inconsistency is believed to last so long after it was seen [ns]."""
-_LATELY = 5.0
-"""Time constant with which it is forgotten how much could have stayed unseen [s]."""
 
 CONSISTENCY_CONSTANTS = record_type(
-    ('used', '?'), ('arm', 'f8', (12,)), ('inertia', 'f8', (2,)), ('angle', 'f8', (2, 2)),
-    ('noise', 'f8', (len(_FILTERS), 2)), ('tolerance', 'f8', (2,)), ('peak', 'f8', (2,)))
-"""Whether the test is made; constants of the arm; Xi_ii; S^-1; limits by noise for each average and
-by tolerated torques [rad/s]; what the shorter average shows of a sudden error of a momentum."""
-CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', 'i8'),
-                                ('unseen', 'f8', (2,)))
-"""Averages [rad/s]; end of the inconsistency [ns]; sudden error of a rate sensor that may stay
-unseen [rad/s]."""
+    ('used', '?'), ('arm', 'f8', (12,)), ('inertia', 'f8', (2,)),
+    ('noise', 'f8', (len(_FILTERS), 2)), ('tolerance', 'f8', (2,)))
+"""Whether the test is made; constants of the arm; Xi_ii; limits by noise for each average and by
+tolerated torques [rad/s]."""
+CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', 'i8'))
+"""Averages [rad/s]; end of the inconsistency [ns]."""
 
 
 def consistency_test(arm, gains, sigmas):
@@ -65,9 +60,7 @@ def consistency_test(arm, gains, sigmas):
     noise = [sigmas * rows * arm.velocity_noise * math.sqrt(arm.sample_time / (2.0 * tau))
              for tau in _FILTERS]
     return new_record(CONSISTENCY_CONSTANTS, used=True, arm=constants, inertia=inertia,
-                      angle=np.linalg.inv(JointMap(arm).sensor_matrix), noise=noise,
-                      tolerance=tolerated_rates(arm, gains),
-                      peak=[_peak(mu * _FILTERS[0]) for mu in gains.observer.mu])
+                      noise=noise, tolerance=tolerated_rates(arm, gains))
 
 
 def tolerated_rates(arm, gains):
@@ -89,17 +82,11 @@ def tolerated_rates(arm, gains):
     return np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
 
 
-def _peak(x):
-    """Largest average, of time constant one, of exp(-x t)."""
-    return math.exp(-1.0) if abs(x - 1.0) < 1e-6 else x ** (x / (1.0 - x))
-
-
 @njit
 def reset_consistency(s):
     """Forget the past."""
     s.means[:] = 0.0
     s.until = NEVER
-    s.unseen[:] = math.inf
 
 
 @njit
@@ -130,22 +117,4 @@ def is_inconsistent(c, s, e, healthy):
             s.means[f, i] += share * (momentum - s.means[f, i])
             if abs(s.means[f, i]) > healthy[i] + c.tolerance[i] + c.noise[f, i]:
                 s.until = e.stamp + _HOLD
-    _reckon_unseen(c, s, off, healthy, e.interval)
     return e.stamp < s.until
-
-
-@njit
-def _reckon_unseen(c, s, off, healthy, interval):
-    """Each rate sensor's error shows in the momenta of all links that it moves.
-
-    What counts is what could have stayed unseen when it came: the largest of the last seconds.
-    """
-    for sensor in range(2):
-        now = math.inf
-        for i in range(2):
-            share = c.angle[i, sensor] + off * c.angle[1 - i, sensor] / c.inertia[i]
-            if share != 0.0:
-                limit = healthy[i] + c.tolerance[i] + c.noise[0, i]
-                now = min(now, limit / (c.peak[i] * abs(share)))
-        fall = min(1.0, interval / _LATELY) * (s.unseen[sensor] - now)
-        s.unseen[sensor] = max(now, s.unseen[sensor] - fall) if fall < math.inf else now

@@ -216,7 +216,7 @@ def diagnosis_constants(arm, gains, parameters):
         rates=rate_test(arm, gains), noise=arm.position_noise,
         step=arm.velocity_noise * arm.sample_time, dwell=math.ceil(p.dwell * NANOSECONDS),
         clear_dwell=math.ceil(p.clear_dwell * NANOSECONDS), hysteresis=p.hysteresis,
-        latch=p.latch)
+        latch=p.latch, decay=gains.observer.decay)
     return new_record(
         DIAGNOSIS_CONSTANTS, sensor=sensor,
         bound=error_bound(arm, gains, p.sigmas, p.friction_uncertainty),
@@ -293,7 +293,7 @@ def _decide_one(c, s, stamps, values, e, i):
     sample = sensor.sample
     sample.stamp, sample.fault, sample.reading = e.stamp, e.fault[i], e.sensor_position[i]
     sample.residual, sample.allowance = reckoned.residual[i], reckoned.allowance[i]
-    sample.threshold, sample.speed = d.threshold[i], s.consistency.unseen[i]
+    sample.threshold = d.threshold[i]
     sample.innovation = weigh(c.reckoning.sensor_matrix, i, e.innovation[0], e.innovation[1])
     sample.missing, sample.inconsistent = e.missing[i], d.inconsistent
     sample.lost = _is_lost(c, d, e, i)

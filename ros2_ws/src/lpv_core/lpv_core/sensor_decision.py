@@ -11,7 +11,9 @@ All functions take the records of `lpv_core.sensor_record`.  A decision is `NOTH
 `RAISED`, `UPDATED` or `CLEARED`.
 """
 
-from lpv_core.change_origin import fit_course, judge_rate, take_baseline
+import math
+
+from lpv_core.change_origin import fit_course, has_jumped, take_baseline
 from lpv_core.change_test import WINDOWS, change_limit, find_change, least_change
 from lpv_core.fault_kind import (
     DROPOUT,
@@ -32,7 +34,7 @@ from lpv_core.fault_size import follow_fault, growth, measure_step, size_error
 from lpv_core.history import ALLOWANCE, READING, add_sample, first_since
 from lpv_core.jit import njit
 from lpv_core.observer import NANOSECONDS
-from lpv_core.rate_fault import GUILTY, INNOCENT, UNKNOWN
+from lpv_core.rate_fault import GUILTY, INNOCENT, UNKNOWN, rate_verdict
 from lpv_core.records import NEVER
 from lpv_core.scale_filter import start_scale
 from lpv_core.sensor_record import SPIKES, UNMEASURED
@@ -81,6 +83,7 @@ def decide(c, s, stamps, values):
         What happened now.
     """
     d = s.sample
+    _draw(c, s)
     if d.missing:
         return _silent(c, s, values)
     s.missing_since = NEVER
@@ -95,6 +98,29 @@ def decide(c, s, stamps, values):
                        d.allowance, d.innovation)
     s.last_allowance = d.allowance
     return decided
+
+
+@njit
+def _draw(c, s):
+    """What a wrong rate that moves the residual makes of f^: it forgets with its decay rate.
+
+    A convicted position sensor explains what moves the residual; no rate draws f^ then.
+    """
+    d = s.sample
+    if s.alarm and s.kind != INCONSISTENT:
+        s.drawn = 0.0
+    elif s.drawn_at != NEVER:
+        interval = max(0.0, (d.stamp - s.drawn_at) / NANOSECONDS)
+        s.drawn += d.residual - s.last_residual
+        s.drawn *= max(0.0, 1.0 - c.decay * interval)
+    s.drawn_at, s.last_residual = d.stamp, d.residual
+
+
+@njit
+def _convicts(s):
+    """Whether gravity contradicts the reading by more than a wrong rate could have drawn f^."""
+    d = s.sample
+    return _above(d) and (d.fault - s.drawn) * math.copysign(1.0, d.fault) > d.threshold
 
 
 @njit
@@ -146,7 +172,7 @@ def _decide_healthy(c, s, stamps, values):
     d = s.sample
     if s.since != NEVER:
         return _pending(c, s, stamps, values)
-    window, row, before, _ = find_change(c.changes, stamps, values, s.end, d)
+    window, row, before = find_change(c.changes, stamps, values, s.end, d)
     if window < 0 and not _above(d):
         return _look(c, s, stamps, values)
     s.since, s.window, s.before = d.stamp, window, before
@@ -170,31 +196,32 @@ def _pending(c, s, stamps, values):
     if not _lasts(s.since, d, c.dwell):
         return NOTHING
     if s.window >= 0:
-        return _confirm_change(c, s, stamps, values, change, level)
+        return _confirm_change(c, s, stamps, values)
     s.baseline, s.allowance_before = 0.0, d.allowance
-    kind = INCONSISTENT if d.inconsistent else UNCLASSIFIED
+    s.doubted = not _convicts(s)
+    kind = INCONSISTENT if d.inconsistent or s.doubted else UNCLASSIFIED
     decided = _raise(s, kind, s.since, False, False)
     _name(c, s, stamps, values)
     return decided
 
 
 @njit
-def _confirm_change(c, s, stamps, values, change, level):
+def _confirm_change(c, s, stamps, values):
     """Raise an alarm for a change: of the position sensor, or of cause unknown."""
     d = s.sample
     row = first_since(stamps, s.end, s.since - round(_BEFORE * WINDOWS[s.window] * NANOSECONDS))
     take_baseline(s, values, row)
     stepped, speed, onset = fit_course(s, stamps, values, row)
     verdict = INNOCENT
-    if stepped and not level and _is_end(s):
+    if stepped and not _above(d) and _is_end(s):
         s.since, s.end = NEVER, 0
         return NOTHING
     if stepped:
         take_baseline(s, values, max(0, first_since(stamps, s.end, onset) - 1))
-    else:
-        unseen = change_limit(c.changes, s.window, d.speed * WINDOWS[s.window])
-        if not level and change <= unseen:
-            verdict = judge_rate(c, s, stamps, values, onset, speed)
+    elif not _convicts(s):
+        verdict = rate_verdict(c.rates, stamps, values, s.end, s.baseline, onset, speed)
+        if verdict == UNKNOWN and has_jumped(c, s, stamps, values):
+            verdict = INNOCENT
     # Whoever lied lately is not given the benefit of the doubt.
     s.doubted = verdict == UNKNOWN and d.stamp >= s.convicted_until
     wrong_rates = verdict == GUILTY or (d.inconsistent and not stepped)
@@ -260,7 +287,7 @@ def _raise(s, kind, onset, by_change, stepped):
     s.doubted = s.doubted and kind == INCONSISTENT
     s.onset, s.detected = onset, d.stamp
     s.amount = s.reported = _size(s)
-    s.level_before, s.unseen = d.fault - s.amount, d.speed
+    s.level_before = d.fault - s.amount
     s.peak = abs(s.amount)
     s.since = s.below_since = s.look_at = NEVER
     s.measured, s.filter.used, s.average, s.scatter = UNMEASURED, False, 0.0, 0.0
@@ -280,19 +307,17 @@ def _decide_alarm(c, s, stamps, values):
     d = s.sample
     s.amount = _size(s)
     s.peak = max(s.peak, abs(s.amount))
-    changing = certain = False
+    changing = False
     if s.by_change and s.kind == INCONSISTENT:
-        # An error of the rates that came unseen stays unseen where it would not come so.
-        d.speed = s.unseen = max(d.speed, s.unseen)
-        window, _, _, certain = find_change(c.changes, stamps, values, s.end, d)
+        window, _, _ = find_change(c.changes, stamps, values, s.end, d)
         changing = window >= 0
-    decided = _weigh_cause(c, s, certain)
+    decided = _weigh_cause(c, s)
     over = _is_over(c, s, values, changing)
     waited = _wait(c, s, over)
     if over or decided != NOTHING:
         return waited if waited != NOTHING else decided
     if _due(s):
-        if _name(c, s, stamps, values):
+        if _judge_again(c, s, stamps, values) or _name(c, s, stamps, values):
             decided = UPDATED
         if s.kind == NOISE or s.kind == SPIKE:
             s.scatter = _scatter(s, values)
@@ -308,14 +333,12 @@ def _decide_alarm(c, s, stamps, values):
 
 
 @njit
-def _weigh_cause(c, s, certain):
+def _weigh_cause(c, s):
     """Whether it is the position sensor at all; UPDATED if that is seen otherwise now."""
     d = s.sample
     if s.doubted and not d.inconsistent:
-        away = abs(s.amount) > least_change(c.changes)
-        if not (certain and away or _above(d) and d.fault * s.amount > 0.0):
+        if not _convicts(s) or d.fault * s.amount <= 0.0:
             return NOTHING
-        # Too fast for an unseen error of the rates, or gravity contradicts the reading, too.
         s.doubted, s.kind = False, UNCLASSIFIED
         return UPDATED
     s.doubted = False
@@ -329,6 +352,21 @@ def _weigh_cause(c, s, certain):
         return NOTHING
     s.kind = INCONSISTENT
     return UPDATED
+
+
+@njit
+def _judge_again(c, s, stamps, values):
+    """Whether a doubt is over, now that more samples show what the rate did at the onset."""
+    d = s.sample
+    if not (s.doubted and s.by_change) or d.inconsistent or _lasts(s.detected, d, _DECIDED):
+        return False
+    row = first_since(stamps, s.end, 2 * s.onset - d.stamp)
+    _, speed, onset = fit_course(s, stamps, values, row)
+    verdict = rate_verdict(c.rates, stamps, values, s.end, s.baseline, onset, speed)
+    s.doubted = verdict == UNKNOWN
+    if verdict == INNOCENT:
+        s.kind = UNCLASSIFIED
+    return verdict == INNOCENT
 
 
 @njit
@@ -392,9 +430,11 @@ def _scatter(s, values):
 @njit
 def _name(c, s, stamps, values):
     """Name the kind anew; whether it is another one."""
-    if s.doubted and is_stuck(values, s.end, c.noise):
-        s.doubted, s.kind = False, STUCK  # no rate sensor does that
-        return True
+    if s.doubted and s.by_change:  # what no rate sensor does
+        stuck = is_stuck(values, s.end, c.noise)
+        if stuck or s.end >= _RECENT and _scatter(s, values) > 3.0 * c.noise:
+            s.doubted, s.kind = False, STUCK if stuck else NOISE
+            return True
     if s.kind == INCONSISTENT or STUCK <= s.kind <= NOISE or s.kind == DROPOUT:
         return False
     if s.kind == SPIKE:

@@ -19,34 +19,36 @@ UNMEASURED, MEASURED, IMPOSSIBLE = range(3)
 
 SENSOR_CONSTANTS = record_type(
     ('changes', CHANGE_TEST), ('rates', RATE_TEST), ('noise', 'f8'), ('step', 'f8'),
-    ('dwell', 'i8'), ('clear_dwell', 'i8'), ('hysteresis', 'f8'), ('latch', '?'))
+    ('dwell', 'i8'), ('clear_dwell', 'i8'), ('hysteresis', 'f8'), ('latch', '?'),
+    ('decay', 'f8'))
 """Limits of changes; test for faults of the rates; standard deviation of readings, and of what
-noise of the rates adds to the residual in one sample time [rad]; dwells [ns]; the rest as in
-`DiagnosisParameters`."""
+noise of the rates adds to the residual in one sample time [rad]; dwells [ns]; as in
+`DiagnosisParameters`; decay rate of the level's errors [1/s]."""
 
 SAMPLE = record_type(
     ('stamp', 'i8'), ('fault', 'f8'), ('residual', 'f8'), ('reading', 'f8'), ('threshold', 'f8'),
-    ('allowance', 'f8'), ('innovation', 'f8'), ('speed', 'f8'),
+    ('allowance', 'f8'), ('innovation', 'f8'),
     ('missing', '?'), ('lost', '?'), ('inconsistent', '?'))
 """What is known of one sensor at one sample.
 
 stamp [ns]; f^, r, y_p [rad]; the level that a healthy estimate stays below [rad];
-allowance of r (`lpv_core.dead_reckoning`) [rad]; estimated less measured rate of the sensor, and
-error of the rates that would stay unseen [rad/s]; no reading; gravity does not renew the estimate,
+allowance of r (`lpv_core.dead_reckoning`) [rad]; estimated less measured rate of the sensor
+[rad/s]; no reading; gravity does not renew the estimate,
 its level is no evidence; rates, torques and model contradict each other.
 """
 
 SENSOR_STATE = record_type(
     # The alarm: whether there is one, its kind (index into KINDS), first and deciding sample [ns],
     # amount: change since the onset, or level [rad]; whether it rests on a change, and on a jump;
-    # whether it may be a rate sensor's, and which error of that would have stayed unseen [rad/s].
+    # whether it may be a rate sensor's.
     ('alarm', '?'), ('kind', 'i8'), ('onset', 'i8'), ('detected', 'i8'), ('amount', 'f8'),
-    ('by_change', '?'), ('stepped', '?'), ('doubted', '?'), ('unseen', 'f8'), ('reported', 'f8'),
-    ('peak', 'f8'),
+    ('by_change', '?'), ('stepped', '?'), ('doubted', '?'), ('reported', 'f8'), ('peak', 'f8'),
     # Before the fault: r (zero for an alarm by level), f^ and allowance [rad].
     ('baseline', 'f8'), ('level_before', 'f8'), ('allowance_before', 'f8'),
     # Evidence that is not confirmed: since when, over which window, r and allowance before [rad].
     ('since', 'i8'), ('window', 'i8'), ('before', 'f8'), ('allowed', 'f8'),
+    # What f^ would be if a rate sensor had moved r: its value, and stamp [ns] and r of the last.
+    ('drawn', 'f8'), ('drawn_at', 'i8'), ('last_residual', 'f8'),
     # Times [ns]: no reading since, the alarm's condition gone since, next look, until when the
     # sensor is the first suspect, latest excursions and how many; rows of the past in use.
     ('missing_since', 'i8'), ('below_since', 'i8'), ('look_at', 'i8'), ('convicted_until', 'i8'),
@@ -63,7 +65,7 @@ def reset_sensor(s):
     s.end = 0
     s.alarm, s.kind, s.by_change, s.stepped, s.doubted = False, UNCLASSIFIED, False, False, False
     s.onset = s.detected = 0
-    s.amount = s.reported = s.peak = s.baseline = s.average = s.unseen = 0.0
+    s.amount = s.reported = s.peak = s.baseline = s.average = 0.0
     s.level_before = s.allowance_before = s.last_allowance = s.scatter = 0.0
     s.measured = UNMEASURED
     forget(s)
@@ -74,6 +76,7 @@ def forget(s):
     """Drop evidence that is not confirmed yet, and what depends on old stamps."""
     s.since = s.below_since = s.missing_since = s.look_at = s.convicted_until = NEVER
     s.window, s.before, s.allowed, s.spike_count = -1, 0.0, 0.0, 0
+    s.drawn, s.drawn_at = 0.0, NEVER
 
 
 @njit
