@@ -297,6 +297,15 @@ def test_given_a_small_bias_of_a_rate_sensor_when_it_lasts_then_the_arm_stops_ra
     assert np.abs(np.diff(run.reference[begin:begin + 10], axis=0)).max() < 1e-5
 
 
+def test_given_a_doubtful_drift_when_its_level_passes_the_threshold_then_the_arm_stops_once(
+        simulate, paper_arm):
+    run = simulate(Fault(paper_arm.sensor_names[0], 'drift', onset=1.0, rate=0.03), duration=6.0)
+    assert {a.kind for a in run.alarms} == {'inconsistent'}
+    assert not run.trustworthy.all()
+    assert np.sum(np.diff(run.braked.astype(int)) == 1) == 1
+    assert np.abs(tracking_error(run)).max() < 0.15
+
+
 def test_given_an_unstated_payload_when_it_is_lifted_then_the_diagnosis_is_inconsistent(simulate):
     run = simulate(duration=2.0, payload=3.0)
     assert np.argmax(run.inconsistent) < 50

@@ -384,7 +384,10 @@ def _is_trustworthy(c, s):
         # Beyond its bound where gravity tells nothing: something is wrong, not known what.
         if s.stamp - s.above_since[i] >= c.sensor.dwell > 0:
             trusted = False
-        if sensor.alarm and sensor.kind == INCONSISTENT and above:
+        # An arm that was stopped does not go on and stop again with the noise.
+        share = 1.0 if s.decision.trustworthy else c.sensor.hysteresis
+        wide = abs(sensor.sample.fault) > share * sensor.sample.threshold
+        if sensor.alarm and sensor.kind == INCONSISTENT and wide:
             trusted = False
         # What did not begin with a jump rests on the estimate alone.
         relied = abs(sensor.amount) + _bound(c, s, i)
