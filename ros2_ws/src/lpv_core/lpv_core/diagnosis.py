@@ -146,6 +146,8 @@ class Alarm:
 
 _OK, _WARN, _ERROR, _STALE, _NOT_DIAGNOSABLE = (int(state) for state in SensorState)
 _INITIALISING = int(Mode.INITIALISING)
+_REST = NANOSECONDS
+"""An estimate is trusted again when there was no reason against it for so long [ns]."""
 
 DIAGNOSIS_CONSTANTS = record_type(
     ('bound', BOUND_CONSTANTS), ('consistency', CONSISTENCY_CONSTANTS),
@@ -186,11 +188,12 @@ events
 DIAGNOSIS_STATE = record_type(
     # Beside the parts' states: last stamp [ns]; what is removed from the readings of each sensor
     # [rad], whether that is being done, and what it lacks of the confirmed fault while it is faded
-    # in [rad]; since when a level is beyond its bound without an alarm [ns].
+    # in [rad]; since when a level is beyond its bound without an alarm, and when there was a reason
+    # not to trust the estimate last [ns].
     ('bound', BOUND_STATE), ('consistency', CONSISTENCY_STATE), ('reckoning', RECKONING_STATE),
     ('sensors', SENSOR_STATE, (2,)),
     ('stamp', 'i8'), ('applied', 'f8', (2,)), ('engaged', 'u1', (2,)), ('missing', 'f8', (2,)),
-    ('above_since', 'i8', (2,)), ('decision', DECISION))
+    ('above_since', 'i8', (2,)), ('doubted_at', 'i8'), ('decision', DECISION))
 
 
 def diagnosis_constants(arm, gains, parameters):
@@ -252,7 +255,7 @@ def reset_diagnosis(s):
     reset_reckoning(s.reckoning)
     for i in range(2):
         reset_sensor(s.sensors[i])
-    s.stamp = NEVER
+    s.stamp = s.doubted_at = NEVER
     s.applied[:] = s.missing[:] = 0.0
     s.engaged[:] = 0
 
@@ -273,6 +276,7 @@ def diagnose(c, s, stamps, values, e):
     if e.stamp < s.stamp:
         for i in range(2):
             restart_sensor(s.sensors[i])
+        s.doubted_at = NEVER
     s.stamp = e.stamp
     d = s.decision
     reckon(c.reckoning, s.reckoning, e)
@@ -393,6 +397,10 @@ def _is_trustworthy(c, s):
         relied = abs(sensor.amount) + _bound(c, s, i)
         if is_compensable(sensor) and not sensor.stepped and relied > c.safe_stop_bound:
             trusted = False
+    if not trusted:
+        s.doubted_at = s.stamp
+    elif s.doubted_at != NEVER and s.stamp - s.doubted_at < _REST:
+        trusted = False  # the stop itself shakes the estimate
     return trusted
 
 
