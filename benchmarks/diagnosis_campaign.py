@@ -33,6 +33,8 @@ PAYLOAD = 0.25
 LENGTH = 20.0
 """Length of a run [s]."""
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout')
+RISES, RATE_STEPS = (0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.5, 1.5), 12
+"""Times that rates take to go wrong [s], in so many steps."""
 DIVERGED = 1.0
 """True tracking error that counts as lost control [rad]."""
 
@@ -169,6 +171,21 @@ def wild_run(number):
     return kind, largest if finite else np.inf, stops, before
 
 
+def rate_run(number):
+    """A rate sensor that goes wrong suddenly or little by little."""
+    arm, gains, base = _shared
+    rng = np.random.default_rng([6, number])
+    scenario, rise = random_scenario(arm, base, rng), RISES[number % len(RISES)]
+    size = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.01), np.log(1.0)))
+    sensor, onset = str(rng.choice(arm.sensor_names)), float(rng.uniform(2.0, 14.0))
+    faults = tuple(Fault(sensor, 'rate_bias', onset + rise * (k + 0.5) / RATE_STEPS, 5.0,
+                         float(size / RATE_STEPS)) for k in range(RATE_STEPS))
+    run = run_closed_loop(arm, gains, replace(scenario, faults=faults))
+    kinds = {a.kind for a in run.alarms}
+    return (rise, 'inconsistent' in kinds, bool(kinds - {'inconsistent'}),
+            float(np.abs(tracking_error(arm, run)).max()))
+
+
 def drift_run(job):
     """`fault_run` of a drift of a given rate."""
     number, rate = job
@@ -241,10 +258,25 @@ def show_wild(results, console):
     console.print(table)
 
 
+def show_rates(results, console):
+    """Who is blamed for rates that go wrong, by how gradually they do."""
+    table = Table(title='rate sensors that go wrong by 0.01 to 1 rad/s')
+    for name in ('within [s]', 'runs', 'inconsistent', 'position blamed', 'largest error [rad]'):
+        table.add_column(name, justify='right')
+    for rise in RISES:
+        group = [result for result in results if result[0] == rise]
+        if group:
+            _, found, blamed, errors = zip(*group)
+            table.add_row(f'{rise:g}', str(len(group)), str(sum(found)), str(sum(blamed)),
+                          f'{max(errors):.3f}')
+    console.print(table)
+
+
 def show_drifts(results, console):
     """Delay and size at detection by rate."""
     table = Table(title='drifts')
-    for name in ('rate [rad/s]', 'detected', 'delay mean [s]', 'delay max [s]', 'size mean [rad]'):
+    for name in ('rate [rad/s]', 'detected', 'delay mean [s]', 'delay max [s]', 'size mean [rad]',
+                 'named drift'):
         table.add_column(name, justify='right')
     by_rate = defaultdict(list)
     for rate, result in results:
@@ -255,6 +287,7 @@ def show_drifts(results, console):
         found = np.isfinite(delay)
         row = ([f'{np.mean(delay[found]):.2f}', f'{delay[found].max():.2f}',
                 f'{np.mean(size[found]):.3f}'] if found.any() else ['', '', ''])
+        row.append(str(sum(r['said'] == 'drift' for r in group)))
         table.add_row(f'{rate:g}', f'{found.sum()}/{len(group)}', *row)
     console.print(table)
 
@@ -264,6 +297,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--hours', type=float, default=0.05, help='healthy motion [h] (0.05)')
     parser.add_argument('--faults', type=int, default=42, help='random faults of all kinds (42)')
+    parser.add_argument('--rates', type=int, default=40, help='faults of rate sensors (40)')
     parser.add_argument('--drifts', type=int, default=4, help='drifts of each rate (4)')
     parser.add_argument('--steps', type=int, default=30, help='steps of guaranteed size (30)')
     parser.add_argument('--wild', type=int, default=40, help='runs with +-10 % model error (40)')
@@ -283,6 +317,7 @@ def main():
         show_faults(pool.map(fault_run, range(arguments.faults), chunksize=1), console)
         show_steps(pool.map(step_run, range(arguments.steps), chunksize=1), console)
         show_wild(pool.map(wild_run, range(arguments.wild), chunksize=1), console)
+        show_rates(pool.map(rate_run, range(arguments.rates), chunksize=1), console)
         rates = (0.02, 0.05, 0.1, 0.2)
         jobs = [(n, rate) for rate in rates for n in range(arguments.drifts)]
         show_drifts(pool.map(drift_run, jobs, chunksize=1), console)
