@@ -96,20 +96,19 @@ def rate_verdict(c, stamps, values, end, baseline, onset, speed):
     """
     if not c.used or speed == 0.0:
         return UNKNOWN
+    fits = [_fit(c, stamps, values, end, baseline, onset, speed, rise, k)
+            for rise in _RISES for k in range(_STARTS)]
     best = math.inf
-    for rise in _RISES:
-        for k in range(_STARTS):
-            left, _, _ = _fit(c, stamps, values, end, baseline, onset, speed, rise, k)
-            best = min(best, left)
+    for left, _, _ in fits:
+        best = min(best, left)
     if not _is_explained(c, stamps, values, end, baseline, onset, best):
         return UNKNOWN
     verdict = INNOCENT
-    for rise in _RISES:
-        for k in range(_STARTS):
-            left, fitted, row = _fit(c, stamps, values, end, baseline, onset, speed, rise, k)
+    for i in range(len(_RISES)):
+        for left, fitted, row in fits[i * _STARTS:(i + 1) * _STARTS]:
             if left > best + _WORSE * c.reading * c.reading:
                 continue
-            one = _look(c, stamps, values, end, row, rise, fitted)
+            one = _look(c, stamps, values, end, row, _RISES[i], fitted)
             if one == GUILTY:
                 return GUILTY
             if one == UNKNOWN:

@@ -36,14 +36,14 @@ def start_scale(c, s, values, row):
         First row since the onset.
     """
     f = s.filter
-    f.used, f.scale, f.astray, f.surprise = True, 0.0, 0.0, 0.0
+    f.used, f.scale, f.astray = True, 0.0, 0.0
     f.variance[0], f.variance[1], f.variance[2] = 1.0, 0.0, 0.1 * c.noise * c.noise
     last = s.allowance_before
     for k in range(row, s.end):
         _follow(c, f, values[k, READING] - values[k, RESIDUAL] + s.baseline,
                 values[k, RESIDUAL] - s.baseline, values[k, ALLOWANCE] - last)
         last = values[k, ALLOWANCE]
-    f.surprise = 0.0
+    f.surprise = 0.0  # what it learned from does not count
 
 
 @njit

@@ -22,7 +22,7 @@ SENSOR_CONSTANTS = record_type(
     ('dwell', 'i8'), ('clear_dwell', 'i8'), ('hysteresis', 'f8'), ('latch', '?'),
     ('decay', 'f8'))
 """Limits of changes; test for faults of the rates; standard deviation of readings, and of what
-noise of the rates adds to the residual in one sample time [rad]; dwells [ns]; as in
+noise of the rates adds to the residual in one sample time [rad]; dwells [ns]; the next two as in
 `DiagnosisParameters`; decay rate of the level's errors [1/s]."""
 
 SAMPLE = record_type(
@@ -31,10 +31,10 @@ SAMPLE = record_type(
     ('missing', '?'), ('lost', '?'), ('inconsistent', '?'))
 """What is known of one sensor at one sample.
 
-stamp [ns]; f^, r, y_p [rad]; the level that a healthy estimate stays below [rad];
-allowance of r (`lpv_core.dead_reckoning`) [rad]; estimated less measured rate of the sensor
-[rad/s]; no reading; gravity does not renew the estimate,
-its level is no evidence; rates, torques and model contradict each other.
+stamp [ns]; f^, r, y_p [rad]; the level that a healthy estimate stays below [rad]; allowance of r
+(`lpv_core.dead_reckoning`) [rad]; estimated less measured rate of the sensor [rad/s]; no reading;
+gravity does not renew the estimate, its level is no evidence; rates, torques and model contradict
+each other.
 """
 
 SENSOR_STATE = record_type(

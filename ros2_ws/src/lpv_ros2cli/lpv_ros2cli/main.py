@@ -40,7 +40,7 @@ def main(argv=None):
             return 0
         except Exception:
             # An interrupt that falls into a call of the middleware comes out as another exception.
-            if received:
+            if signal.SIGINT in received:
                 return int(signal.SIGINT)
             raise
 
