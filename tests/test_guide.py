@@ -60,6 +60,17 @@ def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_not_
     np.testing.assert_allclose(rows['position'][-1], path.sample(late).position, atol=1e-9)
 
 
+@pytest.mark.parametrize('offset', [(0.06, 0.0), (-0.1, 0.2)])
+def test_given_an_arm_near_its_path_when_guided_then_it_takes_its_time(paper_arm, path, offset):
+    start = path.sample(0.0).position
+    rows = follow(PathGuide(paper_arm, path), start + np.array(offset), 0, 3.0)
+    assert_smooth(rows)
+    # A quintic from rest to rest in T: at most 5.774 d / T^2.
+    greatest = 5.774 * np.abs(offset).max()
+    assert np.abs(rows['acceleration'][:499]).max() == pytest.approx(greatest, rel=1e-3)
+    np.testing.assert_allclose(rows['position'][501], start, atol=1e-6)
+
+
 def test_given_a_stop_on_the_way_when_it_goes_on_then_from_where_it_stopped_and_from_rest(
         paper_arm, path):
     guide = PathGuide(paper_arm, path)

@@ -33,7 +33,7 @@ SPECS = (
 )
 
 _CATCH_UP = 5
-"""Most samples made up for in one late tick; beyond, the arm's time slips and is counted."""
+"""Most samples that a braked arm makes up for; beyond, its time slips and is counted."""
 _PATIENCE = 1.0
 """Lockstep: how long an answer may take before the sample is sent again to newcomers [s]."""
 
@@ -46,8 +46,9 @@ class SimulatorNode(ManagedNode):
     ``torque_command``.  Services: ``~/inject_fault``, ``~/clear_faults``.
 
     Until the first command, after a safe stop, and in real time when commands stay away, the
-    drives brake and hold the arm where it is.  In lockstep a sample that nobody answers is sent
-    again when nodes have joined: one that was restarted has not heard it.
+    drives brake and hold the arm where it is.  In real time an arm does not wait for a process that
+    is late: it moves on under the last torque until the drives brake.  In lockstep a sample that
+    nobody answers is sent again when nodes have joined: one that was restarted has not heard it.
     """
 
     def __init__(self):
@@ -152,17 +153,16 @@ class SimulatorNode(ManagedNode):
             self._joint_states_out.publish(self._state_message)
 
     def _tick(self):
+        """Make the steps that are due; only while it is braked may the arm leave some out."""
         behind = (self.get_clock().now().nanoseconds - self._stamp) // self._period
-        if behind > _CATCH_UP:
-            slip = behind - 1
-            self._start += slip * self._period
-            self._slips += slip
-            behind = 1
-        for _ in range(max(0, behind)):
+        while behind > 0 and not self.finished:
+            if self._braking and behind > _CATCH_UP:
+                self._start += (behind - 1) * self._period
+                self._slips += behind - 1
+                behind = 1
             self._advance()
             self._publish()
-            if self.finished:
-                return
+            behind -= 1
 
     def _advance(self):
         command = self._command

@@ -13,8 +13,9 @@ _NEAR = 0.05
 error are smaller, and torques stay small."""
 _RAMP = 0.5
 """Time in which the path picks up its speed after a stop on the way [s]."""
-
-
+_SHORTEST = 1.0
+"""Least time of an approach [s]: a short way in less asks for torques that throw an upright arm
+far if one of them is held for too long."""
 _UNHEEDED = 0.02
 """Way of the reference, with the arm at rest, from which commands are taken for lost [rad]."""
 _MOVED = 0.01
@@ -161,7 +162,8 @@ class PathGuide:
         resting = not self._path.start < self._from < self._path.end
         self._ramp = 0.0 if resting else _RAMP
         # The peak rate of the quintic is 15/8 of its mean.
-        self._approach = 1.875 * distance / self._speed if distance > _NEAR else 0.0
+        self._approach = (max(1.875 * distance / self._speed, _SHORTEST) if distance > _NEAR
+                          else 0.0)
         self._stood, self._first = position, position
         if not self._approach:
             self._first = position - self._offset

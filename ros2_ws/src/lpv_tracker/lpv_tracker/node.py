@@ -23,6 +23,8 @@ SPECS = (
          'or goes on elsewhere [rad/s]', 0.01, 10.0, read_only=True),
 )
 
+_SILENCE = 'no estimates: safe stop'
+
 
 class TrackerNode(ManagedNode):
     """Tracking controller.
@@ -95,7 +97,11 @@ class TrackerNode(ManagedNode):
             self._stop()
             self._guide.reset()  # time started anew, and so does the path
         self._last = stamp
-        if not message.trustworthy:
+        # A node that was held up itself has seen no silence: the drives have braked meanwhile.
+        silent = self._previous is not None and self._is_silence(stamp - self._previous)
+        if silent:
+            self.get_logger().error(_SILENCE)
+        if silent or not message.trustworthy:
             self._stop()
             self._publish_safe_stop(stamp)
             return
@@ -154,10 +160,15 @@ class TrackerNode(ManagedNode):
         if self._stopped:
             return
         now = self.get_clock().now().nanoseconds
-        if now - self._received > self.get_parameter('estimate_timeout').value * NANOSECONDS:
-            self.get_logger().error('no estimates: safe stop')
+        if self._is_silence(now - self._received):
+            self.get_logger().error(_SILENCE)
             self._stop()
             self._publish_safe_stop(now)
+
+    def _is_silence(self, interval):
+        if self.lockstep:
+            return False
+        return interval > self.get_parameter('estimate_timeout').value * NANOSECONDS
 
     def _publish_safe_stop(self, stamp):
         set_stamp(self._command.header.stamp, stamp)
