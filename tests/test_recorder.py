@@ -12,7 +12,7 @@ from bags import contents
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from rclpy.qos import QoSProfile  # noqa: E402
+from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
@@ -31,9 +31,9 @@ GAINS = (Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 class Source:
     """Publishes numbered measurements, stamped with the time of their publication."""
 
-    def __init__(self, client):
+    def __init__(self, client, qos=RELIABLE):
         self._client = client
-        self._publisher = client.node.create_publisher(JointState, 'joint_states', RELIABLE)
+        self._publisher = client.node.create_publisher(JointState, 'joint_states', qos)
         self.sent = []   # stamps [ns]
 
     def wait(self):
@@ -71,10 +71,10 @@ def session(tmp_path):
     """Starts a recorder; gives its process, a source of measurements, and a client."""
     domain = ros.next_domain()
     with ros.graph(tmp_path / 'log', domain) as running, ros.client(domain) as client:
-        def start(*parameters, prefix=()):
+        def start(*parameters, prefix=(), qos=RELIABLE):
             line = ros.command('recorder', f'output:={tmp_path / "bag"}', *parameters)
             node = running.start('recorder', [*prefix, *line])
-            return node.process, Source(client), client
+            return node.process, Source(client, qos), client
         yield start
 
 
@@ -113,6 +113,26 @@ def test_given_publishers_that_go_on_when_the_recorder_is_told_to_stop_then_noth
     assert numbers[:before] == list(range(before))
     assert numbers == list(range(len(numbers)))
     assert contents(tmp_path / 'bag')[1] == []
+
+
+def test_given_a_recorder_that_is_held_up_when_the_transport_overflows_then_each_loss_is_counted(
+        session, tmp_path):
+    process, source, _ = session(qos=qos_profile_sensor_data)
+    source.wait()
+    source.run(after(0.5))
+    os.killpg(process.pid, signal.SIGSTOP)
+    for _ in range(8000):
+        source.publish()
+    os.killpg(process.pid, signal.SIGCONT)
+    source.run(after(1.0))  # the numbers of what comes next tell what is missing
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 0
+    numbers = recorded(tmp_path / 'bag')
+    assert numbers == sorted(set(numbers))
+    with open_bag(tmp_path / 'bag') as reader:
+        known = reader.known[TOPIC]
+    assert known['messages'] == len(numbers)
+    assert known['lost'] == numbers[-1] + 1 - numbers[0] - len(numbers) > 0
 
 
 def test_given_bags_under_the_name_when_recorded_then_the_next_free_one_is_taken_with_a_warning(

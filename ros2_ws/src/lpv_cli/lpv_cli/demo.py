@@ -152,7 +152,7 @@ def _run_graph(arguments, files, out, scenario, console):
 
 
 def _follow(graph, duration, console):
-    """Show progress and alarms until the simulator has finished."""
+    """Show progress and alarms until the simulator has finished; the others then miss it."""
     simulator = graph.nodes[-1]
     columns = (TextColumn('scenario'), BarColumn(), TextColumn('{task.completed:.1f} s'),
                TimeElapsedColumn())
@@ -171,7 +171,7 @@ def _follow(graph, duration, console):
                 progress.update(task, completed=float(found.group(1)))
             elif 'ALARM' in line or 'alarm ' in line:
                 progress.console.print(f'  {line.split("]: ", 1)[-1]}', highlight=False)
-            elif simulator.process.poll() is None and ('ERROR' in line or 'FATAL' in line):
+            elif not progress.finished and ('ERROR' in line or 'FATAL' in line):
                 progress.console.print(f'  {name}: {line}', highlight=False)
     graph.check(finite=simulator)
 
