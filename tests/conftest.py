@@ -1,6 +1,7 @@
 """Fixtures shared by the tests of the maths: shipped arms, scenario, designed gains."""
 
 import importlib.util
+import signal
 import sys
 from pathlib import Path
 
@@ -19,6 +20,12 @@ for _name, _place in (('lpv_core', ROOT / 'ros2_ws' / 'src' / 'lpv_core'),
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None,
                           max_examples=200)
 settings.load_profile('lpv')
+
+
+def pytest_configure():
+    """A run that is cancelled stops the nodes that it started, as one that is interrupted does."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
 
 @pytest.fixture(scope='session')
 def paper_arm():

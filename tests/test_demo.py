@@ -1,5 +1,6 @@
 """The whole pipeline as a user runs it: ``lpv demo``, what it records, and replays of it."""
 
+import contextlib
 import os
 import re
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from pathlib import Path
+from signal import SIGHUP, SIGINT, SIGTERM
 
 import numpy as np
 import pytest
@@ -37,6 +39,17 @@ def lpv(*arguments, timeout=200):
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain()), 'COLUMNS': '120'}
     return subprocess.run([program, *map(str, arguments)], env=environment, text=True,
                           capture_output=True, timeout=timeout, check=False)
+
+
+def nodes_of(folder):
+    """Command lines of the processes that were given files in a folder."""
+    found = []
+    for file in Path('/proc').glob('[0-9]*/cmdline'):
+        with contextlib.suppress(OSError):  # it has ended
+            line = file.read_bytes().replace(b'\0', b' ').decode(errors='replace')
+            if f'{folder}/' in line and '--ros-args' in line:
+                found.append(line)
+    return found
 
 
 def contents(bag):
@@ -225,3 +238,22 @@ def test_given_a_set_up_that_is_done_when_set_up_again_then_nothing_is_done():
                             env={**os.environ, 'VENV': str(environment)}, capture_output=True,
                             timeout=250)
     assert (result.returncode, result.stdout) == (0, ''), result.stdout + result.stderr
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('number', [SIGINT, SIGTERM, SIGHUP])
+def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(tmp_path, number):
+    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+    program = Path(sys.executable).parent / 'lpv'
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain())}
+    with subprocess.Popen([program, 'demo', '--out', tmp_path / 'out'], env=environment, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+        assert any('ALARM' in line for line in process.stdout)
+        assert len(nodes_of(tmp_path)) >= 3
+        process.send_signal(number)
+        process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert nodes_of(tmp_path) == []
+    # What was recorded until then is there.
+    with AnyReader([tmp_path / 'out' / 'bag'], default_typestore=make_typestore()) as reader:
+        assert reader.message_count > 1000

@@ -24,11 +24,11 @@ def launch(tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
     started = []
 
-    def start(text, *words):
+    def start(text, *words, stdout=subprocess.PIPE):
         path = tmp_path / 'some.launch.xml'
         path.write_text(f'<launch>{text}</launch>')
         process = subprocess.Popen([str(ROS2), 'launch', str(path), *words], text=True,
-                                   stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+                                   stdout=stdout, stderr=subprocess.STDOUT)
         started.append(process)
         return process
 
@@ -101,7 +101,7 @@ def wait_for_line(process, pattern):
     raise AssertionError(f'no {pattern!r}')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_given_a_signal_when_launched_then_every_process_gets_sigint_once(launch, number):
     trap = 'trap "echo caught; exit 0" INT; echo ready; while true; do sleep 0.05; done'
     process = launch(shell(trap.replace('"', '&quot;')))
@@ -110,8 +110,25 @@ def test_given_a_signal_when_launched_then_every_process_gets_sigint_once(launch
     code, text = ended(process)
     assert code == 0
     assert text.count('[p-1] caught\n') == 1
-    assert f'user interrupted with {"ctrl-c (SIGINT)" if number == signal.SIGINT else "SIGTERM"}' \
-        in text
+    name = 'ctrl-c (SIGINT)' if number == signal.SIGINT else number.name
+    assert f'user interrupted with {name}' in text
+
+
+def test_given_a_terminal_that_is_closed_when_launched_then_every_process_is_stopped(
+        launch, tmp_path):
+    caught, ready = tmp_path / 'caught', tmp_path / 'ready'
+    ours, theirs = os.openpty()
+    process = launch(shell(f'trap &quot;echo caught; touch {caught}; exit 0&quot; INT; '
+                           f'touch {ready}; while true; do sleep 0.05; done'), stdout=theirs)
+    os.close(theirs)
+    limit = time.monotonic() + 30.0
+    while not ready.exists() and time.monotonic() < limit:
+        time.sleep(0.01)
+    os.close(ours)  # what is printed from now on fails
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(30) == 0
+    assert caught.exists()
+    assert '[p-1]: process has finished cleanly' in log_of(tmp_path)
 
 
 def test_given_a_process_that_ignores_signals_when_stopped_then_it_is_killed_in_the_end(launch):

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from lpv_cli.completion import shipped
-from lpv_cli.processes import Graph, NodeFailure
+from lpv_cli.processes import Graph, NodeFailure, ended_by_signals
 from lpv_core.arm import load_arm
 from lpv_core.gains import save_gains
 from lpv_core.resources import bringup_file, executable
@@ -141,7 +141,7 @@ def _run_graph(arguments, files, out, scenario, console):
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     console.print(f'running {scenario.name!r} ({scenario.duration:g} s, {arguments.mode}) with '
                   f'ROS_DOMAIN_ID {domain} ...', highlight=False)
-    with Graph(out / 'log', domain) as graph:
+    with ended_by_signals(), Graph(out / 'log', domain) as graph:
         for name, command in _commands(arguments, files, out).items():
             graph.start(name, command)
         _follow(graph, scenario.duration, console)

@@ -36,6 +36,27 @@ class NodeProcess:
     log: Path
 
 
+@contextlib.contextmanager
+def ended_by_signals():
+    """Context in which SIGTERM and SIGHUP raise SystemExit: nodes must not outlive the command.
+
+    They are in sessions of their own, where neither arrives.  SIGHUP is left alone where it is
+    ignored, as nohup asks for.
+    """
+    def end(number, _frame):
+        raise SystemExit(128 + number)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    changed = [number for number, handler in before.items() if handler != signal.SIG_IGN]
+    for number in changed:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in changed:
+            signal.signal(number, before[number])
+
+
 class Graph:
     """A set of nodes that live and end together.
 

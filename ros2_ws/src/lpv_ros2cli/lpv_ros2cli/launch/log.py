@@ -75,7 +75,7 @@ class LaunchLog:
             if shown:
                 try:
                     print(shown_text, flush=True)
-                except BrokenPipeError:  # nobody looks any more; processes must still be stopped
+                except OSError:  # nobody looks any more; processes must still be stopped
                     sys.stdout = open(os.devnull, 'w')  # noqa: SIM115
 
 

@@ -72,8 +72,10 @@ class Runner:
         int
             0; 1 if a process ended with an error before it was told to end.
         """
-        previous = {number: signal.signal(number, self._on_signal)
-                    for number in (signal.SIGINT, signal.SIGTERM)}
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as nohup asks for
+            numbers.append(signal.SIGHUP)  # the processes do not notice that the terminal closes
+        previous = {number: signal.signal(number, self._on_signal) for number in numbers}
         try:
             with tempfile.TemporaryDirectory(prefix='launch_params_') as folder:
                 self._folder = Path(folder)
