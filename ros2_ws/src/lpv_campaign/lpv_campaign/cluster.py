@@ -1,5 +1,6 @@
 """Chunks of work on a Dask cluster: processes of this machine, or whoever a scheduler has."""
 
+import asyncio
 import logging
 import os
 import signal
@@ -92,7 +93,7 @@ def _remote(connect, scheduler):
         raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
-    except TimeoutError:
+    except asyncio.TimeoutError:  # noqa: UP041 - Python 3.10 has two kinds
         client.close()
         raise WorkerError(f'scheduler {scheduler!r} has no workers') from None
     return client
@@ -184,7 +185,7 @@ def _some_of(client, pending):
     while time.monotonic() - seen < _LONELY:
         try:
             return wait(pending, timeout=0.1 * _LONELY, return_when='FIRST_COMPLETED').done
-        except TimeoutError:
+        except asyncio.TimeoutError:  # noqa: UP041
             if client.nthreads():
                 seen = time.monotonic()
     raise WorkerError(f'no worker is left since {_LONELY:g} s; what is done is kept: start workers '
