@@ -27,9 +27,9 @@ def estimate_at(k, fault=(0.0, 0.0), theta=(0.0, 0.0), innovation=(0.0, 0.0)):
 @pytest.fixture
 def simulate(paper_arm, paper_gains, two_faults):
     """Run the scenario with the given faults and other fields."""
-    def run(*faults, duration=4.0, compensation='confirmed', **fields):
+    def run(*faults, duration=4.0, compensation='confirmed', parameters=None, **fields):
         scenario = replace(two_faults, faults=faults, duration=duration, **fields)
-        return run_closed_loop(paper_arm, paper_gains, scenario, compensation)
+        return run_closed_loop(paper_arm, paper_gains, scenario, compensation, parameters)
     return run
 
 
@@ -379,6 +379,37 @@ def test_given_an_alarm_by_level_when_its_bound_is_too_wide_then_it_is_not_trust
     assert bound > parameters.safe_stop_bound
     diagnoser.retune(parameters)
     assert not diagnoser.update(estimate_at(100, (0.4, 0.0))).trustworthy
+
+
+# Thresholds ten times as wide: as where gravity tells little, the level stops nothing.
+BLIND = DiagnosisParameters(threshold_factor=10.0)
+
+
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_a_slow_drift_when_only_its_change_is_seen_then_the_arm_stops_at_the_limit_of_doubt(
+        simulate, paper_arm, index):
+    drift = Fault(paper_arm.sensor_names[index], 'drift', onset=1.0, rate=0.05)
+    run = simulate(drift, duration=6.0, parameters=BLIND)
+    assert {a.kind for a in run.alarms} == {'inconsistent'}
+    stop = run.time[np.argmin(run.trustworthy)]
+    assert stop == pytest.approx(1.0 + BLIND.doubt_limit / drift.rate, abs=0.05)
+    assert not run.trustworthy[run.time > stop].any()
+    assert np.abs(tracking_error(run)).max() < BLIND.doubt_limit + 0.01
+    free = simulate(drift, duration=6.0, parameters=replace(BLIND, doubt_limit=10.0))
+    assert free.trustworthy.all()
+    assert np.abs(tracking_error(free)).max() > 0.23
+
+
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_a_rate_sensor_that_is_convicted_when_the_reading_seems_to_change_then_it_goes_on(
+        simulate, paper_arm, index):
+    wrong = Fault(paper_arm.sensor_names[index], 'rate_bias', onset=1.0, size=0.1)
+    run = simulate(wrong, duration=6.0, parameters=BLIND)
+    assert {a.kind for a in run.alarms} == {'inconsistent'}
+    # Dead reckoning is off by more than the limit, and the arm is not.
+    assert wrong.size * (6.0 - wrong.onset) > 2.0 * BLIND.doubt_limit
+    assert run.trustworthy.all()
+    assert np.abs(tracking_error(run)).max() < 0.05
 
 
 # ------------------------------------------------------------------ retune

@@ -36,7 +36,7 @@ from lpv_core.joints import weigh
 from lpv_core.observer import NANOSECONDS, Mode
 from lpv_core.rate_fault import rate_test
 from lpv_core.records import NEVER, new_record, record_type
-from lpv_core.sensor_decision import NOTHING, decide, is_compensable, suspected
+from lpv_core.sensor_decision import NOTHING, decide, is_compensable, is_unexplained, suspected
 from lpv_core.sensor_record import (
     SENSOR_CONSTANTS,
     SENSOR_STATE,
@@ -95,6 +95,9 @@ class DiagnosisParameters:
     safe_stop_bound : float
         A confirmed fault that did not begin with a jump cannot be compensated safely if its size
         and bound together are larger [rad]; a level with a wider bound is no evidence.
+    doubt_limit : float
+        Largest change of unknown cause with which the arm goes on [rad]: if it is the position
+        sensor after all, the arm is off its path by as much.
     """
 
     threshold_factor: float = 1.0
@@ -108,6 +111,7 @@ class DiagnosisParameters:
     latch: bool = False
     compensation_rate: float = 0.5
     safe_stop_bound: float = 1.5
+    doubt_limit: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -152,7 +156,8 @@ _REST = NANOSECONDS
 DIAGNOSIS_CONSTANTS = record_type(
     ('bound', BOUND_CONSTANTS), ('consistency', CONSISTENCY_CONSTANTS),
     ('reckoning', RECKONING_CONSTANTS), ('sensor', SENSOR_CONSTANTS), ('threshold_factor', 'f8'),
-    ('minimum_threshold', 'f8'), ('compensation_rate', 'f8'), ('safe_stop_bound', 'f8'))
+    ('minimum_threshold', 'f8'), ('compensation_rate', 'f8'), ('safe_stop_bound', 'f8'),
+    ('doubt_limit', 'f8'))
 
 ALARM_EVENT = record_type(
     ('happened', 'i8'), ('sensor', 'i8'), ('onset', 'i8'), ('detected', 'i8'), ('amount', 'f8'),
@@ -227,7 +232,8 @@ def diagnosis_constants(arm, gains, parameters):
                                                             arm.sample_time)),
         reckoning=dead_reckoning(arm), threshold_factor=p.threshold_factor,
         minimum_threshold=p.minimum_threshold,
-        compensation_rate=p.compensation_rate, safe_stop_bound=p.safe_stop_bound)
+        compensation_rate=p.compensation_rate, safe_stop_bound=p.safe_stop_bound,
+        doubt_limit=p.doubt_limit)
 
 
 def diagnosis_history(arm):
@@ -392,6 +398,8 @@ def _is_trustworthy(c, s):
         share = 1.0 if s.decision.trustworthy else c.sensor.hysteresis
         wide = abs(sensor.sample.fault) > share * sensor.sample.threshold
         if sensor.alarm and sensor.kind == INCONSISTENT and wide:
+            trusted = False
+        if is_unexplained(sensor) and abs(sensor.amount) > share * c.doubt_limit:
             trusted = False
         # What did not begin with a jump rests on the estimate alone.
         relied = abs(sensor.amount) + _bound(c, s, i)

@@ -66,6 +66,12 @@ def is_compensable(s):
 
 
 @njit
+def is_unexplained(s):
+    """Whether a reading has changed, and no rate sensor was convicted of it either."""
+    return s.alarm and s.kind == INCONSISTENT and s.by_change and not s.acquitted
+
+
+@njit
 def suspected(s):
     """What an abrupt change that is not confirmed yet would be as a fault [rad], else 0."""
     if s.alarm or s.since == NEVER or s.window != 0:
@@ -227,6 +233,7 @@ def _confirm_change(c, s, stamps, values):
     wrong_rates = verdict == GUILTY or (d.inconsistent and not stepped)
     kind = INCONSISTENT if s.doubted or wrong_rates else UNCLASSIFIED
     decided = _raise(s, kind, onset, True, stepped)
+    s.acquitted = verdict == GUILTY
     _name(c, s, stamps, values)
     return decided
 
@@ -285,6 +292,7 @@ def _raise(s, kind, onset, by_change, stepped):
     d = s.sample
     s.alarm, s.kind, s.by_change, s.stepped = True, kind, by_change, stepped
     s.doubted = s.doubted and kind == INCONSISTENT
+    s.acquitted = False
     s.onset, s.detected = onset, d.stamp
     s.amount = s.reported = _size(s)
     s.level_before = d.fault - s.amount
@@ -363,7 +371,7 @@ def _judge_again(c, s, stamps, values):
     row = first_since(stamps, s.end, 2 * s.onset - d.stamp)
     _, speed, onset = fit_course(s, stamps, values, row)
     verdict = rate_verdict(c.rates, stamps, values, s.end, s.baseline, onset, speed)
-    s.doubted = verdict == UNKNOWN
+    s.doubted, s.acquitted = verdict == UNKNOWN, verdict == GUILTY
     if verdict == INNOCENT:
         s.kind = UNCLASSIFIED
     return verdict == INNOCENT

@@ -40,9 +40,10 @@ each other.
 SENSOR_STATE = record_type(
     # The alarm: whether there is one, its kind (index into KINDS), first and deciding sample [ns],
     # amount: change since the onset, or level [rad]; whether it rests on a change, and on a jump;
-    # whether it may be a rate sensor's.
+    # whether it may be a rate sensor's, and whether it is one's for certain.
     ('alarm', '?'), ('kind', 'i8'), ('onset', 'i8'), ('detected', 'i8'), ('amount', 'f8'),
-    ('by_change', '?'), ('stepped', '?'), ('doubted', '?'), ('reported', 'f8'), ('peak', 'f8'),
+    ('by_change', '?'), ('stepped', '?'), ('doubted', '?'), ('acquitted', '?'),
+    ('reported', 'f8'), ('peak', 'f8'),
     # Before the fault: r (zero for an alarm by level), f^ and allowance [rad].
     ('baseline', 'f8'), ('level_before', 'f8'), ('allowance_before', 'f8'),
     # Evidence that is not confirmed: since when, over which window, r and allowance before [rad].
@@ -63,7 +64,8 @@ SENSOR_STATE = record_type(
 def reset_sensor(s):
     """Clear alarm and past."""
     s.end = 0
-    s.alarm, s.kind, s.by_change, s.stepped, s.doubted = False, UNCLASSIFIED, False, False, False
+    s.alarm, s.kind, s.by_change, s.stepped = False, UNCLASSIFIED, False, False
+    s.doubted = s.acquitted = False
     s.onset = s.detected = 0
     s.amount = s.reported = s.peak = s.baseline = s.average = 0.0
     s.level_before = s.allowance_before = s.last_allowance = s.scatter = 0.0

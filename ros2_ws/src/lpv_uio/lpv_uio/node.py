@@ -42,6 +42,8 @@ DIAGNOSIS_SPECS = (
          'how fast a compensation without a known step is faded in and out [rad/s]', 0.01, 100.0),
     Spec('diagnosis.safe_stop_bound', _DIAGNOSIS.safe_stop_bound,
          'size plus bound of a confirmed fault, not a jump, that stops the arm [rad]', 0.01, 100.0),
+    Spec('diagnosis.doubt_limit', _DIAGNOSIS.doubt_limit,
+         'largest change of unknown cause with which the arm goes on [rad]', 0.01, 100.0),
     Spec('diagnosis.friction_uncertainty', _DIAGNOSIS.friction_uncertainty,
          'relative uncertainty of Coulomb friction [1]', 0.0, 1.0),
 )
