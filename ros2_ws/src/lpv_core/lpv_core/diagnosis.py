@@ -386,6 +386,8 @@ def _toward_zero(value, step):
 def _is_trustworthy(c, s):
     """Whether the loop may go on, see `DECISION`."""
     trusted = True
+    # An arm that was stopped does not go on and stop again with the noise.
+    share = 1.0 if s.decision.trustworthy else c.sensor.hysteresis
     for i in range(2):
         sensor = s.sensors[i]
         above = abs(sensor.sample.fault) > sensor.sample.threshold
@@ -394,8 +396,6 @@ def _is_trustworthy(c, s):
         # Beyond its bound where gravity tells nothing: something is wrong, not known what.
         if s.stamp - s.above_since[i] >= c.sensor.dwell > 0:
             trusted = False
-        # An arm that was stopped does not go on and stop again with the noise.
-        share = 1.0 if s.decision.trustworthy else c.sensor.hysteresis
         wide = abs(sensor.sample.fault) > share * sensor.sample.threshold
         if sensor.alarm and sensor.kind == INCONSISTENT and wide:
             trusted = False

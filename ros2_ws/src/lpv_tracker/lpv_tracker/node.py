@@ -82,8 +82,7 @@ class TrackerNode(ManagedNode):
             self.destroy_timer(self._watch)
             self._watch = None
         if not (self._stopped or self.lockstep):
-            self._stop()
-            self._publish_safe_stop(self.get_clock().now().nanoseconds)
+            self._stop_safely(self.get_clock().now().nanoseconds)
 
     def _on_estimate(self, message):
         stamp = to_nanoseconds(message.header.stamp)
@@ -102,8 +101,7 @@ class TrackerNode(ManagedNode):
         if silent:
             self.get_logger().error(_SILENCE)
         if silent or not message.trustworthy:
-            self._stop()
-            self._publish_safe_stop(stamp)
+            self._stop_safely(stamp)
             return
         position = self._feedback(message)
         reference = self._guide.reference(stamp, position)
@@ -162,15 +160,15 @@ class TrackerNode(ManagedNode):
         now = self.get_clock().now().nanoseconds
         if self._is_silence(now - self._received):
             self.get_logger().error(_SILENCE)
-            self._stop()
-            self._publish_safe_stop(now)
+            self._stop_safely(now)
 
     def _is_silence(self, interval):
         if self.lockstep:
             return False
         return interval > self.get_parameter('estimate_timeout').value * NANOSECONDS
 
-    def _publish_safe_stop(self, stamp):
+    def _stop_safely(self, stamp):
+        self._stop()
         set_stamp(self._command.header.stamp, stamp)
         self._command.torque, self._command.safe_stop = [0.0, 0.0], True
         self._command_out.publish(self._command)
