@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+import lpv_campaign
 import lpv_core
 from lpv_campaign.accuracy import limit_figures
 from lpv_campaign.campaign import campaign_of
@@ -28,7 +29,7 @@ def software():
     str
         Of the sources of lpv_core and lpv_campaign.
     """
-    return '-'.join(source_digest(Path(module).parent) for module in (lpv_core.__file__, __file__))
+    return '-'.join(source_digest(Path(module).parent) for module in (lpv_core.__file__, lpv_campaign.__file__))
 
 
 def run_one(campaign, number):

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import lpv_bag
+import lpv_campaign
 import lpv_core
 from lpv_bag.replay import Replay, ReplayOptions
 from lpv_campaign.cluster import on_cluster
@@ -97,7 +98,7 @@ def software():
         Of the sources of lpv_core, lpv_bag and lpv_campaign.
     """
     return '-'.join(source_digest(Path(module).parent)
-                    for module in (lpv_core.__file__, lpv_bag.__file__, __file__))
+                    for module in (lpv_core.__file__, lpv_bag.__file__, lpv_campaign.__file__))
 
 
 def watch_bag(settings, root, bag):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 
 def source_digest(folder):
-    """Hash of the Python files of a package.
+    """Hash of the Python files of a package, those of its sub-packages included.
 
     Parameters
     ----------
@@ -30,7 +30,8 @@ def source_digest(folder):
         16 hexadecimal digits.
     """
     digest = hashlib.sha256()
-    for source in sorted(folder.glob('*.py')):
+    for source in sorted(folder.rglob('*.py')):
+        digest.update(source.relative_to(folder).as_posix().encode() + b'\0')
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 
