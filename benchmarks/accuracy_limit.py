@@ -20,19 +20,23 @@ from diagnosis_campaign import LENGTH, prepare, random_scenario
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.accuracy import NAMES, limit_figures, windows
-from lpv_campaign.arm_knowledge import known_within_priors
-from lpv_campaign.fault_knowledge import anything, random_walks
-from lpv_campaign.limit import accuracy_limit
-from lpv_campaign.smoother import filter_adaptively
-from lpv_core.closed_loop import run_closed_loop
-from lpv_core.diagnosis import AlarmEvent, DiagnosisParameters
-from lpv_core.faults import Fault
+from lpv_campaign.limit.accuracy import NAMES, limit_figures, windows
+from lpv_campaign.limit.arm_prior import known_within_priors
+from lpv_campaign.limit.cramer_rao_bound import accuracy_limit
+from lpv_campaign.limit.fault_prior import anything, random_walks
+from lpv_campaign.limit.smoother import filter_adaptively
+from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters
+from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.faults import Fault
 
 ONSET, LASTING = 6.0, 8.0
 FIRST, SECOND = 0, 1
-EXACT = {'mass_factors': (1.0, 1.0), 'inertia_factors': (1.0, 1.0), 'payload': 0.0,
-         'friction_factor': 1.0}
+EXACT = {
+    'mass_factors': (1.0, 1.0),
+    'inertia_factors': (1.0, 1.0),
+    'payload': 0.0,
+    'friction_factor': 1.0,
+}
 BIASES = ((FIRST, 'bias', 0.2), (SECOND, 'bias', -0.2))
 CASES = {
     'healthy, model exact': ((), EXACT),
@@ -49,16 +53,25 @@ CASES = {
 }
 """Faults and changes of the random scenario."""
 COLUMNS = {
-    'ours': 'ours', 'ours, confirmed': 'confirmed', 'EKF': 'ekf', 'UKF': 'ukf',
-    'adaptive': 'adaptive', 'smoother': 'smoother', 'limit: arm known': 'limit_arm_known',
+    'ours': 'ours',
+    'ours, confirmed': 'confirmed',
+    'EKF': 'ekf',
+    'UKF': 'ukf',
+    'adaptive': 'adaptive',
+    'smoother': 'smoother',
+    'limit: arm known': 'limit_arm_known',
     'limit: within priors': 'limit_within_priors',
     'limit, any fault: arm known': 'limit_any_fault_arm_known',
-    'limit, any fault: within priors': 'limit_any_fault_within_priors'}
+    'limit, any fault: within priors': 'limit_any_fault_within_priors',
+}
 NO_MEAN = {'disturbance_mean': 0.0}
 VARIANTS = {
     'as stated': ({}, {}, 1.0),
-    'masses and inertias exact': ({}, {n: EXACT[n] for n in ('mass_factors', 'inertia_factors')},
-                                  1.0),
+    'masses and inertias exact': (
+        {},
+        {n: EXACT[n] for n in ('mass_factors', 'inertia_factors')},
+        1.0,
+    ),
     'payload known': ({}, {'payload': 0.0}, 1.0),
     'friction known': ({}, {'friction_factor': 1.0}, 1.0),
     'disturbance without mean': (NO_MEAN, {}, 1.0),
@@ -128,8 +141,9 @@ def variant_run(job):
     arm_changes, changes, gain = VARIANTS[name]
     arm, scenario, run = simulate(number, (), changes, arm_changes, gain)
     found = limit_figures(arm, scenario, run, peers=False, smoother=False)
-    walk = accuracy_limit(arm, scenario, run, known_within_priors(arm, scenario),
-                          random_walks(arm, run))
+    walk = accuracy_limit(
+        arm, scenario, run, known_within_priors(arm, scenario), random_walks(arm, run)
+    )
     found['fault_walk'] = np.sqrt(np.mean(walk.fault[windows(arm, scenario, run)[0]] ** 2))
     return name, found
 
@@ -142,7 +156,8 @@ def drift_run(job):
     found = limit_figures(arm, scenario, run, peers=False, smoother=False)
     found['false alarms'] = sum(
         a.event == AlarmEvent.RAISED and (a.detected < ONSET * 1e9 or a.sensor_index != FIRST)
-        for a in run.alarms)
+        for a in run.alarms
+    )
     found['threshold'] = run.threshold[run.time >= ONSET, FIRST].mean()
     return name, found
 
@@ -155,8 +170,9 @@ def told_run(job):
     for signal, factor in factors.items():
         run = replace(run, **{signal: factor * getattr(run, signal)})
     told = replace(arm, **arm_changes)
-    fault, _ = filter_adaptively(told, scenario, run, known_within_priors(told, scenario),
-                                 anything(run))
+    fault, _ = filter_adaptively(
+        told, scenario, run, known_within_priors(told, scenario), anything(run)
+    )
     mask = windows(arm, scenario, run)[0]
     error = (fault - run.fault)[mask]
     return name, {'fault': np.sqrt(np.mean(error**2)), 'largest': np.abs(error).max()}
@@ -179,18 +195,30 @@ def cell(value):
 
 def show_cases(results, console):
     """Ours, peers and limits."""
-    for quantity, title in (('fault', 'error of the faults of position sensors'),
-                            ('angle', 'error of the absolute joint angles')):
+    for quantity, title in (
+        ('fault', 'error of the faults of position sensors'),
+        ('angle', 'error of the absolute joint angles'),
+    ):
         table = Table(title=f'{title}, RMS, mrad')
-        for name in ('', *COLUMNS, 'ours/limit', 'confirmed/limit', 'ours/limit any fault',
-                     'EKF/limit'):
+        for name in (
+            '',
+            *COLUMNS,
+            'ours/limit',
+            'confirmed/limit',
+            'ours/limit any fault',
+            'EKF/limit',
+        ):
             table.add_column(name, justify='right' if name else 'left')
         for name in CASES:
             found = pooled(results, name)
             values = {key: found[f'{quantity}_{key}'] for key in COLUMNS.values()}
             least, free = values['limit_within_priors'], values['limit_any_fault_within_priors']
-            ratios = (values['ours'] / least, values['confirmed'] / least, values['ours'] / free,
-                      values['ekf'] / least)
+            ratios = (
+                values['ours'] / least,
+                values['confirmed'] / least,
+                values['ours'] / free,
+                values['ekf'] / least,
+            )
             if np.isfinite(values['ours']):
                 table.add_row(name, *map(cell, values.values()), *(f'{r:.3g}' for r in ratios))
         console.print(table)
@@ -199,11 +227,14 @@ def show_cases(results, console):
 def show_variants(results, console):
     """What the gap is made of."""
     table = Table(title='healthy: error of the level, RMS, mrad')
-    columns = {'ours': 'ours',
-               'limit: arm known': 'limit_arm_known', 'limit: within priors': 'limit_within_priors',
-               'limit, random walk: within priors': 'walk',
-               'limit, any fault: within priors': 'limit_any_fault_within_priors',
-               'limit, any fault: arm known': 'limit_any_fault_arm_known'}
+    columns = {
+        'ours': 'ours',
+        'limit: arm known': 'limit_arm_known',
+        'limit: within priors': 'limit_within_priors',
+        'limit, random walk: within priors': 'walk',
+        'limit, any fault: within priors': 'limit_any_fault_within_priors',
+        'limit, any fault: arm known': 'limit_any_fault_arm_known',
+    }
     for name in ('', *columns):
         table.add_column(name, justify='right' if name else 'left')
     for name in VARIANTS:
@@ -220,8 +251,13 @@ def show_drifts(results, console):
     for name in DRIFTS:
         found = pooled(results, name)
         wrong = sum(figures['false alarms'] for case, figures in results if case == name)
-        table.add_row(name, cell(found['fault_ours']), cell(found['fault_confirmed']),
-                      cell(found['threshold']), str(wrong))
+        table.add_row(
+            name,
+            cell(found['fault_ours']),
+            cell(found['fault_confirmed']),
+            cell(found['threshold']),
+            str(wrong),
+        )
     console.print(table)
 
 
@@ -248,8 +284,12 @@ def main():
     """Run all cases and print what they show."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--runs', type=int, default=1, help='runs of each case (1)')
-    parser.add_argument('--variants', type=int, default=None,
-                        help='runs of each variant of the gap analysis (as --runs)')
+    parser.add_argument(
+        '--variants',
+        type=int,
+        default=None,
+        help='runs of each variant of the gap analysis (as --runs)',
+    )
     parser.add_argument('--jobs', type=int, default=1, help='processes (1)')
     arguments = parser.parse_args()
     console, began = Console(width=200), time.monotonic()
@@ -258,14 +298,18 @@ def main():
         jobs = [(name, number) for name in CASES for number in range(arguments.runs)]
         results = pool.map(case_run, jobs, chunksize=1)
         broken = {key for _, found in results for key in NAMES if np.isnan(found[key])}
-        console.print(f'{arguments.runs} runs of {LENGTH:g} s a case; figures that not every run '
-                      f'has: {", ".join(sorted(broken)) or "none"}')
+        console.print(
+            f'{arguments.runs} runs of {LENGTH:g} s a case; figures that not every run '
+            f'has: {", ".join(sorted(broken)) or "none"}'
+        )
         show_cases(results, console)
         jobs = [(name, number) for name in VARIANTS for number in range(variants)]
         if jobs:
             show_variants(pool.map(variant_run, jobs, chunksize=1), console)
-            for names, work, show in ((DRIFTS, drift_run, show_drifts),
-                                      (TOLD, told_run, show_told)):
+            for names, work, show in (
+                (DRIFTS, drift_run, show_drifts),
+                (TOLD, told_run, show_told),
+            ):
                 jobs = [(name, number) for name in names for number in range(variants)]
                 show(pool.map(work, jobs, chunksize=1), console)
     console.print(f'{time.monotonic() - began:.0f} s')

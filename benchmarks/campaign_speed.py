@@ -20,31 +20,48 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.campaign import Campaign, resolve
-from lpv_campaign.execute import execute, run_one
-from lpv_campaign.figures import figures
-from lpv_campaign.runs import plan_run
-from lpv_core.error_bound import update_bound
-from lpv_core.jit import njit
-from lpv_core.joints import JointMap
-from lpv_core.monitor import SensorMonitor, monitor_step
-from lpv_core.observer import observe
-from lpv_core.records import new_record
-from lpv_core.simulation import ArmSimulator, brake, integrate, read_sensors, take_torque
-from lpv_core.tracking import TRACKING_STATE, track, tracking_constants
-from lpv_core.uio import blend
+from lpv_campaign.execution.execute import execute, run_one
+from lpv_campaign.execution.run_metrics import figures
+from lpv_campaign.execution.runs import plan_run
+from lpv_campaign.plan.campaign import Campaign, resolve
+from lpv_core.bound.error_bound import update_bound
+from lpv_core.control.tracking import TRACKING_STATE, track, tracking_constants
+from lpv_core.model.joints import JointMap
+from lpv_core.monitoring.monitor import SensorMonitor, monitor_step
+from lpv_core.observer.paper_observer import blend
+from lpv_core.observer.sampled_observer import observe
+from lpv_core.simulation.arm_simulator import (
+    ArmSimulator,
+    brake,
+    integrate,
+    read_sensors,
+    take_torque,
+)
+from lpv_core.support.jit import njit
+from lpv_core.support.records import new_record
 
 SPEC = {
-    'name': 'speed', 'seed': 5, 'duration': 20.0,
+    'name': 'speed',
+    'seed': 5,
+    'duration': 20.0,
     'factors': {
-        'path': 'random', 'sample_time': 0.001,
+        'path': 'random',
+        'sample_time': 0.001,
         'fault.kind': ['none', 'bias', 'drift', 'stuck', 'scale', 'noise', 'spike', 'dropout'],
         'fault.sensor': ['link1_angle', 'link2_angle', 'both'],
-        'fault.size': {'bias': {'low': 0.05, 'high': 0.5}, 'scale': 0.3, 'noise': 0.03,
-                       'spike': 0.3},
+        'fault.size': {
+            'bias': {'low': 0.05, 'high': 0.5},
+            'scale': 0.3,
+            'noise': 0.03,
+            'spike': 0.3,
+        },
         'fault.rate': {'drift': 0.1, 'spike': 10.0},
-        'fault.onset': {'low': 5.0, 'high': 10.0}, 'fault.duration': 5.0,
-        'mass_1': {'low': 0.95, 'high': 1.05}, 'mass_2': {'low': 0.95, 'high': 1.05}}}
+        'fault.onset': {'low': 5.0, 'high': 10.0},
+        'fault.duration': 5.0,
+        'mass_1': {'low': 0.95, 'high': 1.05},
+        'mass_2': {'low': 0.95, 'high': 1.05},
+    },
+}
 ROUNDS = 5
 
 
@@ -60,13 +77,30 @@ def build_floor(folder):
     """Compile the C program; its function."""
     library = Path(folder) / 'floor.so'
     numpy_random = Path(np.random.__file__).parent / 'lib' / 'libnpyrandom.a'
-    subprocess.run(['cc', '-O3', '-march=native', '-fPIC', '-shared', '-o', str(library),
-                    str(Path(__file__).with_name('closed_loop_floor.c')), str(numpy_random), '-lm'],
-                   check=True)
+    subprocess.run(
+        [
+            'cc',
+            '-O3',
+            '-march=native',
+            '-fPIC',
+            '-shared',
+            '-o',
+            str(library),
+            str(Path(__file__).with_name('closed_loop_floor.c')),
+            str(numpy_random),
+            '-lm',
+        ],
+        check=True,
+    )
     function = ctypes.CDLL(str(library)).floor_run
     pointer = np.ctypeslib.ndpointer(float, flags='C_CONTIGUOUS')
-    function.argtypes = [ctypes.c_long, ctypes.c_int, ctypes.c_double, ctypes.c_double,
-                         *[pointer] * 7]
+    function.argtypes = [
+        ctypes.c_long,
+        ctypes.c_int,
+        ctypes.c_double,
+        ctypes.c_double,
+        *[pointer] * 7,
+    ]
     function.restype = ctypes.c_double
     return function
 
@@ -76,17 +110,30 @@ def floor_time(floor, plan, noise=1.0):
     arm, gains = plan.arm, plan.gains
     times = np.arange(0.0, plan.scenario.duration, arm.sample_time)
     reference, joints = plan.scenario.path(arm).sample(times), JointMap(arm)
-    rows = np.hstack([joints.absolute_position(reference.position),
-                      joints.absolute_velocity(reference.velocity),
-                      joints.absolute_velocity(reference.acceleration)])
+    rows = np.hstack(
+        [
+            joints.absolute_position(reference.position),
+            joints.absolute_velocity(reference.velocity),
+            joints.absolute_velocity(reference.acceleration),
+        ]
+    )
     rows = np.ascontiguousarray(rows)
     x = np.concatenate([rows[0, :2], [0.0, 0.0]])
     controller, observer = gains.controller, gains.observer
     began = time.perf_counter()
-    floor(len(rows), plan.substeps, arm.sample_time, noise,
-          plan.scenario.true_arm(arm).constants(), np.ascontiguousarray(observer.kappa),
-          np.ascontiguousarray(observer.mu), np.ascontiguousarray(controller.m1),
-          np.ascontiguousarray(controller.m2), rows, x)
+    floor(
+        len(rows),
+        plan.substeps,
+        arm.sample_time,
+        noise,
+        plan.scenario.true_arm(arm).constants(),
+        np.ascontiguousarray(observer.kappa),
+        np.ascontiguousarray(observer.mu),
+        np.ascontiguousarray(controller.m1),
+        np.ascontiguousarray(controller.m2),
+        rows,
+        x,
+    )
     return time.perf_counter() - began, x
 
 
@@ -94,8 +141,9 @@ def check_floor(floor, plan):
     """Largest difference between the two final states without noise and disturbance."""
     quiet = replace(plan, scenario=replace(plan.scenario, noise=False, disturbance=False))
     run, joints = quiet.simulate(), JointMap(plan.arm)
-    ours = np.concatenate([joints.absolute_position(run.position[-1]),
-                           joints.absolute_velocity(run.velocity[-1])])
+    ours = np.concatenate(
+        [joints.absolute_position(run.position[-1]), joints.absolute_velocity(run.velocity[-1])]
+    )
     return float(np.abs(floor_time(floor, quiet, 0.0)[1] - ours).max())
 
 
@@ -124,21 +172,33 @@ def _monitor(c, s, stamps, values, answer, measured, period, part, position, vel
             position[i], velocity[i] = measured[k, i], measured[k, 2 + i]
             effort[i] = measured[k, 4 + i]
         if part == 2:
-            monitor_step(c, s, stamps, values, answer, round(k * period * 1e9), position, velocity,
-                         effort)
+            monitor_step(
+                c, s, stamps, values, answer, round(k * period * 1e9), position, velocity, effort
+            )
             continue
-        observe(c.observer, s.observer, s.estimate, round(k * period * 1e9), position, velocity,
-                effort)
+        observe(
+            c.observer, s.observer, s.estimate, round(k * period * 1e9), position, velocity, effort
+        )
         if part == 1:
-            update_bound(c.diagnosis.bound, s.diagnosis.bound, s.estimate,
-                         s.diagnosis.reckoning.lost)
+            update_bound(
+                c.diagnosis.bound, s.diagnosis.bound, s.estimate, s.diagnosis.reckoning.lost
+            )
 
 
 @njit
 def _track(c, s, position, velocity, acceleration, measured, rate, period):
     for k in range(len(position)):
-        track(c, s, position[k], velocity[k], acceleration[k], measured[k], rate[k], measured[k],
-              period)
+        track(
+            c,
+            s,
+            position[k],
+            velocity[k],
+            acceleration[k],
+            measured[k],
+            rate[k],
+            measured[k],
+            period,
+        )
 
 
 def timed(function, *arguments):
@@ -155,20 +215,40 @@ def part_times(plan):
 
     def plant(sense):
         p = ArmSimulator(arm, plan.scenario, plan.substeps)
-        return timed(_plant, p.constants, p.state, p.injector.records, p.noise, p.push,
-                     p.injector.generator, run.torque, run.braked, sense, measured)
+        return timed(
+            _plant,
+            p.constants,
+            p.state,
+            p.injector.records,
+            p.noise,
+            p.push,
+            p.injector.generator,
+            run.torque,
+            run.braked,
+            sense,
+            measured,
+        )
 
     def monitor(part):
         parts = SensorMonitor('speed', arm, plan.gains).parts
-        return timed(_monitor, *parts, measured, arm.sample_time, part, np.empty(2), np.empty(2),
-                     np.empty(2))
+        return timed(
+            _monitor, *parts, measured, arm.sample_time, part, np.empty(2), np.empty(2), np.empty(2)
+        )
 
     reference = plan.scenario.path(arm).sample(run.time)
 
     def tracking():
-        return timed(_track, tracking_constants(arm, plan.gains), new_record(TRACKING_STATE),
-                     reference.position, reference.velocity, reference.acceleration,
-                     run.measured, run.estimated_velocity, arm.sample_time)
+        return timed(
+            _track,
+            tracking_constants(arm, plan.gains),
+            new_record(TRACKING_STATE),
+            reference.position,
+            reference.velocity,
+            reference.acceleration,
+            run.measured,
+            run.estimated_velocity,
+            arm.sample_time,
+        )
 
     def whole():
         return timed(plan.simulate)
@@ -180,10 +260,17 @@ def part_times(plan):
         return timed(plan_run, *plan_run_arguments)
 
     plan_run_arguments = (campaign_of(1), 0)
-    actions = {'plant': lambda: plant(False), 'plant and sensors': lambda: plant(True),
-               'observer': lambda: monitor(0), 'observer and bound': lambda: monitor(1),
-               'monitor': lambda: monitor(2), 'tracking': tracking, 'whole': whole,
-               'figures': kept, 'plan': prepared}
+    actions = {
+        'plant': lambda: plant(False),
+        'plant and sensors': lambda: plant(True),
+        'observer': lambda: monitor(0),
+        'observer and bound': lambda: monitor(1),
+        'monitor': lambda: monitor(2),
+        'tracking': tracking,
+        'whole': whole,
+        'figures': kept,
+        'plan': prepared,
+    }
     for action in actions.values():
         action()
     best = {name: min(action() for _ in range(ROUNDS)) for name, action in actions.items()}
@@ -194,9 +281,14 @@ def part_times(plan):
         'bound (set of errors)': best['observer and bound'] - best['observer'],
         'decisions': best['monitor'] - best['observer and bound'],
         'tracking': best['tracking'],
-        'references, recording, the rest': best['whole'] - best['plant and sensors']
-        - best['monitor'] - best['tracking'],
-        'one run': best['whole'], 'path and factors': best['plan'], 'figures': best['figures']}
+        'references, recording, the rest': best['whole']
+        - best['plant and sensors']
+        - best['monitor']
+        - best['tracking'],
+        'one run': best['whole'],
+        'path and factors': best['plan'],
+        'figures': best['figures'],
+    }
 
 
 # ------------------------------------------------------------------ vertices
@@ -218,8 +310,9 @@ def vertex_times():
         outs = [np.zeros((6, width)) for width in (4, 6, 2)]
         rho = np.full(vertices, 1.0 / vertices)
         _blend_often(rho, *stacks, *outs, 1)
-        times[vertices] = min(timed(_blend_often, rho, *stacks, *outs, count)
-                              for _ in range(ROUNDS)) / count
+        times[vertices] = (
+            min(timed(_blend_often, rho, *stacks, *outs, count) for _ in range(ROUNDS)) / count
+        )
     return times
 
 
@@ -253,8 +346,10 @@ def show_parts(plan, floor, console):
         table.add_row(name, f'{1e6 * seconds / steps:.3f}', f'{seconds / times["one run"]:.0%}')
     table.add_row('floor in C', f'{1e6 * bare / steps:.3f}', f'{bare / times["one run"]:.0%}')
     console.print(table)
-    console.print(f'one run / floor in C: {times["one run"] / bare:.2f}; final states without '
-                  f'noise differ by {check_floor(floor, plan):.1e}')
+    console.print(
+        f'one run / floor in C: {times["one run"] / bare:.2f}; final states without '
+        f'noise differ by {check_floor(floor, plan):.1e}'
+    )
 
 
 def main():
@@ -263,24 +358,31 @@ def main():
     parser.add_argument('--runs', type=int, default=200, help='runs on all cores (200)')
     arguments = parser.parse_args()
     console, campaign = Console(width=110), campaign_of(arguments.runs)
-    number = next(n for n in range(10_000) if campaign.values(n)['fault.kind'] == 'none') \
-        if arguments.runs >= 20 else 0
+    number = (
+        next(n for n in range(10_000) if campaign.values(n)['fault.kind'] == 'none')
+        if arguments.runs >= 20
+        else 0
+    )
     plan = plan_run(campaign, number)
     plan = replace(plan, scenario=replace(plan.scenario, faults=()))
     with tempfile.TemporaryDirectory() as folder:
         show_parts(plan, build_floor(folder), console)
     times = vertex_times()
     slope = (times[64] - times[8]) / 56
-    console.print('method paper, interpolation of K, A, B (us a sample) by vertices: '
-                  + ', '.join(f'{h}: {1e6 * t:.2f}' for h, t in times.items())
-                  + f'; {1e9 * slope:.0f} ns a vertex. Method exact has no vertices.')
+    console.print(
+        'method paper, interpolation of K, A, B (us a sample) by vertices: '
+        + ', '.join(f'{h}: {1e6 * t:.2f}' for h, t in times.items())
+        + f'; {1e9 * slope:.0f} ns a vertex. Method exact has no vertices.'
+    )
     run_one(Campaign(campaign.text), 0)
     wall, early, late = on_all_cores(campaign)
     steps = campaign.spec.runs * (round(20.0 / 0.001) + 1)
-    console.print(f'{campaign.spec.runs} runs of 20 s at 1 kHz on all cores: {wall:.1f} s, '
-                  f'{1e6 * wall / steps:.2f} us a step; 10 000 runs at this rate: '
-                  f'{wall / campaign.spec.runs * 1e4 / 60:.1f} min; peak memory of the main '
-                  f'process {early} MB after a tenth, {late} MB at the end')
+    console.print(
+        f'{campaign.spec.runs} runs of 20 s at 1 kHz on all cores: {wall:.1f} s, '
+        f'{1e6 * wall / steps:.2f} us a step; 10 000 runs at this rate: '
+        f'{wall / campaign.spec.runs * 1e4 / 60:.1f} min; peak memory of the main '
+        f'process {early} MB after a tenth, {late} MB at the end'
+    )
 
 
 if __name__ == '__main__':

@@ -21,11 +21,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_core.arm import G_1, G_2, load_arm
-from lpv_core.certificate import controller_loop
-from lpv_core.error_system import link_errors
-from lpv_core.lmi import covariance, disc, largest_eigenvalue
-from lpv_core.resources import bringup_file
+from lpv_core.certificate.conditions import controller_loop
+from lpv_core.certificate.error_system import link_errors
+from lpv_core.certificate.lmi import covariance, disc, largest_eigenvalue
+from lpv_core.model.arm import G_1, G_2, load_arm
+from lpv_core.support.resources import bringup_file
 from lpv_design.controller import check_loop, solve_loop
 from lpv_design.exact_observer import solve_link
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
@@ -157,6 +157,7 @@ def run(problem, solver):
 
 def cells(outcome, unit):
     """Numbers of one row."""
+
     def margin(value):
         if np.isnan(value):
             return '-'
@@ -164,8 +165,13 @@ def cells(outcome, unit):
 
     if np.isnan(outcome.total):
         return ['-'] * 5
-    return [f'{outcome.total:.3f}', f'{outcome.total / unit:.2f}', f'{outcome.inside:.3f}',
-            margin(outcome.certified), margin(outcome.others)]
+    return [
+        f'{outcome.total:.3f}',
+        f'{outcome.total / unit:.2f}',
+        f'{outcome.inside:.3f}',
+        margin(outcome.certified),
+        margin(outcome.others),
+    ]
 
 
 def show(console, results):
@@ -178,8 +184,13 @@ def show(console, results):
     for name, outcomes in results.items():
         unit = outcomes[SOLVERS[0]].total
         for solver, outcome in outcomes.items():
-            table.add_row(name if solver == SOLVERS[0] else '', solver, outcome.status,
-                          *cells(outcome, unit), end_section=solver == SOLVERS[-1])
+            table.add_row(
+                name if solver == SOLVERS[0] else '',
+                solver,
+                outcome.status,
+                *cells(outcome, unit),
+                end_section=solver == SOLVERS[-1],
+            )
     console.print(table)
 
 
@@ -188,9 +199,12 @@ def main():
     arm = load_arm(bringup_file('arms', 'paper'))
     installed = cp.installed_solvers()
     results = {
-        name: {solver: run(problem, solver) if solver in installed else Outcome('not installed')
-               for solver in SOLVERS}
-        for name, problem in problems(arm).items()}
+        name: {
+            solver: run(problem, solver) if solver in installed else Outcome('not installed')
+            for solver in SOLVERS
+        }
+        for name, problem in problems(arm).items()
+    }
     console = Console()
     show(console if console.is_terminal else Console(width=115), results)
 

@@ -10,10 +10,10 @@ import time
 import numpy as np
 from design_solvers import recorded
 
-from lpv_core.arm import load_arm
-from lpv_core.certificate import verify
-from lpv_core.resources import bringup_file
-from lpv_design.pipeline import design
+from lpv_core.certificate.conditions import verify
+from lpv_core.model.arm import load_arm
+from lpv_core.support.resources import bringup_file
+from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
 
@@ -49,14 +49,18 @@ def main():
     first = timed_design(arm, requirement)[0]
     rows = np.array([timed_design(other, requirement) for other in variants(arm)])
     total, compiled, solver, verified = rows.T
-    print(f'first design of the process: {first:.2f} s; {VARIANTS} variants: median '
-          f'{np.median(total):.2f} s, max {total.max():.2f} s, ratio to the first '
-          f'{np.median(total) / first:.2f}')
+    print(
+        f'first design of the process: {first:.2f} s; {VARIANTS} variants: median '
+        f'{np.median(total):.2f} s, max {total.max():.2f} s, ratio to the first '
+        f'{np.median(total) / first:.2f}'
+    )
     print(f'verified: {int(verified.sum())} of {VARIANTS}')
     spent = total.sum()
-    print(f'share of time: canonicalisation {compiled.sum() / spent:.0%}, solver '
-          f'{solver.sum() / spent:.0%}, checks and bounds '
-          f'{1.0 - (compiled + solver).sum() / spent:.0%}')
+    print(
+        f'share of time: canonicalisation {compiled.sum() / spent:.0%}, solver '
+        f'{solver.sum() / spent:.0%}, checks and bounds '
+        f'{1.0 - (compiled + solver).sum() / spent:.0%}'
+    )
 
 
 if __name__ == '__main__':

@@ -17,15 +17,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.paths import random_path
-from lpv_core.arm import load_arm
-from lpv_core.closed_loop import run_closed_loop
-from lpv_core.diagnosis import AlarmEvent
-from lpv_core.faults import Fault
-from lpv_core.joints import JointMap
-from lpv_core.resources import bringup_file
-from lpv_core.scenario import load_scenario
-from lpv_design.pipeline import design
+from lpv_campaign.plan.paths import random_path
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.model.arm import load_arm
+from lpv_core.model.joints import JointMap
+from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.faults import Fault
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.resources import bringup_file
+from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
 PAYLOAD = 0.25
@@ -52,21 +52,33 @@ def random_scenario(arm, base, rng, error=0.05, spread=True):
     times, points = random_path(arm, rng, LENGTH)
     factors = rng.uniform(1.0 - error, 1.0 + error, 4) if spread else np.ones(4)
     return replace(
-        base, duration=LENGTH, seed=int(rng.integers(2**31)), times=times, points=points,
-        obstacle=None, faults=(), mass_factors=tuple(factors[:2]),
+        base,
+        duration=LENGTH,
+        seed=int(rng.integers(2**31)),
+        times=times,
+        points=points,
+        obstacle=None,
+        faults=(),
+        mass_factors=tuple(factors[:2]),
         inertia_factors=tuple(factors[2:]),
         payload=float(rng.uniform(-PAYLOAD, PAYLOAD)) if spread else 0.0,
-        friction_factor=float(rng.uniform(0.7, 1.3)) if spread else 1.0)
+        friction_factor=float(rng.uniform(0.7, 1.3)) if spread else 1.0,
+    )
 
 
 def random_fault(rng, kind, sensors):
     """A fault of a kind, of a size that matters."""
     sign = rng.choice([-1.0, 1.0])
-    size = {'bias': sign * rng.uniform(0.1, 0.5), 'scale': sign * rng.uniform(0.2, 0.5),
-            'noise': rng.uniform(0.01, 0.05), 'spike': rng.uniform(0.1, 0.5)}.get(kind, 0.0)
+    size = {
+        'bias': sign * rng.uniform(0.1, 0.5),
+        'scale': sign * rng.uniform(0.2, 0.5),
+        'noise': rng.uniform(0.01, 0.05),
+        'spike': rng.uniform(0.1, 0.5),
+    }.get(kind, 0.0)
     rate = {'drift': sign * rng.uniform(0.08, 0.3), 'spike': rng.uniform(5.0, 30.0)}.get(kind, 0.0)
-    return Fault(str(rng.choice(sensors)), kind, float(rng.uniform(2.0, LENGTH - 6.0)), 5.0, size,
-                 rate)
+    return Fault(
+        str(rng.choice(sensors)), kind, float(rng.uniform(2.0, LENGTH - 6.0)), 5.0, size, rate
+    )
 
 
 def tracking_error(arm, run):
@@ -98,8 +110,11 @@ def exact_run(number):
 def events_of(run, fault):
     """Alarm events of a fault's own sensor while it acts."""
     begin, end = fault.onset * 1e9, (fault.onset + fault.duration) * 1e9
-    return [a for a in run.alarms
-            if a.sensor == fault.sensor and a.onset >= begin - 1e8 and a.detected < end]
+    return [
+        a
+        for a in run.alarms
+        if a.sensor == fault.sensor and a.onset >= begin - 1e8 and a.detected < end
+    ]
 
 
 def fault_run(number, kind=None, rate=None):
@@ -116,17 +131,23 @@ def fault_run(number, kind=None, rate=None):
     wrong = [a for a in run.alarms if a.sensor != fault.sensor and a.event == AlarmEvent.RAISED]
     found = own[0] if own else None
     kinds = [a.kind for a in own if a.event != AlarmEvent.CLEARED]
-    result = {'kind': kind, 'said': kinds[-1] if kinds else 'nothing', 'wrong': len(wrong),
-              'delay': (found.detected / 1e9 - fault.onset) if found else np.nan,
-              'size': abs(found.size) if found else np.nan,
-              'error': (abs(found.size - fault.size) if found and kind == 'bias' else np.nan),
-              'ratio': np.nan, 'after': np.nan}
+    result = {
+        'kind': kind,
+        'said': kinds[-1] if kinds else 'nothing',
+        'wrong': len(wrong),
+        'delay': (found.detected / 1e9 - fault.onset) if found else np.nan,
+        'size': abs(found.size) if found else np.nan,
+        'error': (abs(found.size - fault.size) if found and kind == 'bias' else np.nan),
+        'ratio': np.nan,
+        'after': np.nan,
+    }
     if found:
         twin = run_closed_loop(arm, gains, scenario)
         for name, since in (('ratio', 0.0), ('after', found.detected / 1e9)):
             until = fault.onset + fault.duration if since else LENGTH
-            result[name] = (tracking_rms(arm, run, since, until)
-                            / tracking_rms(arm, twin, since, until))
+            result[name] = tracking_rms(arm, run, since, until) / tracking_rms(
+                arm, twin, since, until
+            )
     return result
 
 
@@ -140,8 +161,10 @@ def step_run(number):
     # A step of twice the threshold is beyond it whatever the estimate's healthy error is.
     sizes = 2.0 * healthy.threshold[round(onset / arm.sample_time)] * rng.uniform(1.0, 1.2, 2)
     hit = [(0,), (1,), (0, 1)][number % 3]
-    faults = tuple(Fault(arm.sensor_names[i], 'bias', onset, 2.0,
-                         float(sizes[i] * rng.choice([-1.0, 1.0]))) for i in hit)
+    faults = tuple(
+        Fault(arm.sensor_names[i], 'bias', onset, 2.0, float(sizes[i] * rng.choice([-1.0, 1.0])))
+        for i in hit
+    )
     run = run_closed_loop(arm, gains, replace(scenario, faults=faults))
     delays = []
     for fault in faults:
@@ -158,15 +181,21 @@ def wild_run(number):
     scenario = random_scenario(arm, base, rng, error=0.1)
     kind = (*KINDS, 'rate_bias')[number % (len(KINDS) + 1)]
     if kind == 'rate_bias':
-        fault = Fault(str(rng.choice(arm.sensor_names)), kind, float(rng.uniform(2.0, 14.0)), 5.0,
-                      float(rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 1.0)))
+        fault = Fault(
+            str(rng.choice(arm.sensor_names)),
+            kind,
+            float(rng.uniform(2.0, 14.0)),
+            5.0,
+            float(rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 1.0)),
+        )
     else:
         fault = random_fault(rng, kind, arm.sensor_names)
     run = run_closed_loop(arm, gains, replace(scenario, faults=(fault,)))
     largest = float(np.abs(tracking_error(arm, run)).max())
     stops = int(np.sum(np.diff(run.braked.astype(int)) == 1))
-    before = sum(a.event == AlarmEvent.RAISED and a.detected < fault.onset * 1e9
-                 for a in run.alarms)
+    before = sum(
+        a.event == AlarmEvent.RAISED and a.detected < fault.onset * 1e9 for a in run.alarms
+    )
     finite = np.isfinite(run.position).all() and np.isfinite(run.torque).all()
     return kind, largest if finite else np.inf, stops, before
 
@@ -178,12 +207,24 @@ def rate_run(number):
     scenario, rise = random_scenario(arm, base, rng), RISES[number % len(RISES)]
     size = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.01), np.log(1.0)))
     sensor, onset = str(rng.choice(arm.sensor_names)), float(rng.uniform(2.0, 14.0))
-    faults = tuple(Fault(sensor, 'rate_bias', onset + rise * (k + 0.5) / RATE_STEPS, 5.0,
-                         float(size / RATE_STEPS)) for k in range(RATE_STEPS))
+    faults = tuple(
+        Fault(
+            sensor,
+            'rate_bias',
+            onset + rise * (k + 0.5) / RATE_STEPS,
+            5.0,
+            float(size / RATE_STEPS),
+        )
+        for k in range(RATE_STEPS)
+    )
     run = run_closed_loop(arm, gains, replace(scenario, faults=faults))
     kinds = {a.kind for a in run.alarms}
-    return (rise, 'inconsistent' in kinds, bool(kinds - {'inconsistent'}),
-            float(np.abs(tracking_error(arm, run)).max()))
+    return (
+        rise,
+        'inconsistent' in kinds,
+        bool(kinds - {'inconsistent'}),
+        float(np.abs(tracking_error(arm, run)).max()),
+    )
 
 
 def drift_run(job):
@@ -212,21 +253,36 @@ def show_faults(results, console):
     for kind, group in by_kind.items():
         said = Counter(r['said'] for r in group)
         delays = 1e3 * np.array([r['delay'] for r in group])
-        table.add_row(kind, *(str(said[n] or '') for n in names), f'{np.nanmedian(delays):.0f}',
-                      f'{np.nanmax(delays):.0f}', str(sum(r['wrong'] > 0 for r in group)))
+        table.add_row(
+            kind,
+            *(str(said[n] or '') for n in names),
+            f'{np.nanmedian(delays):.0f}',
+            f'{np.nanmax(delays):.0f}',
+            str(sum(r['wrong'] > 0 for r in group)),
+        )
     console.print(table)
     console.print(f'largest error of a bias {np.nanmax([r["error"] for r in results]):.4f} rad')
     table = Table(title='true tracking RMS over that of the same run without the fault')
-    for name in ('fault', 'while confirmed: median', '95 %', 'max', 'whole run: median', '95 %',
-                 'max'):
+    for name in (
+        'fault',
+        'while confirmed: median',
+        '95 %',
+        'max',
+        'whole run: median',
+        '95 %',
+        'max',
+    ):
         table.add_column(name, justify='right')
     for kind, group in by_kind.items():
         row = []
         for name in ('after', 'ratio'):
             values = np.array([r[name] for r in group])
             values = values[np.isfinite(values)]
-            row += ([f'{v:.2f}' for v in (np.median(values), np.percentile(values, 95),
-                                          values.max())] if len(values) else [''] * 3)
+            row += (
+                [f'{v:.2f}' for v in (np.median(values), np.percentile(values, 95), values.max())]
+                if len(values)
+                else [''] * 3
+            )
         table.add_row(kind, *row)
     console.print(table)
 
@@ -236,25 +292,40 @@ def show_steps(results, console):
     delays = np.array([delay for delay, _, _ in results])
     right = sum(ok for _, ok, _ in results)
     both = sum(count == 2 for _, _, count in results)
-    console.print(f'steps above the guaranteed size: {len(results)} runs, {both} of them with both '
-                  f'sensors; detected {np.isfinite(delays).sum()}, all and only the right sensors '
-                  f'{right}, largest delay {1e3 * delays.max():.0f} ms')
+    console.print(
+        f'steps above the guaranteed size: {len(results)} runs, {both} of them with both '
+        f'sensors; detected {np.isfinite(delays).sum()}, all and only the right sensors '
+        f'{right}, largest delay {1e3 * delays.max():.0f} ms'
+    )
 
 
 def show_wild(results, console):
     """Robustness: divergence and safe stops."""
     table = Table(title=f'+-10 % model error, {len(results)} runs')
-    for name in ('fault', 'runs', 'lost control', 'largest error [rad]', 'runs with safe stops',
-                 'safe stops', 'alarms before the fault'):
+    for name in (
+        'fault',
+        'runs',
+        'lost control',
+        'largest error [rad]',
+        'runs with safe stops',
+        'safe stops',
+        'alarms before the fault',
+    ):
         table.add_column(name, justify='right')
     by_kind = defaultdict(list)
     for kind, *rest in results:
         by_kind[kind].append(rest)
     for kind, group in by_kind.items():
         error, stops, before = (np.array(column) for column in zip(*group))
-        table.add_row(kind, str(len(group)), str(int(np.sum(error > DIVERGED))),
-                      f'{error.max():.3f}', str(int(np.sum(stops > 0))), str(int(stops.sum())),
-                      str(int(before.sum())))
+        table.add_row(
+            kind,
+            str(len(group)),
+            str(int(np.sum(error > DIVERGED))),
+            f'{error.max():.3f}',
+            str(int(np.sum(stops > 0))),
+            str(int(stops.sum())),
+            str(int(before.sum())),
+        )
     console.print(table)
 
 
@@ -267,16 +338,27 @@ def show_rates(results, console):
         group = [result for result in results if result[0] == rise]
         if group:
             _, found, blamed, errors = zip(*group)
-            table.add_row(f'{rise:g}', str(len(group)), str(sum(found)), str(sum(blamed)),
-                          f'{max(errors):.3f}')
+            table.add_row(
+                f'{rise:g}',
+                str(len(group)),
+                str(sum(found)),
+                str(sum(blamed)),
+                f'{max(errors):.3f}',
+            )
     console.print(table)
 
 
 def show_drifts(results, console):
     """Delay and size at detection by rate."""
     table = Table(title='drifts')
-    for name in ('rate [rad/s]', 'detected', 'delay mean [s]', 'delay max [s]', 'size mean [rad]',
-                 'named drift'):
+    for name in (
+        'rate [rad/s]',
+        'detected',
+        'delay mean [s]',
+        'delay max [s]',
+        'size mean [rad]',
+        'named drift',
+    ):
         table.add_column(name, justify='right')
     by_rate = defaultdict(list)
     for rate, result in results:
@@ -285,8 +367,15 @@ def show_drifts(results, console):
         delay = np.array([r['delay'] for r in group])
         size = np.array([r['size'] for r in group])
         found = np.isfinite(delay)
-        row = ([f'{np.mean(delay[found]):.2f}', f'{delay[found].max():.2f}',
-                f'{np.mean(size[found]):.3f}'] if found.any() else ['', '', ''])
+        row = (
+            [
+                f'{np.mean(delay[found]):.2f}',
+                f'{delay[found].max():.2f}',
+                f'{np.mean(size[found]):.3f}',
+            ]
+            if found.any()
+            else ['', '', '']
+        )
         row.append(str(sum(r['said'] == 'drift' for r in group)))
         table.add_row(f'{rate:g}', f'{found.sum()}/{len(group)}', *row)
     console.print(table)
@@ -307,13 +396,17 @@ def main():
     with multiprocessing.Pool(initializer=_start, initargs=(prepare(),)) as pool:
         healthy = pool.map(healthy_run, range(runs), chunksize=1)
         alarms = Counter(alarm for found, _ in healthy for alarm in found)
-        console.print(f'healthy, model error, payload, friction: {runs} runs of {LENGTH:g} s = '
-                      f'{runs * LENGTH / 3600:.2f} h, alarms: {dict(alarms) or "none"}, largest '
-                      f'estimate over threshold {max(s for _, s in healthy):.2f}')
+        console.print(
+            f'healthy, model error, payload, friction: {runs} runs of {LENGTH:g} s = '
+            f'{runs * LENGTH / 3600:.2f} h, alarms: {dict(alarms) or "none"}, largest '
+            f'estimate over threshold {max(s for _, s in healthy):.2f}'
+        )
         few = pool.map(exact_run, range(max(1, runs // 10)), chunksize=1)
-        console.print(f'healthy, exact model: {len(few)} runs, alarms: '
-                      f'{sum(len(f) for f, _ in few)}, largest estimate over threshold '
-                      f'{max(s for _, s in few):.2f}')
+        console.print(
+            f'healthy, exact model: {len(few)} runs, alarms: '
+            f'{sum(len(f) for f, _ in few)}, largest estimate over threshold '
+            f'{max(s for _, s in few):.2f}'
+        )
         show_faults(pool.map(fault_run, range(arguments.faults), chunksize=1), console)
         show_steps(pool.map(step_run, range(arguments.steps), chunksize=1), console)
         show_wild(pool.map(wild_run, range(arguments.wild), chunksize=1), console)

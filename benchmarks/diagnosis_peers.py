@@ -15,17 +15,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.kalman import make_ekf, make_ukf
-from lpv_core.arm import load_arm
-from lpv_core.diagnosis import AlarmEvent
-from lpv_core.faults import Fault, FaultInjector
-from lpv_core.joints import JointMap
-from lpv_core.monitor import SensorMonitor
-from lpv_core.resources import bringup_file
-from lpv_core.scenario import load_scenario
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController
-from lpv_design.pipeline import design
+from lpv_campaign.limit.kalman import make_ekf, make_ukf
+from lpv_core.control.tracking import TrackingController
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.model.arm import load_arm
+from lpv_core.model.joints import JointMap
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.faults import Fault, FaultInjector
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.resources import bringup_file
+from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
 RECORDINGS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'real_arm'
@@ -38,17 +38,29 @@ def simulated(arm, gains):
     for number in range(RUNS):
         rng = np.random.default_rng(number)
         factors = rng.uniform(1.0 - arm.model_error, 1.0 + arm.model_error, 4)
-        scenario = replace(load_scenario(bringup_file('scenarios', 'two_faults')), faults=(),
-                           seed=number, mass_factors=tuple(factors[:2]),
-                           inertia_factors=tuple(factors[2:]))
+        scenario = replace(
+            load_scenario(bringup_file('scenarios', 'two_faults')),
+            faults=(),
+            seed=number,
+            mass_factors=tuple(factors[:2]),
+            inertia_factors=tuple(factors[2:]),
+        )
         plant, controller = ArmSimulator(arm, scenario), TrackingController(arm, gains)
         path, messages = scenario.path(arm), []
         for _ in range(round(LENGTH / arm.sample_time)):
             measurement, truth = plant.sense()
-            messages.append((plant.time, measurement.position, measurement.velocity,
-                             measurement.effort))
-            plant.step(controller.update(path.sample(plant.time), truth.position, truth.velocity,
-                                         truth.position, arm.sample_time).torque)
+            messages.append(
+                (plant.time, measurement.position, measurement.velocity, measurement.effort)
+            )
+            plant.step(
+                controller.update(
+                    path.sample(plant.time),
+                    truth.position,
+                    truth.velocity,
+                    truth.position,
+                    arm.sample_time,
+                ).torque
+            )
         runs.append(messages)
     return runs
 
@@ -58,8 +70,10 @@ def recorded():
     runs = []
     for file in sorted(RECORDINGS.glob('run_*.csv')):
         rows = np.genfromtxt(file, delimiter=',', names=True)
-        pairs = [np.column_stack([rows[f'{name}1'], rows[f'{name}2']])
-                 for name in ('pos_meas', 'vel_meas', 'tau_meas')]
+        pairs = [
+            np.column_stack([rows[f'{name}1'], rows[f'{name}2']])
+            for name in ('pos_meas', 'vel_meas', 'tau_meas')
+        ]
         runs.append(list(zip(rows['time'] - rows['time'][0], *pairs)))
     return runs
 
@@ -67,11 +81,20 @@ def recorded():
 def with_step(arm, messages, sensor, onset, size):
     """The same messages with a bias on one sensor."""
     joints = JointMap(arm)
-    injector = FaultInjector(arm.sensor_names, [Fault(arm.sensor_names[sensor], 'bias', onset,
-                                                      size=size)], np.random.default_rng(0))
-    return [(t, joints.joint_from_sensor(injector.apply(t, joints.sensor_position(p),
-                                                        arm.sample_time)), v, u)
-            for t, p, v, u in messages]
+    injector = FaultInjector(
+        arm.sensor_names,
+        [Fault(arm.sensor_names[sensor], 'bias', onset, size=size)],
+        np.random.default_rng(0),
+    )
+    return [
+        (
+            t,
+            joints.joint_from_sensor(injector.apply(t, joints.sensor_position(p), arm.sample_time)),
+            v,
+            u,
+        )
+        for t, p, v, u in messages
+    ]
 
 
 def ours(arm, gains, messages):
@@ -80,8 +103,12 @@ def ours(arm, gains, messages):
     monitor.warm_up()
     began = time.perf_counter()
     for t, position, velocity, effort in messages:
-        answer = monitor.take(1 + round(t * 1e9), SimpleNamespace(
-            name=list(arm.joint_names), position=position, velocity=velocity, effort=effort))
+        answer = monitor.take(
+            1 + round(t * 1e9),
+            SimpleNamespace(
+                name=list(arm.joint_names), position=position, velocity=velocity, effort=effort
+            ),
+        )
         found.append(answer.fault['estimate'])
         for event in answer.events:
             if event.event == AlarmEvent.RAISED:
@@ -113,16 +140,29 @@ def crossings(times, found, threshold):
 def judge(arm, gains, runs, sizes, console, title):
     """One table: delay, misses, wrong alarms, error, cost."""
     table = Table(title=title)
-    for name in ('', 'step [rad]', 'detected', 'delay max [ms]', 'wrong alarms',
-                 'RMS error after 0.1 s, faulty sensor [rad]', 'other sensor [rad]', 'us a step'):
+    for name in (
+        '',
+        'step [rad]',
+        'detected',
+        'delay max [ms]',
+        'wrong alarms',
+        'RMS error after 0.1 s, faulty sensor [rad]',
+        'other sensor [rad]',
+        'us a step',
+    ):
         table.add_column(name, justify='right')
     makers = {'EKF': make_ekf, 'UKF': make_ukf}
     healthy = {name: [peer(make, arm, run)[0] for run in runs] for name, make in makers.items()}
-    limits = {name: 1.2 * np.max([np.abs(f[round(SETTLED / arm.sample_time):]).max(axis=0)
-                                  for f in found], axis=0) for name, found in healthy.items()}
+    limits = {
+        name: 1.2
+        * np.max([np.abs(f[round(SETTLED / arm.sample_time) :]).max(axis=0) for f in found], axis=0)
+        for name, found in healthy.items()
+    }
     false = sum(len(ours(arm, gains, run)[1]) for run in runs)
-    console.print(f'{title}: {len(runs)} healthy runs, our false alarms: {false}; thresholds of '
-                  + ', '.join(f'{n} {v[0]:.3f}, {v[1]:.3f} rad' for n, v in limits.items()))
+    console.print(
+        f'{title}: {len(runs)} healthy runs, our false alarms: {false}; thresholds of '
+        + ', '.join(f'{n} {v[0]:.3f}, {v[1]:.3f} rad' for n, v in limits.items())
+    )
     for size in sizes:
         rows = {name: [] for name in ('ours', *makers)}
         for number, run in enumerate(runs):
@@ -136,19 +176,34 @@ def judge(arm, gains, runs, sizes, console, title):
             rows['ours'].append((found, alarms, cost, sensor, onset, truth, late))
             for name, make in makers.items():
                 found, cost = peer(make, arm, faulty)
-                rows[name].append((found, crossings(times, found, limits[name]), cost, sensor,
-                                   onset, truth, late))
+                rows[name].append(
+                    (found, crossings(times, found, limits[name]), cost, sensor, onset, truth, late)
+                )
         for name, results in rows.items():
-            delays = [1e3 * (a[s] - o) for _, a, _, s, o, _, _ in results
-                      if s in a and a[s] >= o - 1e-9]
+            delays = [
+                1e3 * (a[s] - o) for _, a, _, s, o, _, _ in results if s in a and a[s] >= o - 1e-9
+            ]
             wrong = sum(len(set(a) - {s}) for _, a, _, s, _, _, _ in results)
-            errors = np.sqrt([np.mean([np.mean((f - t)[late, s ^ other] ** 2)
-                                       for f, _, _, s, _, t, late in results])
-                              for other in (0, 1)])
-            table.add_row(name, f'{size:g}', f'{len(delays)}/{len(results)}',
-                          f'{max(delays):.0f}' if delays else '-', str(wrong),
-                          *(f'{error:.4f}' for error in errors),
-                          f'{1e6 * np.mean([c for _, _, c, *_ in results]):.0f}')
+            errors = np.sqrt(
+                [
+                    np.mean(
+                        [
+                            np.mean((f - t)[late, s ^ other] ** 2)
+                            for f, _, _, s, _, t, late in results
+                        ]
+                    )
+                    for other in (0, 1)
+                ]
+            )
+            table.add_row(
+                name,
+                f'{size:g}',
+                f'{len(delays)}/{len(results)}',
+                f'{max(delays):.0f}' if delays else '-',
+                str(wrong),
+                *(f'{error:.4f}' for error in errors),
+                f'{1e6 * np.mean([c for _, _, c, *_ in results]):.0f}',
+            )
     console.print(table)
 
 

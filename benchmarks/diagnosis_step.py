@@ -10,15 +10,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from lpv_campaign.kalman import make_ekf
-from lpv_core.arm import load_arm
-from lpv_core.joints import JointMap
-from lpv_core.monitor import SensorMonitor
-from lpv_core.resources import bringup_file
-from lpv_core.scenario import load_scenario
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController
-from lpv_design.pipeline import design
+from lpv_campaign.limit.kalman import make_ekf
+from lpv_core.control.tracking import TrackingController
+from lpv_core.model.arm import load_arm
+from lpv_core.model.joints import JointMap
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.resources import bringup_file
+from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
 SAMPLES = 3000
@@ -32,10 +32,23 @@ def measurements(arm, gains):
     path, found = scenario.path(arm), []
     for _ in range(SAMPLES):
         measurement, truth = plant.sense()
-        found.append(SimpleNamespace(name=list(arm.joint_names), position=measurement.position,
-                                     velocity=measurement.velocity, effort=measurement.effort))
-        plant.step(controller.update(path.sample(plant.time), truth.position, truth.velocity,
-                                     truth.position, arm.sample_time).torque)
+        found.append(
+            SimpleNamespace(
+                name=list(arm.joint_names),
+                position=measurement.position,
+                velocity=measurement.velocity,
+                effort=measurement.effort,
+            )
+        )
+        plant.step(
+            controller.update(
+                path.sample(plant.time),
+                truth.position,
+                truth.velocity,
+                truth.position,
+                arm.sample_time,
+            ).torque
+        )
     return found
 
 

@@ -6,20 +6,22 @@ from pathlib import Path
 
 import numpy as np
 
-from lpv_bag.answer_records import RecordTemplate
-from lpv_bag.assembly import ChunkAssembly
-from lpv_bag.chunk_writing import ChunkBagWriter
-from lpv_bag.messages import BagMessages
-from lpv_bag.offered_qos import qos_profile
-from lpv_core.faults import FaultInjector
-from lpv_core.joints import JointMap
-from lpv_core.resources import bringup_file
-from lpv_core.scenario import load_scenario
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController
+from lpv_bag.replay.answer_records import RecordTemplate
+from lpv_bag.rosbag.chunk_assembly import ChunkAssembly
+from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_core.control.tracking import TrackingController
+from lpv_core.model.joints import JointMap
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.faults import FaultInjector
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.resources import bringup_file
 
-TOPICS = {'/lpv/joint_states': 'sensor_msgs/msg/JointState',
-          '/lpv/torque_command': 'lpv_msgs/msg/TorqueCommand'}
+TOPICS = {
+    '/lpv/joint_states': 'sensor_msgs/msg/JointState',
+    '/lpv/torque_command': 'lpv_msgs/msg/TorqueCommand',
+}
 _START = 1_700_000_000_000_000_000
 _CHUNK = 3000
 """Samples in a chunk: about as many bytes as rosbag2's recorder has in one."""
@@ -61,7 +63,7 @@ def long_bag(path, arm, gains, hours):
         for first in range(0, count, _CHUNK):
             k = np.arange(first, min(first + _CHUNK, count))
             writer.write_chunk(*_chunk(k, templates, truth, bias, arm, joints, generator))
-    storage, = part.glob('*.mcap')
+    (storage,) = part.glob('*.mcap')
     storage.rename(storage.with_name(path.name + '.mcap'))
     metadata = part / 'metadata.yaml'
     metadata.write_text(metadata.read_text().replace(part.name, path.name))
@@ -79,8 +81,9 @@ def _round(arm, gains):
     for _ in range(round(scenario.duration / arm.sample_time)):
         measurement, truth = plant.sense()
         bias.append(injector.apply(plant.time, np.zeros(2), arm.sample_time))
-        torque = controller.update(path.sample(plant.time), truth.position, truth.velocity,
-                                   truth.position, arm.sample_time).torque
+        torque = controller.update(
+            path.sample(plant.time), truth.position, truth.velocity, truth.position, arm.sample_time
+        ).torque
         rows.append((truth.position, truth.velocity, measurement.effort, torque))
         plant.step(torque)
     return [np.array(column) for column in zip(*rows)], np.array(bias)
@@ -89,26 +92,44 @@ def _round(arm, gains):
 def _templates(writer, arm):
     messages = BagMessages(writer.typestore, 'base_link')
     measurement = messages.joint_state(0, arm.joint_names, *([0.0, 0.0],) * 3)
-    command = messages.make('lpv_msgs/msg/TorqueCommand', 0,
-                            {'torque': [0.0, 0.0], 'safe_stop': False})
-    return [RecordTemplate(writer.typestore, message, msgtype, writer.channel(topic))
-            for message, (topic, msgtype) in zip((measurement, command), TOPICS.items())]
+    command = messages.make(
+        'lpv_msgs/msg/TorqueCommand', 0, {'torque': [0.0, 0.0], 'safe_stop': False}
+    )
+    return [
+        RecordTemplate(writer.typestore, message, msgtype, writer.channel(topic))
+        for message, (topic, msgtype) in zip((measurement, command), TOPICS.items())
+    ]
 
 
 def _chunk(k, templates, truth, bias, arm, joints, generator):
     position, velocity, effort, torque = (column[k % len(bias)] for column in truth)
     shape = position.shape
     faulty = (k // len(bias) % _FAULTY == _FAULTY - 1)[:, None] * bias[k % len(bias)]
-    reading = (joints.sensor_position(position) + faulty
-               + arm.position_noise * generator.standard_normal(shape))
-    rate = (joints.sensor_velocity(velocity)
-            + arm.velocity_noise * generator.standard_normal(shape))
+    reading = (
+        joints.sensor_position(position)
+        + faulty
+        + arm.position_noise * generator.standard_normal(shape)
+    )
+    rate = joints.sensor_velocity(velocity) + arm.velocity_noise * generator.standard_normal(shape)
     stamp = _START + k * round(arm.sample_time * 1e9)
     late = stamp + generator.integers(100_000, 400_000, len(k))
     assembly = ChunkAssembly(2 * len(k))
-    assembly.add_rows(2 * np.arange(len(k)), templates[0].fill(late, stamp, {
-        'position': joints.joint_from_sensor(reading),
-        'velocity': joints.joint_velocity_from_sensor(rate), 'effort': effort}))
-    assembly.add_rows(2 * np.arange(len(k)) + 1, templates[1].fill(
-        late + generator.integers(100_000, 400_000, len(k)), stamp, {'torque': torque}))
+    assembly.add_rows(
+        2 * np.arange(len(k)),
+        templates[0].fill(
+            late,
+            stamp,
+            {
+                'position': joints.joint_from_sensor(reading),
+                'velocity': joints.joint_velocity_from_sensor(rate),
+                'effort': effort,
+            },
+        ),
+    )
+    assembly.add_rows(
+        2 * np.arange(len(k)) + 1,
+        templates[1].fill(
+            late + generator.integers(100_000, 400_000, len(k)), stamp, {'torque': torque}
+        ),
+    )
     return assembly.finish()

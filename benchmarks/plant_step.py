@@ -9,9 +9,9 @@ import time
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from lpv_core.arm import load_arm
-from lpv_core.dynamics import acceleration, rk4_step
-from lpv_core.resources import bringup_file
+from lpv_core.model.arm import load_arm
+from lpv_core.model.dynamics import acceleration, rk4_step
+from lpv_core.support.resources import bringup_file
 
 SAMPLES = 1000
 ROUNDS = 5
@@ -46,12 +46,15 @@ def main():
     """Measure in turns, and print the median ratio."""
     arm = load_arm(bringup_file('arms', 'paper'))
     constants = arm.constants()
-    pairs = [(ours(constants, arm.sample_time), peer(constants, arm.sample_time))
-             for _ in range(ROUNDS)]
+    pairs = [
+        (ours(constants, arm.sample_time), peer(constants, arm.sample_time)) for _ in range(ROUNDS)
+    ]
     ratio = np.median([a[0] / b[0] for a, b in pairs])
     gap = np.abs(pairs[0][0][1] - pairs[0][1][1]).max()
-    print(f'plant step / scipy.integrate.solve_ivp: {ratio:.4f} (median of {ROUNDS} rounds), '
-          f'results differ by {gap:.1e} after {SAMPLES * arm.sample_time:g} s')
+    print(
+        f'plant step / scipy.integrate.solve_ivp: {ratio:.4f} (median of {ROUNDS} rounds), '
+        f'results differ by {gap:.1e} after {SAMPLES * arm.sample_time:g} s'
+    )
 
 
 if __name__ == '__main__':

@@ -26,9 +26,10 @@ STAGES = ('decompression', 'decoding', 'recursion', 'encoding', 'writing')
 
 
 def _arm_and_gains():
-    from lpv_core.arm import load_arm
-    from lpv_core.gains import load_gains
-    from lpv_core.resources import bringup_file
+    from lpv_core.certificate.gains import load_gains
+    from lpv_core.model.arm import load_arm
+    from lpv_core.support.resources import bringup_file
+
     return load_arm(bringup_file('arms', 'paper')), load_gains(OUT / 'bench_gains.yaml')
 
 
@@ -36,14 +37,18 @@ def replay(bag):
     """Read, decode, observe, diagnose, write the estimates."""
     import shutil
 
-    from lpv_bag.replay import Replay
-    from lpv_core.monitor import SensorMonitor
+    from lpv_bag.replay.replay import Replay
+    from lpv_core.monitoring.monitor import SensorMonitor
 
     arm, gains = _arm_and_gains()
     out = OUT / 'bench_replayed'
     shutil.rmtree(out, ignore_errors=True)
-    result = Replay(SensorMonitor('', arm, gains), torque_from_command=True, estimates_only=True,
-                    preset=os.environ.get('PRESET', 'zstd_fast')).run(bag, out)
+    result = Replay(
+        SensorMonitor('', arm, gains),
+        torque_from_command=True,
+        estimates_only=True,
+        preset=os.environ.get('PRESET', 'zstd_fast'),
+    ).run(bag, out)
     seconds = dict(result.seconds)
     seconds['decompression'] = seconds.pop('reading')
     size = sum(file.stat().st_size for file in out.iterdir())
@@ -55,11 +60,11 @@ def decode(bag):
     """Our reading and decoding alone."""
     import numpy as np
 
-    from lpv_bag.blocks import read_blocks
-    from lpv_bag.efforts import EffortReader
-    from lpv_bag.measurements import MeasurementReader
-    from lpv_bag.pipeline import ahead
-    from lpv_bag.run_record import open_bag
+    from lpv_bag.rosbag.message_blocks import read_blocks
+    from lpv_bag.rosbag.prefetch import ahead
+    from lpv_bag.run.measurements import MeasurementReader
+    from lpv_bag.run.record import open_bag
+    from lpv_bag.run.torque_reader import EffortReader
 
     count, joints = 0, _arm_and_gains()[0].joint_names
     with open_bag(bag) as reader:
@@ -79,6 +84,7 @@ def decode(bag):
 def rosbags(bag):
     """rosbags' AnyReader."""
     from rosbags.highlevel import AnyReader
+
     count = 0
     with AnyReader([bag]) as reader:
         for connection, _, data in reader.messages():
@@ -90,52 +96,76 @@ def rosbags(bag):
 def mcap_ros2_support(bag):
     """mcap-ros2-support, by the authors of the format."""
     from mcap_ros2.reader import read_ros2_messages
-    return {'messages': sum(1 for message in read_ros2_messages(str(_file(bag)))
-                            if message.ros_msg is not None)}
+
+    return {
+        'messages': sum(
+            1 for message in read_ros2_messages(str(_file(bag))) if message.ros_msg is not None
+        )
+    }
 
 
 def mcap_ros2_support_fast(bag):
     """mcap-ros2-support-fast with small-mcap."""
     from mcap_ros2_support_fast.decoder import DecoderFactory
     from small_mcap import read_message_decoded
+
     with open(_file(bag), 'rb') as file:
-        return {'messages': sum(1 for message in read_message_decoded(
-            file, decoder_factories=[DecoderFactory()]) if message.decoded_message is not None)}
+        return {
+            'messages': sum(
+                1
+                for message in read_message_decoded(file, decoder_factories=[DecoderFactory()])
+                if message.decoded_message is not None
+            )
+        }
 
 
 def pybag(bag):
     """pybag-sdk."""
     from pybag.mcap_reader import McapFileReader
+
     with McapFileReader.from_file(str(_file(bag))) as reader:
-        return {'messages': sum(1 for message in reader.messages(list(TOPICS))
-                                if message.data is not None)}
+        return {
+            'messages': sum(
+                1 for message in reader.messages(list(TOPICS)) if message.data is not None
+            )
+        }
 
 
 def roboto(bag):
     """roboto-mcap-codec: Rust, into Arrow, a channel at a time."""
     import mcap_codec
+
     count, path = 0, _file(bag)
     for topic in TOPICS:
         with open(path, 'rb') as file:
+
             def read(offset, length, file=file):
                 file.seek(offset)
                 return file.read(length)
+
             with mcap_codec.open_mcap_file(
-                    read, path.stat().st_size, channel=mcap_codec.TopicName(topic),
-                    timestamp=mcap_codec.TimestampSource('message_log_time')) as cursor:
+                read,
+                path.stat().st_size,
+                channel=mcap_codec.TopicName(topic),
+                timestamp=mcap_codec.TimestampSource('message_log_time'),
+            ) as cursor:
                 count += sum(batch.num_rows for batch in cursor)
     return {'messages': count}
 
 
 def _file(bag):
-    file, = Path(bag).glob('*.mcap')
+    (file,) = Path(bag).glob('*.mcap')
     return file
 
 
 OURS = {'replay': replay, 'decode': decode}
 QUICK = {'roboto-mcap-codec': roboto}
-SLOW = {'mcap-ros2-support-fast': mcap_ros2_support_fast, 'pybag-sdk': pybag,
-        'rosbags AnyReader': rosbags, 'mcap-ros2-support': mcap_ros2_support}
+SLOW = {
+    'mcap-ros2-support-fast': mcap_ros2_support_fast,
+    'pybag-sdk': pybag,
+    'rosbags AnyReader': rosbags,
+    'mcap-ros2-support': mcap_ros2_support,
+}
 CANDIDATES = {**OURS, **QUICK, **SLOW}
 
 
@@ -159,8 +189,9 @@ def child(name, bag):
 def measure(name, bag):
     """Run one candidate in a process of its own."""
     begin = time.perf_counter()
-    process = subprocess.Popen([sys.executable, __file__, '--child', name, str(bag)],
-                               stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, __file__, '--child', name, str(bag)], stdout=subprocess.PIPE, text=True
+    )
     text = process.stdout.read()
     _, status, usage = os.wait4(process.pid, 0)
     if status:
@@ -174,10 +205,10 @@ def prepare(hours):
     """Make the bag of a length, and gains beside it, if they are not there."""
     from long_bag import long_bag
 
-    from lpv_core.arm import load_arm
-    from lpv_core.gains import load_gains, save_gains
-    from lpv_core.resources import bringup_file
-    from lpv_design.pipeline import design
+    from lpv_core.certificate.gains import load_gains, save_gains
+    from lpv_core.model.arm import load_arm
+    from lpv_core.support.resources import bringup_file
+    from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
     arm, gains = load_arm(bringup_file('arms', 'paper')), OUT / 'bench_gains.yaml'
@@ -194,8 +225,9 @@ def main():
     """Measure all, and show the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--hours', type=float, default=1.0, help='length of the bag (1)')
-    parser.add_argument('--peer-hours', type=float, default=0.05,
-                        help='length of the bag for slow peers (0.05)')
+    parser.add_argument(
+        '--peer-hours', type=float, default=0.05, help='length of the bag for slow peers (0.05)'
+    )
     parser.add_argument('--rounds', type=int, default=3, help='of ours; the best one counts (3)')
     parser.add_argument('--child', nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -205,14 +237,25 @@ def main():
     OUT.mkdir(exist_ok=True)
     console = Console(soft_wrap=True, highlight=False, width=120)
     # In a process of its own, too: what this one has taken would count as memory of the others.
-    long, short = ((_bag(hours), measure('prepare', hours)['count']) for hours in (
-        arguments.hours, min(arguments.hours, arguments.peer_hours)))
+    long, short = (
+        (_bag(hours), measure('prepare', hours)['count'])
+        for hours in (arguments.hours, min(arguments.hours, arguments.peer_hours))
+    )
     size = _file(long[0]).stat().st_size
-    console.print(f'{long[1]} measurements and {long[1]} torques ({arguments.hours:g} h), '
-                  f'{size / 1e6:.0f} MB, zstd')
+    console.print(
+        f'{long[1]} measurements and {long[1]} torques ({arguments.hours:g} h), '
+        f'{size / 1e6:.0f} MB, zstd'
+    )
     table = Table(box=box.SIMPLE_HEAD)
-    for column in ('', 'hours', 'wall [s]', 'processor [s]', 'process [s]', 'us/message',
-                   'memory [MB]'):
+    for column in (
+        '',
+        'hours',
+        'wall [s]',
+        'processor [s]',
+        'process [s]',
+        'us/message',
+        'memory [MB]',
+    ):
         table.add_column(column, justify='left' if not column else 'right', no_wrap=True)
     best = None
     for name in CANDIDATES:
@@ -224,10 +267,15 @@ def main():
             continue
         assert result['messages'] == 2 * count, (name, result)
         best = result if name == 'replay' else best
-        table.add_row({'replay': 'lpv replay, all', 'decode': 'lpv replay, decoding only'}.get(
-            name, name), f'{count / long[1] * arguments.hours:.3g}', f'{result["wall"]:.2f}',
-            f'{result["cpu"]:.2f}', f'{result["process"]:.2f}',
-            f'{1e6 * result["wall"] / result["messages"]:.2f}', f'{result["memory"] / 1e6:.0f}')
+        table.add_row(
+            {'replay': 'lpv replay, all', 'decode': 'lpv replay, decoding only'}.get(name, name),
+            f'{count / long[1] * arguments.hours:.3g}',
+            f'{result["wall"]:.2f}',
+            f'{result["cpu"]:.2f}',
+            f'{result["process"]:.2f}',
+            f'{1e6 * result["wall"] / result["messages"]:.2f}',
+            f'{result["memory"] / 1e6:.0f}',
+        )
     console.print(table)
     console.print('lpv replay, processor time by stage:')
     for stage in STAGES:

@@ -1,8 +1,8 @@
 """Small bags that tests of reading and recovery share."""
 
-from lpv_bag.messages import BagMessages
-from lpv_bag.reading import open_bag
-from lpv_bag.writing import BagWriter, qos_profile
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.reading import open_bag
+from lpv_bag.rosbag.writing import BagWriter, qos_profile
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 START, STEP = 10**9, 2_000_000
@@ -20,8 +20,11 @@ def write_small(path, count=20, **options):
         writer.add_topic(CHATTER, 'std_msgs/msg/String')
         for k in range(count):
             stamp = START + k * STEP
-            writer.write(JOINTS, stamp, messages.joint_state(
-                stamp, ('a', 'b'), [k, 1.0], [2.0, 3.0], [4.0, 5.0]))
+            writer.write(
+                JOINTS,
+                stamp,
+                messages.joint_state(stamp, ('a', 'b'), [k, 1.0], [2.0, 3.0], [4.0, 5.0]),
+            )
             if k % 5 == 0:
                 text = writer.typestore.types['std_msgs/msg/String'](f'hello {k}')
                 writer.write(CHATTER, stamp, text)
@@ -38,5 +41,5 @@ def contents(path):
 
 def storage(bag):
     """The one MCAP file of a bag."""
-    file, = bag.glob('*.mcap')
+    (file,) = bag.glob('*.mcap')
     return file

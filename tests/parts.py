@@ -4,20 +4,15 @@ import math
 
 import numpy as np
 
-from lpv_core import (
-    change_test,
-    error_bound,
-    fault_kind,
-    history,
-    sensor_decision,
-    sensor_record,
-)
-from lpv_core.diagnosis import diagnosis_constants
-from lpv_core.dynamics import inverse_dynamics
-from lpv_core.joints import JointMap
-from lpv_core.observer import ESTIMATE
-from lpv_core.records import new_record
-from lpv_core.unknown_torque import healthy_arm, unknown_torque
+from lpv_core.bound import error_bound
+from lpv_core.bound.unknown_torque import healthy_arm, unknown_torque
+from lpv_core.decision import fault_classification, sensor_decision, sensor_state
+from lpv_core.decision.diagnosis import diagnosis_constants
+from lpv_core.model.dynamics import inverse_dynamics
+from lpv_core.model.joints import JointMap
+from lpv_core.observer.sampled_observer import ESTIMATE
+from lpv_core.residual import change_detection, sample_buffer
+from lpv_core.support.records import new_record
 
 
 def make_estimate(**fields):
@@ -29,63 +24,72 @@ class History:
     """Buffer of one sensor."""
 
     def __init__(self, size):
-        self.stamps, self.values = history.new_history(size)
+        self.stamps, self.values = sample_buffer.new_history(size)
         self.end = 0
 
     def clear(self):
         self.end = 0
 
     def add(self, stamp, residual, reading, allowance=0.0, innovation=0.0):
-        self.end = history.add_sample(self.stamps, self.values, self.end, stamp, residual, reading,
-                                      allowance, innovation)
+        self.end = sample_buffer.add_sample(
+            self.stamps, self.values, self.end, stamp, residual, reading, allowance, innovation
+        )
 
     def row(self, stamp):
         """Row of a stamp: the same wherever the search starts."""
-        rows = {history.index_at(self.stamps, self.end, stamp, guess)
-                for guess in (-5, 0, self.end // 2, self.end, self.end + 7)}
+        rows = {
+            sample_buffer.index_at(self.stamps, self.end, stamp, guess)
+            for guess in (-5, 0, self.end // 2, self.end, self.end + 7)
+        }
         assert len(rows) == 1
         return rows.pop()
 
     def at(self, stamp):
         row = self.row(stamp)
-        return None if row < 0 else (self.stamps[row], self.values[row, history.RESIDUAL])
+        return None if row < 0 else (self.stamps[row], self.values[row, sample_buffer.RESIDUAL])
 
     def median_at(self, stamp, count=5):
-        return history.median_before(self.values, self.row(stamp), count)
+        return sample_buffer.median_before(self.values, self.row(stamp), count)
 
     def since(self, stamp):
-        first = history.first_since(self.stamps, self.end, stamp)
-        return self.stamps[first:self.end], self.values[first:self.end]
+        first = sample_buffer.first_since(self.stamps, self.end, stamp)
+        return self.stamps[first : self.end], self.values[first : self.end]
 
 
 class ChangeTest:
     """Limits of changes of one arm."""
 
     def __init__(self, arm, hours, smallest=0.0):
-        self.constants = change_test.change_test(arm, hours, smallest)
+        self.constants = change_detection.change_test(arm, hours, smallest)
 
     def limit(self, window, error):
-        return change_test.change_limit(self.constants, window, error)
+        return change_detection.change_limit(self.constants, window, error)
 
     def find(self, past, stamp, residual, allowance=0.0):
         """Window and residual before; None for no change."""
-        sample = new_record(sensor_record.SAMPLE, stamp=stamp, residual=residual,
-                            allowance=allowance)
-        window, _, before = change_test.find_change(
-            self.constants, past.stamps, past.values, past.end, sample)
+        sample = new_record(
+            sensor_state.SAMPLE, stamp=stamp, residual=residual, allowance=allowance
+        )
+        window, _, before = change_detection.find_change(
+            self.constants, past.stamps, past.values, past.end, sample
+        )
         return None if window < 0 else (window, before)
 
 
 class SensorDecision:
     """Decision about one sensor; fields of its state are attributes."""
 
-    _WORDS = {sensor_decision.NOTHING: None, sensor_decision.RAISED: 'raised',
-              sensor_decision.UPDATED: 'updated', sensor_decision.CLEARED: 'cleared'}
+    _WORDS = {
+        sensor_decision.NOTHING: None,
+        sensor_decision.RAISED: 'raised',
+        sensor_decision.UPDATED: 'updated',
+        sensor_decision.CLEARED: 'cleared',
+    }
 
     def __init__(self, arm, gains, parameters):
         self.constants = diagnosis_constants(arm, gains, parameters).sensor
-        self.state = new_record(sensor_record.SENSOR_STATE)
-        self.past = history.new_history(round(1.5 / arm.sample_time))
+        self.state = new_record(sensor_state.SENSOR_STATE)
+        self.past = sample_buffer.new_history(round(1.5 / arm.sample_time))
         self.reset()
 
     def __getattr__(self, name):
@@ -93,7 +97,7 @@ class SensorDecision:
 
     @property
     def kind(self):
-        return fault_kind.KINDS[self.state.kind]
+        return fault_classification.KINDS[self.state.kind]
 
     @property
     def compensable(self):
@@ -104,10 +108,10 @@ class SensorDecision:
         return sensor_decision.suspected(self.state)
 
     def reset(self):
-        sensor_record.reset_sensor(self.state)
+        sensor_state.reset_sensor(self.state)
 
     def restart(self):
-        sensor_record.restart_sensor(self.state)
+        sensor_state.restart_sensor(self.state)
 
     def update(self, **sample):
         for name, value in sample.items():
@@ -138,15 +142,19 @@ class UnknownTorque:
 
     def __call__(self, theta, rate, acceleration, margin):
         out = np.zeros(2)
-        unknown_torque(self.constants, *(np.asarray(v, float) for v in
-                                         (theta, rate, acceleration, margin)), out)
+        unknown_torque(
+            self.constants,
+            *(np.asarray(v, float) for v in (theta, rate, acceleration, margin)),
+            out,
+        )
         return out
 
 
 def classify(stamps, values, onset, baseline, noise):
     """Name of the kind of a course that fills a history."""
-    return fault_kind.KINDS[fault_kind.classify(stamps, values, 0, len(values), onset, baseline,
-                                                noise)]
+    return fault_classification.KINDS[
+        fault_classification.classify(stamps, values, 0, len(values), onset, baseline, noise)
+    ]
 
 
 class Swing:
@@ -158,16 +166,21 @@ class Swing:
 
     def absolute(self, t):
         p, t = self.pace, self.pace * t
-        return (self.rest + np.array([0.5 * math.sin(1.1 * t), 0.3 * math.sin(1.7 * t)]),
-                p * np.array([0.55 * math.cos(1.1 * t), 0.51 * math.cos(1.7 * t)]),
-                p * p * np.array([-0.605 * math.sin(1.1 * t), -0.867 * math.sin(1.7 * t)]))
+        return (
+            self.rest + np.array([0.5 * math.sin(1.1 * t), 0.3 * math.sin(1.7 * t)]),
+            p * np.array([0.55 * math.cos(1.1 * t), 0.51 * math.cos(1.7 * t)]),
+            p * p * np.array([-0.605 * math.sin(1.1 * t), -0.867 * math.sin(1.7 * t)]),
+        )
 
     def sample(self, t, dt=0.002, fault=(0.0, 0.0)):
         theta, rate, _ = self.absolute(t)
         reading = self.joints.sensor_position(self.joints.joint_position(theta)) + fault
         torque = inverse_dynamics(*np.concatenate(self.absolute(t - dt / 2)), self.c)
-        return (self.joints.joint_from_sensor(reading), self.joints.joint_velocity(rate),
-                self.joints.joint_torque(np.array(torque)))
+        return (
+            self.joints.joint_from_sensor(reading),
+            self.joints.joint_velocity(rate),
+            self.joints.joint_torque(np.array(torque)),
+        )
 
     def position(self, t):
         return self.joints.joint_position(self.absolute(t)[0])

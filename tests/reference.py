@@ -15,29 +15,32 @@ from pathlib import Path
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from lpv_bag.chunk_writing import ChunkBagWriter
-from lpv_bag.messages import BagMessages
-from lpv_bag.replay import Replay
-from lpv_bag.run_record import stamp_of
-from lpv_cli.compare import load_pair, show
-from lpv_cli.comparison import Tolerances, compare_runs
-from lpv_core.arm import load_arm
-from lpv_core.faults import Fault
-from lpv_core.gains import load_gains, save_gains
-from lpv_core.monitor import SensorMonitor
-from lpv_core.resources import bringup_file
-from lpv_core.scenario import load_scenario
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController
+from lpv_bag.replay.replay import Replay
+from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.run.record import stamp_of
+from lpv_cli.commands.compare import load_pair, show
+from lpv_core.certificate.gains import load_gains, save_gains
+from lpv_core.control.tracking import TrackingController
+from lpv_core.model.arm import load_arm
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.faults import Fault
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.resources import bringup_file
+from lpv_report.comparison import Tolerances, compare_runs
 
 BAG = Path(__file__).resolve().parent / 'data' / 'reference'
 TOLERANCES = Tolerances(mise=1e-3, delay=0.0, signal=1e-6, flags=0.0, missing=1.0)
 """Processors round differently in the last digits; everything else is a change of behaviour."""
 _THINNED = 20
 """Of the estimates every so many are stored."""
-_FAULTS = (Fault('link1_angle', 'bias', 1.5, 1.5, size=0.3),
-           Fault('link2_angle', 'drift', 2.5, 2.0, size=0.25, rate=0.25),
-           Fault('link1_angle', 'dropout', 4.0, 0.1), Fault('link2_angle', 'stuck', 4.8, 0.8))
+_FAULTS = (
+    Fault('link1_angle', 'bias', 1.5, 1.5, size=0.3),
+    Fault('link2_angle', 'drift', 2.5, 2.0, size=0.25, rate=0.25),
+    Fault('link1_angle', 'dropout', 4.0, 0.1),
+    Fault('link2_angle', 'stuck', 4.8, 0.8),
+)
 _STREAMS = ('joint_states', 'ground_truth')
 
 
@@ -60,38 +63,62 @@ def _rounded(values, bits):
 
 def record(path):
     """Simulate 6 s with faults, lost, late and unusable samples."""
-    arm, scenario = load_arm(bringup_file('arms', 'paper')), load_scenario(
-        bringup_file('scenarios', 'two_faults'))
+    arm, scenario = (
+        load_arm(bringup_file('arms', 'paper')),
+        load_scenario(bringup_file('scenarios', 'two_faults')),
+    )
     gains = load_gains(BAG / 'gains.yaml')
     plant = ArmSimulator(arm, replace(scenario, faults=_FAULTS))
     controller, course = TrackingController(arm, gains), scenario.path(arm)
     rng, faulty = np.random.default_rng(1), None
     with ChunkBagWriter(path, 'zstd_small') as writer:
         messages = BagMessages(writer.typestore, 'base_link')
-        for name, msgtype in zip(_STREAMS, ('sensor_msgs/msg/JointState',
-                                            'lpv_msgs/msg/GroundTruth')):
+        for name, msgtype in zip(
+            _STREAMS, ('sensor_msgs/msg/JointState', 'lpv_msgs/msg/GroundTruth')
+        ):
             writer.add_topic(f'/lpv/{name}', msgtype)
         for k in range(round(6.0 / arm.sample_time)):
             sense, truth = plant.sense()
             stamp = 10**9 + k * round(arm.sample_time * 1e9)
-            vectors = [_rounded(v, bits) for v, bits in ((sense.position, 16),
-                                                         (sense.velocity, 13), (sense.effort, 8))]
+            vectors = [
+                _rounded(v, bits)
+                for v, bits in ((sense.position, 16), (sense.velocity, 13), (sense.effort, 8))
+            ]
             kind = rng.integers(300)
             if kind == 0:
                 vectors[rng.integers(3)][rng.integers(2)] = np.nan
             if kind != 1:
-                writer.write('/lpv/joint_states', stamp,
-                             messages.joint_state(stamp, arm.joint_names, *vectors))
+                writer.write(
+                    '/lpv/joint_states',
+                    stamp,
+                    messages.joint_state(stamp, arm.joint_names, *vectors),
+                )
             begun, faulty = faulty, (truth.fault != 0.0).tolist()
             if k % _THINNED == 0 or faulty != begun:
-                writer.write('/lpv/ground_truth', stamp, messages.make(
-                    'lpv_msgs/msg/GroundTruth', stamp, {
-                        'position': _rounded(truth.position, 20),
-                        'velocity': _rounded(truth.velocity, 20), 'torque': vectors[2],
-                        'fault': _rounded(truth.fault, 20), 'disturbance': 0.0}))
-            plant.step(controller.update(course.sample(plant.time), truth.position,
-                                         truth.velocity, truth.position,
-                                         arm.sample_time).torque)
+                writer.write(
+                    '/lpv/ground_truth',
+                    stamp,
+                    messages.make(
+                        'lpv_msgs/msg/GroundTruth',
+                        stamp,
+                        {
+                            'position': _rounded(truth.position, 20),
+                            'velocity': _rounded(truth.velocity, 20),
+                            'torque': vectors[2],
+                            'fault': _rounded(truth.fault, 20),
+                            'disturbance': 0.0,
+                        },
+                    ),
+                )
+            plant.step(
+                controller.update(
+                    course.sample(plant.time),
+                    truth.position,
+                    truth.velocity,
+                    truth.position,
+                    arm.sample_time,
+                ).torque
+            )
 
 
 def renew(measurements):
@@ -129,7 +156,7 @@ def main():
     parser.add_argument('--measurements', action='store_true', help='simulate and design anew')
     arguments = parser.parse_args()
     if arguments.measurements:
-        from lpv_design.pipeline import design
+        from lpv_design.design_flow import design
         from lpv_design.requirement import load_requirement
 
         BAG.mkdir(parents=True, exist_ok=True)

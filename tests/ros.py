@@ -6,15 +6,19 @@ import time
 from contextlib import contextmanager
 
 from lpv_cli.processes import Graph
-from lpv_core.resources import executable
+from lpv_core.support.resources import executable
 
 NAMESPACE = '/lpv'
 # Domains up to 101 have ports outside the ephemeral range; one for each graph of this process.
 _DOMAINS = itertools.cycle(range(1 + os.getpid() % 90, 1 + os.getpid() % 90 + 10))
 
-PROGRAMS = {'recorder': ('lpv_bag', 'recorder'), 'uio': ('lpv_uio', 'uio'),
-            'tracker': ('lpv_tracker', 'tracker'), 'simulator': ('lpv_arm_sim', 'simulator'),
-            'view': ('lpv_view', 'view')}
+PROGRAMS = {
+    'recorder': ('lpv_bag', 'recorder'),
+    'uio': ('lpv_uio', 'uio'),
+    'tracker': ('lpv_tracker', 'tracker'),
+    'simulator': ('lpv_arm_sim', 'simulator'),
+    'view': ('lpv_view', 'view'),
+}
 
 
 def command(name, *parameters, files=()):

@@ -5,12 +5,12 @@ import re
 
 import numpy as np
 
-from lpv_bag.messages import BagMessages
-from lpv_bag.writing import BagWriter
-from lpv_core.monitor import SensorMonitor
-from lpv_core.observer import NANOSECONDS
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_core.control.tracking import TrackingController
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.simulation.arm_simulator import ArmSimulator
 
 MEASURED = {'joint_states', 'torque_command', 'state_estimate', 'fault_estimate', 'fault_alarm'}
 ALL = MEASURED | {'ground_truth', 'reference'}
@@ -19,10 +19,15 @@ ALL = MEASURED | {'ground_truth', 'reference'}
 class Recorder:
     """Writes chosen streams below /lpv."""
 
-    TYPES = {'joint_states': 'sensor_msgs/msg/JointState', 'reference': 'JointReference',
-             'ground_truth': 'GroundTruth', 'torque_command': 'TorqueCommand',
-             'state_estimate': 'StateEstimate', 'fault_estimate': 'FaultEstimate',
-             'fault_alarm': 'FaultAlarm'}
+    TYPES = {
+        'joint_states': 'sensor_msgs/msg/JointState',
+        'reference': 'JointReference',
+        'ground_truth': 'GroundTruth',
+        'torque_command': 'TorqueCommand',
+        'state_estimate': 'StateEstimate',
+        'fault_estimate': 'FaultEstimate',
+        'fault_alarm': 'FaultAlarm',
+    }
 
     def __init__(self, path, streams):
         self._writer, self._streams = BagWriter(path), streams
@@ -47,8 +52,9 @@ class Recorder:
 
     def stream(self, name, stamp, **fields):
         if name in self._streams:
-            self._writer.write(f'/lpv/{name}', stamp,
-                               self._messages.make(self._type(name), stamp, fields))
+            self._writer.write(
+                f'/lpv/{name}', stamp, self._messages.make(self._type(name), stamp, fields)
+            )
 
 
 def record(path, arm, gains, scenario, streams=ALL):
@@ -59,21 +65,39 @@ def record(path, arm, gains, scenario, streams=ALL):
         for k in range(int(round(scenario.duration / arm.sample_time)) + 1):
             stamp = round(plant.time * NANOSECONDS)
             sense, truth = plant.sense()
-            answer = monitor.take(stamp, bag.measure(stamp, sense.position, sense.velocity,
-                                                     sense.effort))
-            bag.stream('ground_truth', stamp, position=truth.position, velocity=truth.velocity,
-                       torque=sense.effort, fault=truth.fault, disturbance=truth.disturbance)
+            answer = monitor.take(
+                stamp, bag.measure(stamp, sense.position, sense.velocity, sense.effort)
+            )
+            bag.stream(
+                'ground_truth',
+                stamp,
+                position=truth.position,
+                velocity=truth.velocity,
+                torque=sense.effort,
+                fault=truth.fault,
+                disturbance=truth.disturbance,
+            )
             bag.stream('state_estimate', stamp, **answer.state)
             bag.stream('fault_estimate', stamp, **answer.fault)
             for fields in answer.alarms:
                 bag.stream('fault_alarm', stamp, **fields)
             reference = course.sample(stamp / NANOSECONDS)
             position = np.array(answer.state['compensated_position'])
-            torque = controller.update(reference, position, np.array(answer.state['velocity']),
-                                       position, arm.sample_time if k else 0.0).torque
-            bag.stream('reference', stamp, position=reference.position,
-                       velocity=reference.velocity, acceleration=reference.acceleration,
-                       tip_position=reference.tip)
+            torque = controller.update(
+                reference,
+                position,
+                np.array(answer.state['velocity']),
+                position,
+                arm.sample_time if k else 0.0,
+            ).torque
+            bag.stream(
+                'reference',
+                stamp,
+                position=reference.position,
+                velocity=reference.velocity,
+                acceleration=reference.acceleration,
+                tip_position=reference.tip,
+            )
             bag.stream('torque_command', stamp, torque=torque, safe_stop=False)
             plant.step(torque)
     return path
@@ -81,9 +105,13 @@ def record(path, arm, gains, scenario, streams=ALL):
 
 def rows(page):
     """Cells of all table rows of a page, as text."""
-    return [[html.unescape(re.sub('<[^>]*>', '', cell)).strip()
-             for cell in re.findall(r'<t[dh][^>]*>(.*?)</t[dh]>', row, re.DOTALL)]
-            for row in re.findall(r'<tr>(.*?)</tr>', page, re.DOTALL)]
+    return [
+        [
+            html.unescape(re.sub('<[^>]*>', '', cell)).strip()
+            for cell in re.findall(r'<t[dh][^>]*>(.*?)</t[dh]>', row, re.DOTALL)
+        ]
+        for row in re.findall(r'<tr>(.*?)</tr>', page, re.DOTALL)
+    ]
 
 
 def text(page):

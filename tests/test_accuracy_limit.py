@@ -7,26 +7,30 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from lpv_campaign.accuracy import NAMES, limit_figures
-from lpv_campaign.arm_knowledge import known_exactly, known_within_priors
-from lpv_campaign.fault_knowledge import anything, known_shape, random_walks
-from lpv_campaign.limit import accuracy_limit
-from lpv_campaign.linearisation import LinearSystem, linearise, measurements, true_states
-from lpv_campaign.passes import both_passes
-from lpv_campaign.smoother import filter_adaptively, smooth
-from lpv_core.closed_loop import run_closed_loop
-from lpv_core.errors import ConfigError, LpvError
-from lpv_core.faults import Fault
-from lpv_core.joints import JointMap
-from lpv_core.simulation import ArmSimulator
+from lpv_campaign.limit.accuracy import NAMES, limit_figures
+from lpv_campaign.limit.arm_prior import known_exactly, known_within_priors
+from lpv_campaign.limit.cramer_rao_bound import accuracy_limit
+from lpv_campaign.limit.fault_prior import anything, known_shape, random_walks
+from lpv_campaign.limit.kalman_smoother import both_passes
+from lpv_campaign.limit.linearisation import LinearSystem, linearise, measurements, true_states
+from lpv_campaign.limit.smoother import filter_adaptively, smooth
+from lpv_core.model.joints import JointMap
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.faults import Fault
+from lpv_core.support.errors import ConfigError, LpvError
 
 BIAS = Fault('link1_angle', 'bias', 0.4, 0.0, 0.2)
-FAULTS = (BIAS, Fault('link2_angle', 'drift', 0.3, 0.0, 0.05, 0.2),
-          Fault('link1_angle', 'scale', 0.3, 0.4, 0.2), Fault('link2_angle', 'stuck', 0.3, 0.4),
-          Fault('link1_angle', 'noise', 0.3, 0.4, 0.02),
-          Fault('link2_angle', 'spike', 0.3, 0.4, 0.2, 20.0),
-          Fault('link2_angle', 'dropout', 0.3, 0.4),
-          Fault('link1_angle', 'rate_bias', 0.3, 0.4, 0.1))
+FAULTS = (
+    BIAS,
+    Fault('link2_angle', 'drift', 0.3, 0.0, 0.05, 0.2),
+    Fault('link1_angle', 'scale', 0.3, 0.4, 0.2),
+    Fault('link2_angle', 'stuck', 0.3, 0.4),
+    Fault('link1_angle', 'noise', 0.3, 0.4, 0.02),
+    Fault('link2_angle', 'spike', 0.3, 0.4, 0.2, 20.0),
+    Fault('link2_angle', 'dropout', 0.3, 0.4),
+    Fault('link1_angle', 'rate_bias', 0.3, 0.4, 0.1),
+)
 UNKNOWN_ARM = {'model_error': 0.05, 'payload': 0.2, 'viscous': (0.5, 0.3), 'coulomb': (1.0, 0.5)}
 
 
@@ -58,23 +62,34 @@ def linear():
     r[rng.random((n, 6)) < 0.3] = math.inf
     moved = np.zeros((n, 4))
     return LinearSystem(
-        moved, f, rng.standard_normal((n, 4)), 0.0, rng.uniform(0.1, 1.0, n),
-        np.array([0, 0, 0, 0, 1.0, 1.0, 0.0]), np.array([0, 0, 0, 0, 0.0, 0.1, 2.0]),
-        rng.standard_normal((n, 6, size)), np.zeros((n, 6)), r,
-        rng.standard_normal((n, 2, size)), np.zeros(size), rng.uniform(0.5, 1.0, size))
+        moved,
+        f,
+        rng.standard_normal((n, 4)),
+        0.0,
+        rng.uniform(0.1, 1.0, n),
+        np.array([0, 0, 0, 0, 1.0, 1.0, 0.0]),
+        np.array([0, 0, 0, 0, 0.0, 0.1, 2.0]),
+        rng.standard_normal((n, 6, size)),
+        np.zeros((n, 6)),
+        r,
+        rng.standard_normal((n, 2, size)),
+        np.zeros(size),
+        rng.uniform(0.5, 1.0, size),
+    )
 
 
 def whole(system, k):
     """Transition and noise of all states."""
     f = np.diag(system.memory)
     f[:4] = 0.0
-    f[:4, :system.f.shape[2]] = system.f[k]
+    f[:4, : system.f.shape[2]] = system.f[k]
     g = np.concatenate([system.g[k], np.zeros(len(f) - 4)])
     return f, system.push[k] * np.outer(g, g) + np.diag(system.growth)
 
 
 def test_given_a_linear_system_when_filtered_then_the_limit_is_the_covariance_of_filterpys_filter(
-        linear):
+    linear,
+):
     passes = both_passes(linear)
     kalman = KalmanFilter(7, 6)
     kalman.P = np.diag(linear.deviation**2)
@@ -108,7 +123,7 @@ def test_given_a_linear_system_when_smoothed_then_it_is_the_posterior_of_all_sta
     there = np.isfinite(linear.r).ravel()
     h = np.zeros((n * 6, n * size))
     for k in range(n):
-        h[k * 6:(k + 1) * 6, k * size:(k + 1) * size] = linear.h[k]
+        h[k * 6 : (k + 1) * 6, k * size : (k + 1) * size] = linear.h[k]
     h = h[there]
     gain = np.linalg.solve(h @ cov @ h.T + np.diag(linear.r.ravel()[there]), h @ cov).T
     mean = mean + gain @ (residual.ravel()[there] - h @ mean)
@@ -117,17 +132,19 @@ def test_given_a_linear_system_when_smoothed_then_it_is_the_posterior_of_all_sta
     assert np.allclose(passes.smoothed.ravel(), mean, rtol=1e-7, atol=1e-9)
     assert np.allclose(passes.smoothed[-1], passes.means[-1])
     for k in range(n):
-        part = cov[k * size:(k + 1) * size, k * size:(k + 1) * size]
+        part = cov[k * size : (k + 1) * size, k * size : (k + 1) * size]
         expected = np.einsum('qi,ij,qj->q', linear.fault[k], part, linear.fault[k])
-        assert np.allclose(passes.smoothed_variances[k], [*expected, part[0, 0], part[1, 1]],
-                           rtol=1e-6, atol=1e-10)
+        assert np.allclose(
+            passes.smoothed_variances[k], [*expected, part[0, 0], part[1, 1]], rtol=1e-6, atol=1e-10
+        )
 
 
 # ------------------------------------------------------------------ linearisation
 
 
 def test_given_another_state_or_arm_when_simulated_then_it_moves_as_the_jacobian_says(
-        rough_arm, rough_gains, two_faults):
+    rough_arm, rough_gains, two_faults
+):
     scenario = short(two_faults, faults=(), noise=False, duration=0.2)
     arm = replace(rough_arm, disturbance_variance=0.0)
     run = run_closed_loop(rough_arm, rough_gains, scenario)
@@ -142,11 +159,14 @@ def test_given_another_state_or_arm_when_simulated_then_it_moves_as_the_jacobian
         plant.step(run.torque[k])
         return plant.state.state.copy()
 
-    changes = [lambda e: {'mass_factors': (1.0 + e, 1.0)},
-               lambda e: {'inertia_factors': (1.0 + e, 1.0)},
-               lambda e: {'mass_factors': (1.0, 1.0 + e)},
-               lambda e: {'inertia_factors': (1.0, 1.0 + e)},
-               lambda e: {'payload': e}, lambda e: {'friction_factor': 1.0 + e}]
+    changes = [
+        lambda e: {'mass_factors': (1.0 + e, 1.0)},
+        lambda e: {'inertia_factors': (1.0 + e, 1.0)},
+        lambda e: {'mass_factors': (1.0, 1.0 + e)},
+        lambda e: {'inertia_factors': (1.0, 1.0 + e)},
+        lambda e: {'payload': e},
+        lambda e: {'friction_factor': 1.0 + e},
+    ]
     for k in (20, 60, 90):
         state, e = states[k, :4], 2e-6
         assert np.allclose(system.moved[k], after(k, state), rtol=0.0, atol=1e-15)
@@ -165,7 +185,8 @@ def test_given_another_state_or_arm_when_simulated_then_it_moves_as_the_jacobian
 
 @pytest.mark.parametrize('fault', FAULTS, ids=lambda fault: fault.kind)
 def test_given_a_fault_and_no_noise_when_linearised_at_the_truth_then_readings_are_explained(
-        paper_arm, paper_gains, two_faults, fault):
+    paper_arm, paper_gains, two_faults, fault
+):
     scenario = short(two_faults, faults=(fault,), noise=False)
     run = run_closed_loop(paper_arm, paper_gains, scenario, delay=3, loss=0.1)
     knowledge, faults = known_exactly(paper_arm, scenario), known_shape(paper_arm, scenario, run)
@@ -182,19 +203,22 @@ def test_given_a_fault_and_no_noise_when_linearised_at_the_truth_then_readings_a
     for j in range(states.shape[1]):
         step = np.zeros_like(states)
         step[:, j] = 1e-6
-        moved = [linearise(paper_arm, scenario, run, knowledge, faults, states + s).readings
-                 for s in (step, -step)]
+        moved = [
+            linearise(paper_arm, scenario, run, knowledge, faults, states + s).readings
+            for s in (step, -step)
+        ]
         assert np.allclose((moved[0] - moved[1]) / 2e-6, system.h[:, :, j], atol=1e-6)
 
 
 def test_given_a_run_when_the_truth_moves_then_only_the_disturbance_is_not_explained(
-        paper_arm, paper_gains, two_faults):
+    paper_arm, paper_gains, two_faults
+):
     scenario = short(two_faults, mass_factors=(1.04, 0.97), disturbance_factor=1.5)
     run = run_closed_loop(paper_arm, paper_gains, scenario, delay=2)
     knowledge = known_exactly(paper_arm, scenario)
     states = true_states(paper_arm, run, knowledge, [])
     system = linearise(paper_arm, scenario, run, knowledge, [], states)
-    left = (states[1:] - system.moved[:-1])
+    left = states[1:] - system.moved[:-1]
     push = left[:, 2] / np.where(system.g[:-1, 2] == 0.0, 1.0, system.g[:-1, 2])
     # Coriolis terms are quadratic in what one push changes.
     assert np.allclose(left, push[:, None] * system.g[:-1], rtol=0.0, atol=2e-7)
@@ -213,14 +237,18 @@ def normal_arm(arm, scenario, rng):
     knowledge = known_within_priors(arm, scenario)
     draw = dict(zip(knowledge.names, knowledge.deviation * rng.standard_normal(6)))
     return replace(
-        scenario, mass_factors=(1.0 + draw['mass 1'], 1.0 + draw['mass 2']),
+        scenario,
+        mass_factors=(1.0 + draw['mass 1'], 1.0 + draw['mass 2']),
         inertia_factors=(1.0 + draw['inertia 1'], 1.0 + draw['inertia 2']),
-        payload=draw['payload'], friction_factor=1.0 + draw['friction'])
+        payload=draw['payload'],
+        friction_factor=1.0 + draw['friction'],
+    )
 
 
 @pytest.mark.parametrize('know', [known_exactly, known_within_priors])
 def test_given_many_runs_when_smoothed_then_the_limit_is_reached_and_not_passed(
-        rough_arm, rough_gains, two_faults, know):
+    rough_arm, rough_gains, two_faults, know
+):
     runs, rng, joints = 60, np.random.default_rng(3), JointMap(rough_arm)
     both = (BIAS, Fault('link2_angle', 'bias', 0.4, 0.0, -0.1))
     squares = {'fault': [], 'angle': []}
@@ -242,7 +270,8 @@ def test_given_many_runs_when_smoothed_then_the_limit_is_reached_and_not_passed(
 
 
 def test_given_less_knowledge_when_limits_are_compared_then_they_are_ordered(
-        rough_arm, rough_gains, two_faults):
+    rough_arm, rough_gains, two_faults
+):
     scenario = short(two_faults, duration=2.0)
     run = run_closed_loop(rough_arm, rough_gains, scenario)
     exact, priors = known_exactly(rough_arm, scenario), known_within_priors(rough_arm, scenario)
@@ -251,18 +280,24 @@ def test_given_less_knowledge_when_limits_are_compared_then_they_are_ordered(
     def last(knowledge, faults, changed=scenario):
         return accuracy_limit(rough_arm, changed, run, knowledge, faults).fault[-1, 0]
 
-    ordered = [last(exact, shapes), last(priors, shapes),
-               last(priors, random_walks(rough_arm, run)), last(priors, anything(run))]
+    ordered = [
+        last(exact, shapes),
+        last(priors, shapes),
+        last(priors, random_walks(rough_arm, run)),
+        last(priors, anything(run)),
+    ]
     assert np.all(np.diff(ordered) > 0.0)
     assert last(exact, shapes, replace(scenario, noise_factor=2.0)) > 1.3 * ordered[0]
     # Given anything at all at each sample, a fault is known as well as the angle and the noise.
     free = accuracy_limit(rough_arm, scenario, run, exact, anything(run))
-    assert np.allclose(free.fault[1:, 0], np.hypot(free.angle[1:, 0], rough_arm.position_noise),
-                       rtol=1e-3)
+    assert np.allclose(
+        free.fault[1:, 0], np.hypot(free.angle[1:, 0], rough_arm.position_noise), rtol=1e-3
+    )
 
 
 def test_given_unknown_faults_and_arm_when_filtered_then_the_causal_limit_is_reached_nearly(
-        rough_arm, rough_gains, two_faults):
+    rough_arm, rough_gains, two_faults
+):
     joints, squares = JointMap(rough_arm), []
     for number in range(20):
         rng = np.random.default_rng([4, number])
@@ -285,7 +320,8 @@ def test_given_unknown_faults_and_arm_when_filtered_then_the_causal_limit_is_rea
 
 
 def test_given_a_run_when_asked_twice_then_figures_are_the_same_and_beside_their_limit(
-        paper_arm, paper_gains, two_faults):
+    paper_arm, paper_gains, two_faults
+):
     scenario = short(two_faults, duration=3.0, mass_factors=(1.03, 0.97))
     run = run_closed_loop(paper_arm, paper_gains, scenario)
     found = limit_figures(paper_arm, scenario, run)
@@ -302,12 +338,18 @@ def test_given_a_run_when_asked_twice_then_figures_are_the_same_and_beside_their
         assert one['ratio'] == one['ours'] / one['limit_within_priors']
 
 
-@pytest.mark.parametrize('faults, loss', [
-    ((), 0.2), ((Fault('link2_angle', 'dropout', 0.2),), 0.0),
-    ((Fault('link2_angle', 'rate_bias', 0.2, 0.0, 0.1),), 0.0),
-    ((Fault('link2_angle', 'bias', 2.5, 0.0, 0.1),), 0.0)])
+@pytest.mark.parametrize(
+    'faults, loss',
+    [
+        ((), 0.2),
+        ((Fault('link2_angle', 'dropout', 0.2),), 0.0),
+        ((Fault('link2_angle', 'rate_bias', 0.2, 0.0, 0.1),), 0.0),
+        ((Fault('link2_angle', 'bias', 2.5, 0.0, 0.1),), 0.0),
+    ],
+)
 def test_given_runs_without_a_fault_of_a_size_when_measured_then_what_is_not_there_is_nan(
-        paper_arm, paper_gains, two_faults, faults, loss):
+    paper_arm, paper_gains, two_faults, faults, loss
+):
     scenario = short(two_faults, duration=2.5, faults=faults)
     run = run_closed_loop(paper_arm, paper_gains, scenario, loss=loss)
     found = limit_figures(paper_arm, scenario, run)
@@ -317,7 +359,8 @@ def test_given_runs_without_a_fault_of_a_size_when_measured_then_what_is_not_the
 
 
 def test_given_a_plant_or_a_run_without_limit_when_measured_then_it_is_said(
-        paper_arm, paper_gains, two_faults):
+    paper_arm, paper_gains, two_faults
+):
     scenario = short(two_faults, duration=0.1)
     run = run_closed_loop(paper_arm, paper_gains, scenario)
     with pytest.raises(ConfigError, match='rigid-body'):

@@ -13,13 +13,13 @@ from bags import CHATTER, JOINT_STATE, JOINTS, START, STEP, contents, storage, w
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from lpv_bag.counting import RECORD_NAME, TopicCount
-from lpv_bag.errors import BagError
-from lpv_bag.messages import BagMessages
-from lpv_bag.reading import open_bag
-from lpv_bag.run_record import load_run
-from lpv_bag.writing import BagWriter
-from lpv_core.errors import ConfigError
+from lpv_bag.recorder.message_loss import RECORD_NAME, TopicCount
+from lpv_bag.rosbag.errors import BagError
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.reading import open_bag
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.run.record import load_run
+from lpv_core.support.errors import ConfigError
 
 MS = 1_000_000
 
@@ -34,8 +34,10 @@ def by_rosbags(path):
 def by_mcap(file):
     with open(file, 'rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
-        return [(channel.topic, message.log_time, message.data)
-                for _, channel, message in reader.iter_messages()]
+        return [
+            (channel.topic, message.log_time, message.data)
+            for _, channel, message in reader.iter_messages()
+        ]
 
 
 # ------------------------------------------------------------------ format
@@ -59,12 +61,17 @@ def test_given_a_bag_when_written_then_the_file_is_in_the_profile_of_ros2(tmp_pa
     assert header.profile == 'ros2'
     assert summary.statistics.message_count == 24
     assert {(s.name, s.encoding) for s in summary.schemas.values()} == {
-        (JOINT_STATE, 'ros2msg'), ('std_msgs/msg/String', 'ros2msg')}
+        (JOINT_STATE, 'ros2msg'),
+        ('std_msgs/msg/String', 'ros2msg'),
+    }
     channel = next(c for c in summary.channels.values() if c.topic == JOINTS)
     assert channel.message_encoding == 'cdr'
-    profile, = yaml.safe_load(channel.metadata['offered_qos_profiles'])
+    (profile,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])
     assert (profile['reliability'], profile['history'], profile['depth']) == (
-        'reliable', 'keep_last', 10)
+        'reliable',
+        'keep_last',
+        10,
+    )
     inner = yaml.safe_load(metadata['rosbag2']['serialized_metadata'])
     outer = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
     assert inner['version'] == outer['version'] == 9
@@ -117,9 +124,13 @@ def test_given_the_same_messages_when_written_with_pauses_then_the_files_are_the
             for k in range(40):
                 if k % 7 == 0 and pauses:
                     writer.room()
-                writer.write(JOINTS, START + k * STEP, messages.joint_state(
-                    START + k * STEP, ('a',), [0.0], [0.0], [0.0]))
+                writer.write(
+                    JOINTS,
+                    START + k * STEP,
+                    messages.joint_state(START + k * STEP, ('a',), [0.0], [0.0], [0.0]),
+                )
         return storage(path).read_bytes(), (path / 'metadata.yaml').read_bytes()
+
     assert write(tmp_path / 'a' / 'bag', False) == write(tmp_path / 'b' / 'bag', True)
 
 
@@ -128,9 +139,9 @@ def test_given_garbage_between_fields_when_it_is_taken_out_then_the_message_is_t
         message = BagMessages(writer.typestore, 'arm').joint_state(5, ('a',), [1.0], [2.0], [3.0])
         writer.add_topic(JOINTS, JOINT_STATE)
         data = bytes(writer.typestore.serialize_cdr(message, JOINT_STATE))
-        hole = data.index(b'arm\0') + 4 + 4 + 4 + 2   # behind the name of the joint
-        assert data[hole:hole + 2] == bytes(2)
-        dirty = data[:hole] + b'\xaa\xbb' + data[hole + 2:]
+        hole = data.index(b'arm\0') + 4 + 4 + 4 + 2  # behind the name of the joint
+        assert data[hole : hole + 2] == bytes(2)
+        dirty = data[:hole] + b'\xaa\xbb' + data[hole + 2 :]
         assert writer.without_garbage(JOINT_STATE, dirty) == data + bytes(-len(data) % 4)
         for other in (b'', b'\0\1\0\0', data[:30], b'\0\0' + data[2:]):
             assert writer.without_garbage(JOINT_STATE, other) == other
@@ -145,14 +156,17 @@ def test_given_times_out_of_order_when_read_then_messages_come_by_log_time(tmp_p
             writer.write(CHATTER, time, writer.typestore.types['std_msgs/msg/String'](str(k)))
             times.setdefault(time, []).append(k)
     with open_bag(tmp_path / 'bag') as reader:
-        found = [(time, int(reader.deserialize(data, c.msgtype).data))
-                 for c, time, data in reader.messages()]
+        found = [
+            (time, int(reader.deserialize(data, c.msgtype).data))
+            for c, time, data in reader.messages()
+        ]
         part = [time for _, time, _ in reader.messages(start=START + 5 * MS, stop=START + 9 * MS)]
     assert [time for time, _ in found] == sorted(time for time, ks in times.items() for _ in ks)
     assert sorted(k for _, k in found) == list(range(300))
     assert part == [time for time, _ in found if START + 5 * MS <= time < START + 9 * MS]
-    assert found == [(t, int(d[8:].rstrip(b'\0'))) for _, t, d in by_mcap(
-        storage(tmp_path / 'bag'))]
+    assert found == [
+        (t, int(d[8:].rstrip(b'\0'))) for _, t, d in by_mcap(storage(tmp_path / 'bag'))
+    ]
 
 
 def test_given_one_topic_with_two_types_when_copied_then_it_is_refused(tmp_path):
@@ -195,14 +209,18 @@ def write_until_full(path, room):
     writer.add_topic(JOINTS, JOINT_STATE)
     with pytest.raises(OSError, match='No space left'):
         for k in range(10_000):
-            writer.write(JOINTS, START + k * STEP, messages.joint_state(
-                START + k * STEP, ('a',), [float(k)], [0.0], [0.0]))
+            writer.write(
+                JOINTS,
+                START + k * STEP,
+                messages.joint_state(START + k * STEP, ('a',), [float(k)], [0.0], [0.0]),
+            )
     return writer.close()
 
 
 @pytest.mark.parametrize('room', [2800, 4000, 4100, 4200, 4400, 5000, 6000, 10_000, 10_300])
 def test_given_a_disk_that_gets_full_when_writing_then_all_chunks_before_can_be_read(
-        tmp_path, room):
+    tmp_path, room
+):
     bag = tmp_path / 'bag'
     missing = write_until_full(bag, room)
     found, warnings = contents(bag)
@@ -223,9 +241,9 @@ def test_given_no_room_for_even_an_end_when_closed_then_the_reader_says_so(tmp_p
     assert any('not finished' in text for text in warnings)
 
 
-ROOM = '''
+ROOM = """
 import resource, sys
-from lpv_bag.writing import BagWriter
+from lpv_bag.rosbag.writing import BagWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 with BagWriter(sys.argv[1]) as writer:
     writer.add_topic('/a', 'std_msgs/msg/String')
@@ -236,14 +254,15 @@ with BagWriter(sys.argv[1]) as writer:
         writer.flush()
         written += 1
     print(room, written)
-'''
+"""
 
 
 def test_given_a_limit_of_file_sizes_when_asked_then_the_room_is_known(tmp_path):
     if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
         pytest.skip('this process has a limit already')
-    result = subprocess.run([sys.executable, '-c', ROOM, tmp_path / 'bag'], text=True,
-                            capture_output=True, check=True)
+    result = subprocess.run(
+        [sys.executable, '-c', ROOM, tmp_path / 'bag'], text=True, capture_output=True, check=True
+    )
     room, written = map(int, result.stdout.split())
     assert 80_000 < room < 100_000
     assert 50 < written < 90
@@ -255,16 +274,23 @@ def test_given_a_limit_of_file_sizes_when_asked_then_the_room_is_known(tmp_path)
 
 def test_given_numbers_with_gaps_when_counted_then_lost_messages_are_known_by_publisher():
     count = TopicCount()
-    for publisher, sequence in ((b'a', 5), (b'a', 6), (b'b', 100), (b'a', 9), (b'b', 101),
-                                (b'a', 8), (None, None)):
+    for publisher, sequence in (
+        (b'a', 5),
+        (b'a', 6),
+        (b'b', 100),
+        (b'a', 9),
+        (b'b', 101),
+        (b'a', 8),
+        (None, None),
+    ):
         count.take(publisher, sequence)
-    assert (count.messages, count.lost) == (7, 1)   # 7 and 8 were lost, then 8 came
+    assert (count.messages, count.lost) == (7, 1)  # 7 and 8 were lost, then 8 came
 
 
 def test_given_a_regular_topic_when_stamps_are_missing_or_late_then_both_are_counted():
     count = TopicCount()
     steps = [k for k in range(400) if k not in (200, 201, 202, 300)]
-    steps.insert(360, 350)   # older than what came before
+    steps.insert(360, 350)  # older than what came before
     for k in steps:
         count.take()
         count.stamp(START + k * STEP + k % 3 * 1000)
@@ -284,7 +310,8 @@ def test_given_an_irregular_topic_when_counted_then_nothing_is_called_a_gap():
 
 
 def test_given_another_definition_of_a_type_when_loaded_then_the_error_names_the_field(
-        tmp_path, monkeypatch):
+    tmp_path, monkeypatch
+):
     with BagWriter(tmp_path / 'bag') as writer:
         types = writer.typestore
         text, digest = types.generate_msgdef(JOINT_STATE, ros_version=2)
@@ -299,7 +326,8 @@ def test_given_another_definition_of_a_type_when_loaded_then_the_error_names_the
 
 
 def test_given_a_hash_that_is_not_that_of_the_definition_when_loaded_then_it_is_an_error(
-        tmp_path, monkeypatch):
+    tmp_path, monkeypatch
+):
     with BagWriter(tmp_path / 'bag') as writer:
         monkeypatch.setattr(writer.typestore, 'hash_rihs01', lambda _: 'RIHS01_' + '0' * 64)
         writer.add_topic(JOINTS, JOINT_STATE)
@@ -319,6 +347,7 @@ def test_given_a_chunk_that_is_damaged_when_read_then_its_messages_alone_are_los
     storage(bag).write_bytes(data[:-20])
     found, warnings = contents(bag)
     assert [k for k in range(60) if (JOINTS, START + k * STEP) not in {e[:2] for e in found}] == [
-        *range(5 * chunk, 5 * chunk + 5)]
+        *range(5 * chunk, 5 * chunk + 5)
+    ]
     assert len(found) == 72 - 6
     assert any('is damaged' in text for text in warnings)

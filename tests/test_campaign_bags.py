@@ -8,24 +8,26 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from lpv_bag.run_record import load_run
-from lpv_campaign.bag_of_run import START, check_answers, differences, stamps_of, write_run_bag
-from lpv_campaign.campaign import resolve
-from lpv_campaign.run_files import (
-    arm_to_dict,
-    scenario_to_dict,
-    write_run_files,
+from lpv_bag.run.record import load_run
+from lpv_campaign.execution.run_to_bag import (
+    START,
+    check_answers,
+    differences,
+    stamps_of,
+    write_run_bag,
 )
-from lpv_campaign.runs import plan_run
+from lpv_campaign.execution.runs import plan_run
+from lpv_campaign.plan.campaign import resolve
+from lpv_campaign.plan.run_files import arm_to_dict, scenario_to_dict, write_run_files
 from lpv_cli.main import main
-from lpv_core.arm import load_arm, parse_arm
-from lpv_core.config import read_yaml
-from lpv_core.errors import LpvError
-from lpv_core.faults import Fault
-from lpv_core.gains import load_gains, save_gains
-from lpv_core.scenario import load_scenario, parse_scenario
+from lpv_core.certificate.gains import load_gains, save_gains
+from lpv_core.model.arm import load_arm, parse_arm
+from lpv_core.simulation.faults import Fault
+from lpv_core.simulation.scenario import load_scenario, parse_scenario
+from lpv_core.support.config import read_yaml
+from lpv_core.support.errors import LpvError
 
-SPEC = '''
+SPEC = """
 name: bags
 seed: 5
 plan: {method: random, runs: 3}
@@ -43,7 +45,7 @@ factors:
   command_delay: 2
   sample_loss: 0.05
   diagnosis.dwell: 0.02
-'''
+"""
 
 
 @pytest.fixture(scope='module')
@@ -63,8 +65,12 @@ def campaign(folder):
 @pytest.fixture(scope='module')
 def results(folder):
     """Results folder of the campaign."""
-    assert main(['campaign', str(folder / 'spec.yaml'), '--out', str(folder / 'out'),
-                 '--workers', '0']) == 0
+    assert (
+        main(
+            ['campaign', str(folder / 'spec.yaml'), '--out', str(folder / 'out'), '--workers', '0']
+        )
+        == 0
+    )
     return folder / 'out'
 
 
@@ -78,7 +84,8 @@ def done(campaign, tmp_path_factory):
 
 
 def test_given_a_run_when_written_as_a_bag_then_its_signals_are_there_without_the_lost_samples(
-        done):
+    done,
+):
     _, run, bag = done
     record, kept = load_run(bag), ~run.lost
     assert 20 < run.lost.sum() < 150
@@ -88,15 +95,18 @@ def test_given_a_run_when_written_as_a_bag_then_its_signals_are_there_without_th
     effort = np.vstack([[0.0, 0.0], run.torque[:-1]])
     answered = kept & ~run.safe_stop
     for stream, field, expected in (
-            ('joint_states', 'position', run.measured[kept]),
-            ('joint_states', 'velocity', run.measured_velocity[kept]),
-            ('joint_states', 'effort', effort[kept]),
-            ('ground_truth', 'position', run.position), ('ground_truth', 'velocity', run.velocity),
-            ('ground_truth', 'fault', run.fault), ('ground_truth', 'torque', effort),
-            ('ground_truth', 'disturbance', run.disturbance),
-            ('state_estimate', 'compensated_position', run.compensated[kept]),
-            ('torque_command', 'safe_stop', run.safe_stop[kept]),
-            ('reference', 'position', run.reference[answered])):
+        ('joint_states', 'position', run.measured[kept]),
+        ('joint_states', 'velocity', run.measured_velocity[kept]),
+        ('joint_states', 'effort', effort[kept]),
+        ('ground_truth', 'position', run.position),
+        ('ground_truth', 'velocity', run.velocity),
+        ('ground_truth', 'fault', run.fault),
+        ('ground_truth', 'torque', effort),
+        ('ground_truth', 'disturbance', run.disturbance),
+        ('state_estimate', 'compensated_position', run.compensated[kept]),
+        ('torque_command', 'safe_stop', run.safe_stop[kept]),
+        ('reference', 'position', run.reference[answered]),
+    ):
         np.testing.assert_array_equal(record.get(stream, field), expected, f'{stream} {field}')
     np.testing.assert_array_equal(record.stamps['reference'], stamps[answered])
     assert [a.kind for a in record.alarms] == [a.kind for a in run.alarms] != []
@@ -105,26 +115,54 @@ def test_given_a_run_when_written_as_a_bag_then_its_signals_are_there_without_th
     torque = record.get('torque_command', 'torque')
     assert record.seconds(record.stamps['torque_command'][-1]) == pytest.approx(2.5, abs=0.05)
     row = int(np.flatnonzero(answered & ~run.braked)[300])
-    np.testing.assert_array_equal(torque[np.searchsorted(stamps[kept], stamps[row])],
-                                  run.torque[row + 2])
+    np.testing.assert_array_equal(
+        torque[np.searchsorted(stamps[kept], stamps[row])], run.torque[row + 2]
+    )
     reference = record.get('reference', 'position'), record.get('reference', 'velocity')
     rate = np.gradient(reference[0], (record.stamps['reference'] - START) / 1e9, axis=0)
     np.testing.assert_allclose(rate[50:-50], reference[1][50:-50], atol=5e-3)
 
 
 def test_given_the_bag_of_a_run_when_replayed_with_its_files_then_every_bit_is_the_same(
-        done, tmp_path, capsys):
+    done, tmp_path, capsys
+):
     plan, _, bag = done
     assert load_arm(bag / 'arm.yaml') == plan.arm
     assert load_scenario(bag / 'scenario.yaml') == plan.scenario
     assert load_gains(bag / 'gains.yaml').certificate == plan.gains.certificate
     files = ['--arm', str(bag / 'arm.yaml')]
     again = tmp_path / 'again'
-    assert main(['replay', str(bag), *files, '--gains', str(bag / 'gains.yaml'), '--parameters',
-                 str(bag / 'parameters.yaml'), '--out', str(again)]) == 0
+    assert (
+        main(
+            [
+                'replay',
+                str(bag),
+                *files,
+                '--gains',
+                str(bag / 'gains.yaml'),
+                '--parameters',
+                str(bag / 'parameters.yaml'),
+                '--out',
+                str(again),
+            ]
+        )
+        == 0
+    )
     assert main(['compare', str(bag), str(again), *files, '--exact']) == 0
-    assert main(['report', str(bag), *files, '--scenario', str(bag / 'scenario.yaml'), '--out',
-                 str(tmp_path / 'report')]) == 0
+    assert (
+        main(
+            [
+                'report',
+                str(bag),
+                *files,
+                '--scenario',
+                str(bag / 'scenario.yaml'),
+                '--out',
+                str(tmp_path / 'report'),
+            ]
+        )
+        == 0
+    )
     assert (tmp_path / 'report' / 'report.html').stat().st_size > 10_000
     capsys.readouterr()
 
@@ -144,7 +182,8 @@ def test_given_a_replay_that_answers_otherwise_when_checked_then_the_signal_is_n
 
 
 def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_the_bag_is_there(
-        results, tmp_path, capsys):
+    results, tmp_path, capsys
+):
     assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 0
     text = capsys.readouterr().out
     assert 'detection_delay' in text
@@ -156,34 +195,56 @@ def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_th
 
 
 def test_given_a_campaign_file_when_a_run_is_asked_for_then_results_are_not_needed(
-        folder, tmp_path, capsys):
-    assert main(['campaign', str(folder / 'spec.yaml'), '--out', str(tmp_path / 'none'), '--run',
-                 '0', '--bag', str(tmp_path / 'bag')]) == 0
+    folder, tmp_path, capsys
+):
+    assert (
+        main(
+            [
+                'campaign',
+                str(folder / 'spec.yaml'),
+                '--out',
+                str(tmp_path / 'none'),
+                '--run',
+                '0',
+                '--bag',
+                str(tmp_path / 'bag'),
+            ]
+        )
+        == 0
+    )
     assert (tmp_path / 'bag' / 'metadata.yaml').is_file()
     assert not (tmp_path / 'none').exists()
     capsys.readouterr()
 
 
 def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figure_is_named(
-        results, tmp_path, capsys):
+    results, tmp_path, capsys
+):
     other = tmp_path / 'out'
     other.mkdir()
     (other / 'campaign.json').write_bytes((results / 'campaign.json').read_bytes())
     table = pq.read_table(results / 'runs.parquet')
     index = table.schema.get_field_index('angle_rms')
-    pq.write_table(table.set_column(index, 'angle_rms', pa.array([1.0] * len(table))),
-                   other / 'runs.parquet')
+    pq.write_table(
+        table.set_column(index, 'angle_rms', pa.array([1.0] * len(table))), other / 'runs.parquet'
+    )
     assert main(['campaign', str(other), '--run', '0', '--bag', str(tmp_path / 'bag')]) == 2
     assert 'another angle_rms now' in capsys.readouterr().err
     assert not (tmp_path / 'bag').exists()
 
 
-@pytest.mark.parametrize(('arguments', 'told'), [
-    (['--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
-    (['--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
-    (['--run', '1'], 'belong together'), (['--bag', 'x'], 'belong together')])
+@pytest.mark.parametrize(
+    ('arguments', 'told'),
+    [
+        (['--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
+        (['--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
+        (['--run', '1'], 'belong together'),
+        (['--bag', 'x'], 'belong together'),
+    ],
+)
 def test_given_a_run_that_is_not_there_when_asked_for_then_it_is_told(
-        results, capsys, arguments, told):
+    results, capsys, arguments, told
+):
     assert main(['campaign', str(results), *arguments]) == 2
     assert told in capsys.readouterr().err
 
@@ -198,14 +259,28 @@ def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_coun
     stored = {'a': 1.0, 'b': nan, 'c': [1.0, nan], 'd': 'x', 'e': True}
     assert differences(stored, {**stored, 'a': 1.0 + 1e-14, 'more': 1}) == []
     assert differences(stored, {'a': 1.1, 'b': 0.0, 'c': [1.0, 0.0], 'd': 'y', 'e': False}) == [
-        'a', 'b', 'c', 'd', 'e']
+        'a',
+        'b',
+        'c',
+        'd',
+        'e',
+    ]
 
 
 def test_given_arm_and_scenario_when_written_and_read_then_every_bit_is_the_same(arm, two_faults):
     assert parse_arm(yaml.safe_load(yaml.safe_dump(arm_to_dict(arm)))) == arm
-    for scenario in (two_faults, replace(two_faults, plant='mujoco', coulomb='dry', noise=False,
-                                         payload=-1e-7, friction_factor=0.1 + 0.2, faults=(
-                                             Fault('link1_angle', 'drift', 1 / 3, rate=1e-5),))):
+    for scenario in (
+        two_faults,
+        replace(
+            two_faults,
+            plant='mujoco',
+            coulomb='dry',
+            noise=False,
+            payload=-1e-7,
+            friction_factor=0.1 + 0.2,
+            faults=(Fault('link1_angle', 'drift', 1 / 3, rate=1e-5),),
+        ),
+    ):
         data = yaml.safe_load(yaml.safe_dump(scenario_to_dict(scenario)))
         assert parse_scenario(data) == scenario
 

@@ -11,14 +11,23 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from lpv_campaign.campaign import resolve
-from lpv_campaign.execute import WorkerError, execute, run_one
+from lpv_campaign.execution.execute import WorkerError, execute, run_one
+from lpv_campaign.plan.campaign import resolve
 from lpv_cli.main import main
 
 MANY = {
-    'name': 'many', 'seed': 9, 'duration': 2.0, 'plan': {'method': 'random', 'runs': 400},
-    'factors': {'fault.kind': ['none', 'bias', 'drift', 'noise'], 'fault.size': 0.3,
-                'fault.rate': 0.3, 'fault.onset': {'low': 0.5, 'high': 1.0}, 'path': 'random'}}
+    'name': 'many',
+    'seed': 9,
+    'duration': 2.0,
+    'plan': {'method': 'random', 'runs': 400},
+    'factors': {
+        'fault.kind': ['none', 'bias', 'drift', 'noise'],
+        'fault.size': 0.3,
+        'fault.rate': 0.3,
+        'fault.onset': {'low': 0.5, 'high': 1.0},
+        'path': 'random',
+    },
+}
 
 
 class Cluster:
@@ -32,17 +41,32 @@ class Cluster:
     def _start(self, name, *arguments):
         program = 'dask_scheduler' if name == 'scheduler' else 'dask_worker'
         with open(self._folder / f'{name}.log', 'w') as log:
-            process = subprocess.Popen([sys.executable, '-m', f'distributed.cli.{program}',
-                                        *arguments], stdout=log, stderr=log, cwd=self._folder,
-                                       start_new_session=True)
+            process = subprocess.Popen(
+                [sys.executable, '-m', f'distributed.cli.{program}', *arguments],
+                stdout=log,
+                stderr=log,
+                cwd=self._folder,
+                start_new_session=True,
+            )
         self._processes.append(process)
         return process
 
     def worker(self, name):
         """Start a worker and wait until the scheduler knows it."""
-        process = self._start(name, self.address, '--host', '127.0.0.1', '--nworkers', '1',
-                              '--nthreads', '1', '--no-nanny', '--no-dashboard',
-                              '--local-directory', str(self._folder / f'{name}.tmp'))
+        process = self._start(
+            name,
+            self.address,
+            '--host',
+            '127.0.0.1',
+            '--nworkers',
+            '1',
+            '--nthreads',
+            '1',
+            '--no-nanny',
+            '--no-dashboard',
+            '--local-directory',
+            str(self._folder / f'{name}.tmp'),
+        )
         self.said(name, r'(Registered to:)')
         return process
 
@@ -70,7 +94,8 @@ def cluster(tmp_path):
 
 
 def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_different(
-        cluster, tmp_path):
+    cluster, tmp_path
+):
     workers = [cluster.worker('one'), cluster.worker('two')]
     campaign = resolve(MANY, 'many', '.')
     rows, killed = [], False
@@ -90,24 +115,34 @@ def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_differen
     assert main(['campaign', str(file), '--out', str(out), '--scheduler', cluster.address]) == 0
     again = pq.read_table(out / 'runs.parquet').to_pylist()
     assert repr([{name: row[name] for name in full} for row, full in zip(again, rows)]) == repr(
-        rows[:30])
+        rows[:30]
+    )
 
 
 def test_given_a_worker_of_another_version_when_run_then_its_results_are_refused(
-        cluster, monkeypatch):
+    cluster, monkeypatch
+):
     cluster.worker('one')
-    monkeypatch.setattr('lpv_campaign.execute.software', lambda: 'another')
+    monkeypatch.setattr('lpv_campaign.execution.execute.software', lambda: 'another')
     with pytest.raises(WorkerError, match='another version'):
         list(execute(resolve(MANY, 'many', '.'), range(20), scheduler=cluster.address))
 
 
 def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_with_a_new_one(
-        cluster, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr('lpv_campaign.cluster._LONELY', 2.0)
+    cluster, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr('lpv_campaign.execution.cluster._LONELY', 2.0)
     worker, file, out = cluster.worker('one'), tmp_path / 'many.yaml', tmp_path / 'out'
     file.write_text(yaml.safe_dump(MANY))
-    command = ['campaign', str(file), '--out', str(out), '--scheduler', cluster.address,
-               '--no-report']
+    command = [
+        'campaign',
+        str(file),
+        '--out',
+        str(out),
+        '--scheduler',
+        cluster.address,
+        '--no-report',
+    ]
     found = execute(resolve(MANY, 'many', '.'), range(400), scheduler=cluster.address, chunk=5)
     next(found)
     os.killpg(worker.pid, signal.SIGKILL)
@@ -127,8 +162,10 @@ def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, capsys, mon
     file = tmp_path / 'many.yaml'
     file.write_text(yaml.safe_dump(MANY))
     for address in ('tcp://127.0.0.1:1', 'nonsense://x'):
-        assert main(['campaign', str(file), '--out', str(tmp_path / 'out'), '--scheduler',
-                     address]) == 2
+        assert (
+            main(['campaign', str(file), '--out', str(tmp_path / 'out'), '--scheduler', address])
+            == 2
+        )
         assert 'does not answer' in capsys.readouterr().err
     assert main(['campaign', str(file), '--out', str(tmp_path / 'out'), '--workers', '-1']) == 2
 

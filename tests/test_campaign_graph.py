@@ -6,55 +6,89 @@ import ros
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
-from lpv_bag.run_record import load_run  # noqa: E402
-from lpv_campaign.bag_of_run import START, write_run_bag  # noqa: E402
-from lpv_campaign.campaign import resolve  # noqa: E402
-from lpv_campaign.runs import plan_run  # noqa: E402
-from lpv_core.diagnosis import AlarmEvent  # noqa: E402
-from lpv_core.gains import save_gains  # noqa: E402
+from lpv_bag.run.record import load_run  # noqa: E402
+from lpv_campaign.execution.run_to_bag import START, write_run_bag  # noqa: E402
+from lpv_campaign.execution.runs import plan_run  # noqa: E402
+from lpv_campaign.plan.campaign import resolve  # noqa: E402
+from lpv_core.certificate.gains import save_gains  # noqa: E402
+from lpv_core.decision.diagnosis import AlarmEvent  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
 SPEC = {
-    'name': 'graph', 'seed': 2, 'plan': {'method': 'random', 'runs': 4}, 'duration': 8.0,
-    'designs': ['gains.yaml'], 'substeps': 3,
+    'name': 'graph',
+    'seed': 2,
+    'plan': {'method': 'random', 'runs': 4},
+    'duration': 8.0,
+    'designs': ['gains.yaml'],
+    'substeps': 3,
     'factors': {
-        'path': 'random', 'fault.kind': ['bias', 'spike', 'drift', 'noise'],
-        'fault.sensor': 'both', 'fault.size': {'bias': 0.3, 'spike': 0.4, 'noise': 0.03},
-        'fault.rate': {'drift': 0.15, 'spike': 20.0}, 'fault.onset': {'low': 2.0, 'high': 3.0},
-        'fault.duration': 3.0, 'mass_1': {'low': 0.95, 'high': 1.05},
-        'inertia_2': {'low': 0.95, 'high': 1.05}, 'payload': 0.2, 'friction': 1.3, 'noise': 1.5,
-        'disturbance': 0.7, 'compensation': ['confirmed', 'always'], 'diagnosis.dwell': 0.02}}
+        'path': 'random',
+        'fault.kind': ['bias', 'spike', 'drift', 'noise'],
+        'fault.sensor': 'both',
+        'fault.size': {'bias': 0.3, 'spike': 0.4, 'noise': 0.03},
+        'fault.rate': {'drift': 0.15, 'spike': 20.0},
+        'fault.onset': {'low': 2.0, 'high': 3.0},
+        'fault.duration': 3.0,
+        'mass_1': {'low': 0.95, 'high': 1.05},
+        'inertia_2': {'low': 0.95, 'high': 1.05},
+        'payload': 0.2,
+        'friction': 1.3,
+        'noise': 1.5,
+        'disturbance': 0.7,
+        'compensation': ['confirmed', 'always'],
+        'diagnosis.dwell': 0.02,
+    },
+}
 # The arm is stopped, and led back to its path.
 STOPS = {'fault.kind': 'rate_bias', 'fault.size': 0.4, 'fault.duration': 1.5}
 SIGNALS = {
-    'position': ('ground_truth', 'position'), 'velocity': ('ground_truth', 'velocity'),
-    'fault': ('ground_truth', 'fault'), 'disturbance': ('ground_truth', 'disturbance'),
-    'measured': ('joint_states', 'position'), 'measured_velocity': ('joint_states', 'velocity'),
+    'position': ('ground_truth', 'position'),
+    'velocity': ('ground_truth', 'velocity'),
+    'fault': ('ground_truth', 'fault'),
+    'disturbance': ('ground_truth', 'disturbance'),
+    'measured': ('joint_states', 'position'),
+    'measured_velocity': ('joint_states', 'velocity'),
     'estimate': ('state_estimate', 'position'),
     'estimated_velocity': ('state_estimate', 'velocity'),
     'compensated': ('state_estimate', 'compensated_position'),
-    'fault_estimate': ('fault_estimate', 'estimate'), 'threshold': ('fault_estimate', 'threshold'),
-    'alarm': ('fault_estimate', 'alarm'), 'reference': ('reference', 'position'),
-    'command': ('torque_command', 'torque'), 'safe_stop': ('torque_command', 'safe_stop')}
-STREAMS = ('joint_states', 'ground_truth', 'state_estimate', 'fault_estimate', 'torque_command',
-           'reference')
+    'fault_estimate': ('fault_estimate', 'estimate'),
+    'threshold': ('fault_estimate', 'threshold'),
+    'alarm': ('fault_estimate', 'alarm'),
+    'reference': ('reference', 'position'),
+    'command': ('torque_command', 'torque'),
+    'safe_stop': ('torque_command', 'safe_stop'),
+}
+STREAMS = (
+    'joint_states',
+    'ground_truth',
+    'state_estimate',
+    'fault_estimate',
+    'torque_command',
+    'reference',
+)
 
 
 def run_graph(folder, files):
     """The nodes in lockstep with the files of a run; the bag that they record."""
-    own = {'recorder': [f'output:={folder / "graph"}'],
-           'uio': [f'arm_file:={files / "arm.yaml"}'],
-           'tracker': [f'arm_file:={files / "arm.yaml"}',
-                       f'scenario_file:={files / "scenario.yaml"}'],
-           'simulator': [f'arm_file:={files / "arm.yaml"}',
-                         f'scenario_file:={files / "scenario.yaml"}', 'shutdown_at_end:=true']}
+    own = {
+        'recorder': [f'output:={folder / "graph"}'],
+        'uio': [f'arm_file:={files / "arm.yaml"}'],
+        'tracker': [f'arm_file:={files / "arm.yaml"}', f'scenario_file:={files / "scenario.yaml"}'],
+        'simulator': [
+            f'arm_file:={files / "arm.yaml"}',
+            f'scenario_file:={files / "scenario.yaml"}',
+            'shutdown_at_end:=true',
+        ],
+    }
     with ros.graph(folder / 'log') as running:
         for name, parameters in own.items():
             waits = [] if name == 'recorder' else ['await_recorders:=1']
             gains = [files / 'gains.yaml'] if name in ('uio', 'tracker') else []
-            node = running.start(name, ros.command(
-                name, *parameters, *waits, files=[files / 'parameters.yaml', *gains]))
+            node = running.start(
+                name,
+                ros.command(name, *parameters, *waits, files=[files / 'parameters.yaml', *gains]),
+            )
         assert node.process.wait(100) == 0
         assert set(running.stop().values()) == {0}
     return folder / 'graph'
@@ -62,7 +96,8 @@ def run_graph(folder, files):
 
 @pytest.mark.parametrize(('changes', 'number', 'stops'), [({}, 0, False), (STOPS, 2, True)])
 def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_all_signals_and_alarms_are_its(
-        paper_gains, tmp_path, changes, number, stops):
+    paper_gains, tmp_path, changes, number, stops
+):
     save_gains(paper_gains, tmp_path / 'gains.yaml')
     spec = {**SPEC, 'factors': {**SPEC['factors'], **changes}}
     plan = plan_run(resolve(spec, 'spec', tmp_path), number)
@@ -77,18 +112,23 @@ def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_all_signals_and_a
         expected = getattr(run, name)
         if stream == 'reference':
             expected = expected[~run.safe_stop]
-        np.testing.assert_allclose(record.get(stream, field), expected, rtol=0.0, atol=1e-12,
-                                   err_msg=name)
+        np.testing.assert_allclose(
+            record.get(stream, field), expected, rtol=0.0, atol=1e-12, err_msg=name
+        )
     # What acted over a step is in the measurement at its end.
-    np.testing.assert_allclose(record.get('joint_states', 'effort')[1:], run.torque[:-1],
-                               rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        record.get('joint_states', 'effort')[1:], run.torque[:-1], rtol=0.0, atol=1e-12
+    )
     for stream in STREAMS:  # also what a run does not keep, e.g. bounds and modes
         for field, values in record.streams[stream].items():
-            np.testing.assert_allclose(values, first.get(stream, field), rtol=0.0, atol=1e-12,
-                                       err_msg=f'{stream}.{field}')
+            np.testing.assert_allclose(
+                values, first.get(stream, field), rtol=0.0, atol=1e-12, err_msg=f'{stream}.{field}'
+            )
     assert record.alarms == first.alarms
-    assert [(a.event, a.sensor, a.kind, a.onset - START, a.detected - START, a.size)
-            for a in record.alarms] == [
-        (a.event, a.sensor, a.kind, a.onset, a.detected, a.size) for a in run.alarms]
+    assert [
+        (a.event, a.sensor, a.kind, a.onset - START, a.detected - START, a.size)
+        for a in record.alarms
+    ] == [(a.event, a.sensor, a.kind, a.onset, a.detected, a.size) for a in run.alarms]
     assert {a.sensor for a in run.alarms if a.event == AlarmEvent.RAISED} == set(
-        plan.arm.sensor_names)
+        plan.arm.sensor_names
+    )

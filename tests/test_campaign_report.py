@@ -10,42 +10,57 @@ import pyarrow as pa
 import pytest
 from scipy.stats import binomtest
 
-from lpv_campaign.campaign import resolve
-from lpv_campaign.figures import BINS, COUNTS, FLAGS, FLOATS, LISTS, TEXTS
+from lpv_campaign.execution.run_metrics import BINS, COUNTS, FLAGS, FLOATS, LISTS, TEXTS
+from lpv_campaign.execution.store import CampaignFolder, schema
+from lpv_campaign.plan.campaign import resolve
 from lpv_campaign.report import write_report
-from lpv_campaign.report.detection import classes, detection
-from lpv_campaign.report.estimates import estimates
-from lpv_campaign.report.intervals import area_interval, poisson_rate, proportion, spread
-from lpv_campaign.report.isolation import confusion, isolation
-from lpv_campaign.report.limit import limit
-from lpv_campaign.report.probability import detection_curve
-from lpv_campaign.report.results import Results
-from lpv_campaign.report.roc import area, roc, sweep
-from lpv_campaign.report.stability import stability
-from lpv_campaign.report.tracking import false_alarms, tracking
-from lpv_campaign.report.worst import command, worst
+from lpv_campaign.report.sections.detection import classes, detection
+from lpv_campaign.report.sections.estimates import estimates
+from lpv_campaign.report.sections.isolation import confusion, isolation
+from lpv_campaign.report.sections.limit import limit
+from lpv_campaign.report.sections.roc import area, roc, sweep
+from lpv_campaign.report.sections.stability import stability
+from lpv_campaign.report.sections.tracking import false_alarms, tracking
+from lpv_campaign.report.sections.worst import command, worst
+from lpv_campaign.report.statistics.intervals import area_interval, poisson_rate, proportion, spread
+from lpv_campaign.report.statistics.probability import detection_curve
+from lpv_campaign.report.statistics.results import Results
 from lpv_campaign.report.write import report_numbers
-from lpv_campaign.store import CampaignFolder, schema
 from lpv_cli.main import main
-from lpv_core.resources import shipped_files
+from lpv_core.support.resources import shipped_files
 
 SPEC = {
-    'name': 'made up', 'seed': 1, 'duration': 10.0,
+    'name': 'made up',
+    'seed': 1,
+    'duration': 10.0,
     'plan': {'method': 'random', 'runs': 100},
     'factors': {
         'fault.kind': ['none', 'bias', 'drift', 'stuck'],
         'fault.sensor': ['link1_angle', 'link2_angle'],
         'fault.size': {'bias': {'low': 0.01, 'high': 1.0, 'spacing': 'log'}},
-        'fault.rate': {'drift': 0.1}, 'fault.onset': 4.0, 'fault.duration': 2.0,
+        'fault.rate': {'drift': 0.1},
+        'fault.onset': 4.0,
+        'fault.duration': 2.0,
         'compensation': ['off', 'confirmed'],
-        'payload': {'low': 0.0, 'high': 8.0}, 'friction': {'low': 0.0, 'high': 8.0},
-        'sample_loss': [0.0, 0.5]}}
+        'payload': {'low': 0.0, 'high': 8.0},
+        'friction': {'low': 0.0, 'high': 8.0},
+        'sample_loss': [0.0, 0.5],
+    },
+}
 SENSORS = ('link1_angle', 'link2_angle')
 REAL = {
-    'name': 'real', 'seed': 1, 'plan': {'method': 'latin_hypercube', 'runs': 6}, 'duration': 2.0,
-    'factors': {'path': 'random', 'fault.kind': ['none', 'bias', 'stuck'],
-                'fault.size': {'bias': 0.3}, 'fault.onset': 1.2,
-                'payload': {'low': 0.0, 'high': 0.05}}}
+    'name': 'real',
+    'seed': 1,
+    'plan': {'method': 'latin_hypercube', 'runs': 6},
+    'duration': 2.0,
+    'factors': {
+        'path': 'random',
+        'fault.kind': ['none', 'bias', 'stuck'],
+        'fault.size': {'bias': 0.3},
+        'fault.onset': 1.2,
+        'payload': {'low': 0.0, 'high': 0.05},
+    },
+}
 
 
 @pytest.fixture(scope='module')
@@ -57,14 +72,31 @@ def campaign():
 
 def row(campaign, number, **changes):
     """A healthy run, but for the changes; keys with __ for a dot."""
-    empty = {**dict.fromkeys(FLOATS, math.nan), **dict.fromkeys(TEXTS, 'none'),
-             **dict.fromkeys(COUNTS, 0), **dict.fromkeys(FLAGS, False),
-             **{name: [0.0] * (len(BINS) - 1) for name in LISTS}}
-    common = {'number': number, 'seed': number, 'kind': 'none', 'sensor': 'none', 'stable': True,
-              'design': campaign.spec.designs[0], 'compensation': 'confirmed', 'fault.onset': 4.0,
-              'fault.duration': 2.0, 'fault.kind': 'none', 'fault.size': 0.0, 'fault.rate': 0.0,
-              'tracking_max': 0.01, 'tracking_rms': 0.001, 'score_before_1': 0.5,
-              'score_before_2': 0.5}
+    empty = {
+        **dict.fromkeys(FLOATS, math.nan),
+        **dict.fromkeys(TEXTS, 'none'),
+        **dict.fromkeys(COUNTS, 0),
+        **dict.fromkeys(FLAGS, False),
+        **{name: [0.0] * (len(BINS) - 1) for name in LISTS},
+    }
+    common = {
+        'number': number,
+        'seed': number,
+        'kind': 'none',
+        'sensor': 'none',
+        'stable': True,
+        'design': campaign.spec.designs[0],
+        'compensation': 'confirmed',
+        'fault.onset': 4.0,
+        'fault.duration': 2.0,
+        'fault.kind': 'none',
+        'fault.size': 0.0,
+        'fault.rate': 0.0,
+        'tracking_max': 0.01,
+        'tracking_rms': 0.001,
+        'score_before_1': 0.5,
+        'score_before_2': 0.5,
+    }
     given = {name.replace('__', '.'): value for name, value in changes.items()}
     if 'kind' in given:
         given.setdefault('fault.kind', given['kind'])
@@ -84,19 +116,34 @@ def made_up(campaign, count=100, rng=None):
         kind = ('none', 'bias', 'drift', 'stuck')[number % 4]
         sensor = ('link1_angle', 'link2_angle', 'both')[number % 3] if number % 4 else 'none'
         size, found = 10 ** rng.uniform(-2, 0), bool(number % 4 and rng.random() < 0.7)
-        rows.append(row(
-            campaign, number, kind=kind, sensor=sensor,
-            fault__size=size if kind == 'bias' else 0.0, fault__rate=0.1 * (kind == 'drift'),
-            detected=found, found_1=found, found_2=found, isolated=found,
-            said_kind=kind if found else 'none', said_sensor=sensor if found else 'none',
-            detection_delay=rng.uniform(0.01, 1.0) if found else math.nan,
-            score_during_1=rng.uniform(0.0, 3.0) if number % 4 else math.nan,
-            score_during_2=rng.uniform(0.0, 3.0) if number % 4 else math.nan,
-            score_before_1=rng.uniform(0.0, 1.1), payload=rng.uniform(0.0, 8.0),
-            friction=rng.uniform(0.0, 8.0), sample_loss=float(rng.integers(2)) / 2.0,
-            stable=bool(rng.random() < 0.9), false_alarms=int(rng.random() < 0.1),
-            compensation=('off', 'confirmed')[number % 2],
-            error_squares_1=[0.01] * 20, error_counts_1=[100.0] * 20))
+        rows.append(
+            row(
+                campaign,
+                number,
+                kind=kind,
+                sensor=sensor,
+                fault__size=size if kind == 'bias' else 0.0,
+                fault__rate=0.1 * (kind == 'drift'),
+                detected=found,
+                found_1=found,
+                found_2=found,
+                isolated=found,
+                said_kind=kind if found else 'none',
+                said_sensor=sensor if found else 'none',
+                detection_delay=rng.uniform(0.01, 1.0) if found else math.nan,
+                score_during_1=rng.uniform(0.0, 3.0) if number % 4 else math.nan,
+                score_during_2=rng.uniform(0.0, 3.0) if number % 4 else math.nan,
+                score_before_1=rng.uniform(0.0, 1.1),
+                payload=rng.uniform(0.0, 8.0),
+                friction=rng.uniform(0.0, 8.0),
+                sample_loss=float(rng.integers(2)) / 2.0,
+                stable=bool(rng.random() < 0.9),
+                false_alarms=int(rng.random() < 0.1),
+                compensation=('off', 'confirmed')[number % 2],
+                error_squares_1=[0.01] * 20,
+                error_counts_1=[100.0] * 20,
+            )
+        )
     return rows
 
 
@@ -149,8 +196,9 @@ def check_page(path):
 # ------------------------------------------------------------------ intervals
 
 
-@pytest.mark.parametrize(('hits', 'cases'), [
-    (0, 1), (0, 30), (1, 1), (30, 30), (7, 19), (999, 10000)])
+@pytest.mark.parametrize(
+    ('hits', 'cases'), [(0, 1), (0, 30), (1, 1), (30, 30), (7, 19), (999, 10000)]
+)
 def test_given_counts_when_their_rate_is_bounded_then_it_is_wilsons_interval(hits, cases):
     ours = proportion(hits, cases)
     theirs = binomtest(hits, cases).proportion_ci(0.95, 'wilson')
@@ -164,11 +212,19 @@ def test_given_no_cases_when_their_rate_is_asked_for_then_there_is_none():
     assert spread([math.nan, math.inf]) == {'count': 0, 'low': None, 'median': None, 'high': None}
 
 
-@pytest.mark.parametrize(('events', 'low', 'high'), [
-    (0, 0.0, 2.996), (1, 0.0253, 5.572), (5, 1.623, 11.668), (10, 4.795, 18.390),
-    (100, 81.364, 121.627)])
+@pytest.mark.parametrize(
+    ('events', 'low', 'high'),
+    [
+        (0, 0.0, 2.996),
+        (1, 0.0253, 5.572),
+        (5, 1.623, 11.668),
+        (10, 4.795, 18.390),
+        (100, 81.364, 121.627),
+    ],
+)
 def test_given_events_when_their_rate_is_bounded_then_it_is_the_exact_poisson_interval(
-        events, low, high):
+    events, low, high
+):
     # Garwood's table; without events the one-sided bound, -ln(0.05).
     rate = poisson_rate(events, 2.0)
     assert rate['rate'] == events / 2.0
@@ -189,9 +245,11 @@ def test_given_separated_scores_when_the_area_is_bounded_then_the_interval_is_no
 
 def test_given_separable_scores_when_swept_then_the_area_is_1_and_a_corner_is_reached(campaign):
     rows = [row(campaign, k, score_before_1=0.1 + 0.01 * k) for k in range(20)]
-    rows += [row(campaign, k, kind='bias', score_before_1=0.2, score_during_1=2.0 + k,
-                 found_1=True) for k in range(20, 50)]
-    one, = (c for c in roc(results(campaign, rows))['curves'] if c['sensor'] == 'link1_angle')
+    rows += [
+        row(campaign, k, kind='bias', score_before_1=0.2, score_during_1=2.0 + k, found_1=True)
+        for k in range(20, 50)
+    ]
+    (one,) = (c for c in roc(results(campaign, rows))['curves'] if c['sensor'] == 'link1_angle')
     assert one['area'] == 1.0
     assert (one['positive'], one['negative']) == (30, 50)
     assert (1.0, 0.0) in set(zip(one['points']['detection'], one['points']['false_alarm']))
@@ -210,8 +268,11 @@ def test_given_random_scores_when_swept_then_the_area_is_that_below_the_curve():
     rng = np.random.default_rng(3)
     positive, negative = rng.normal(1.0, 1.0, 60) + 4.0, rng.normal(0.0, 1.0, 80) + 4.0
     points = sweep(positive, negative)
-    below = np.trapezoid(points['detection'], points['false_alarm']) \
-        if hasattr(np, 'trapezoid') else np.trapz(points['detection'], points['false_alarm'])
+    below = (
+        np.trapezoid(points['detection'], points['false_alarm'])
+        if hasattr(np, 'trapezoid')
+        else np.trapz(points['detection'], points['false_alarm'])
+    )
     assert area(positive, negative)['area'] == pytest.approx(below, abs=1e-5)
     at_one = points['factor'].index(1.0)
     assert points['detection'][at_one] == np.mean(positive > 1.0)
@@ -221,10 +282,20 @@ def test_given_random_scores_when_swept_then_the_area_is_that_below_the_curve():
 
 
 def test_given_alarms_and_scores_that_differ_when_swept_then_both_are_told_apart(campaign):
-    rows = [row(campaign, k, kind='bias', score_during_1=0.5, score_before_1=1.5, found_1=k < 3,
-                alarms_before_1=int(k == 0)) for k in range(4)]
+    rows = [
+        row(
+            campaign,
+            k,
+            kind='bias',
+            score_during_1=0.5,
+            score_before_1=1.5,
+            found_1=k < 3,
+            alarms_before_1=int(k == 0),
+        )
+        for k in range(4)
+    ]
     rows.append(row(campaign, 4, kind='bias', score_during_1=math.nan, found_1=True))
-    one, = (c for c in roc(results(campaign, rows))['curves'] if c['sensor'] == 'link1_angle')
+    (one,) = (c for c in roc(results(campaign, rows))['curves'] if c['sensor'] == 'link1_angle')
     assert one['without_score'] == 1
     assert one['score']['detection']['hits'] == 0
     assert one['score']['false_alarm']['hits'] == 4
@@ -265,9 +336,18 @@ def test_given_faults_all_or_none_of_which_are_found_when_fitted_then_it_says_so
 
 
 def test_given_delays_when_gathered_then_median_and_spread_are_those_of_detected_faults(campaign):
-    rows = [row(campaign, k, kind='bias', fault__size=-0.1 * (1 + k % 2), detected=k < 100,
-                detection_delay=(k + 1) / 100 if k < 100 else math.nan) for k in range(110)]
-    one, = detection(results(campaign, rows))
+    rows = [
+        row(
+            campaign,
+            k,
+            kind='bias',
+            fault__size=-0.1 * (1 + k % 2),
+            detected=k < 100,
+            detection_delay=(k + 1) / 100 if k < 100 else math.nan,
+        )
+        for k in range(110)
+    ]
+    (one,) = detection(results(campaign, rows))
     assert (one['kind'], one['sensor']) == ('bias', 'link1_angle')
     assert one['delay']['median'] == pytest.approx(0.505)
     assert one['delay']['low'] == pytest.approx(0.0595)
@@ -277,7 +357,7 @@ def test_given_delays_when_gathered_then_median_and_spread_are_those_of_detected
 
 
 def test_given_a_kind_without_size_when_gathered_then_there_are_no_classes(campaign):
-    one, = detection(results(campaign, [row(campaign, k, kind='stuck') for k in range(20)]))
+    (one,) = detection(results(campaign, [row(campaign, k, kind='stuck') for k in range(20)]))
     assert one['classes'] == []
     assert one['smallest'] == {'0.95': None, '0.99': None}
     assert one['delay']['count'] == 0
@@ -296,15 +376,27 @@ def test_given_many_values_when_classed_then_all_are_in_classes_of_equal_size():
 
 def test_given_answers_when_counted_then_the_matrix_is_that_of_the_rows(campaign):
     said = ['bias'] * 3 + ['drift'] + ['none'] * 4 + ['inconsistent'] * 2
-    rows = [row(campaign, k, kind='bias', said_kind=answer,
-                said_sensor='none' if answer == 'none' else 'link2_angle')
-            for k, answer in enumerate(said)]
-    rows += [row(campaign, 10, kind='drift', said_kind='drift', said_sensor='link1_angle'),
-             row(campaign, 11), row(campaign, 12, false_alarms=2)]
+    rows = [
+        row(
+            campaign,
+            k,
+            kind='bias',
+            said_kind=answer,
+            said_sensor='none' if answer == 'none' else 'link2_angle',
+        )
+        for k, answer in enumerate(said)
+    ]
+    rows += [
+        row(campaign, 10, kind='drift', said_kind='drift', said_sensor='link1_angle'),
+        row(campaign, 11),
+        row(campaign, 12, false_alarms=2),
+    ]
     found = isolation(results(campaign, rows))
     kinds = found['kinds']
     assert (kinds['rows'], kinds['columns']) == (
-        ['bias', 'drift'], ['bias', 'drift', 'none', 'inconsistent'])
+        ['bias', 'drift'],
+        ['bias', 'drift', 'none', 'inconsistent'],
+    )
     assert kinds['counts'] == [[3, 1, 4, 2], [0, 1, 0, 0]]
     assert kinds['rates'][0] == [0.3, 0.1, 0.4, 0.2]
     assert [r['rate'] for r in kinds['right']] == [0.3, 1.0]
@@ -322,10 +414,14 @@ def test_given_no_cases_when_counted_then_the_matrix_is_empty():
 def test_given_sums_of_squares_when_gathered_then_the_rms_is_over_all_samples(campaign):
     def lists(square, count):
         return {'error_squares_1': [0.0] * 19 + [square], 'error_counts_1': [0.0] * 19 + [count]}
-    rows = [row(campaign, 0, **lists(1.0, 100.0)), row(campaign, 1, **lists(9.0, 300.0)),
-            row(campaign, 2, **lists(0.0, 0.0))]
+
+    rows = [
+        row(campaign, 0, **lists(1.0, 100.0)),
+        row(campaign, 1, **lists(9.0, 300.0)),
+        row(campaign, 2, **lists(0.0, 0.0)),
+    ]
     one, two = estimates(results(campaign, rows))
-    cell, = one['classes']
+    (cell,) = one['classes']
     assert cell['rms'] == pytest.approx(math.sqrt(10.0 / 400.0))
     assert cell['runs']['count'] == 2
     assert (cell['low'], cell['high'], cell['samples']) == (BINS[-2], 1.0, 400)
@@ -347,16 +443,28 @@ def test_given_a_corner_of_unstable_runs_when_mapped_then_it_is_found(campaign):
         if payload < 1.0 and friction < 1.0:
             continue
         corner = payload >= 6.0 and friction >= 4.0
-        rows.append(row(campaign, k, payload=payload, friction=friction, stable=not corner,
-                        sample_loss=0.5 * (k % 2), safe_stops=3 * (payload < 1.0)))
+        rows.append(
+            row(
+                campaign,
+                k,
+                payload=payload,
+                friction=friction,
+                stable=not corner,
+                sample_loss=0.5 * (k % 2),
+                safe_stops=3 * (payload < 1.0),
+            )
+        )
     found = stability(results(campaign, rows))
     assert {f['name'] for f in found['factors'][:2]} == {'payload', 'friction'}
-    one = next(m for m in found['maps'] if {m['x']['name'], m['y']['name']}
-               == {'payload', 'friction'})
-    rates = np.array([[np.nan if c['rate'] is None else c['rate'] for c in line]
-                      for line in one['cells']])
-    going = np.array([[np.nan if c['rate'] is None else c['rate'] for c in line]
-                      for line in one['going']])
+    one = next(
+        m for m in found['maps'] if {m['x']['name'], m['y']['name']} == {'payload', 'friction'}
+    )
+    rates = np.array(
+        [[np.nan if c['rate'] is None else c['rate'] for c in line] for line in one['cells']]
+    )
+    going = np.array(
+        [[np.nan if c['rate'] is None else c['rate'] for c in line] for line in one['going']]
+    )
     if one['x']['name'] == 'friction':
         rates, going = rates.T, going.T
     wanted = np.ones((8, 8))
@@ -366,7 +474,7 @@ def test_given_a_corner_of_unstable_runs_when_mapped_then_it_is_found(campaign):
     wanted[1:, 0] = 0.0
     assert np.array_equal(going, wanted, equal_nan=True)
     assert sum(c['cases'] for line in one['cells'] for c in line) == len(rows)
-    loss, = (f for f in found['factors'] if f['name'] == 'sample_loss')
+    (loss,) = (f for f in found['factors'] if f['name'] == 'sample_loss')
     assert loss['levels'] == [0.0, 0.5]
     assert found['unstable'] == sum(not r['stable'] for r in rows)
     assert found['safe_stops'] == 3 * found['stopped'] > 0
@@ -375,8 +483,10 @@ def test_given_a_corner_of_unstable_runs_when_mapped_then_it_is_found(campaign):
 def test_given_alarms_when_counted_then_hours_are_those_without_a_fault(campaign):
     # 10 s each; the fault acts from 4 s to 6 s.
     rows = [row(campaign, k) for k in range(180)]
-    rows += [row(campaign, k, kind='bias', false_alarms=k % 2, alarms_before_1=int(k == 181))
-             for k in range(180, 360)]
+    rows += [
+        row(campaign, k, kind='bias', false_alarms=k % 2, alarms_before_1=int(k == 181))
+        for k in range(180, 360)
+    ]
     found = false_alarms(results(campaign, rows))
     assert found['hours'] == pytest.approx(180 * 18.0 / 3600.0)
     assert found['events'] == 90
@@ -410,10 +520,12 @@ def test_given_unstable_runs_when_tracking_is_shown_then_they_count_but_do_not_s
 def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign):
     rows = [row(campaign, k, tracking_max=0.001 * k) for k in range(20)]
     rows.append(row(campaign, 20, tracking_max=math.nan, stable=False))
-    rows += [row(campaign, 21, kind='bias', fault__size=0.02),
-             row(campaign, 22, kind='bias', fault__size=-0.9),
-             row(campaign, 23, kind='bias', fault__size=1.0, detected=True, detection_delay=0.7),
-             row(campaign, 24, false_alarms=3)]
+    rows += [
+        row(campaign, 21, kind='bias', fault__size=0.02),
+        row(campaign, 22, kind='bias', fault__size=-0.9),
+        row(campaign, 23, kind='bias', fault__size=1.0, detected=True, detection_delay=0.7),
+        row(campaign, 24, false_alarms=3),
+    ]
     lost, missed, slow, false = worst(results(campaign, rows), 'out/my results')
     assert [r['number'] for r in lost['runs']] == [20, 19, 18, 17, 16, 15, 14, 13, 12, 11]
     assert lost['runs'][0]['value'] is None
@@ -421,13 +533,16 @@ def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign
     assert [r['number'] for r in slow['runs']] == [23]
     assert [(r['number'], r['value']) for r in false['runs']] == [(24, 3.0)]
     assert lost['runs'][1]['command'] == (
-        "lpv campaign 'out/my results' --run 19 --bag 'out/my results/bags/run_19'")
+        "lpv campaign 'out/my results' --run 19 --bag 'out/my results/bags/run_19'"
+    )
     assert command('a', 3) == 'lpv campaign a --run 3 --bag a/bags/run_3'
 
 
 def test_given_figures_of_the_limit_when_shown_then_squares_are_averaged_by_kind(campaign):
-    rows = [row(campaign, k, limit_fault_ours=ours, limit_fault_limit_within_priors=1e-3)
-            for k, ours in enumerate((1e-3, 7e-3, math.nan))]
+    rows = [
+        row(campaign, k, limit_fault_ours=ours, limit_fault_limit_within_priors=1e-3)
+        for k, ours in enumerate((1e-3, 7e-3, math.nan))
+    ]
     rows.append(row(campaign, 3, kind='bias', limit_fault_ours=2e-3))
     healthy, bias = limit(results(campaign, rows))
     assert (healthy['kind'], healthy['runs'], bias['kind'], bias['runs']) == ('none', 2, 'bias', 1)
@@ -448,11 +563,16 @@ def whole(campaign, tmp_path_factory):
 
 def test_given_a_report_when_read_then_it_needs_nothing_from_elsewhere(whole):
     text = check_page(whole.html)
-    assert text.count('<img') == 5          # no safe stops: no second map
-    for heading in ('Detection against false alarms', 'Isolation', 'Comparison',
-                    'Limit of accuracy', 'Runs that deserve a look'):
+    assert text.count('<img') == 5  # no safe stops: no second map
+    for heading in (
+        'Detection against false alarms',
+        'Isolation',
+        'Comparison',
+        'Limit of accuracy',
+        'Runs that deserve a look',
+    ):
         assert heading in text
-    assert 'fault.onset: 4.0' in text                       # the campaign file
+    assert 'fault.onset: 4.0' in text  # the campaign file
     assert '15 of 15 checks hold' in text
     assert sorted(p.name for p in whole.html.parent.iterdir()) == ['report.html', 'report.json']
 
@@ -466,20 +586,42 @@ def test_given_a_report_when_its_numbers_are_read_then_they_are_those_of_the_pag
     assert {c['kind'] for c in numbers['roc']['curves']} == {'bias', 'drift', 'stuck', 'all'}
 
 
-@pytest.mark.parametrize('make', [
-    lambda c: [row(c, 0)],
-    lambda c: [row(c, 0, kind='bias', fault__size=0.1)],
-    lambda c: [row(c, k) for k in range(12)],
-    lambda c: [row(c, k, kind='drift', fault__rate=0.1, sensor='both') for k in range(12)],
-    lambda c: [{**dict.fromkeys(row(c, k)), 'number': k} for k in range(4)],
-    lambda c: [{'number': 0}],
-    lambda c: [row(c, k, tracking_max=math.inf, tracking_rms=math.inf, stable=False,
-                   score_before_1=math.inf, kind='bias', score_during_1=math.inf)
-               for k in range(4)],
-], ids=['one healthy', 'one fault', 'no faults', 'only faults', 'nothing measured', 'no columns',
-        'infinities'])
+@pytest.mark.parametrize(
+    'make',
+    [
+        lambda c: [row(c, 0)],
+        lambda c: [row(c, 0, kind='bias', fault__size=0.1)],
+        lambda c: [row(c, k) for k in range(12)],
+        lambda c: [row(c, k, kind='drift', fault__rate=0.1, sensor='both') for k in range(12)],
+        lambda c: [{**dict.fromkeys(row(c, k)), 'number': k} for k in range(4)],
+        lambda c: [{'number': 0}],
+        lambda c: [
+            row(
+                c,
+                k,
+                tracking_max=math.inf,
+                tracking_rms=math.inf,
+                stable=False,
+                score_before_1=math.inf,
+                kind='bias',
+                score_during_1=math.inf,
+            )
+            for k in range(4)
+        ],
+    ],
+    ids=[
+        'one healthy',
+        'one fault',
+        'no faults',
+        'only faults',
+        'nothing measured',
+        'no columns',
+        'infinities',
+    ],
+)
 def test_given_little_to_report_when_reported_then_nothing_fails_and_nothing_is_nan(
-        campaign, tmp_path, monkeypatch, make):
+    campaign, tmp_path, monkeypatch, make
+):
     monkeypatch.setattr('lpv_campaign.report.write.embedded', lambda _: 'data:image/png;base64,')
     rows = make(campaign)
     table = pa.Table.from_pylist(rows, schema=schema(campaign, rows) if 'kind' in rows[0] else None)
@@ -537,12 +679,13 @@ def test_given_a_real_campaign_when_run_then_its_figures_of_single_sensors_fit_t
     rows = CampaignFolder(finished[1]).table().to_pylist()
     assert {r['kind'] for r in rows} == {'none', 'bias', 'stuck'}
     for r in rows:
-        assert (r['found_1'], r['found_2']) == (r['detected'], False)     # sensor 1 is faulty
+        assert (r['found_1'], r['found_2']) == (r['detected'], False)  # sensor 1 is faulty
         assert r['alarms_before_1'] + r['alarms_before_2'] <= r['false_alarms']
 
 
 def test_given_a_folder_of_results_when_the_command_is_run_then_only_the_report_is_written(
-        finished, capsys):
+    finished, capsys
+):
     results_file, report = finished[1] / 'runs.parquet', finished[1] / 'report.json'
     before, content = results_file.stat().st_mtime_ns, report.read_bytes()
     report.unlink()
@@ -555,7 +698,8 @@ def test_given_a_folder_of_results_when_the_command_is_run_then_only_the_report_
 
 
 def test_given_unfinished_results_when_reported_then_it_says_how_many_runs_are_missing(
-        finished, tmp_path, capsys):
+    finished, tmp_path, capsys
+):
     whole = CampaignFolder(finished[1])
     part = CampaignFolder(tmp_path / 'part')
     campaign = whole.load()
@@ -564,31 +708,46 @@ def test_given_unfinished_results_when_reported_then_it_says_how_many_runs_are_m
     assert main(['campaign', str(part.path)]) == 0
     assert '2 of 6 runs are missing' in capsys.readouterr().out
     assert '2 of 6 runs are missing' in check_page(part.path / 'report.html')
-    assert not part.runs_file.exists()                     # it can go on
+    assert not part.runs_file.exists()  # it can go on
 
 
 def test_given_no_report_is_wanted_when_run_then_there_is_none(finished, tmp_path):
-    assert main(['campaign', str(finished[0]), '--out', str(tmp_path / 'out'), '--workers', '0',
-                 '--no-report']) == 0
+    assert (
+        main(
+            [
+                'campaign',
+                str(finished[0]),
+                '--out',
+                str(tmp_path / 'out'),
+                '--workers',
+                '0',
+                '--no-report',
+            ]
+        )
+        == 0
+    )
     assert not (tmp_path / 'out' / 'report.html').exists()
 
 
 def test_given_a_folder_and_another_one_when_the_command_is_run_then_it_is_refused(
-        finished, tmp_path, capsys):
+    finished, tmp_path, capsys
+):
     assert main(['campaign', str(finished[1]), '--out', str(tmp_path / 'out')]) == 2
     assert capsys.readouterr().err.startswith('lpv campaign: --out')
 
 
 def test_given_a_folder_without_a_campaign_when_the_command_is_run_then_one_line_says_so(
-        tmp_path, capsys):
+    tmp_path, capsys
+):
     assert main(['campaign', str(tmp_path)]) == 2
     assert capsys.readouterr().err.count('\n') == 1
 
 
 @pytest.mark.parametrize('name', ['smoke', 'thresholds', 'robustness'])
 def test_given_a_shipped_campaign_when_read_by_its_name_then_it_is_valid(name):
-    from lpv_campaign.spec import load_spec
-    from lpv_core.resources import bringup_file
+    from lpv_campaign.plan.spec import load_spec
+    from lpv_core.support.resources import bringup_file
+
     spec = load_spec(bringup_file('campaigns', name))
     assert spec.name == name
     assert spec.runs >= 30

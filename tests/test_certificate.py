@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lpv_cli.main import main
-from lpv_core.arm import arm_from_json
-from lpv_core.certificate import corner_arms, delayed_radius, verify
-from lpv_core.error_system import link_errors
-from lpv_core.errors import ConfigError
-from lpv_core.gains import load_gains, save_gains
-from lpv_core.proof import is_positive_definite, prove
+from lpv_core.certificate.conditions import corner_arms, delayed_radius, verify
+from lpv_core.certificate.error_system import link_errors
+from lpv_core.certificate.exact_proof import is_positive_definite, prove
+from lpv_core.certificate.gains import load_gains, save_gains
+from lpv_core.model.arm import arm_from_json
+from lpv_core.support.errors import ConfigError
 from lpv_design.exact_observer import torque_gains
 from lpv_design.guarantee import draw, guarantee
 
@@ -31,7 +31,7 @@ REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
 
 @given(st.lists(st.lists(st.integers(-5, 5), min_size=4, max_size=4), min_size=4, max_size=4))
 def test_given_a_gram_matrix_when_tested_then_only_the_identity_makes_it_positive_definite(rows):
-    factor = np.array(rows[:3])                        # rank 3 at most
+    factor = np.array(rows[:3])  # rank 3 at most
     gram = factor.T @ factor
     assert is_positive_definite(gram + np.eye(4, dtype=int))
     assert not is_positive_definite(gram)
@@ -45,28 +45,33 @@ def test_given_a_violation_below_rounding_when_tested_then_exact_arithmetic_sees
     assert not is_positive_definite(singular)
     assert is_positive_definite([[1.0, 0.0], [0.0, tiny]])
     assert not is_positive_definite([[1.0, 0.0], [0.0, -tiny]])
-    assert not is_positive_definite([[1.0, tiny], [0.0, 1.0]])       # not symmetric
+    assert not is_positive_definite([[1.0, tiny], [0.0, 1.0]])  # not symmetric
     assert not is_positive_definite([[Fraction(1, 3), Fraction(1, 3)]] * 2)
 
 
 def test_given_shipped_designs_when_proved_then_every_inequality_is(
-        arm, gains_of, paper_arm, literal_gains):
+    arm, gains_of, paper_arm, literal_gains
+):
     for proved in (prove(arm, gains_of[arm.name]), prove(paper_arm, literal_gains)):
         assert len(proved) >= 4
         assert all(proved.values()), proved
 
 
-@pytest.mark.parametrize(('part', 'spoil', 'named'), [
-    ('observer', lambda o: {'kappa': 0.9 * o.kappa}, 'disc'),
-    ('observer', lambda o: {'mu': 30.0 * o.mu}, 'sampled'),
-    ('observer', lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
-    ('observer', lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
-    ('controller', lambda c: {'m2': -c.m2}, 'LMI (67)'),
-    ('controller', lambda c: {'decay': 5.0 * c.decay}, 'LMI (67)'),
-    ('controller', lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
-])
+@pytest.mark.parametrize(
+    ('part', 'spoil', 'named'),
+    [
+        ('observer', lambda o: {'kappa': 0.9 * o.kappa}, 'disc'),
+        ('observer', lambda o: {'mu': 30.0 * o.mu}, 'sampled'),
+        ('observer', lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
+        ('observer', lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
+        ('controller', lambda c: {'m2': -c.m2}, 'LMI (67)'),
+        ('controller', lambda c: {'decay': 5.0 * c.decay}, 'LMI (67)'),
+        ('controller', lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
+    ],
+)
 def test_given_spoilt_gains_when_proved_then_the_inequality_is_refuted(
-        paper_arm, paper_gains, part, spoil, named):
+    paper_arm, paper_gains, part, spoil, named
+):
     original = getattr(paper_gains, part)
     gains = replace(paper_gains, **{part: replace(original, **spoil(original))})
     refuted = [name for name, holds in prove(paper_arm, gains).items() if not holds]
@@ -81,12 +86,14 @@ def test_given_a_spoilt_literal_design_when_proved_then_it_is_refuted(paper_arm,
 
 
 def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_agree(arm):
-    from lpv_core import proof
-    from lpv_core.polytope import inverse_inertia_quadrangle
-    constants = proof._constants(arm)
-    np.testing.assert_allclose([float(c) for c in constants],
-                               arm.constants()[[0, 1, 2, 3, 4, 5]], rtol=1e-14)
-    corners = np.array([[float(v) for v in corner] for corner in proof._corners(constants)])
+    from lpv_core.certificate import exact_proof
+    from lpv_core.model.polytope import inverse_inertia_quadrangle
+
+    constants = exact_proof._constants(arm)
+    np.testing.assert_allclose(
+        [float(c) for c in constants], arm.constants()[[0, 1, 2, 3, 4, 5]], rtol=1e-14
+    )
+    corners = np.array([[float(v) for v in corner] for corner in exact_proof._corners(constants)])
     np.testing.assert_allclose(corners, inverse_inertia_quadrangle(arm.constants()), rtol=1e-9)
 
 
@@ -121,7 +128,8 @@ def test_given_an_arm_as_json_when_read_back_then_it_is_the_same_arm(arm):
 
 
 def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     found = guarantee(paper_arm, paper_gains, points=9)
     middle = 4
     one, two = found.bound[:, middle, 0], found.bound[middle, :, 1]
@@ -129,21 +137,20 @@ def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal(
     for values in (one, two):
         assert np.all(np.diff(values[middle:]) >= 0.0)
         np.testing.assert_allclose(values, values[::-1], rtol=1e-9)
-    assert np.isinf(one[0]) and np.isinf(one[-1])    # 72 deg: the bound leaves gravity's reach
-    assert np.isfinite(found.bound[0, middle, 1])    # which is no matter of link 2's sensor
+    assert np.isinf(one[0]) and np.isinf(one[-1])  # 72 deg: the bound leaves gravity's reach
+    assert np.isfinite(found.bound[0, middle, 1])  # which is no matter of link 2's sensor
     np.testing.assert_array_equal(found.threshold, np.maximum(found.bound, 0.02))
     np.testing.assert_array_equal(found.detectable, found.threshold + found.bound)
 
 
-def test_given_a_larger_model_error_when_mapped_then_thresholds_are_larger(
-        paper_arm, paper_gains):
+def test_given_a_larger_model_error_when_mapped_then_thresholds_are_larger(paper_arm, paper_gains):
     base = guarantee(paper_arm, paper_gains, points=5).bound
     for change in ({'model_error': 0.1}, {'payload': 0.3}, {'coulomb': (0.5, 0.5)}):
         other = replace(paper_arm, **change)
         gains = replace(paper_gains, arm_sha256=other.sha256())
         larger = guarantee(other, gains, points=5).bound
         assert np.all(larger[1:4, 1:4] >= base[1:4, 1:4])
-        assert np.all(larger[1, 3] > base[1, 3])     # 36 deg to both sides
+        assert np.all(larger[1, 3] > base[1, 3])  # 36 deg to both sides
 
 
 def test_given_a_map_when_drawn_then_it_is_a_picture(paper_arm, paper_gains, tmp_path):
@@ -152,7 +159,8 @@ def test_given_a_map_when_drawn_then_it_is_a_picture(paper_arm, paper_gains, tmp
 
 
 def test_given_a_gains_file_when_read_then_the_certificate_describes_itself(
-        paper_arm, paper_gains, tmp_path):
+    paper_arm, paper_gains, tmp_path
+):
     save_gains(paper_gains, tmp_path / 'g.yaml')
     certificate = load_gains(tmp_path / 'g.yaml').certificate
     assert arm_from_json(certificate['arm_json']) == paper_arm
@@ -179,11 +187,14 @@ def tampered(path, field, factor):
 
 
 def test_given_a_gains_file_when_verified_then_it_holds_and_no_solver_is_loaded(gains_file):
-    code = ('import sys; from lpv_cli.main import main; '
-            f'code = main(["verify", {str(gains_file)!r}, "--proof"]); '
-            'sys.exit(code or ("cvxpy" in sys.modules) or ("clarabel" in sys.modules))')
-    result = subprocess.run([sys.executable, '-c', code], text=True, capture_output=True,
-                            timeout=60, check=False)
+    code = (
+        'import sys; from lpv_cli.main import main; '
+        f'code = main(["verify", {str(gains_file)!r}, "--proof"]); '
+        'sys.exit(code or ("cvxpy" in sys.modules) or ("clarabel" in sys.modules))'
+    )
+    result = subprocess.run(
+        [sys.executable, '-c', code], text=True, capture_output=True, timeout=60, check=False
+    )
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.rstrip().endswith('the certificate holds')
     assert result.stdout.count('proved') == 10
@@ -209,8 +220,18 @@ def design(*arguments):
 
 
 def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path, capsys):
-    assert design('--requirement', REQUIREMENTS / 'paper.yaml', '--out', tmp_path / 'g.yaml',
-                  '--map', tmp_path / 'map.png', '--proof') == 0
+    assert (
+        design(
+            '--requirement',
+            REQUIREMENTS / 'paper.yaml',
+            '--out',
+            tmp_path / 'g.yaml',
+            '--map',
+            tmp_path / 'map.png',
+            '--proof',
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert 'REFUTED' not in said and said.count('proved') == 10
     assert 'lasting faults are detected from' in said
@@ -218,11 +239,13 @@ def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path
     assert (tmp_path / 'map.png').exists()
 
 
-def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_file(
-        tmp_path, capsys):
+def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_file(tmp_path, capsys):
     box = tmp_path / 'published.yaml'
-    box.write_text((REQUIREMENTS / 'paper_literal.yaml').read_text().replace(
-        'sinc_min: 0.96', 'sinc_min: -0.2'))
+    box.write_text(
+        (REQUIREMENTS / 'paper_literal.yaml')
+        .read_text()
+        .replace('sinc_min: 0.96', 'sinc_min: -0.2')
+    )
     assert design('--requirement', box, '--out', tmp_path / 'g.yaml') == 3
     said = capsys.readouterr().err
     assert 'not observable' in said and 'cannot be told apart' in said
@@ -232,9 +255,10 @@ def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_fil
 
 
 def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_design_says_so(
-        paper_arm, tmp_path, capsys):
+    paper_arm, tmp_path, capsys
+):
     base = (REQUIREMENTS / 'paper.yaml').read_text()
-    norm = 1.0 / (24.5 * 0.3)                           # link 2 at the border of the region
+    norm = 1.0 / (24.5 * 0.3)  # link 2 at the border of the region
     for factor, code in ((1.01, 0), (0.99, 1)):
         asked = tmp_path / 'asked.yaml'
         bound = f'  torque_gain: {factor * norm}\n  rate_noise'
@@ -246,15 +270,18 @@ def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_d
     for link, limit in zip(link_errors(paper_arm), torque_gains(paper_arm)):
         for slope in np.linspace(*link.slopes, 5):
             n = link.closed(slope, gains.kappa[link.index], gains.mu[link.index])
-            response = [abs(np.linalg.solve(1j * w * np.eye(2) - n, [0.0, 1.0 / link.inertia])[0])
-                        for w in np.logspace(-4, 3, 200)]
+            response = [
+                abs(np.linalg.solve(1j * w * np.eye(2) - n, [0.0, 1.0 / link.inertia])[0])
+                for w in np.logspace(-4, 3, 200)
+            ]
             assert max(response) <= limit * (1.0 + 1e-9)
 
 
 def test_given_what_cannot_be_had_when_designed_then_code_1_and_no_file(tmp_path, capsys):
     asked = tmp_path / 'asked.yaml'
-    asked.write_text((REQUIREMENTS / 'paper.yaml').read_text().replace('decay: 0.25',
-                                                                       'decay: 55.0'))
+    asked.write_text(
+        (REQUIREMENTS / 'paper.yaml').read_text().replace('decay: 0.25', 'decay: 55.0')
+    )
     assert design('--requirement', asked, '--out', tmp_path / 'g.yaml') == 1
     assert 'slower decay' in capsys.readouterr().err
     assert not (tmp_path / 'g.yaml').exists()

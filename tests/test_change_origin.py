@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from parts import History, SensorDecision
 
-from lpv_core.change_origin import fit_course
-from lpv_core.diagnosis import DiagnosisParameters
-from lpv_core.fault_size import removable
-from lpv_core.records import new_record
-from lpv_core.sensor_record import SENSOR_STATE
+from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.decision.fault_magnitude import removable
+from lpv_core.decision.sensor_state import SENSOR_STATE
+from lpv_core.residual.onset_estimation import fit_step_or_ramp
+from lpv_core.support.records import new_record
 
 TS, SIGMA = 2_000_000, 1e-3
 
@@ -24,7 +24,7 @@ def fit(course, seed=0, baseline=0.0):
     state.sample.stamp = (len(course) - 1) * TS
     state.sample.residual = course[-1] + SIGMA * noise[-1]
     state.end = history.end
-    stepped, speed, onset = fit_course(state, history.stamps, history.values, 0)
+    stepped, speed, onset = fit_step_or_ramp(state, history.stamps, history.values, 0)
     return stepped, speed, onset / TS
 
 
@@ -38,8 +38,9 @@ def test_given_a_jump_when_fitted_then_it_is_a_step_of_its_own_sample(height, af
 
 
 @pytest.mark.parametrize('seed', range(5))
-@pytest.mark.parametrize(('speed', 'after'), [
-    (0.02, 250), (-0.04, 150), (0.2, 30), (1.0, 10), (-1.0, 200)])
+@pytest.mark.parametrize(
+    ('speed', 'after'), [(0.02, 250), (-0.04, 150), (0.2, 30), (1.0, 10), (-1.0, 200)]
+)
 def test_given_a_slow_change_when_fitted_then_speed_and_onset_are_known(speed, after, seed):
     moved = speed * 0.002 * np.arange(1, after + 1)
     stepped, found, onset = fit(np.concatenate([np.zeros(600), moved]), seed)
@@ -66,14 +67,26 @@ class Moving:
             angle = 0.6 + 0.5 * math.sin(0.006 * self.k)
             wrong = fault(angle, self.k)
             noise = self.arm.position_noise * self.rng.standard_normal()
-            self.astray += (self.arm.velocity_noise * self.arm.sample_time
-                            * self.rng.standard_normal())
+            self.astray += (
+                self.arm.velocity_noise * self.arm.sample_time * self.rng.standard_normal()
+            )
             self.decision.update(
-                stamp=self.k * TS, fault=wrong + noise, residual=wrong + noise + self.astray,
-                reading=angle + wrong + noise, threshold=0.1, allowance=0.0, innovation=0.0,
-                missing=False, lost=False, inconsistent=False)
-            removed = (removable(self.decision.constants, self.decision.state)
-                       if self.decision.alarm else 0.0)
+                stamp=self.k * TS,
+                fault=wrong + noise,
+                residual=wrong + noise + self.astray,
+                reading=angle + wrong + noise,
+                threshold=0.1,
+                allowance=0.0,
+                innovation=0.0,
+                missing=False,
+                lost=False,
+                inconsistent=False,
+            )
+            removed = (
+                removable(self.decision.constants, self.decision.state)
+                if self.decision.alarm
+                else 0.0
+            )
             errors.append(wrong + noise - removed)
             self.k += 1
         return np.array(errors)
@@ -82,7 +95,8 @@ class Moving:
 @pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('scale', [0.3, -0.25])
 def test_given_a_scale_error_when_the_arm_moves_then_the_angle_does_not_go_astray_with_the_rates(
-        paper_arm, paper_gains, scale, seed):
+    paper_arm, paper_gains, scale, seed
+):
     moving = Moving(paper_arm, paper_gains, seed)
     moving.swing(500, lambda angle, k: 0.0)
     before = moving.astray
@@ -96,7 +110,8 @@ def test_given_a_scale_error_when_the_arm_moves_then_the_angle_does_not_go_astra
 
 
 def test_given_a_fault_that_is_no_scale_error_any_more_when_followed_then_the_filter_gives_up(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     moving = Moving(paper_arm, paper_gains)
     moving.swing(500, lambda angle, k: 0.0)
     moving.swing(1500, lambda angle, k: 0.3 * angle)
@@ -107,7 +122,8 @@ def test_given_a_fault_that_is_no_scale_error_any_more_when_followed_then_the_fi
 
 
 def test_given_an_onset_at_the_oldest_sample_when_a_step_is_confirmed_then_it_is_measured(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     decision = SensorDecision(paper_arm, paper_gains, DiagnosisParameters())
     moving = Moving(paper_arm, paper_gains)
     moving.decision = decision

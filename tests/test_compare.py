@@ -9,13 +9,13 @@ import pytest
 import reference
 from rosbags.highlevel import AnyReader
 
-from lpv_bag.replay import Replay
-from lpv_bag.writing import BagWriter
-from lpv_cli.compare import load_pair
-from lpv_cli.comparison import Tolerances, compare_runs
+from lpv_bag.replay.replay import Replay
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_cli.commands.compare import load_pair
 from lpv_cli.main import main
-from lpv_core.diagnosis import DiagnosisParameters
-from lpv_core.errors import LpvError
+from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.support.errors import LpvError
+from lpv_report.comparison import Tolerances, compare_runs
 
 
 @pytest.fixture(scope='module')
@@ -31,24 +31,36 @@ def slower(tmp_path_factory):
     """The same with alarms that wait longer."""
     out = tmp_path_factory.mktemp('slower') / 'bag'
     Replay(reference.monitor(parameters=DiagnosisParameters(dwell=0.05)), estimates_only=True).run(
-        reference.BAG, out)
+        reference.BAG, out
+    )
     return out
 
 
 def test_given_the_reference_when_replayed_then_the_diagnosis_answers_as_it_did(replayed):
     found = reference.compare(replayed)
     wrong = [f for f in (*found.figures, *found.differences, *found.alarms) if not f.same]
-    assert found.same, (f'the diagnosis answers differently: {wrong}; if that is meant, run '
-                        '`make reference` and commit tests/data/reference')
+    assert found.same, (
+        f'the diagnosis answers differently: {wrong}; if that is meant, run '
+        '`make reference` and commit tests/data/reference'
+    )
     assert found.common > 140
     assert [p.first.kind for p in found.alarms] == ['bias', 'drift', 'dropout', 'stuck']
     assert len(found.figures) == 6
 
 
-@pytest.mark.parametrize('change', [{'dwell': 0.012}, {'threshold_factor': 1.001},
-                                    {'clear_dwell': 0.202}, {'compensation_rate': 0.4}], ids=str)
+@pytest.mark.parametrize(
+    'change',
+    [
+        {'dwell': 0.012},
+        {'threshold_factor': 1.001},
+        {'clear_dwell': 0.202},
+        {'compensation_rate': 0.4},
+    ],
+    ids=str,
+)
 def test_given_another_behaviour_when_compared_with_the_reference_then_it_is_noticed(
-        tmp_path, change):
+    tmp_path, change
+):
     monitor = reference.monitor(parameters=replace(DiagnosisParameters(), **change))
     Replay(monitor).run(reference.BAG, tmp_path / 'bag')
     assert not reference.compare(tmp_path / 'bag').same
@@ -69,7 +81,8 @@ def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_
 
 
 def test_given_estimates_without_measurements_when_compared_then_those_of_the_other_are_used(
-        replayed, slower, tmp_path, paper_arm):
+    replayed, slower, tmp_path, paper_arm
+):
     Replay(reference.monitor(), estimates_only=True).run(reference.BAG, tmp_path / 'bag')
     for pair in ((replayed, tmp_path / 'bag'), (tmp_path / 'bag', replayed)):
         result = compare_runs(*load_pair(*pair, paper_arm), paper_arm, Tolerances(0, 0, 0, 0, 0))
@@ -85,13 +98,18 @@ def test_given_alarms_of_one_run_alone_when_compared_then_they_stand_alone(repla
     second.alarms = [a for a in second.alarms if a.sensor_index == 0]
     pairs = compare_runs(first, second, paper_arm).alarms
     assert [(p.second is None, p.same) for p in pairs] == [
-        (False, True), (True, False), (False, True), (True, False)]
+        (False, True),
+        (True, False),
+        (False, True),
+        (True, False),
+    ]
     pairs = compare_runs(second, first, paper_arm).alarms
     assert [p.first is None for p in pairs] == [False, True, False, True]
 
 
 def test_given_values_that_are_no_numbers_in_one_run_when_compared_then_they_are_different(
-        replayed, paper_arm):
+    replayed, paper_arm
+):
     first, second = load_pair(replayed, replayed, paper_arm)
     values = second.streams['fault_estimate']['estimate'].copy()
     values[7, 1] = np.nan
@@ -101,8 +119,9 @@ def test_given_values_that_are_no_numbers_in_one_run_when_compared_then_they_are
     assert json.loads(json.dumps(result.as_dict(), allow_nan=False))['same'] is False
 
 
-@pytest.mark.parametrize('changes', [{'mise': -1.0}, {'delay': float('nan')},
-                                     {'signal': float('inf')}])
+@pytest.mark.parametrize(
+    'changes', [{'mise': -1.0}, {'delay': float('nan')}, {'signal': float('inf')}]
+)
 def test_given_a_tolerance_that_is_none_when_made_then_it_is_refused(changes):
     with pytest.raises(LpvError, match=next(iter(changes))):
         Tolerances(**changes)
@@ -112,9 +131,12 @@ def test_given_a_tolerance_that_is_none_when_made_then_it_is_refused(changes):
 
 
 def test_given_two_equal_bags_when_the_command_is_run_then_the_code_is_0(
-        replayed, tmp_path, capsys):
-    assert main(['compare', str(replayed), str(replayed), '--exact', '--out',
-                 str(tmp_path / 'out')]) == 0
+    replayed, tmp_path, capsys
+):
+    assert (
+        main(['compare', str(replayed), str(replayed), '--exact', '--out', str(tmp_path / 'out')])
+        == 0
+    )
     said = capsys.readouterr().out
     assert said.rstrip().endswith('same')
     assert 'differs' not in said
@@ -125,12 +147,16 @@ def test_given_two_equal_bags_when_the_command_is_run_then_the_code_is_0(
 
 
 def test_given_slower_alarms_when_the_command_is_run_then_the_code_is_3_and_json_says_why(
-        replayed, slower, capsys):
+    replayed, slower, capsys
+):
     assert main(['compare', str(replayed), str(slower), '--json']) == 3
     found = json.loads(capsys.readouterr().out)
     assert found['same'] is False
-    late = [p['second']['raised'] - p['first']['raised'] for p in found['alarms']
-            if p['second'] is not None and not p['same']]
+    late = [
+        p['second']['raised'] - p['first']['raised']
+        for p in found['alarms']
+        if p['second'] is not None and not p['same']
+    ]
     assert max(late) == pytest.approx(0.04, abs=0.005)
     assert {f['name'] for f in found['figures']} >= {'f1: estimate of fault 1'}
     assert main(['compare', str(replayed), str(slower)]) == 3
@@ -140,7 +166,8 @@ def test_given_slower_alarms_when_the_command_is_run_then_the_code_is_3_and_json
 
 
 def test_given_bags_that_cannot_be_compared_when_the_command_is_run_then_one_line_says_so(
-        replayed, tmp_path, capsys):
+    replayed, tmp_path, capsys
+):
     with AnyReader([replayed]) as reader, BagWriter(tmp_path / 'measured') as writer:
         for connection in reader.topics['/lpv/joint_states'].connections:
             writer.copy_topic(connection)
@@ -156,10 +183,14 @@ def test_given_bags_that_cannot_be_compared_when_the_command_is_run_then_one_lin
                     writer.write_raw(connection.topic, time, bytes(changed))
     shutil.copytree(replayed, tmp_path / 'broken')
     (tmp_path / 'broken' / 'metadata.yaml').unlink()
-    storage, = (tmp_path / 'broken').glob('*.mcap')
+    (storage,) = (tmp_path / 'broken').glob('*.mcap')
     storage.write_bytes(b'no bag')
-    for other, named in (('measured', 'no answers'), ('later', 'not of one recording'),
-                         ('broken', 'broken'), ('nothing', 'nothing')):
+    for other, named in (
+        ('measured', 'no answers'),
+        ('later', 'not of one recording'),
+        ('broken', 'broken'),
+        ('nothing', 'nothing'),
+    ):
         assert main(['compare', str(replayed), str(tmp_path / other)]) == 2
         said = capsys.readouterr().err
         assert said.startswith('lpv compare: ')

@@ -7,28 +7,37 @@ import numpy as np
 import pytest
 from parts import ErrorBound, UnknownTorque, make_estimate
 
-from lpv_core.change_test import sigmas_for
-from lpv_core.closed_loop import run_closed_loop
-from lpv_core.diagnosis import (
-    AlarmEvent,
-    Diagnoser,
-    DiagnosisParameters,
-    SensorState,
-)
-from lpv_core.dynamics import coupling, inverse_dynamics
-from lpv_core.faults import Fault
-from lpv_core.joints import JointMap
-from lpv_core.observer import NANOSECONDS, Mode, UnknownInputObserver
+from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
+from lpv_core.model.dynamics import coupling, inverse_dynamics
+from lpv_core.model.joints import JointMap
+from lpv_core.observer.sampled_observer import NANOSECONDS, Mode, UnknownInputObserver
+from lpv_core.residual.change_detection import sigmas_for
+from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.faults import Fault
 
 TS = 2_000_000
 PARAMETERS = DiagnosisParameters(dwell=0.01, clear_dwell=0.1, hysteresis=0.5)
 
 
-def estimate_at(k, fault=(0.0, 0.0), theta=(0.0, 0.0), held=(False, False),
-                missing=(False, False), mode=Mode.OBSERVING, interval=0.002):
-    return make_estimate(stamp=k * TS, fault=fault, absolute_position=theta, held=held,
-                         sensor_position=np.add(theta, fault), missing=missing, mode=mode,
-                         interval=interval)
+def estimate_at(
+    k,
+    fault=(0.0, 0.0),
+    theta=(0.0, 0.0),
+    held=(False, False),
+    missing=(False, False),
+    mode=Mode.OBSERVING,
+    interval=0.002,
+):
+    return make_estimate(
+        stamp=k * TS,
+        fault=fault,
+        absolute_position=theta,
+        held=held,
+        sensor_position=np.add(theta, fault),
+        missing=missing,
+        mode=mode,
+        interval=interval,
+    )
 
 
 @pytest.fixture(scope='module')
@@ -68,7 +77,8 @@ def threshold(paper_arm, paper_gains, settled):
 
 
 def test_given_an_excursion_when_shorter_than_the_dwell_then_there_is_no_alarm(
-        diagnoser, threshold):
+    diagnoser, threshold
+):
     for start in (0, 20, 40):
         _, events = feed(diagnoser, start, start + 4, fault=(1.01 * threshold, 0.0))
         assert events == []  # 4 intervals of 2 ms: 8 ms of 10
@@ -77,7 +87,8 @@ def test_given_an_excursion_when_shorter_than_the_dwell_then_there_is_no_alarm(
 
 
 def test_given_an_excursion_when_the_dwell_is_over_then_the_right_sensor_is_named_once(
-        diagnoser, paper_arm, threshold):
+    diagnoser, paper_arm, threshold
+):
     feed(diagnoser, 0, 99)
     _, events = feed(diagnoser, 100, 104, fault=(-1.1 * threshold, 0.0))
     assert events == []
@@ -89,8 +100,9 @@ def test_given_an_excursion_when_the_dwell_is_over_then_the_right_sensor_is_name
     assert alarm.size == pytest.approx(-1.1 * threshold)
     # A step is known better than a level.
     z = sigmas_for(PARAMETERS.false_alarm_hours, paper_arm.sample_time)
-    noise = np.hypot(math.sqrt(2) * paper_arm.position_noise,
-                     paper_arm.velocity_noise * math.sqrt(0.002 * 0.01))
+    noise = np.hypot(
+        math.sqrt(2) * paper_arm.position_noise, paper_arm.velocity_noise * math.sqrt(0.002 * 0.01)
+    )
     assert alarm.bound == pytest.approx(z * noise, rel=0.2)
     assert alarm.bound < 0.5 * diagnosis.bound[0]
     assert diagnosis.state == [SensorState.ERROR, SensorState.OK]
@@ -99,14 +111,16 @@ def test_given_an_excursion_when_the_dwell_is_over_then_the_right_sensor_is_name
 
 
 def test_given_an_unconfirmed_excursion_when_asked_then_the_state_warns_and_nothing_is_confirmed(
-        diagnoser, threshold):
+    diagnoser, threshold
+):
     diagnosis, _ = feed(diagnoser, 0, 2, fault=(2 * threshold, 0.0))
     assert diagnosis.state == [SensorState.WARN, SensorState.OK]
     np.testing.assert_array_equal(diagnosis.confirmed_fault, 0.0)
 
 
 def test_given_an_alarm_when_the_fault_shrinks_into_the_hysteresis_then_it_stays(
-        diagnoser, threshold):
+    diagnoser, threshold
+):
     feed(diagnoser, 0, 20, fault=(2 * threshold, 0.0))
     diagnosis, events = feed(diagnoser, 21, 500, fault=(0.51 * threshold, 0.0))
     assert events == []
@@ -115,10 +129,11 @@ def test_given_an_alarm_when_the_fault_shrinks_into_the_hysteresis_then_it_stays
 
 
 def test_given_an_alarm_when_the_fault_is_gone_for_the_dwell_then_it_clears_once(
-        diagnoser, threshold):
+    diagnoser, threshold
+):
     feed(diagnoser, 0, 20, fault=(2 * threshold, 0.0))
     _, events = feed(diagnoser, 21, 70, fault=(0.2 * threshold, 0.0))
-    assert events == []                                   # 98 ms of 100
+    assert events == []  # 98 ms of 100
     _, events = feed(diagnoser, 71, 200, fault=(0.2 * threshold, 0.0))
     assert [(e.event, e.sensor_index) for e in events] == [(AlarmEvent.CLEARED, 0)]
     diagnosis, events = feed(diagnoser, 201, 210)
@@ -129,7 +144,8 @@ def test_given_an_alarm_when_the_fault_is_gone_for_the_dwell_then_it_clears_once
 
 
 def test_given_an_alarm_when_the_fault_comes_back_within_the_clear_dwell_then_it_starts_over(
-        diagnoser, threshold):
+    diagnoser, threshold
+):
     feed(diagnoser, 0, 20, fault=(2 * threshold, 0.0))
     for start in range(21, 321, 50):
         _, events = feed(diagnoser, start, start + 48)
@@ -145,20 +161,22 @@ def test_given_faults_of_both_sensors_when_they_overlap_then_both_are_named(diag
 
 
 def test_given_larger_faults_when_alarmed_then_confidence_is_higher_and_a_probability(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     values = []
     for size in (0.08, 0.1, 0.2, 1e6):
         _, events = feed(Diagnoser(paper_arm, paper_gains), 0, 10, fault=(size, 0.0))
         values.append(events[0].confidence)
     assert values == sorted(values)
-    assert values[0] > 0.9999   # four standard deviations
+    assert values[0] > 0.9999  # four standard deviations
     assert values[-1] <= 1.0
 
 
 def test_given_a_minimum_threshold_when_the_bound_is_smaller_then_it_rules(paper_arm, paper_gains):
     parameters = replace(PARAMETERS, minimum_threshold=0.5)
-    diagnosis, events = feed(Diagnoser(paper_arm, paper_gains, parameters), 0, 50,
-                             fault=(0.49, 0.49))
+    diagnosis, events = feed(
+        Diagnoser(paper_arm, paper_gains, parameters), 0, 50, fault=(0.49, 0.49)
+    )
     assert events == []
     np.testing.assert_array_equal(diagnosis.threshold, 0.5)
     assert diagnosis.bound.max() < 0.5
@@ -167,40 +185,50 @@ def test_given_a_minimum_threshold_when_the_bound_is_smaller_then_it_rules(paper
 def test_given_a_threshold_factor_when_doubled_then_the_threshold_doubles(paper_arm, paper_gains):
     one = Diagnoser(paper_arm, paper_gains, replace(PARAMETERS, threshold_factor=1.0))
     two = Diagnoser(paper_arm, paper_gains, replace(PARAMETERS, threshold_factor=2.0))
-    np.testing.assert_allclose(two.update(estimate_at(0)).threshold,
-                               2.0 * one.update(estimate_at(0)).threshold)
+    np.testing.assert_allclose(
+        two.update(estimate_at(0)).threshold, 2.0 * one.update(estimate_at(0)).threshold
+    )
 
 
 # ------------------------------------------------------------------ not diagnosable
 
 
-def test_given_the_first_sample_when_initialising_then_nothing_is_diagnosable_or_alarmed(
-        diagnoser):
+def test_given_the_first_sample_when_initialising_then_nothing_is_diagnosable_or_alarmed(diagnoser):
     diagnosis, events = feed(diagnoser, 0, 50, fault=(1.0, 1.0), mode=Mode.INITIALISING)
     assert diagnosis.state == [SensorState.NOT_DIAGNOSABLE] * 2
     assert events == []
 
 
 def test_given_a_held_link_when_sensors_are_absolute_then_only_its_own_is_not_diagnosable(
-        diagnoser):
+    diagnoser,
+):
     diagnosis, events = feed(diagnoser, 0, 50, fault=(1.0, 1.0), held=(True, False))
     assert diagnosis.state == [SensorState.NOT_DIAGNOSABLE, SensorState.ERROR]
     assert [e.sensor_index for e in events] == [1]
 
 
-@pytest.mark.parametrize(('held', 'lost'), [((True, False), [True, True]),
-                                            ((False, True), [False, True])])
+@pytest.mark.parametrize(
+    ('held', 'lost'), [((True, False), [True, True]), ((False, True), [False, True])]
+)
 def test_given_a_held_link_when_encoders_are_relative_then_those_that_see_it_are_lost(
-        real_arm, real_gains, held, lost):
-    diagnosis, events = feed(Diagnoser(real_arm, real_gains), 0, 50, fault=(1.5, 1.5),
-                             theta=(math.pi, math.pi), held=held)
+    real_arm, real_gains, held, lost
+):
+    diagnosis, events = feed(
+        Diagnoser(real_arm, real_gains),
+        0,
+        50,
+        fault=(1.5, 1.5),
+        theta=(math.pi, math.pi),
+        held=held,
+    )
     expected = [SensorState.NOT_DIAGNOSABLE if gone else SensorState.ERROR for gone in lost]
     assert diagnosis.state == expected
     assert [e.sensor_index for e in events] == [i for i in range(2) if not lost[i]]
 
 
 def test_given_an_alarm_when_the_link_becomes_held_then_it_is_neither_cleared_nor_forgotten(
-        diagnoser):
+    diagnoser,
+):
     feed(diagnoser, 0, 50, fault=(0.4, 0.0))
     diagnosis, events = feed(diagnoser, 51, 1000, fault=(0.001, 0.0), held=(True, False))
     assert events == []
@@ -209,20 +237,19 @@ def test_given_an_alarm_when_the_link_becomes_held_then_it_is_neither_cleared_no
 
 
 def test_given_a_held_link_when_time_passes_then_the_bound_only_grows(diagnoser):
-    bounds = [diagnoser.update(estimate_at(k, held=(True, False))).bound[0]
-              for k in range(2000)]
+    bounds = [diagnoser.update(estimate_at(k, held=(True, False))).bound[0] for k in range(2000)]
     assert np.all(np.diff(bounds[1:]) > 0.0)
 
 
 def test_given_a_held_link_when_much_time_passes_then_the_bound_never_settles(diagnoser):
-    bounds = [diagnoser.update(estimate_at(k, held=(True, False))).bound[0]
-              for k in range(15000)]
+    bounds = [diagnoser.update(estimate_at(k, held=(True, False))).bound[0] for k in range(15000)]
     early, late = bounds[5000] - bounds[1], bounds[-1] - bounds[10000]
     assert late > 0.5 * early  # dead reckoning goes on gathering errors
 
 
 def test_given_a_held_link_when_it_is_observed_again_then_the_bound_falls_back_in_time(
-        diagnoser, paper_gains):
+    diagnoser, paper_gains
+):
     upright = diagnoser.update(estimate_at(0)).bound
     grown = feed(diagnoser, 1, 3000, held=(True, True))[0].bound
     assert np.all(grown > upright + 0.01)
@@ -242,7 +269,8 @@ def test_given_a_silent_sensor_when_asked_then_it_is_stale_and_its_alarm_is_kept
 
 @pytest.mark.parametrize('lost', [{'held': (True, True)}, {'missing': (True, True)}])
 def test_given_an_excursion_broken_by_a_blind_spell_when_it_shows_again_then_the_dwell_starts_anew(
-        diagnoser, lost):
+    diagnoser, lost
+):
     feed(diagnoser, 0, 0, fault=(0.5, 0.0))
     feed(diagnoser, 1, 1000, fault=(0.0, 0.0), **lost)
     _, events = feed(diagnoser, 1001, 1002, fault=(0.5, 0.0))
@@ -274,7 +302,7 @@ def test_given_an_alarm_when_retuned_then_it_and_the_bounds_history_stay(diagnos
     assert after.alarm.tolist() == [True, False]
     assert after.events == []
     assert after.bound[0] == pytest.approx(before.bound[0], rel=1e-3)
-    assert after.bound[0] > threshold + 0.002        # grown while held, not forgotten
+    assert after.bound[0] > threshold + 0.002  # grown while held, not forgotten
     np.testing.assert_allclose(after.threshold, 3.0 * after.bound)
 
 
@@ -282,7 +310,8 @@ def test_given_an_alarm_when_retuned_then_it_and_the_bounds_history_stay(diagnos
 
 
 def test_given_rest_when_bounded_then_unknown_torques_over_gravity_slope_are_it(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     bound = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
     th_1, th_2 = 0.5, -0.8
     # Disturbance through Bd: Xi [0.7*0.2, 0]; 5 % of the gravity torque; no friction.
@@ -290,8 +319,10 @@ def test_given_rest_when_bounded_then_unknown_torques_over_gravity_slope_are_it(
     observer, noise = paper_gains.observer, 4.0 * paper_gains.observer.fault_sigma
     # A bias of the rates, a tenth of their noise, is held up by a momentum and a torque.
     bias = 0.1 * 0.01 * observer.mu / observer.kappa
-    torque = [8.33 * 0.14 + 0.05 * 98.0 * math.sin(0.5) + bias[0],
-              abs(off) * 0.14 + 0.05 * 24.5 * math.sin(0.8) + bias[1]]
+    torque = [
+        8.33 * 0.14 + 0.05 * 98.0 * math.sin(0.5) + bias[0],
+        abs(off) * 0.14 + 0.05 * 24.5 * math.sin(0.8) + bias[1],
+    ]
     found = bound.static(np.array([th_1, th_2])) - noise
     # The slope is that at the far end of the bound itself.
     slope = [98.0 * math.cos(0.5 + found[0] + noise[0]), 24.5 * math.cos(0.8 + found[1] + noise[1])]
@@ -299,34 +330,41 @@ def test_given_rest_when_bounded_then_unknown_torques_over_gravity_slope_are_it(
 
 
 def test_given_the_horizontal_when_bounded_at_rest_then_gravity_cannot_bound_the_error(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     bound = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
     assert np.isinf(bound.static(np.array([math.pi / 2, 0.0]))).tolist() == [True, False]
 
 
 def test_given_rest_when_time_passes_then_the_bound_rises_to_the_static_one_and_stays(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     bound, theta = ErrorBound(paper_arm, paper_gains, 4.0, 0.3), np.array([0.4, -0.5])
     values = [bound.update(estimate_at(k, theta=theta)) for k in range(15000)]
     static = bound.static(theta)
-    assert np.all(np.diff(values, axis=0) > -1e-5)   # a reduction of the set may take some back
+    assert np.all(np.diff(values, axis=0) > -1e-5)  # a reduction of the set may take some back
     # The static bound takes the worst slope, the reachable set adds what that leaves out.
     np.testing.assert_allclose(values[-1], static, rtol=0.2)
     assert np.all(values[0] < 0.6 * static)
 
 
 def test_given_relative_encoders_when_bounded_then_encoder_2_carries_both_links(
-        real_arm, real_gains):
+    real_arm, real_gains
+):
     bound = ErrorBound(real_arm, real_gains, 4.0, 0.3)
     for k in range(500):
         total = bound.update(estimate_at(k, theta=(math.pi + 0.2, math.pi - 0.3)))
     angles = bound.state.extent[:2]
-    np.testing.assert_allclose(total - 4.0 * real_gains.observer.fault_sigma,
-                               [angles[0], angles[0] + angles[1]], rtol=1e-12)
+    np.testing.assert_allclose(
+        total - 4.0 * real_gains.observer.fault_sigma,
+        [angles[0], angles[0] + angles[1]],
+        rtol=1e-12,
+    )
 
 
 def test_given_a_clock_that_jumps_by_years_when_bounded_then_it_takes_no_longer_than_a_minute_of_it(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     bounds = []
     for gap in (60.0, 1e9):
         bound = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
@@ -348,7 +386,8 @@ def worst_torque(rng, limit, n):
 
 @pytest.mark.parametrize('seed', range(6))
 def test_given_any_torques_within_the_limits_when_the_arm_moves_then_errors_stay_in_the_set(
-        arm, gains_of, seed):
+    arm, gains_of, seed
+):
     """The bound without its noise part, against torques that no model knows."""
     rng, gains, n = np.random.default_rng(seed), gains_of[arm.name], 2500
     arm_constants, dt = arm.constants(), arm.sample_time
@@ -362,17 +401,25 @@ def test_given_any_torques_within_the_limits_when_the_arm_moves_then_errors_stay
     for k in range(n):
         theta = rest + size * np.sin(speed * k * dt + phase)
         rate = size * speed * np.cos(speed * k * dt + phase)
-        estimate = observer.update(k * TS, joints.joint_position(theta),
-                                   joints.joint_velocity(rate), joints.joint_torque(effort))
+        estimate = observer.update(
+            k * TS,
+            joints.joint_position(theta),
+            joints.joint_velocity(rate),
+            joints.joint_torque(effort),
+        )
         allowed = bound.update(estimate)
         assert np.all(np.abs(estimate.fault) <= allowed + 2e-5), (k, estimate.fault, allowed)
         # What acts until the next sample: the arm's torque, which the model gets wrong.
         angle = speed * (k + 0.5) * dt + phase
-        middle = (rest + size * np.sin(angle), size * speed * np.cos(angle),
-                  -size * speed**2 * np.sin(angle))
+        middle = (
+            rest + size * np.sin(angle),
+            size * speed * np.cos(angle),
+            -size * speed**2 * np.sin(angle),
+        )
         wrong = pattern[k] * unknown(*middle, np.zeros(2))
-        effort = np.array(inverse_dynamics(*middle[0], *middle[1], *middle[2],
-                                           arm_constants)) + wrong
+        effort = (
+            np.array(inverse_dynamics(*middle[0], *middle[1], *middle[2], arm_constants)) + wrong
+        )
     assert np.all(allowed < 1.0)
 
 
@@ -381,7 +428,8 @@ def test_given_any_torques_within_the_limits_when_the_arm_moves_then_errors_stay
 
 @pytest.mark.parametrize('lean', [0.0, 0.6, -1.0])
 def test_given_a_constant_disturbance_at_rest_when_observed_then_it_looks_like_the_floors_bias(
-        paper_arm, paper_gains, lean):
+    paper_arm, paper_gains, lean
+):
     """A joint-1 torque and a joint-1 encoder bias act alike: delta = 0.7 d/(11.76 cos th1)."""
     c, joints = paper_arm.constants(), JointMap(paper_arm)
     theta = np.array([lean, 0.2])
@@ -414,13 +462,15 @@ def healthy(paper_arm, paper_gains, two_faults):
 
 
 def test_given_a_healthy_run_with_noise_and_disturbance_when_diagnosed_then_there_is_no_alarm(
-        healthy):
+    healthy,
+):
     assert healthy.alarms == []
     assert np.all(np.abs(healthy.fault_estimate) < healthy.threshold)
 
 
 def test_given_a_healthy_run_when_compared_with_the_designed_deviation_then_it_is_a_bound(
-        healthy, paper_gains):
+    healthy, paper_gains
+):
     settled = healthy.fault_estimate[2500:]
     assert np.all(settled.std(axis=0) < paper_gains.observer.fault_sigma)
     assert np.all(settled.std(axis=0) > 0.05 * paper_gains.observer.fault_sigma)  # not idle
@@ -434,10 +484,12 @@ def decided(run):
 @pytest.mark.parametrize('index', [0, 1])
 @pytest.mark.parametrize('size', [0.3, -0.2])
 def test_given_a_step_fault_when_it_starts_then_the_alarm_comes_in_the_dwell_with_its_size(
-        paper_arm, paper_gains, two_faults, index, size):
+    paper_arm, paper_gains, two_faults, index, size
+):
     fault = Fault(paper_arm.sensor_names[index], 'bias', onset=1.5, size=size)
-    run = run_closed_loop(paper_arm, paper_gains,
-                          replace(two_faults, duration=2.5, faults=(fault,)))
+    run = run_closed_loop(
+        paper_arm, paper_gains, replace(two_faults, duration=2.5, faults=(fault,))
+    )
     assert [(a.event, a.sensor_index) for a in decided(run)] == [(AlarmEvent.RAISED, index)]
     alarm = run.alarms[0]
     assert alarm.onset == round(1.5 * NANOSECONDS)
@@ -446,19 +498,26 @@ def test_given_a_step_fault_when_it_starts_then_the_alarm_comes_in_the_dwell_wit
 
 
 def test_given_a_fault_that_ends_when_the_clear_dwell_is_over_then_the_alarm_is_cleared(
-        paper_arm, paper_gains, two_faults):
+    paper_arm, paper_gains, two_faults
+):
     fault = Fault(paper_arm.sensor_names[0], 'bias', onset=1.0, duration=1.0, size=0.3)
-    run = run_closed_loop(paper_arm, paper_gains,
-                          replace(two_faults, duration=2.5, faults=(fault,)))
+    run = run_closed_loop(
+        paper_arm, paper_gains, replace(two_faults, duration=2.5, faults=(fault,))
+    )
     assert [(a.event, a.sensor_index) for a in decided(run)] == [
-        (AlarmEvent.RAISED, 0), (AlarmEvent.CLEARED, 0)]
+        (AlarmEvent.RAISED, 0),
+        (AlarmEvent.CLEARED, 0),
+    ]
 
 
 def test_given_a_link_beyond_the_region_when_it_waits_there_then_the_estimate_is_kept_not_reset(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     joints, c = JointMap(paper_arm), paper_arm.constants()
-    observer, diagnoser = UnknownInputObserver(paper_arm, paper_gains), Diagnoser(
-        paper_arm, paper_gains)
+    observer, diagnoser = (
+        UnknownInputObserver(paper_arm, paper_gains),
+        Diagnoser(paper_arm, paper_gains),
+    )
 
     def angle(t):  # leans from 0.3 to 1.45 rad (border: 1.27) and stays there
         return 0.3 + 1.15 * (1 - math.cos(math.pi * min(t / 3.0, 1.0))) / 2
@@ -471,9 +530,12 @@ def test_given_a_link_beyond_the_region_when_it_waits_there_then_the_estimate_is
         theta = np.array([angle(t), 0.1])
         torque = inverse_dynamics(*theta, rate, 0.0, acc, 0.0, c)
         reading = theta + (fault if t >= 1.0 else 0.0)
-        estimate = observer.update(k * TS, joints.joint_from_sensor(reading),
-                                   joints.joint_velocity(np.array([rate, 0.0])),
-                                   joints.joint_torque(np.array(torque)))
+        estimate = observer.update(
+            k * TS,
+            joints.joint_from_sensor(reading),
+            joints.joint_velocity(np.array([rate, 0.0])),
+            joints.joint_torque(np.array(torque)),
+        )
         diagnosis = diagnoser.update(estimate)
         if t > 1.1:
             worst = max(worst, np.abs(estimate.fault - fault).max())
@@ -482,7 +544,7 @@ def test_given_a_link_beyond_the_region_when_it_waits_there_then_the_estimate_is
             states.append(diagnosis.state[0])
             assert not estimate.held[1]
     assert len(bounds) > 2500
-    assert worst < 0.01                              # kept through motion and hold
+    assert worst < 0.01  # kept through motion and hold
     assert bounds[-1] > bounds[100]
-    assert set(states) == {SensorState.ERROR}        # raised before, not cleared there
+    assert set(states) == {SensorState.ERROR}  # raised before, not cleared there
     assert diagnosis.state[1] == SensorState.OK

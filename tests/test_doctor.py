@@ -20,7 +20,7 @@ from lpv_cli.doctor.files import check_arm, check_files, check_gains, check_scen
 from lpv_cli.doctor.findings import Level  # noqa: E402
 from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot  # noqa: E402
 from lpv_cli.main import main  # noqa: E402
-from lpv_core.gains import save_gains  # noqa: E402
+from lpv_core.certificate.gains import save_gains  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,7 +68,8 @@ def test_given_gains_of_another_arm_when_checked_then_both_are_named(gains_file,
 
 
 def test_given_a_certificate_that_does_not_hold_when_checked_then_its_inequality_is_named(
-        tmp_path, paper_arm, paper_gains):
+    tmp_path, paper_arm, paper_gains
+):
     observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
     save_gains(replace(paper_gains, observer=observer), tmp_path / 'gains.yaml')
     finding = check_gains(tmp_path / 'gains.yaml', paper_arm)
@@ -95,12 +96,17 @@ def test_given_an_arm_file_with_a_wrong_field_when_checked_then_it_is_named(tmp_
     assert 'links[0].mass' in finding.text
 
 
-@pytest.mark.parametrize(('change', 'named'), [
-    (('x: -0.8451', 'x: -8.451'), 'out of reach'),
-    (('link1_angle', 'elbow'), 'sensor'),
-    (('model: nonlinear', 'model: mujoco'), 'needs MuJoCo')])
+@pytest.mark.parametrize(
+    ('change', 'named'),
+    [
+        (('x: -0.8451', 'x: -8.451'), 'out of reach'),
+        (('link1_angle', 'elbow'), 'sensor'),
+        (('model: nonlinear', 'model: mujoco'), 'needs MuJoCo'),
+    ],
+)
 def test_given_a_scenario_that_cannot_be_run_when_checked_then_it_says_why(
-        tmp_path, monkeypatch, paper_arm, change, named):
+    tmp_path, monkeypatch, paper_arm, change, named
+):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
     text = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text().replace(*change)
     (tmp_path / 'scenario.yaml').write_text(text)
@@ -130,21 +136,27 @@ def test_given_packages_that_are_missing_or_old_when_checked_then_they_are_named
     assert 'no-such-package-of-ours is missing' in finding.text
 
 
-@pytest.mark.parametrize(('name', 'value', 'check', 'level'), [
-    ('ROS_DOMAIN_ID', 'x', environment.check_domain, Level.ERROR),
-    ('ROS_DOMAIN_ID', '999', environment.check_domain, Level.ERROR),
-    ('ROS_DOMAIN_ID', '150', environment.check_domain, Level.WARN),
-    ('ROS_DOMAIN_ID', '42', environment.check_domain, Level.OK),
-    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'EVERYWHERE', environment.check_range, Level.ERROR),
-    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF', environment.check_range, Level.ERROR),
-    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', environment.check_range, Level.OK),
-    ('ROS_LOCALHOST_ONLY', '1', environment.check_range, Level.WARN),
-    ('RMW_IMPLEMENTATION', 'rmw_of_nobody', environment.check_middleware, Level.ERROR),
-    ('ROS_DISTRO', 'jazzy', environment.check_ros, None)])
+@pytest.mark.parametrize(
+    ('name', 'value', 'check', 'level'),
+    [
+        ('ROS_DOMAIN_ID', 'x', environment.check_domain, Level.ERROR),
+        ('ROS_DOMAIN_ID', '999', environment.check_domain, Level.ERROR),
+        ('ROS_DOMAIN_ID', '150', environment.check_domain, Level.WARN),
+        ('ROS_DOMAIN_ID', '42', environment.check_domain, Level.OK),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'EVERYWHERE', environment.check_range, Level.ERROR),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF', environment.check_range, Level.ERROR),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', environment.check_range, Level.OK),
+        ('ROS_LOCALHOST_ONLY', '1', environment.check_range, Level.WARN),
+        ('RMW_IMPLEMENTATION', 'rmw_of_nobody', environment.check_middleware, Level.ERROR),
+        ('ROS_DISTRO', 'jazzy', environment.check_ros, None),
+    ],
+)
 def test_given_a_variable_when_checked_then_its_value_is_judged(
-        monkeypatch, name, value, check, level):
+    monkeypatch, name, value, check, level
+):
     monkeypatch.setenv(name, value)
     import rclpy
+
     if level is None:  # a sourced ROS 2 beside wheels: only where there are wheels
         wheels = rclpy.__file__.startswith(sys.prefix)
         level = Level.ERROR if wheels and sys.prefix != sys.base_prefix else Level.OK
@@ -154,8 +166,9 @@ def test_given_a_variable_when_checked_then_its_value_is_judged(
 
 
 def test_given_plain_python_or_no_ros_when_checked_then_both_are_found(monkeypatch):
-    import lpv_core.jit
-    monkeypatch.setattr(lpv_core.jit, 'COMPILED', False)
+    import lpv_core.support.jit
+
+    monkeypatch.setattr(lpv_core.support.jit, 'COMPILED', False)
     assert environment.check_compiler().level == Level.WARN
     monkeypatch.setattr(sys, 'version_info', (3, 9, 1))
     assert environment.check_python().level == Level.WARN
@@ -169,8 +182,9 @@ def test_given_plain_python_or_no_ros_when_checked_then_both_are_found(monkeypat
 
 
 def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0, 0.0)):
-    result = JointState(name=list(names), position=[1.5] * len(names), velocity=list(velocity),
-                        effort=list(effort))
+    result = JointState(
+        name=list(names), position=[1.5] * len(names), velocity=list(velocity), effort=list(effort)
+    )
     result.header.stamp.sec, result.header.stamp.nanosec = divmod(stamp, 10**9)
     return result
 
@@ -179,13 +193,17 @@ def healthy(paper_arm, stamps=None):
     """What is seen of a graph that runs in real time."""
     qos = stream(False)
     shot = Snapshot(domain=7, nodes=list(NODES), states=dict.fromkeys(NODES, 'active'))
-    shot.parameters = {name: {'use_sim_time': False, 'lockstep': False, 'arm_file': PAPER}
-                       for name in NODES}
-    shot.parameters['/lpv/uio'].update({'torque_source': 'effort',
-                                        'gains.arm_sha256': paper_arm.sha256()})
-    types = {'joint_states': (JOINT_STATE, 'arm_sim', 'uio'),
-             'state_estimate': ('lpv_msgs/msg/StateEstimate', 'uio', 'tracker'),
-             'torque_command': ('lpv_msgs/msg/TorqueCommand', 'tracker', 'arm_sim')}
+    shot.parameters = {
+        name: {'use_sim_time': False, 'lockstep': False, 'arm_file': PAPER} for name in NODES
+    }
+    shot.parameters['/lpv/uio'].update(
+        {'torque_source': 'effort', 'gains.arm_sha256': paper_arm.sha256()}
+    )
+    types = {
+        'joint_states': (JOINT_STATE, 'arm_sim', 'uio'),
+        'state_estimate': ('lpv_msgs/msg/StateEstimate', 'uio', 'tracker'),
+        'torque_command': ('lpv_msgs/msg/TorqueCommand', 'tracker', 'arm_sim'),
+    }
     for topic, (msgtype, source, sink) in types.items():
         shot.publishers[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{source}', msgtype, qos)]
         shot.subscriptions[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{sink}', msgtype, qos)]
@@ -195,7 +213,8 @@ def healthy(paper_arm, stamps=None):
 
 def measure(shot, stamps, delay=1_000_000, **fields):
     shot.measured['/lpv/joint_states'] = [
-        (stamp + delay, message(stamp, **fields)) for stamp in stamps]
+        (stamp + delay, message(stamp, **fields)) for stamp in stamps
+    ]
 
 
 def simulated_time(shot):
@@ -219,7 +238,8 @@ def reliable_sink(shot):
 
 def other_type(shot):
     shot.subscriptions['/lpv/joint_states'] = [
-        Endpoint('/lpv/uio', 'std_msgs/msg/String', qos_profile_sensor_data)]
+        Endpoint('/lpv/uio', 'std_msgs/msg/String', qos_profile_sensor_data)
+    ]
 
 
 def elsewhere(shot):
@@ -237,47 +257,93 @@ MISTAKES = {
     'names': (second_simulator, ['names', 'publishers'], 'several nodes /lpv/arm_sim'),
     'driver beside the simulator': (
         lambda s: s.publishers['/lpv/joint_states'].append(
-            Endpoint('/driver', JOINT_STATE, stream(False))),
-        ['publishers'], '/lpv/joint_states has 2 publishers: /driver, /lpv/arm_sim'),
+            Endpoint('/driver', JOINT_STATE, stream(False))
+        ),
+        ['publishers'],
+        '/lpv/joint_states has 2 publishers: /driver, /lpv/arm_sim',
+    ),
     'two clocks': (
-        lambda s: s.publishers.update({'/clock': [
-            Endpoint(f'/{n}', 'rosgraph_msgs/msg/Clock', stream(True)) for n in 'ab']}),
-        ['publishers'], '/clock has 2 publishers'),
-    'inactive': (lambda s: s.states.update({'/lpv/uio': 'inactive'}), ['lifecycle'],
-                 '/lpv/uio is inactive'),
-    'dead': (lambda s: s.states.update({'/lpv/uio': None}), ['lifecycle'],
-             '/lpv/uio does not answer'),
+        lambda s: s.publishers.update(
+            {'/clock': [Endpoint(f'/{n}', 'rosgraph_msgs/msg/Clock', stream(True)) for n in 'ab']}
+        ),
+        ['publishers'],
+        '/clock has 2 publishers',
+    ),
+    'inactive': (
+        lambda s: s.states.update({'/lpv/uio': 'inactive'}),
+        ['lifecycle'],
+        '/lpv/uio is inactive',
+    ),
+    'dead': (
+        lambda s: s.states.update({'/lpv/uio': None}),
+        ['lifecycle'],
+        '/lpv/uio does not answer',
+    ),
     'no clock': (wait_for_clock, ['clock'], '/clock is silent'),
     'clock that stands still': (
         lambda s: (wait_for_clock(s), measure(s, [10**9]), s.clock.extend([(NOW, 10**9)] * 5)),
-        ['clock'], '/clock stands still'),
-    'mixed modes': (lambda s: s.parameters['/lpv/uio'].update(lockstep=True, use_sim_time=False),
-                    ['mode'], 'only some nodes are in lockstep: /lpv/uio'),
+        ['clock'],
+        '/clock stands still',
+    ),
+    'mixed modes': (
+        lambda s: s.parameters['/lpv/uio'].update(lockstep=True, use_sim_time=False),
+        ['mode'],
+        'only some nodes are in lockstep: /lpv/uio',
+    ),
     'gains in use': (
         lambda s: s.parameters['/lpv/uio'].update({'gains.arm_sha256': '0' * 64}),
-        ['gains in use'], "gains of another arm than 'paper'"),
-    'remapping': (elsewhere, ['connections'],
-                  '/lpv/uio listens to /lpv/joint_states, which nobody'),
+        ['gains in use'],
+        "gains of another arm than 'paper'",
+    ),
+    'remapping': (
+        elsewhere,
+        ['connections'],
+        '/lpv/uio listens to /lpv/joint_states, which nobody',
+    ),
     'qos': (reliable_sink, ['qos'], '/lpv/uio does not hear /lpv/arm_sim'),
     'types': (other_type, ['qos'], 'types sensor_msgs/msg/JointState and std_msgs/msg/String'),
     'silence': (lambda s: measure(s, []), ['measurements'], '/lpv/joint_states is silent'),
-    'joint names': (lambda s: measure(s, STAMPS, names=('shoulder', 'elbow')), ['joints'],
-                    "joint 'joint1' occurs 0 times"),
-    'no effort': (lambda s: measure(s, STAMPS, effort=()), ['efforts'],
-                  '50 of 50 messages carry no effort'),
-    'no rates': (lambda s: measure(s, STAMPS, velocity=()), ['joints', 'values'],
-                 'velocity has 0 values'),
-    'no numbers': (lambda s: measure(s, STAMPS, velocity=(float('nan'), 0.0)), ['values'],
-                   'are missing or no numbers'),
+    'joint names': (
+        lambda s: measure(s, STAMPS, names=('shoulder', 'elbow')),
+        ['joints'],
+        "joint 'joint1' occurs 0 times",
+    ),
+    'no effort': (
+        lambda s: measure(s, STAMPS, effort=()),
+        ['efforts'],
+        '50 of 50 messages carry no effort',
+    ),
+    'no rates': (
+        lambda s: measure(s, STAMPS, velocity=()),
+        ['joints', 'values'],
+        'velocity has 0 values',
+    ),
+    'no numbers': (
+        lambda s: measure(s, STAMPS, velocity=(float('nan'), 0.0)),
+        ['values'],
+        'are missing or no numbers',
+    ),
     'stamps zero': (lambda s: measure(s, [0] * 50), ['stamps'], 'stamps are zero'),
-    'stamps behind': (lambda s: measure(s, STAMPS, delay=3_600_000_000_000), ['stamps'],
-                      'stamps are 3.6e+03 s behind the clock of this machine'),
-    'stamps ahead': (lambda s: measure(s, STAMPS, delay=-2_000_000_000), ['stamps'],
-                     'stamps are 2 s ahead of'),
-    'time backwards': (lambda s: measure(s, STAMPS[:25] + STAMPS[:25]), ['stamps'],
-                       'time goes backwards 1 times'),
-    'rate': (lambda s: measure(s, [NOW + k * 10_000_000 for k in range(50)]), ['rate'],
-             'a sample every 10 ms, the arm file says 2 ms'),
+    'stamps behind': (
+        lambda s: measure(s, STAMPS, delay=3_600_000_000_000),
+        ['stamps'],
+        'stamps are 3.6e+03 s behind the clock of this machine',
+    ),
+    'stamps ahead': (
+        lambda s: measure(s, STAMPS, delay=-2_000_000_000),
+        ['stamps'],
+        'stamps are 2 s ahead of',
+    ),
+    'time backwards': (
+        lambda s: measure(s, STAMPS[:25] + STAMPS[:25]),
+        ['stamps'],
+        'time goes backwards 1 times',
+    ),
+    'rate': (
+        lambda s: measure(s, [NOW + k * 10_000_000 for k in range(50)]),
+        ['rate'],
+        'a sample every 10 ms, the arm file says 2 ms',
+    ),
 }
 
 
@@ -286,15 +352,25 @@ def test_given_a_healthy_graph_when_checked_then_nothing_is_found(paper_arm):
     findings = graph.check_graph(shot)
     assert found(findings) == []
     assert {f.check for f in findings} == {
-        'nodes', 'lifecycle', 'names', 'publishers', 'clock', 'mode', 'gains in use',
-        'connections', 'qos', 'measurements'}
+        'nodes',
+        'lifecycle',
+        'names',
+        'publishers',
+        'clock',
+        'mode',
+        'gains in use',
+        'connections',
+        'qos',
+        'measurements',
+    }
     simulated_time(shot)
     assert found(graph.check_graph(shot)) == []
 
 
 @pytest.mark.parametrize('name', MISTAKES)
 def test_given_a_mistake_in_the_graph_when_checked_then_it_is_found_and_nothing_else(
-        paper_arm, name):
+    paper_arm, name
+):
     spoil, checks, text = MISTAKES[name]
     shot = healthy(paper_arm)
     spoil(shot)
@@ -320,7 +396,8 @@ def test_given_torques_from_commands_when_efforts_are_missing_then_that_is_fine(
 
 
 def test_given_an_arm_on_the_command_line_when_checked_then_it_counts_and_not_the_running_one(
-        paper_arm, real_arm):
+    paper_arm, real_arm
+):
     shot = healthy(paper_arm)
     assert graph.running_arm(shot) == paper_arm
     assert found(graph.check_graph(shot, real_arm)) == ['gains in use']
@@ -340,13 +417,13 @@ def test_given_nothing_of_ours_when_checked_then_it_depends_on_what_was_asked(pa
 
 
 def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not(
-        capsys, gains_file):
+    capsys, gains_file
+):
     assert main(['doctor', '--arm', 'paper', '--gains', gains_file, '--offline']) == 0
     assert 'nothing found' in capsys.readouterr().out
     assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline']) == 3
     assert '-> lpv design --arm real_arm' in ' '.join(capsys.readouterr().out.split())
-    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline',
-                 '--json']) == 3
+    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline', '--json']) == 3
     told = json.loads(capsys.readouterr().out)
     assert told['ok'] is False
     assert [f['check'] for f in told['findings'] if f['level'] == 'ERROR'] == ['gains']
@@ -361,7 +438,8 @@ def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_ends_wit
 
 @pytest.mark.ros
 def test_given_two_simulators_and_nobody_else_when_the_command_runs_then_both_mistakes_are_found(
-        tmp_path, monkeypatch, capsys):
+    tmp_path, monkeypatch, capsys
+):
     domain = ros.next_domain()
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     own = (f'arm_file:={PAPER}', f'scenario_file:={BRINGUP / "scenarios" / "two_faults.yaml"}')

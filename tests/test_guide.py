@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv_core.guide import PathGuide
-from lpv_core.kinematics import forward
+from lpv_core.control.path_follower import PathGuide
+from lpv_core.model.kinematics import forward
 
 STEP = 2_000_000
 
@@ -22,8 +22,10 @@ def follow(guide, position, start, seconds):
     for k in range(round(seconds * 500)):
         rows.append(guide.reference(start + k * STEP, position))
         position = rows[-1].position
-    return {name: np.array([getattr(r, name) for r in rows])
-            for name in ('position', 'velocity', 'acceleration', 'tip')}
+    return {
+        name: np.array([getattr(r, name) for r in rows])
+        for name in ('position', 'velocity', 'acceleration', 'tip')
+    }
 
 
 def assert_smooth(rows):
@@ -34,7 +36,8 @@ def assert_smooth(rows):
 
 
 def test_given_an_arm_at_the_start_when_guided_then_it_follows_the_path_from_the_first_sample_on(
-        paper_arm, path):
+    paper_arm, path
+):
     start = 1_000_000_000
     rows = follow(PathGuide(paper_arm, path), path.sample(0.0).position + 0.01, start, 3.0)
     times = (start + STEP * np.arange(1500) - start) / 1e9
@@ -45,7 +48,8 @@ def test_given_an_arm_at_the_start_when_guided_then_it_follows_the_path_from_the
 
 @pytest.mark.parametrize('offset', [(0.6, -0.4), (-2.0, 0.3)])
 def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_not_too_fast(
-        paper_arm, path, offset):
+    paper_arm, path, offset
+):
     there = path.sample(0.0).position + np.array(offset)
     approach = 1.875 * np.abs(offset).max() / 0.5
     rows = follow(PathGuide(paper_arm, path), there, 0, approach + 4.0)
@@ -72,7 +76,8 @@ def test_given_an_arm_near_its_path_when_guided_then_it_takes_its_time(paper_arm
 
 
 def test_given_a_stop_on_the_way_when_it_goes_on_then_from_where_it_stopped_and_from_rest(
-        paper_arm, path):
+    paper_arm, path
+):
     guide = PathGuide(paper_arm, path)
     before = follow(guide, path.sample(0.0).position, 0, 3.0)
     assert np.abs(before['velocity'][-1]).max() > 0.05
@@ -83,15 +88,18 @@ def test_given_a_stop_on_the_way_when_it_goes_on_then_from_where_it_stopped_and_
     np.testing.assert_allclose(rows['position'][0], before['position'][-1], atol=1e-12)
     np.testing.assert_allclose(rows['velocity'][0], 0.0, atol=1e-12)
     assert_smooth(rows)
-    assert np.abs(rows['velocity']).max() < 1.2 * np.abs(path.sample(
-        np.linspace(0.0, 20.0, 500)).velocity).max()
+    assert (
+        np.abs(rows['velocity']).max()
+        < 1.2 * np.abs(path.sample(np.linspace(0.0, 20.0, 500)).velocity).max()
+    )
     # Half of the ramp's time is lost, nothing else.
     reached = 2.998 + 1.998 - 0.25
     np.testing.assert_allclose(rows['position'][-1], path.sample(reached).position, atol=1e-9)
 
 
 def test_given_a_stop_in_an_approach_when_it_goes_on_then_it_approaches_the_same_point(
-        paper_arm, path):
+    paper_arm, path
+):
     guide = PathGuide(paper_arm, path)
     target = path.sample(0.0).position
     half = follow(guide, target + 0.6, 0, 1.0)['position'][-1]
@@ -112,45 +120,52 @@ def test_given_a_reset_when_guided_again_then_the_path_starts_anew(paper_arm, pa
 
 @pytest.mark.parametrize('zero_angle', [-1.5707963267948966, 0.0, 3.141592653589793])
 def test_given_any_zero_of_q1_when_approaching_then_the_tip_is_that_of_the_reference(
-        paper_arm, two_faults, zero_angle):
+    paper_arm, two_faults, zero_angle
+):
     arm = replace(paper_arm, zero_angle=zero_angle)
     path = two_faults.path(arm)
     rows = follow(PathGuide(arm, path), path.sample(0.0).position + 0.3, 0, 0.5)
     absolute = rows['position'] + np.array([zero_angle + np.pi / 2, 0.0])
     np.testing.assert_allclose(rows['tip'], forward(absolute, arm.lengths), atol=1e-12)
     on_path = PathGuide(arm, path).reference(0, path.sample(0.0).position)
-    np.testing.assert_allclose(forward(on_path.position + np.array([zero_angle + np.pi / 2, 0.0]),
-                                       arm.lengths), on_path.tip, atol=1e-12)
+    np.testing.assert_allclose(
+        forward(on_path.position + np.array([zero_angle + np.pi / 2, 0.0]), arm.lengths),
+        on_path.tip,
+        atol=1e-12,
+    )
 
 
 def test_given_an_arm_that_stands_still_when_the_reference_moves_on_then_commands_are_unheeded(
-        paper_arm, path):
+    paper_arm, path
+):
     there = path.sample(0.0).position + 0.5
     guide = PathGuide(paper_arm, path)
     first = guide.reference(0, there)
-    assert not guide.is_unheeded(first, there)
+    assert not guide.arm_not_following(first, there)
     later = guide.reference(10**9, there)
-    assert guide.is_unheeded(later, there)
+    assert guide.arm_not_following(later, there)
     guide.stop()
     again = guide.reference(10**9 + STEP, there)
     np.testing.assert_allclose(again.position, there, atol=1e-12)
     # An arm that has moved may stand still later: against an obstacle, or with a faulty sensor.
-    assert not guide.is_unheeded(again, there - 0.02)
-    assert not guide.is_unheeded(guide.reference(2 * 10**9, there), there)
+    assert not guide.arm_not_following(again, there - 0.02)
+    assert not guide.arm_not_following(guide.reference(2 * 10**9, there), there)
 
 
 def test_given_a_direct_start_beside_the_path_when_the_arm_has_not_moved_yet_then_it_gets_time(
-        paper_arm, path):
+    paper_arm, path
+):
     beside = path.sample(0.0).position + 0.04
     guide = PathGuide(paper_arm, path)
-    assert not guide.is_unheeded(guide.reference(0, beside), beside)
-    assert not guide.is_unheeded(guide.reference(STEP, beside), beside)
-    assert guide.is_unheeded(guide.reference(3 * 10**9, beside), beside)
+    assert not guide.arm_not_following(guide.reference(0, beside), beside)
+    assert not guide.arm_not_following(guide.reference(STEP, beside), beside)
+    assert guide.arm_not_following(guide.reference(3 * 10**9, beside), beside)
 
 
 @pytest.mark.parametrize('offset', [0.0, 0.6])
 def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
-        paper_arm, path, offset):
+    paper_arm, path, offset
+):
     guide, other = PathGuide(paper_arm, path), PathGuide(paper_arm, path)
     for begin, position in ((0, path.sample(0.0).position + offset), (10**10, (1.2, 1.3))):
         rows = follow(guide, position, begin, 4.0)
@@ -163,10 +178,9 @@ def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
         other.stop(int(stamps[-1]))
 
 
-def test_given_an_arm_that_follows_slowly_when_watched_then_its_commands_are_heard(
-        paper_arm, path):
+def test_given_an_arm_that_follows_slowly_when_watched_then_its_commands_are_heard(paper_arm, path):
     guide = PathGuide(paper_arm, path)
     rows = follow(guide, path.sample(0.0).position, 0, 2.0)
     guide = PathGuide(paper_arm, path)
     for k, late in enumerate(np.vstack([rows['position'][:1]] * 20 + [rows['position']])[:1000]):
-        assert not guide.is_unheeded(guide.reference(k * STEP, late), late)
+        assert not guide.arm_not_following(guide.reference(k * STEP, late), late)

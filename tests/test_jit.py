@@ -1,6 +1,6 @@
 """Compiled code is kept per state of the sources: no stale machine code may run."""
 
-from lpv_core.jit import source_digest
+from lpv_core.support.jit import source_digest
 
 
 def _package(folder, text):
@@ -24,5 +24,6 @@ def test_moved_module_gives_another_digest(tmp_path):
 
 
 def test_same_sources_elsewhere_give_the_same_digest(tmp_path):
-    assert (source_digest(_package(tmp_path / 'a', 'x = 1\n'))
-            == source_digest(_package(tmp_path / 'b', 'x = 1\n')))
+    assert source_digest(_package(tmp_path / 'a', 'x = 1\n')) == source_digest(
+        _package(tmp_path / 'b', 'x = 1\n')
+    )

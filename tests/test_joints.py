@@ -7,29 +7,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lpv_core.joints import JointMap
+from lpv_core.model.joints import JointMap
 
 PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
 
 
 @given(PAIR)
 def test_given_any_pair_when_converted_forth_and_back_then_it_is_unchanged(
-        paper_arm, real_arm, pair):
+    paper_arm, real_arm, pair
+):
     for arm in (paper_arm, real_arm):
         joints = JointMap(arm)
         for there, back in (
-                (joints.absolute_position, joints.joint_position),
-                (joints.absolute_velocity, joints.joint_velocity),
-                (joints.absolute_torque, joints.joint_torque),
-                (joints.sensor_position, joints.joint_from_sensor),
-                (joints.sensor_velocity, joints.joint_velocity_from_sensor)):
+            (joints.absolute_position, joints.joint_position),
+            (joints.absolute_velocity, joints.joint_velocity),
+            (joints.absolute_torque, joints.joint_torque),
+            (joints.sensor_position, joints.joint_from_sensor),
+            (joints.sensor_velocity, joints.joint_velocity_from_sensor),
+        ):
             np.testing.assert_allclose(back(there(pair)), pair, atol=1e-13)
             np.testing.assert_allclose(there(back(pair)), pair, atol=1e-13)
 
 
 @given(PAIR, PAIR)
-def test_given_torques_and_rates_when_converted_then_the_power_is_the_same(
-        paper_arm, torque, rate):
+def test_given_torques_and_rates_when_converted_then_the_power_is_the_same(paper_arm, torque, rate):
     joints = JointMap(paper_arm)
     absolute = joints.absolute_torque(torque) @ joints.absolute_velocity(rate)
     assert absolute == pytest.approx(torque @ rate, abs=1e-12)
@@ -56,8 +57,9 @@ def test_given_the_paper_arm_when_upright_then_q1_points_up_the_y_axis(paper_arm
 
 def test_given_the_real_arm_when_all_joints_are_zero_then_it_hangs_down(real_arm):
     np.testing.assert_allclose(JointMap(real_arm).absolute_position([0.0, 0.0]), math.pi)
-    np.testing.assert_allclose(JointMap(real_arm).absolute_position([0.2, 0.3]),
-                               [math.pi + 0.2, math.pi + 0.5])
+    np.testing.assert_allclose(
+        JointMap(real_arm).absolute_position([0.2, 0.3]), [math.pi + 0.2, math.pi + 0.5]
+    )
 
 
 def test_given_relative_encoders_when_encoder_1_is_wrong_then_both_absolute_angles_shift(real_arm):
@@ -86,7 +88,8 @@ def test_given_absolute_sensors_when_sensor_1_is_wrong_then_only_its_own_angle_s
 
 
 def test_given_one_dead_encoder_when_converted_then_readings_without_it_stay_finite(
-        paper_arm, real_arm):
+    paper_arm, real_arm
+):
     relative, absolute = JointMap(real_arm), JointMap(paper_arm)
     assert np.isnan(relative.sensor_position([0.1, math.nan])).tolist() == [False, True]
     assert np.isnan(relative.sensor_position([math.nan, 0.1])).tolist() == [True, False]
@@ -98,9 +101,17 @@ def test_given_one_dead_encoder_when_converted_then_readings_without_it_stay_fin
 def test_given_a_batch_when_converted_then_every_row_is_converted_alone(arm):
     joints = JointMap(arm)
     batch = np.random.default_rng(1).normal(size=(4, 3, 2))
-    for method in (joints.absolute_position, joints.joint_position, joints.absolute_torque,
-                   joints.joint_torque, joints.sensor_position, joints.joint_from_sensor,
-                   joints.absolute_velocity, joints.joint_velocity, joints.sensor_velocity,
-                   joints.joint_velocity_from_sensor):
+    for method in (
+        joints.absolute_position,
+        joints.joint_position,
+        joints.absolute_torque,
+        joints.joint_torque,
+        joints.sensor_position,
+        joints.joint_from_sensor,
+        joints.absolute_velocity,
+        joints.joint_velocity,
+        joints.sensor_velocity,
+        joints.joint_velocity_from_sensor,
+    ):
         rows = np.array([[method(pair) for pair in row] for row in batch])
         np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from lpv_core.errors import ConfigError, UnreachableError
-from lpv_core.joints import JointMap
-from lpv_core.kinematics import forward, inverse, jacobian, joint_motion
-from lpv_core.path import CartesianPath, Obstacle
+from lpv_core.control.path import CartesianPath, Obstacle
+from lpv_core.model.joints import JointMap
+from lpv_core.model.kinematics import forward, inverse, jacobian, joint_motion
+from lpv_core.support.errors import ConfigError, UnreachableError
 
 LENGTH = st.floats(0.1, 3.0)
 Q_1 = st.floats(-3.0, 3.0)
@@ -27,7 +27,8 @@ def wrapped(angle):
 
 @given(Q_1, BEND, st.sampled_from(['positive', 'negative']), LENGTH, LENGTH)
 def test_given_a_configuration_when_solved_from_its_tip_then_it_comes_back_on_its_branch(
-        q_1, bend, elbow, l_1, l_2):
+    q_1, bend, elbow, l_1, l_2
+):
     # A tip in the base itself leaves q1 free: equal lengths, folded.
     assume(abs(l_1 - l_2) > 1e-3 or bend < 3.0)
     q = np.array([q_1, bend if elbow == 'positive' else -bend])
@@ -36,8 +37,13 @@ def test_given_a_configuration_when_solved_from_its_tip_then_it_comes_back_on_it
     np.testing.assert_allclose(wrapped(back - q), 0.0, atol=1e-9)
 
 
-@given(st.floats(0.001, 0.999), st.floats(-math.pi, math.pi),
-       st.sampled_from(['positive', 'negative']), LENGTH, LENGTH)
+@given(
+    st.floats(0.001, 0.999),
+    st.floats(-math.pi, math.pi),
+    st.sampled_from(['positive', 'negative']),
+    LENGTH,
+    LENGTH,
+)
 def test_given_a_reachable_point_when_solved_then_the_tip_is_there(share, bearing, elbow, l_1, l_2):
     radius = abs(l_1 - l_2) + share * (l_1 + l_2 - abs(l_1 - l_2))
     point = radius * np.array([math.cos(bearing), math.sin(bearing)])
@@ -58,8 +64,10 @@ def test_given_a_point_in_the_left_half_plane_when_solved_then_the_quadrant_is_k
     np.testing.assert_allclose(forward(inverse(point, (1.0, 1.0)), (1.0, 1.0)), point, atol=1e-14)
 
 
-@pytest.mark.parametrize('point', [(2.0, 0.0), (0.0, -2.0), (2.0 * math.cos(1), 2.0 * math.sin(1)),
-                                   (0.4, 0.0), (0.0, 0.4)])
+@pytest.mark.parametrize(
+    'point',
+    [(2.0, 0.0), (0.0, -2.0), (2.0 * math.cos(1), 2.0 * math.sin(1)), (0.4, 0.0), (0.0, 0.4)],
+)
 def test_given_a_point_on_the_border_when_solved_then_rounding_does_not_refuse_it(point):
     lengths = (1.2, 0.8)
     q = inverse(point, lengths)
@@ -68,14 +76,16 @@ def test_given_a_point_on_the_border_when_solved_then_rounding_does_not_refuse_i
 
 @given(LENGTH, LENGTH, st.floats(-math.pi, math.pi), st.booleans())
 def test_given_any_bearing_on_the_border_when_solved_then_rounding_does_not_refuse_it(
-        l_1, l_2, bearing, outer):
+    l_1, l_2, bearing, outer
+):
     radius = l_1 + l_2 if outer else abs(l_1 - l_2)
     point = radius * np.array([math.cos(bearing), math.sin(bearing)])
     np.testing.assert_allclose(forward(inverse(point, (l_1, l_2)), (l_1, l_2)), point, atol=1e-12)
 
 
-@pytest.mark.parametrize('point', [(2.001, 0.0), (0.1, 0.1), (math.nan, 1.0), (0.5, math.inf),
-                                   (1e308, 1e308)])
+@pytest.mark.parametrize(
+    'point', [(2.001, 0.0), (0.1, 0.1), (math.nan, 1.0), (0.5, math.inf), (1e308, 1e308)]
+)
 def test_given_a_point_out_of_reach_when_solved_then_the_error_says_where_and_why(point):
     with pytest.raises(UnreachableError, match=r'out of reach.*\[0.4, 2\] m'):
         inverse(point, (1.2, 0.8))
@@ -105,10 +115,13 @@ def test_given_a_batch_when_solved_then_every_point_is_solved_alone():
 
 @given(Q_1, st.floats(-3.1, 3.1), LENGTH, LENGTH)
 def test_given_a_configuration_when_perturbed_then_the_tip_moves_as_the_jacobian_says(
-        q_1, q_2, l_1, l_2):
+    q_1, q_2, l_1, l_2
+):
     q, h = np.array([q_1, q_2]), 1e-6
-    columns = [(forward(q + h * e, (l_1, l_2)) - forward(q - h * e, (l_1, l_2))) / (2 * h)
-               for e in np.eye(2)]
+    columns = [
+        (forward(q + h * e, (l_1, l_2)) - forward(q - h * e, (l_1, l_2))) / (2 * h)
+        for e in np.eye(2)
+    ]
     np.testing.assert_allclose(jacobian(q, (l_1, l_2)), np.column_stack(columns), atol=1e-8)
 
 
@@ -124,10 +137,12 @@ def test_given_a_moving_configuration_when_its_tip_motion_is_inverted_then_rates
     velocity = (tip(times + h) - tip(times - h)) / (2 * h)
     curvature = (tip(times + h) - 2 * tip(times) + tip(times - h)) / h**2
     rate, acceleration = joint_motion(q(times), velocity, curvature, lengths)
-    expected_rate = np.stack([0.8 * 1.3 * np.cos(1.3 * times),
-                              -0.5 * 0.9 * np.sin(0.9 * times)], axis=-1)
-    expected = np.stack([-0.8 * 1.3**2 * np.sin(1.3 * times),
-                         -0.5 * 0.9**2 * np.cos(0.9 * times)], axis=-1)
+    expected_rate = np.stack(
+        [0.8 * 1.3 * np.cos(1.3 * times), -0.5 * 0.9 * np.sin(0.9 * times)], axis=-1
+    )
+    expected = np.stack(
+        [-0.8 * 1.3**2 * np.sin(1.3 * times), -0.5 * 0.9**2 * np.cos(0.9 * times)], axis=-1
+    )
     np.testing.assert_allclose(rate, expected_rate, atol=1e-7)
     np.testing.assert_allclose(acceleration, expected, atol=1e-6)
 
@@ -167,8 +182,9 @@ def test_given_an_arm_with_another_zero_when_sampled_then_the_tip_is_the_same(pa
     other = replace(paper_arm, zero_angle=math.pi)
     position = CartesianPath(other, TIMES, POINTS).sample(1.0).position
     here = CartesianPath(paper_arm, TIMES, POINTS).sample(1.0).position
-    difference = (JointMap(other).absolute_position(position)
-                  - JointMap(paper_arm).absolute_position(here))
+    difference = JointMap(other).absolute_position(position) - JointMap(
+        paper_arm
+    ).absolute_position(here)
     np.testing.assert_allclose(wrapped(difference), 0.0, atol=1e-12)
 
 
@@ -183,17 +199,22 @@ def test_given_both_ends_when_sampled_then_the_arm_rests_there_and_outside(path)
 def test_given_a_path_when_differentiated_then_rates_and_accelerations_are_its_own(path):
     times, h = np.linspace(0.6, 3.9, 67), 1e-4
     before, now, after = (path.sample(times + d) for d in (-h, 0.0, h))
-    np.testing.assert_allclose((after.position - before.position) / (2 * h), now.velocity,
-                               atol=1e-6)
-    np.testing.assert_allclose((after.velocity - before.velocity) / (2 * h), now.acceleration,
-                               atol=1e-5)
+    np.testing.assert_allclose(
+        (after.position - before.position) / (2 * h), now.velocity, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        (after.velocity - before.velocity) / (2 * h), now.acceleration, atol=1e-5
+    )
 
 
 def test_given_a_path_when_sampled_finely_then_position_rate_and_acceleration_have_no_jumps(path):
     for step in (1e-3, 1e-4):
         fine = path.sample(np.arange(0.0, 4.5, step))
-        for signal, slope in ((fine.position, 3.0), (fine.velocity, 10.0),
-                              (fine.acceleration, 100.0)):
+        for signal, slope in (
+            (fine.position, 3.0),
+            (fine.velocity, 10.0),
+            (fine.acceleration, 100.0),
+        ):
             assert np.abs(np.diff(signal, axis=0)).max() < slope * step
 
 
@@ -221,38 +242,45 @@ def crossing(arm, elbow):
 
 @pytest.mark.parametrize('elbow', ['positive', 'negative'])
 def test_given_link_1_crosses_the_negative_x_axis_when_sampled_then_q1_is_continuous(
-        paper_arm, elbow):
+    paper_arm, elbow
+):
     fine = crossing(paper_arm, elbow).sample(np.linspace(0.0, 1.0, 2001))
     assert np.abs(np.diff(fine.position, axis=0)).max() < 0.02
 
 
 @pytest.mark.parametrize('elbow', ['positive', 'negative'])
 def test_given_link_1_crosses_the_negative_x_axis_when_sampled_then_the_jump_is_a_full_turn_at_most(
-        paper_arm, elbow):
+    paper_arm, elbow
+):
     fine = crossing(paper_arm, elbow).sample(np.linspace(0.0, 1.0, 2001))
-    np.testing.assert_allclose(np.abs(wrapped(np.diff(fine.position, axis=0))).max(), 0.0,
-                               atol=0.02)
+    np.testing.assert_allclose(
+        np.abs(wrapped(np.diff(fine.position, axis=0))).max(), 0.0, atol=0.02
+    )
     np.testing.assert_allclose(forward(fine.position, paper_arm.lengths), fine.tip, atol=1e-12)
 
 
 def test_given_the_shipped_path_when_sampled_then_q1_is_continuous_and_in_the_region(
-        paper_arm, two_faults):
+    paper_arm, two_faults
+):
     fine = two_faults.path(paper_arm).sample(np.linspace(0.0, 20.0, 20001))
     assert np.abs(np.diff(fine.position, axis=0)).max() < 0.002
     theta = JointMap(paper_arm).absolute_position(fine.position)
     assert np.cos(theta).min() > max(paper_arm.cos_min)
 
 
-@pytest.mark.parametrize(('times', 'points'), [
-    ((0.0,), ((0.0, 1.5),)),                              # one point
-    ((), ()),                                             # none
-    ((0.0, 1.0), ((0.0, 1.5, 0.0), (0.1, 1.5, 0.0))),     # three coordinates
-    ((0.0, 1.0), ((0.0, 1.5),)),                          # more times than points
-    ((0.0, 0.0), ((0.0, 1.5), (0.1, 1.5))),               # time stands
-    ((1.0, 0.5), ((0.0, 1.5), (0.1, 1.5))),               # time runs back
-    ((0.0, math.nan), ((0.0, 1.5), (0.1, 1.5))),
-    ((0.0, math.inf), ((0.0, 1.5), (0.1, 1.5))),
-])
+@pytest.mark.parametrize(
+    ('times', 'points'),
+    [
+        ((0.0,), ((0.0, 1.5),)),  # one point
+        ((), ()),  # none
+        ((0.0, 1.0), ((0.0, 1.5, 0.0), (0.1, 1.5, 0.0))),  # three coordinates
+        ((0.0, 1.0), ((0.0, 1.5),)),  # more times than points
+        ((0.0, 0.0), ((0.0, 1.5), (0.1, 1.5))),  # time stands
+        ((1.0, 0.5), ((0.0, 1.5), (0.1, 1.5))),  # time runs back
+        ((0.0, math.nan), ((0.0, 1.5), (0.1, 1.5))),
+        ((0.0, math.inf), ((0.0, 1.5), (0.1, 1.5))),
+    ],
+)
 def test_given_bad_waypoints_when_a_path_is_made_then_the_field_is_named(paper_arm, times, points):
     with pytest.raises(ConfigError, match=r'path\.waypoints'):
         CartesianPath(paper_arm, times, points)
@@ -275,11 +303,14 @@ def test_given_an_obstacle_on_the_path_when_it_is_made_then_the_hit_is_refused(p
 
 
 def test_given_a_path_that_leaves_reach_between_waypoints_when_it_is_made_then_it_is_refused(
-        paper_arm):
+    paper_arm,
+):
     with pytest.raises(UnreachableError):  # a chord of the annulus' hole
-        CartesianPath(replace(paper_arm, links=(paper_arm.links[0],
-                                                replace(paper_arm.links[1], length=0.5))),
-                      (0.0, 1.0), ((-1.0, 0.05), (1.0, 0.05)))
+        CartesianPath(
+            replace(paper_arm, links=(paper_arm.links[0], replace(paper_arm.links[1], length=0.5))),
+            (0.0, 1.0),
+            ((-1.0, 0.05), (1.0, 0.05)),
+        )
 
 
 def test_given_a_path_through_the_stretched_arm_when_it_is_made_then_it_is_refused(paper_arm):

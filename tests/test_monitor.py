@@ -6,21 +6,26 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lpv_core.answers import OK
-from lpv_core.answers import STALE as STALE_LEVEL
-from lpv_core.diagnosis import AlarmEvent, SensorState
-from lpv_core.dynamics import inverse_dynamics
-from lpv_core.errors import ConfigError, SampleError
-from lpv_core.joints import JointMap
-from lpv_core.monitor import SensorMonitor, describe
-from lpv_core.observer import NANOSECONDS, Counters, Mode
+from lpv_core.decision.diagnosis import AlarmEvent, SensorState
+from lpv_core.model.dynamics import inverse_dynamics
+from lpv_core.model.joints import JointMap
+from lpv_core.monitoring.message_fields import OK
+from lpv_core.monitoring.message_fields import STALE as STALE_LEVEL
+from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.observer.sampled_observer import NANOSECONDS, Counters, Mode
+from lpv_core.support.errors import ConfigError, SampleError
 
 TS = 2_000_000
 """Sample time of the arm [ns]."""
 START = 5 * NANOSECONDS
 
-STATE_VECTORS = ('position', 'velocity', 'compensated_position', 'measured_position',
-                 'measured_velocity')
+STATE_VECTORS = (
+    'position',
+    'velocity',
+    'compensated_position',
+    'measured_position',
+    'measured_velocity',
+)
 FAULT_VECTORS = ('estimate', 'bound', 'threshold')
 
 
@@ -35,18 +40,23 @@ def sample(paper_arm):
     joints, constants = JointMap(paper_arm), paper_arm.constants()
 
     def motion(t):
-        return (np.array([0.3 * math.sin(1.1 * t), 0.2 * math.sin(1.7 * t)]),
-                np.array([0.33 * math.cos(1.1 * t), 0.34 * math.cos(1.7 * t)]),
-                np.array([-0.363 * math.sin(1.1 * t), -0.578 * math.sin(1.7 * t)]))
+        return (
+            np.array([0.3 * math.sin(1.1 * t), 0.2 * math.sin(1.7 * t)]),
+            np.array([0.33 * math.cos(1.1 * t), 0.34 * math.cos(1.7 * t)]),
+            np.array([-0.363 * math.sin(1.1 * t), -0.578 * math.sin(1.7 * t)]),
+        )
 
     def make(k, fault=(0.0, 0.0), **changes):
         theta, rate, _ = motion(k * 0.002)
         torque = inverse_dynamics(*np.concatenate(motion((k - 0.5) * 0.002)), constants)
-        fields = {'name': list(paper_arm.joint_names),
-                  'position': joints.joint_from_sensor(theta + np.asarray(fault)),
-                  'velocity': joints.joint_velocity(rate),
-                  'effort': joints.joint_torque(np.array(torque))}
+        fields = {
+            'name': list(paper_arm.joint_names),
+            'position': joints.joint_from_sensor(theta + np.asarray(fault)),
+            'velocity': joints.joint_velocity(rate),
+            'effort': joints.joint_torque(np.array(torque)),
+        }
         return SimpleNamespace(**{**fields, **changes})
+
     return make
 
 
@@ -73,8 +83,7 @@ def test_given_samples_when_taken_then_each_is_answered_at_its_own_stamp(monitor
     assert not any(a.restarted or a.alarms or a.events for a in answers)
 
 
-def test_given_healthy_samples_when_taken_then_answers_follow_the_motion(
-        monitor, sample):
+def test_given_healthy_samples_when_taken_then_answers_follow_the_motion(monitor, sample):
     answer = feed(monitor, sample, 0, 500)[-1]
     for name in ('position', 'compensated_position', 'measured_position'):
         np.testing.assert_allclose(answer.state[name], sample(500).position, atol=1e-3)
@@ -84,20 +93,28 @@ def test_given_healthy_samples_when_taken_then_answers_follow_the_motion(
 
 
 def test_given_joints_in_another_order_when_taken_then_the_answer_is_the_same(
-        monitor, sample, paper_arm, paper_gains):
+    monitor, sample, paper_arm, paper_gains
+):
     twin = SensorMonitor('/lpv/uio', paper_arm, paper_gains)
     for k in range(20):
         one = sample(k)
-        two = sample(k, name=['joint2', 'finger', 'joint1'], **{
-            field: [values[1], 99.0, values[0]] for field, values in vars(one).items()
-            if field != 'name'})
+        two = sample(
+            k,
+            name=['joint2', 'finger', 'joint1'],
+            **{
+                field: [values[1], 99.0, values[0]]
+                for field, values in vars(one).items()
+                if field != 'name'
+            },
+        )
         answers = [m.take(START + k * TS, s) for m, s in ((monitor, one), (twin, two))]
         assert same(answers[0].state, answers[1].state)
         assert same(answers[0].fault, answers[1].fault)
 
 
 def test_given_a_torque_when_taken_then_it_stands_in_for_the_effort(
-        monitor, sample, paper_arm, paper_gains):
+    monitor, sample, paper_arm, paper_gains
+):
     twin = SensorMonitor('/lpv/uio', paper_arm, paper_gains)
     for k in range(20):
         one = monitor.take(START + k * TS, sample(k))
@@ -108,7 +125,8 @@ def test_given_a_torque_when_taken_then_it_stands_in_for_the_effort(
 
 
 def test_given_a_warm_up_when_samples_are_taken_then_it_has_left_no_trace(
-        monitor, sample, paper_arm, paper_gains):
+    monitor, sample, paper_arm, paper_gains
+):
     warm = SensorMonitor('/lpv/uio', paper_arm, paper_gains)
     warm.warm_up()
     assert warm.counters == Counters()
@@ -126,16 +144,25 @@ def test_given_gains_of_another_arm_when_made_then_they_are_refused(real_arm, pa
 # ------------------------------------------------------------------ before the first estimate
 
 
-@pytest.mark.parametrize('changes', [
-    {'effort': []}, {'effort': [math.nan, 0.0]}, {'velocity': [0.0, math.inf]},
-    {'position': [math.nan, 0.0]}, {'position': [1e9, 0.0]}])
+@pytest.mark.parametrize(
+    'changes',
+    [
+        {'effort': []},
+        {'effort': [math.nan, 0.0]},
+        {'velocity': [0.0, math.inf]},
+        {'position': [math.nan, 0.0]},
+        {'position': [1e9, 0.0]},
+    ],
+)
 def test_given_unusable_samples_only_when_taken_then_it_is_answered_that_nothing_is_known(
-        monitor, sample, changes):
+    monitor, sample, changes
+):
     for k in range(5):
         answer = monitor.take(START + k * TS, sample(k, **changes))
         assert answer.stamp == START + k * TS
         assert {name: list(answer.state.pop(name)) for name in STATE_VECTORS} == {
-            name: [0.0, 0.0] for name in STATE_VECTORS}
+            name: [0.0, 0.0] for name in STATE_VECTORS
+        }
         assert answer.state == {'mode': Mode.NO_ESTIMATE, 'trustworthy': False}
         assert answer.fault is None
         assert (answer.alarms, answer.events, answer.restarted) == ([], [], False)
@@ -145,7 +172,8 @@ def test_given_unusable_samples_only_when_taken_then_it_is_answered_that_nothing
 
 @pytest.mark.parametrize('usable', [0, 100])
 def test_given_unusable_samples_for_seconds_when_taken_then_a_stale_status_is_due(
-        monitor, sample, usable):
+    monitor, sample, usable
+):
     feed(monitor, sample, 0, usable - 1)
     answers = [monitor.take(START + k * TS, sample(k, effort=[])) for k in range(usable, 1500)]
     due = [a.status for a in answers if a.status is not None]
@@ -157,7 +185,8 @@ def test_given_unusable_samples_for_seconds_when_taken_then_a_stale_status_is_du
 
 
 def test_given_an_unusable_sample_when_taken_then_the_last_answer_is_repeated_as_stale(
-        monitor, sample):
+    monitor, sample
+):
     last = feed(monitor, sample, 0, 50)[-1]
     for k in (51, 52):
         answer = monitor.take(START + k * TS, sample(k, effort=[math.nan, 0.0]))
@@ -180,23 +209,27 @@ def test_given_an_alarm_when_samples_are_unusable_then_it_is_not_forgotten(monit
 
 
 @pytest.mark.parametrize('back', [0, 1, 10])
-def test_given_a_stamp_that_is_not_newer_when_taken_then_there_is_no_answer(
-        monitor, sample, back):
+def test_given_a_stamp_that_is_not_newer_when_taken_then_there_is_no_answer(monitor, sample, back):
     feed(monitor, sample, 0, 50)
     assert monitor.take(START + (50 - back) * TS, sample(50)) is None
     counters = monitor.counters
     assert (counters.duplicates, counters.out_of_order) == ((1, 0) if back == 0 else (0, 1))
 
 
-@pytest.mark.parametrize(('changes', 'reason'), [
-    ({'name': ['joint1', 'other']}, "'joint2' occurs 0 times"),
-    ({'name': ['joint1', 'joint2', 'joint2']}, "'joint2' occurs 2 times"),
-    ({'name': []}, "'joint1' occurs 0 times"),
-    ({'position': [0.1]}, 'position has 1 values for 2 joints'),
-    ({'velocity': []}, 'velocity has 0 values for 2 joints'),
-    ({'effort': [0.1, 0.2, 0.3]}, 'effort has 3 values for 2 joints')])
+@pytest.mark.parametrize(
+    ('changes', 'reason'),
+    [
+        ({'name': ['joint1', 'other']}, "'joint2' occurs 0 times"),
+        ({'name': ['joint1', 'joint2', 'joint2']}, "'joint2' occurs 2 times"),
+        ({'name': []}, "'joint1' occurs 0 times"),
+        ({'position': [0.1]}, 'position has 1 values for 2 joints'),
+        ({'velocity': []}, 'velocity has 0 values for 2 joints'),
+        ({'effort': [0.1, 0.2, 0.3]}, 'effort has 3 values for 2 joints'),
+    ],
+)
 def test_given_a_message_that_does_not_fit_when_taken_then_it_is_counted_and_harmless(
-        monitor, sample, paper_arm, paper_gains, changes, reason):
+    monitor, sample, paper_arm, paper_gains, changes, reason
+):
     twin = SensorMonitor('/lpv/uio', paper_arm, paper_gains)
     for m in (monitor, twin):
         feed(m, sample, 0, 20)
@@ -244,8 +277,7 @@ def test_given_time_that_restarts_when_taken_then_all_is_as_at_the_first_start(m
     assert second[0].status is not None
 
 
-def test_given_an_alarm_when_time_restarts_then_it_is_over_and_can_be_raised_again(
-        monitor, sample):
+def test_given_an_alarm_when_time_restarts_then_it_is_over_and_can_be_raised_again(monitor, sample):
     feed(monitor, sample, 0, 50)
     raised = [e for a in feed(monitor, sample, 51, 100, (0.3, 0.0)) for e in a.events]
     assert [e.event for e in raised] == [AlarmEvent.RAISED]
@@ -258,7 +290,8 @@ def test_given_an_alarm_when_time_restarts_then_it_is_over_and_can_be_raised_aga
 
 
 def test_given_an_alarm_when_time_restarts_without_an_encoder_then_nothing_is_known_any_more(
-        monitor, sample):
+    monitor, sample
+):
     feed(monitor, sample, 0, 50)
     feed(monitor, sample, 51, 100, (0.3, 0.0))
     answer = monitor.take(NANOSECONDS, sample(0, position=[math.nan, 0.0]))
@@ -268,7 +301,8 @@ def test_given_an_alarm_when_time_restarts_without_an_encoder_then_nothing_is_kn
 
 
 def test_given_a_reset_when_more_samples_come_then_the_monitor_starts_anew_and_keeps_counting(
-        monitor, sample):
+    monitor, sample
+):
     first = feed(monitor, sample, 0, 20)
     monitor.take(START + 20 * TS, sample(20))
     monitor.reset()
@@ -293,11 +327,13 @@ def test_given_samples_when_taken_then_a_status_is_due_every_second_of_the_data(
     assert [s['name'] for s in sensors] == ['/lpv/uio: link1_angle', '/lpv/uio: link2_angle']
     assert [s['level'] for s in sensors] == [OK, OK]
     assert float(sensors[0]['values']['fault estimate [rad]']) == pytest.approx(
-        answers[500].fault['estimate'][0], abs=1e-6)
+        answers[500].fault['estimate'][0], abs=1e-6
+    )
 
 
 def test_given_lost_samples_when_a_status_is_overdue_then_the_next_sample_brings_it(
-        monitor, sample):
+    monitor, sample
+):
     feed(monitor, sample, 0, 490)
     late = monitor.take(START + 520 * TS, sample(520))
     assert late.status is not None
@@ -307,16 +343,22 @@ def test_given_lost_samples_when_a_status_is_overdue_then_the_next_sample_brings
 
 
 def test_given_an_alarm_when_raised_and_cleared_then_both_are_answered_with_a_status(
-        monitor, sample):
-    answers = (feed(monitor, sample, 0, 100) + feed(monitor, sample, 101, 200, (0.0, -0.3))
-               + feed(monitor, sample, 201, 450))
+    monitor, sample
+):
+    answers = (
+        feed(monitor, sample, 0, 100)
+        + feed(monitor, sample, 101, 200, (0.0, -0.3))
+        + feed(monitor, sample, 201, 450)
+    )
     told = [a for a in answers if a.alarms]
     assert [[(f['event'], f['kind']) for f in a.alarms] for a in told] == [
-        [(AlarmEvent.RAISED, 'unclassified')], [(AlarmEvent.UPDATED, 'bias')],
-        [(AlarmEvent.CLEARED, 'bias')]]
+        [(AlarmEvent.RAISED, 'unclassified')],
+        [(AlarmEvent.UPDATED, 'bias')],
+        [(AlarmEvent.CLEARED, 'bias')],
+    ]
     raised, _, cleared = told
-    assert raised.stamp == START + 106 * TS                    # a dwell of 10 ms
-    fields, = raised.alarms
+    assert raised.stamp == START + 106 * TS  # a dwell of 10 ms
+    (fields,) = raised.alarms
     assert (fields['sensor'], fields['sensor_index']) == ('link2_angle', 1)
     assert (fields['onset'], fields['detected']) == (START + 101 * TS, raised.stamp)
     # Seen as a change: its size is that of the change, less the healthy error before.
@@ -329,6 +371,7 @@ def test_given_an_alarm_when_raised_and_cleared_then_both_are_answered_with_a_st
     assert all(a.status is not None for a in told)
     assert raised.status[2]['message'] == 'fault confirmed'
     assert answers[200].state['compensated_position'] == pytest.approx(
-        sample(200).position, abs=0.01)
+        sample(200).position, abs=0.01
+    )
     assert describe(raised.events[0]).startswith('ALARM, link2_angle: unclassified, -0.3')
     assert describe(cleared.events[0]).startswith('alarm cleared, link2_angle: ')

@@ -9,15 +9,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import Swing
 
-from lpv_core.errors import ConfigError, SampleError
-from lpv_core.joints import JointMap
-from lpv_core.observer import NANOSECONDS, Counters, Mode, UnknownInputObserver
+from lpv_core.model.joints import JointMap
+from lpv_core.observer.sampled_observer import NANOSECONDS, Counters, Mode, UnknownInputObserver
+from lpv_core.support.errors import ConfigError, SampleError
 
 TS = 2_000_000
 """Sample time of both arms [ns]."""
 
-VECTORS = ('position', 'velocity', 'measured_position', 'measured_velocity', 'fault',
-           'absolute_position', 'sensor_position')
+VECTORS = (
+    'position',
+    'velocity',
+    'measured_position',
+    'measured_velocity',
+    'fault',
+    'absolute_position',
+    'sensor_position',
+)
 
 
 @pytest.fixture
@@ -42,7 +49,8 @@ def follow(observer, swing, first, last, fault=(0.0, 0.0), every=1):
 
 
 def test_given_the_first_sample_when_taken_then_it_is_believed_and_called_initialising(
-        observer, swing):
+    observer, swing
+):
     estimate = observer.update(5 * TS, *swing.sample(0.01))
     assert estimate.mode == Mode.INITIALISING
     assert estimate.stamp == observer.stamp == 5 * TS
@@ -53,7 +61,8 @@ def test_given_the_first_sample_when_taken_then_it_is_believed_and_called_initia
 
 
 def test_given_healthy_sensors_when_the_arm_swings_then_states_follow_and_faults_stay_zero(
-        observer, swing):
+    observer, swing
+):
     for k in range(1500):
         estimate = observer.update(k * TS, *swing.sample(k * 0.002))
         assert np.abs(estimate.fault).max() < 3e-4  # Heun rule, Coulomb friction turning round
@@ -64,7 +73,8 @@ def test_given_healthy_sensors_when_the_arm_swings_then_states_follow_and_faults
 
 @pytest.mark.parametrize('sensor', [0, 1])
 def test_given_a_step_fault_when_it_starts_then_its_own_sensor_shows_it_in_the_same_sample(
-        observer, swing, sensor):
+    observer, swing, sensor
+):
     follow(observer, swing, 0, 500)
     fault = 0.3 * np.eye(2)[sensor]
     estimate = observer.update(501 * TS, *swing.sample(1.002, fault=fault))
@@ -74,14 +84,16 @@ def test_given_a_step_fault_when_it_starts_then_its_own_sensor_shows_it_in_the_s
 
 @pytest.mark.parametrize('samples', [1, 3])
 def test_given_a_number_of_initial_samples_when_started_then_that_many_initialise(
-        paper_arm, paper_gains, samples):
+    paper_arm, paper_gains, samples
+):
     observer, swing = UnknownInputObserver(paper_arm, paper_gains, samples), Swing(paper_arm)
     modes = [follow(observer, swing, k, k).mode for k in range(6)]
     assert modes == [Mode.INITIALISING] * samples + [Mode.OBSERVING] * (6 - samples)
 
 
 def test_given_noise_at_rest_when_started_on_many_samples_then_the_start_value_is_their_mean(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     rng = np.random.default_rng(4)
     observer = UnknownInputObserver(paper_arm, paper_gains, initial_samples=100)
     upright = np.array([math.pi / 2, 0.0])
@@ -89,12 +101,12 @@ def test_given_noise_at_rest_when_started_on_many_samples_then_the_start_value_i
     noise[0] = 0.06  # a bad first sample must not decide alone
     for k in range(100):
         estimate = observer.update(k * TS, upright + noise[k], (0.0, 0.0), (0.0, 0.0))
-    np.testing.assert_allclose(estimate.absolute_position,
-                               np.cumsum(noise.mean(axis=0)), atol=5e-3)
+    np.testing.assert_allclose(estimate.absolute_position, np.cumsum(noise.mean(axis=0)), atol=5e-3)
 
 
 def test_given_a_link_outside_the_region_when_observed_then_the_mode_is_holding(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     observer = UnknownInputObserver(paper_arm, paper_gains)
     q = JointMap(paper_arm).joint_position([1.4, 0.0])
     observer.update(0, q, (0, 0), (0, 0))
@@ -104,7 +116,8 @@ def test_given_a_link_outside_the_region_when_observed_then_the_mode_is_holding(
 
 
 def test_given_an_estimate_when_its_arrays_are_overwritten_then_the_observer_is_untouched(
-        observer, swing, gains_of):
+    observer, swing, gains_of
+):
     twin = UnknownInputObserver(observer.arm, gains_of[observer.arm.name])
     for k in range(50):
         one, two = (o.update(k * TS, *swing.sample(k * 0.002)) for o in (observer, twin))
@@ -115,7 +128,7 @@ def test_given_an_estimate_when_its_arrays_are_overwritten_then_the_observer_is_
 
 
 def test_given_an_estimate_when_more_samples_come_then_it_keeps_what_it_said(observer, swing):
-    theta = np.full(2, swing.rest) + [1.5, 0.0]             # link 1 held
+    theta = np.full(2, swing.rest) + [1.5, 0.0]  # link 1 held
     q = observer.joints.joint_position(theta)
     observer.update(0, q, (0, 0), (0, 0))
     kept = observer.update(TS, q, (0, 0), (0, 0))
@@ -132,7 +145,8 @@ def test_given_an_estimate_when_more_samples_come_then_it_keeps_what_it_said(obs
 
 @pytest.mark.parametrize('sensor', [0, 1])
 def test_given_a_moving_arm_when_one_encoder_drops_out_then_its_fault_estimate_is_held(
-        real_arm, real_gains, sensor):
+    real_arm, real_gains, sensor
+):
     observer, swing = UnknownInputObserver(real_arm, real_gains), Swing(real_arm)
     fault = np.array([0.2, -0.1])
     follow(observer, swing, 0, 100)
@@ -145,7 +159,8 @@ def test_given_a_moving_arm_when_one_encoder_drops_out_then_its_fault_estimate_i
 
 
 def test_given_a_missing_encoder_when_the_arm_moves_then_the_measured_position_moves_with_it(
-        observer, swing):
+    observer, swing
+):
     # It is what a controller without compensation closes on.
     follow(observer, swing, 0, 200)
     for k in range(201, 401):
@@ -172,7 +187,8 @@ def test_given_a_dropout_when_it_ends_then_the_fault_is_known_at_once(real_arm, 
 
 
 def test_given_a_moving_arm_when_one_encoder_drops_out_then_the_other_is_still_observed(
-        real_arm, real_gains):
+    real_arm, real_gains
+):
     observer, swing = UnknownInputObserver(real_arm, real_gains), Swing(real_arm)
     follow(observer, swing, 0, 200)
     for k in range(201, 301):
@@ -184,7 +200,8 @@ def test_given_a_moving_arm_when_one_encoder_drops_out_then_the_other_is_still_o
 
 
 def test_given_both_encoders_out_when_the_arm_moves_then_the_state_estimate_goes_on(
-        observer, swing):
+    observer, swing
+):
     follow(observer, swing, 0, 200)
     for k in range(201, 401):
         _, velocity, effort = swing.sample(k * 0.002)
@@ -204,7 +221,8 @@ def test_given_no_start_value_when_an_encoder_is_silent_then_nothing_is_made_up(
 @pytest.mark.parametrize('bad', [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize('field', ['velocity', 'effort'])
 def test_given_a_rate_or_torque_that_is_no_number_when_taken_then_the_sample_is_dropped(
-        observer, swing, field, bad):
+    observer, swing, field, bad
+):
     follow(observer, swing, 0, 100)
     position, velocity, effort = swing.sample(0.202)
     (velocity if field == 'velocity' else effort)[1] = bad
@@ -221,7 +239,8 @@ def test_given_a_rate_or_torque_that_is_no_number_when_taken_then_the_sample_is_
 
 
 def test_given_a_duplicate_or_older_stamp_when_taken_then_it_is_dropped_and_counted(
-        observer, swing, gains_of):
+    observer, swing, gains_of
+):
     before = follow(observer, swing, 0, 300)
     assert observer.update(300 * TS, *swing.sample(0.6)) is None
     assert observer.update(299 * TS, *swing.sample(0.598)) is None
@@ -256,7 +275,8 @@ def test_given_one_second_back_exactly_when_taken_then_it_is_late_and_no_restart
 
 @pytest.mark.parametrize('every', [2, 5, 20])
 def test_given_lost_samples_when_the_next_one_comes_then_the_interval_is_integrated_in_steps(
-        observer, swing, every):
+    observer, swing, every
+):
     estimate = follow(observer, swing, 0, 400, every=every)
     assert observer.counters == Counters(late_steps=400 // every)
     # Torque held and rates interpolated over up to 40 ms: second order in the interval.
@@ -276,7 +296,8 @@ def test_given_jitter_below_half_a_sample_when_taken_then_nothing_is_counted(obs
 
 @pytest.mark.parametrize('gap', [0.11, 0.5, 30.0])
 def test_given_a_gap_when_it_ends_then_the_encoder_increment_moves_the_state_and_holds_the_fault(
-        observer, swing, gap):
+    observer, swing, gap
+):
     fault = np.array([0.2, -0.15])
     follow(observer, swing, 0, 250)
     before = follow(observer, swing, 251, 500, fault)
@@ -303,7 +324,8 @@ def test_given_an_interval_of_max_gap_when_taken_then_it_is_still_integrated(obs
 @pytest.mark.parametrize('field', ['position', 'velocity', 'effort'])
 @pytest.mark.parametrize('values', [(), (1.0,), (1.0, 2.0, 3.0), 1.0, ((1.0, 2.0),)])
 def test_given_a_vector_of_the_wrong_size_when_taken_then_the_error_names_it(
-        observer, field, values):
+    observer, field, values
+):
     sample = {'position': (0.0, 0.0), 'velocity': (0.0, 0.0), 'effort': (0.0, 0.0), field: values}
     with pytest.raises(SampleError, match=f'^{field} must have 2 values'):
         observer.update(0, **sample)
@@ -311,7 +333,8 @@ def test_given_a_vector_of_the_wrong_size_when_taken_then_the_error_names_it(
 
 
 def test_given_gains_of_another_arm_when_constructed_then_they_are_refused(
-        paper_arm, real_arm, paper_gains):
+    paper_arm, real_arm, paper_gains
+):
     with pytest.raises(ConfigError, match='gains.arm_sha256.*paper.*real_arm'):
         UnknownInputObserver(real_arm, paper_gains)
     with pytest.raises(ConfigError, match='gains.arm_sha256'):
@@ -324,7 +347,8 @@ def test_given_gains_of_another_arm_when_constructed_then_they_are_refused(
 @pytest.mark.parametrize('field', ['position', 'velocity', 'effort'])
 @pytest.mark.parametrize('size', [1e6, 1e100, 1e154, 1e300, -1e308, 1.7e308])
 def test_given_an_absurd_but_finite_value_when_taken_then_no_estimate_is_ever_not_finite(
-        observer, swing, field, size):
+    observer, swing, field, size
+):
     for k in range(60):
         sample = dict(zip(('position', 'velocity', 'effort'), swing.sample(k * 0.002)))
         if k in (20, 21, 40):
@@ -334,14 +358,16 @@ def test_given_an_absurd_but_finite_value_when_taken_then_no_estimate_is_ever_no
 
 
 def test_given_readings_near_the_largest_float_when_one_is_held_then_the_outputs_stay_finite(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     observer = UnknownInputObserver(paper_arm, paper_gains)
     for k, position in enumerate([(0.0, 0.0), (-1e300, 1e308), (-1.7e308, math.nan)]):
         assert_finite(observer.update(k * TS, position, (0.0, 0.0), (0.0, 0.0)))
 
 
 def test_given_an_absurd_position_when_it_is_over_then_the_estimate_is_as_good_as_before(
-        observer, swing):
+    observer, swing
+):
     follow(observer, swing, 0, 100)
     for size in (1e3, 1e17, 1e300):
         _, velocity, effort = swing.sample(0.202)
@@ -353,7 +379,8 @@ def test_given_an_absurd_position_when_it_is_over_then_the_estimate_is_as_good_a
 
 @pytest.mark.parametrize('size', [1e2, 1e6, 1e300])
 def test_given_one_absurd_rate_when_it_is_over_then_a_known_fault_is_still_known(
-        paper_arm, paper_gains, size):
+    paper_arm, paper_gains, size
+):
     observer, swing = UnknownInputObserver(paper_arm, paper_gains), Swing(paper_arm)
     follow(observer, swing, 0, 100)
     follow(observer, swing, 101, 200, fault=(0.3, 0.0))
@@ -378,7 +405,8 @@ STEP = st.one_of(st.just(TS), st.integers(-2 * NANOSECONDS, 2 * NANOSECONDS))
 @settings(max_examples=300)
 @given(st.lists(st.tuples(STEP, PAIR, PAIR, PAIR), min_size=1, max_size=25))
 def test_given_any_sequence_of_floats_when_observed_then_no_estimate_is_ever_not_finite(
-        paper_arm, real_arm, gains_of, samples):
+    paper_arm, real_arm, gains_of, samples
+):
     for arm in (paper_arm, real_arm):
         observer, stamp = UnknownInputObserver(arm, gains_of[arm.name]), 10 * NANOSECONDS
         for step, position, velocity, effort in samples:
@@ -389,7 +417,8 @@ def test_given_any_sequence_of_floats_when_observed_then_no_estimate_is_ever_not
 @settings(max_examples=100)
 @given(st.lists(st.tuples(STEP, PAIR, PAIR, PAIR), min_size=1, max_size=25))
 def test_given_any_sequence_of_floats_when_it_is_over_then_a_reset_observer_works(
-        paper_arm, paper_gains, samples):
+    paper_arm, paper_gains, samples
+):
     observer, swing = UnknownInputObserver(paper_arm, paper_gains), Swing(paper_arm)
     stamp = 10 * NANOSECONDS
     for step, position, velocity, effort in samples:
@@ -402,7 +431,8 @@ def test_given_any_sequence_of_floats_when_it_is_over_then_a_reset_observer_work
 @settings(max_examples=100)
 @given(st.lists(st.tuples(STEP, PAIR, PAIR, PAIR), min_size=1, max_size=25))
 def test_given_any_sequence_of_floats_when_the_paper_observer_takes_it_then_it_stays_finite(
-        paper_arm, literal_gains, samples):
+    paper_arm, literal_gains, samples
+):
     observer, stamp = UnknownInputObserver(paper_arm, literal_gains), 10 * NANOSECONDS
     for step, position, velocity, effort in samples:
         stamp = max(stamp + step, 0)

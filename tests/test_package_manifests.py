@@ -11,15 +11,33 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted((ROOT / 'ros2_ws' / 'src').iterdir())
 # Keys of rosdep that are known on Ubuntu 24.04.
-KEYS = {'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'yaml': 'python3-yaml',
-        'matplotlib': 'python3-matplotlib', 'jinja2': 'python3-jinja2', 'rich': 'python3-rich',
-        'packaging': 'python3-packaging', 'argcomplete': 'python3-argcomplete',
-        'aiohttp': 'python3-aiohttp', 'filterpy': 'python3-filterpy-pip'}
+KEYS = {
+    'numpy': 'python3-numpy',
+    'scipy': 'python3-scipy',
+    'yaml': 'python3-yaml',
+    'matplotlib': 'python3-matplotlib',
+    'jinja2': 'python3-jinja2',
+    'rich': 'python3-rich',
+    'packaging': 'python3-packaging',
+    'argcomplete': 'python3-argcomplete',
+    'aiohttp': 'python3-aiohttp',
+    'filterpy': 'python3-filterpy-pip',
+}
 # Libraries that no key of rosdep, or none for Ubuntu 24.04, stands for.
-PYPI = {'cvxpy': 'cvxpy', 'distributed': 'distributed', 'foxglove': 'foxglove-sdk', 'lz4': 'lz4',
-        'mcap': 'mcap', 'mujoco': 'mujoco', 'numba': 'numba', 'optuna': 'optuna',
-        'pyarrow': 'pyarrow', 'rosbags': 'rosbags', 'sqlalchemy': 'sqlalchemy',
-        'zstandard': 'zstandard'}
+PYPI = {
+    'cvxpy': 'cvxpy',
+    'distributed': 'distributed',
+    'foxglove': 'foxglove-sdk',
+    'lz4': 'lz4',
+    'mcap': 'mcap',
+    'mujoco': 'mujoco',
+    'numba': 'numba',
+    'optuna': 'optuna',
+    'pyarrow': 'pyarrow',
+    'rosbags': 'rosbags',
+    'sqlalchemy': 'sqlalchemy',
+    'zstandard': 'zstandard',
+}
 
 
 def imported(package):

@@ -37,7 +37,12 @@ SPECS = all_specs()
 
 def test_given_the_node_modules_when_searched_then_all_nodes_are_there():
     assert {place.split('/')[0] for place in SPECS} >= {
-        'common', 'lpv_arm_sim', 'lpv_uio', 'lpv_tracker', 'lpv_bag'}
+        'common',
+        'lpv_arm_sim',
+        'lpv_uio',
+        'lpv_tracker',
+        'lpv_bag',
+    }
 
 
 @pytest.mark.parametrize('place', sorted(SPECS))
@@ -56,8 +61,11 @@ def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_all
 
 
 def test_given_the_gains_when_declared_then_numbers_have_ranges_and_units():
-    fields = [parameters.FORMAT_FIELD, *parameters.GAIN_FIELDS.values(),
-              *(f for fs in parameters.METHOD_FIELDS.values() for f in fs.values())]
+    fields = [
+        parameters.FORMAT_FIELD,
+        *parameters.GAIN_FIELDS.values(),
+        *(f for fs in parameters.METHOD_FIELDS.values() for f in fs.values()),
+    ]
     for field in fields:
         descriptor = field.descriptor()
         assert descriptor.read_only

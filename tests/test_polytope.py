@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from lpv_core.arm import A_11, B_12, C_22, G_1, G_2, O_12
-from lpv_core.polytope import (
+from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.model.polytope import (
     exact_state_space,
     exact_vertices,
     inverse_inertia_quadrangle,
@@ -21,7 +21,7 @@ from lpv_core.polytope import (
     sinc_box,
     slope_range,
 )
-from lpv_core.state_space import vertex_matrices
+from lpv_core.model.state_space import vertex_matrices
 
 UNIT = st.floats(0.0, 1.0)
 ANGLE = st.floats(-math.pi, math.pi)
@@ -64,17 +64,23 @@ def test_given_a_point_anywhere_when_weighted_then_the_nearest_point_of_the_box_
 @pytest.mark.parametrize('vertex', range(8))
 def test_given_a_vertex_when_weighted_then_it_alone_counts(vertex):
     box = sinc_box(-0.2)
-    np.testing.assert_array_equal(weights_of(paper_vertices(box)[vertex], box),
-                                  np.eye(8)[vertex])
+    np.testing.assert_array_equal(weights_of(paper_vertices(box)[vertex], box), np.eye(8)[vertex])
 
 
 def test_given_eqs_11_and_12_when_written_out_then_the_weights_are_theirs():
     box = np.array([[-1.0, 1.0], [-0.2, 1.0], [0.1, 0.9]])
     phi = (0.3, 0.5, 0.25)
     a_1, a_2, a_3 = (1 - 0.3) / 2, (1 - 0.5) / 1.2, (0.9 - 0.25) / 0.8
-    expected = [a_1 * a_2 * a_3, a_1 * a_2 * (1 - a_3), a_1 * (1 - a_2) * a_3,
-                a_1 * (1 - a_2) * (1 - a_3), (1 - a_1) * a_2 * a_3, (1 - a_1) * a_2 * (1 - a_3),
-                (1 - a_1) * (1 - a_2) * a_3, (1 - a_1) * (1 - a_2) * (1 - a_3)]
+    expected = [
+        a_1 * a_2 * a_3,
+        a_1 * a_2 * (1 - a_3),
+        a_1 * (1 - a_2) * a_3,
+        a_1 * (1 - a_2) * (1 - a_3),
+        (1 - a_1) * a_2 * a_3,
+        (1 - a_1) * a_2 * (1 - a_3),
+        (1 - a_1) * (1 - a_2) * a_3,
+        (1 - a_1) * (1 - a_2) * (1 - a_3),
+    ]
     np.testing.assert_allclose(weights_of(phi, box), expected, rtol=1e-14)
 
 
@@ -169,16 +175,19 @@ def test_given_both_orientations_when_slopes_are_bounded_then_they_mirror(paper_
 
 def convex_weights(point, corners):
     """Convex combination of the quadrangle's corners, by linear programming."""
-    found = linprog(np.zeros(4), A_eq=np.vstack([corners.T / np.abs(corners).max(axis=0)[:, None],
-                                                 np.ones(4)]),
-                    b_eq=[*(point / np.abs(corners).max(axis=0)), 1.0])
+    found = linprog(
+        np.zeros(4),
+        A_eq=np.vstack([corners.T / np.abs(corners).max(axis=0)[:, None], np.ones(4)]),
+        b_eq=[*(point / np.abs(corners).max(axis=0)), 1.0],
+    )
     return found.x if found.success else None
 
 
 @settings(max_examples=50)
 @given(SHARE, SHARE)
 def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_the_arm(
-        paper_arm, real_arm, share_1, share_2):
+    paper_arm, real_arm, share_1, share_2
+):
     for arm in (paper_arm, real_arm):
         c, theta = arm.constants(), in_region(arm, share_1, share_2)
         inverse = np.linalg.inv(inertia(theta, arm))
@@ -201,7 +210,8 @@ def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_
 
 @given(SHARE, SHARE, SHARE, SHARE)
 def test_given_angle_and_estimate_in_the_region_when_sines_differ_then_the_slope_is_in_the_hull(
-        paper_arm, real_arm, one, two, three, four):
+    paper_arm, real_arm, one, two, three, four
+):
     for arm in (paper_arm, real_arm):
         low, high = slope_range(arm)
         theta, guess = np.array(in_region(arm, one, two)), np.array(in_region(arm, three, four))

@@ -8,16 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpv_core.diagnosis import AlarmEvent, Diagnoser
-from lpv_core.observer import Counters, UnknownInputObserver
+from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser
+from lpv_core.observer.sampled_observer import Counters, UnknownInputObserver
 
 DATA = os.environ.get('LPV_REAL_ARM_DATA') or str(
-    Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'real_arm')
+    Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'real_arm'
+)
 RECORDINGS = ('run_143601.csv', 'run_144115.csv')
 
 pytestmark = pytest.mark.skipif(
     not all(os.path.isfile(os.path.join(DATA, name)) for name in RECORDINGS),
-    reason='the recordings are not part of the repository; LPV_REAL_ARM_DATA may point to them')
+    reason='the recordings are not part of the repository; LPV_REAL_ARM_DATA may point to them',
+)
 
 
 class Recording:
@@ -46,8 +48,9 @@ def estimate_faults(arm, gains, recording, shift):
     """Fault estimates along a recording with an artificial sensor fault."""
     observer, diagnoser = UnknownInputObserver(arm, gains), Diagnoser(arm, gains)
     faults, alarms = [], []
-    for t, q, v, tau, add in zip(recording.time, recording.position, recording.velocity,
-                                 recording.torque, shift):
+    for t, q, v, tau, add in zip(
+        recording.time, recording.position, recording.velocity, recording.torque, shift
+    ):
         estimate = observer.update(round(t * 1e9), q + add, v, tau)
         alarms += diagnoser.update(estimate).events
         faults.append(estimate.fault)
@@ -61,7 +64,8 @@ def healthy(real_arm, real_gains, recording):
 
 
 def test_given_a_healthy_recording_when_observed_then_no_fault_of_a_tenth_of_a_radian_is_seen(
-        recording, healthy):
+    recording, healthy
+):
     faults, _ = healthy
     assert len(recording.time) > 4000
     assert np.abs(faults[recording.time > 1.0]).max() < 0.1
@@ -72,10 +76,13 @@ def test_given_a_healthy_recording_when_diagnosed_then_there_is_no_alarm(healthy
     assert alarms == []
 
 
-@pytest.mark.parametrize(('encoder', 'onset', 'size'), [
-    (0, 2.0, 0.3), (0, 3.0, 0.3), (0, 6.5, -0.3), (1, 1.5, -0.3), (1, 5.0, 0.3), (1, 7.5, 0.3)])
+@pytest.mark.parametrize(
+    ('encoder', 'onset', 'size'),
+    [(0, 2.0, 0.3), (0, 3.0, 0.3), (0, 6.5, -0.3), (1, 1.5, -0.3), (1, 5.0, 0.3), (1, 7.5, 0.3)],
+)
 def test_given_a_step_on_an_encoder_when_observed_then_it_is_known_after_a_tenth_of_a_second(
-        real_arm, real_gains, recording, encoder, onset, size):
+    real_arm, real_gains, recording, encoder, onset, size
+):
     step = np.zeros_like(recording.position)
     step[recording.time >= onset, encoder] = size
     faults, _ = estimate_faults(real_arm, real_gains, recording, step)
@@ -85,19 +92,22 @@ def test_given_a_step_on_an_encoder_when_observed_then_it_is_known_after_a_tenth
 
 @pytest.mark.parametrize('encoder', [0, 1])
 def test_given_a_step_on_an_encoder_when_diagnosed_then_its_own_alarm_is_raised_and_no_other(
-        real_arm, real_gains, recording, encoder):
+    real_arm, real_gains, recording, encoder
+):
     step = np.zeros_like(recording.position)
     step[recording.time >= 3.0, encoder] = 0.3
     _, alarms = estimate_faults(real_arm, real_gains, recording, step)
     assert [(a.event, a.sensor) for a in alarms if a.event != AlarmEvent.UPDATED] == [
-        (AlarmEvent.RAISED, real_arm.sensor_names[encoder])]
+        (AlarmEvent.RAISED, real_arm.sensor_names[encoder])
+    ]
     assert {a.sensor for a in alarms} == {real_arm.sensor_names[encoder]}
     assert 2.99e9 < alarms[0].onset <= alarms[0].detected < 3.03e9
     assert alarms[0].size == pytest.approx(0.3, abs=0.1)
 
 
 def test_given_the_recordings_when_compared_with_the_region_then_most_of_each_is_inside(
-        real_arm, recording):
+    real_arm, recording
+):
     absolute = math.pi + np.cumsum(recording.position, axis=1)
     inside = np.all(np.cos(absolute) < -np.array(real_arm.cos_min), axis=1)
     assert inside.mean() > 0.5

@@ -16,16 +16,17 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from lpv_bag.reading import open_bag  # noqa: E402
-from lpv_bag.recovery import recover  # noqa: E402
+from lpv_bag.rosbag.reading import open_bag  # noqa: E402
+from lpv_bag.rosbag.recovery import recover  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
 TOPIC = '/lpv/joint_states'
 RELIABLE = QoSProfile(depth=1000)
 PERIOD = 0.002
-GAINS = (Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup' / 'gains'
-         / 'paper.yaml')
+GAINS = (
+    Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup' / 'gains' / 'paper.yaml'
+)
 
 
 class Source:
@@ -34,15 +35,19 @@ class Source:
     def __init__(self, client, qos=RELIABLE):
         self._client = client
         self._publisher = client.node.create_publisher(JointState, 'joint_states', qos)
-        self.sent = []   # stamps [ns]
+        self.sent = []  # stamps [ns]
 
     def wait(self):
         assert self._client.wait(lambda: self._publisher.get_subscription_count() == 1)
 
     def publish(self, stamp=None):
         stamp = time.time_ns() if stamp is None else stamp
-        message = JointState(name=['a', 'b'], position=[float(len(self.sent)), 0.0],
-                             velocity=[0.0, 0.0], effort=[0.0, 0.0])
+        message = JointState(
+            name=['a', 'b'],
+            position=[float(len(self.sent)), 0.0],
+            velocity=[0.0, 0.0],
+            effort=[0.0, 0.0],
+        )
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         self._publisher.publish(message)
         self.sent.append(stamp)
@@ -62,8 +67,11 @@ def after(seconds):
 def recorded(bag):
     """Numbers of the measurements in a bag."""
     with open_bag(bag) as reader:
-        return [int(reader.deserialize(data, c.msgtype).position[0])
-                for c, _, data in reader.messages() if c.topic == TOPIC]
+        return [
+            int(reader.deserialize(data, c.msgtype).position[0])
+            for c, _, data in reader.messages()
+            if c.topic == TOPIC
+        ]
 
 
 @pytest.fixture
@@ -71,16 +79,19 @@ def session(tmp_path):
     """Starts a recorder; gives its process, a source of measurements, and a client."""
     domain = ros.next_domain()
     with ros.graph(tmp_path / 'log', domain) as running, ros.client(domain) as client:
+
         def start(*parameters, prefix=(), qos=RELIABLE):
             line = ros.command('recorder', f'output:={tmp_path / "bag"}', *parameters)
             node = running.start('recorder', [*prefix, *line])
             return node.process, Source(client, qos), client
+
         yield start
 
 
 @pytest.mark.parametrize('preset', ['none', 'zstd_small'])
 def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost(
-        session, tmp_path, preset):
+    session, tmp_path, preset
+):
     process, source, _ = session(f'preset:={preset}')
     source.wait()
     source.run(after(2.5))
@@ -98,11 +109,12 @@ def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
 def test_given_publishers_that_go_on_when_the_recorder_is_told_to_stop_then_nothing_is_lost(
-        session, tmp_path, number):
+    session, tmp_path, number
+):
     process, source, _ = session()
     source.wait()
     source.run(after(1.0))
-    for _ in range(500):   # more than the recorder takes in at once
+    for _ in range(500):  # more than the recorder takes in at once
         source.publish()
     process.send_signal(number)
     before, told = len(source.sent), time.monotonic()
@@ -116,7 +128,8 @@ def test_given_publishers_that_go_on_when_the_recorder_is_told_to_stop_then_noth
 
 
 def test_given_a_recorder_that_is_held_up_when_the_transport_overflows_then_each_loss_is_counted(
-        session, tmp_path):
+    session, tmp_path
+):
     process, source, _ = session(qos=qos_profile_sensor_data)
     source.wait()
     source.run(after(0.5))
@@ -136,7 +149,8 @@ def test_given_a_recorder_that_is_held_up_when_the_transport_overflows_then_each
 
 
 def test_given_bags_under_the_name_when_recorded_then_the_next_free_one_is_taken_with_a_warning(
-        session, tmp_path):
+    session, tmp_path
+):
     for name in ('bag', 'bag_1', 'bag_3'):
         (tmp_path / name).mkdir()
         (tmp_path / name / 'mine').write_text(name)
@@ -148,7 +162,10 @@ def test_given_bags_under_the_name_when_recorded_then_the_next_free_one_is_taken
     assert process.wait(20) == 0
     assert len(recorded(tmp_path / 'bag_2')) > 100
     assert {p.name for p in (tmp_path / 'bag_2').iterdir()} == {
-        'bag_2.mcap', 'metadata.yaml', 'gains.yaml'}
+        'bag_2.mcap',
+        'metadata.yaml',
+        'gains.yaml',
+    }
     assert (tmp_path / 'bag_2' / 'gains.yaml').read_bytes() == GAINS.read_bytes()
     for name in ('bag', 'bag_1', 'bag_3'):
         assert [p.read_text() for p in (tmp_path / name).iterdir()] == [name]
@@ -170,7 +187,8 @@ LIMITED = ('bash', '-c', 'ulimit -f 1600; exec "$@"', '-')
 
 
 def test_given_a_disk_that_gets_full_when_recording_then_it_stops_and_keeps_what_is_there(
-        session, tmp_path):
+    session, tmp_path
+):
     process, source, client = session('preset:=none', prefix=LIMITED)
     reports = client.listen(DiagnosticArray, '/diagnostics', 10)
     noise = client.node.create_publisher(String, 'torque_command', RELIABLE)
@@ -182,13 +200,14 @@ def test_given_a_disk_that_gets_full_when_recording_then_it_stops_and_keeps_what
         if len(source.sent) % 25 == 0:
             client.wait(lambda: False, 0.01)
         return any(s.level == DiagnosticStatus.ERROR for r in reports for s in r.status)
+
     limit = after(30.0)
     source.run(lambda: full() or limit())
     status = next(s for r in reports for s in r.status if s.level == DiagnosticStatus.ERROR)
     assert status.name == '/lpv/recorder: recording'
     assert 'no space left' in status.message
-    assert process.poll() is None   # it goes on to say so
-    bag, = (tmp_path / 'bag').glob('*.mcap')
+    assert process.poll() is None  # it goes on to say so
+    (bag,) = (tmp_path / 'bag').glob('*.mcap')
     size = bag.stat().st_size
     assert 300_000 < size < 1600 * 1024
     source.run(after(0.3))
@@ -203,17 +222,21 @@ def test_given_a_disk_that_gets_full_when_recording_then_it_stops_and_keeps_what
 
 
 def test_given_all_topics_when_recording_then_hidden_and_excluded_ones_are_left_out(
-        session, tmp_path):
+    session, tmp_path
+):
     process, source, client = session(
-        'all:=true', 'exclude:=[/rosout, /parameter_events, "/lpv/no*"]', 'split_duration:=1.0')
+        'all:=true', 'exclude:=[/rosout, /parameter_events, "/lpv/no*"]', 'split_duration:=1.0'
+    )
     reports = client.listen(DiagnosticArray, '/diagnostics', 10)
-    others = [client.node.create_publisher(String, name, RELIABLE)
-              for name in ('text', 'noise', '_hidden')]
+    others = [
+        client.node.create_publisher(String, name, RELIABLE)
+        for name in ('text', 'noise', '_hidden')
+    ]
     source.wait()
     assert client.wait(lambda: others[0].get_subscription_count() == 1)
     others[0].publish(String(data='hello'))
     source.run(after(1.3))
-    source.publish(source.sent[-1] - 500_000_000)   # late
+    source.publish(source.sent[-1] - 500_000_000)  # late
     source.run(after(0.9))
     values = {}
 
@@ -221,6 +244,7 @@ def test_given_all_topics_when_recording_then_hidden_and_excluded_ones_are_left_
         assert {s.name for r in reports for s in r.status} <= {'/lpv/recorder: recording'}
         values.update((v.key, v.value) for r in reports for v in r.status[0].values)
         return values.get(f'{TOPIC} messages') == str(len(source.sent))
+
     assert client.wait(counted), values
     assert values[f'{TOPIC} lost'] == '0'
     assert [p.get_subscription_count() for p in others] == [1, 0, 0]
@@ -230,8 +254,12 @@ def test_given_all_topics_when_recording_then_hidden_and_excluded_ones_are_left_
     with open_bag(tmp_path / 'bag') as reader:
         # What the recorder says of itself is not recorded; nobody else is on /diagnostics.
         assert {c.topic for c in reader.connections} == {TOPIC, '/lpv/text'}
-        assert reader.known[TOPIC] == {'messages': len(source.sent), 'lost': 0, 'late': 1,
-                                       'gaps': reader.known[TOPIC]['gaps']}
+        assert reader.known[TOPIC] == {
+            'messages': len(source.sent),
+            'lost': 0,
+            'late': 1,
+            'gaps': reader.known[TOPIC]['gaps'],
+        }
         assert reader.warnings == []
     # By the time of arrival, hence sorted, but for the late one not by stamps.
     assert recorded(tmp_path / 'bag') == list(range(len(source.sent)))

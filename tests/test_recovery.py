@@ -10,14 +10,14 @@ import pytest
 from bags import CHATTER, JOINT_STATE, JOINTS, START, STEP, contents, storage, write_small
 from mcap.writer import CompressionType, Writer
 
-from lpv_bag import mcap_format
-from lpv_bag.errors import BagError
-from lpv_bag.messages import BagMessages
-from lpv_bag.recovery import recover
-from lpv_bag.run_record import load_run
-from lpv_bag.writing import BagWriter
+from lpv_bag.mcap import records
+from lpv_bag.rosbag.errors import BagError
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.recovery import recover
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.run.record import load_run
 from lpv_cli.main import main
-from lpv_core.gains import save_gains
+from lpv_core.certificate.gains import save_gains
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -89,7 +89,8 @@ def test_given_a_bag_that_is_cut_at_any_byte_when_read_then_what_comes_out_was_r
 
 @pytest.mark.parametrize(('preset', 'step'), [('none', 3), ('zstd_fast', 1)])
 def test_given_any_byte_that_is_wrong_when_read_then_what_comes_out_was_recorded(
-        tmp_path, preset, step):
+    tmp_path, preset, step
+):
     judge = Judge(write_small(tmp_path / 'bag', 8, preset=preset))
     rng, places = random.Random(3), range(0, len(judge.data), step)
     for at in places:
@@ -105,10 +106,10 @@ def test_given_a_cut_bag_with_a_wrong_byte_when_read_then_only_bag_errors_come_o
         bag = write_small(tmp_path / preset, preset=preset)
         file, data = storage(bag), storage(bag).read_bytes()
         for _ in range(500):
-            broken = bytearray(data[:rng.randrange(len(data))])
+            broken = bytearray(data[: rng.randrange(len(data))])
             for _ in range(rng.randrange(1, 4)):
                 at = rng.randrange(len(broken) or 1)
-                broken[at:at + rng.randrange(9)] = rng.randbytes(rng.randrange(9))
+                broken[at : at + rng.randrange(9)] = rng.randbytes(rng.randrange(9))
             file.write_bytes(broken)
             with contextlib.suppress(BagError):
                 load_run(bag)
@@ -142,8 +143,7 @@ def foreign(path, **options):
         schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data\n')
         channel = writer.register_channel('/chatter', 'cdr', schema)
         for k in range(100):
-            writer.add_message(channel, START + k, struct.pack('<III', 256, 4, 0x30 + k),
-                               START)
+            writer.add_message(channel, START + k, struct.pack('<III', 256, 4, 0x30 + k), START)
         writer.finish()
     return path
 
@@ -166,7 +166,7 @@ def test_given_a_file_of_another_writer_when_damaged_then_it_is_read_in_parts(tm
             found, _ = contents(file)
         except BagError:
             continue
-        assert found == good[:len(found)]
+        assert found == good[: len(found)]
         most = max(most, len(found))
     assert most == 100
     for _ in range(500):
@@ -181,20 +181,21 @@ def test_given_a_file_of_another_writer_when_damaged_then_it_is_read_in_parts(tm
 def test_given_garbage_between_loose_messages_when_read_then_those_behind_it_are_found(tmp_path):
     file = foreign(tmp_path / 'a.mcap', **LOOSE)
     good, data = contents(file)[0], file.read_bytes()
-    at = data.index(good[50][2]) - 31   # where the record of message 50 begins
+    at = data.index(good[50][2]) - 31  # where the record of message 50 begins
     file.write_bytes(data[:at] + b'\xff' * 777 + data[at:])
     found, warnings = contents(file)
-    assert found in (good, good[:49] + good[50:])   # the one before may be the damaged one
+    assert found in (good, good[:49] + good[50:])  # the one before may be the damaged one
     assert any('777 bytes' in text or 'are damaged' in text for text in warnings)
 
 
 @pytest.mark.parametrize('field', ['size', 'data', 'record'])
 def test_given_sizes_of_petabytes_when_read_then_no_memory_is_taken_for_them(
-        bag, field, monkeypatch):
+    bag, field, monkeypatch
+):
     data = bytearray(storage(bag).read_bytes())
     chunk = data.index(b'zstd') - 4 - 28 - 9
     place = {'record': chunk + 1, 'size': chunk + 9 + 16, 'data': chunk + 9 + 36}[field]
-    data[place:place + 8] = struct.pack('<Q', 1 << 50)
+    data[place : place + 8] = struct.pack('<Q', 1 << 50)
     storage(bag).write_bytes(data[:-10])
     found, warnings = contents(bag)
     assert len(found) == 24 - 6
@@ -202,7 +203,7 @@ def test_given_sizes_of_petabytes_when_read_then_no_memory_is_taken_for_them(
 
 
 def test_given_a_bomb_when_read_then_it_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(mcap_format, 'MAX_CHUNK', 1000)
+    monkeypatch.setattr(records, 'MAX_CHUNK', 1000)
     bag = write_small(tmp_path / 'bag', 100, chunk_time=0)
     storage(bag).write_bytes(storage(bag).read_bytes()[:-10])
     with pytest.raises(BagError, match='claims to hold'):
@@ -230,7 +231,7 @@ def test_given_a_file_that_is_missing_when_recovered_then_its_messages_are_count
     assert any('bag_1.mcap' in text for text in warnings)
     assert recover(bag).lost == 6
     (bag / 'metadata.yaml').unlink()
-    assert recover(bag).lost == 6   # by the numbers of the messages
+    assert recover(bag).lost == 6  # by the numbers of the messages
 
 
 # ------------------------------------------------------------------ odd recordings
@@ -242,23 +243,28 @@ def record(path, stamps, positions=None, topic=JOINTS):
         writer.add_topic(topic, JOINT_STATE)
         for k, stamp in enumerate(stamps):
             position = [positions[k] if positions else k, 0.0]
-            writer.write(topic, START + k, messages.joint_state(
-                stamp, ('a', 'b'), position, [0.0, 0.0], [0.0, 0.0]))
+            writer.write(
+                topic,
+                START + k,
+                messages.joint_state(stamp, ('a', 'b'), position, [0.0, 0.0], [0.0, 0.0]),
+            )
     return path
 
 
 def test_given_time_that_goes_backwards_when_loaded_then_it_is_said(tmp_path):
     found = load_run(record(tmp_path / 'bag', [10, 20, 15, 30, 5]))
     assert found.stamps['joint_states'].tolist() == [5, 10, 15, 20, 30]
-    assert found.warnings == [f'{JOINTS}: time goes backwards 2 times, messages are sorted by '
-                              'their stamps']
+    assert found.warnings == [
+        f'{JOINTS}: time goes backwards 2 times, messages are sorted by their stamps'
+    ]
 
 
 def test_given_duplicates_when_loaded_then_it_is_said(tmp_path):
     found = load_run(record(tmp_path / 'bag', [10, 20, 20, 30], [1, 2, 7, 3]))
     assert found.get('joint_states', 'position')[:, 0].tolist() == [1, 7, 3]
-    assert found.warnings == [f'{JOINTS}: 1 messages have the stamp of another one, the last one '
-                              'of each stamp counts']
+    assert found.warnings == [
+        f'{JOINTS}: 1 messages have the stamp of another one, the last one of each stamp counts'
+    ]
 
 
 def test_given_a_good_run_when_loaded_then_there_is_no_warning(bag):
@@ -276,7 +282,8 @@ def run(capsys, *arguments):
 
 
 def test_given_a_good_bag_when_recovered_then_nothing_is_written_unless_asked(
-        bag, tmp_path, capsys):
+    bag, tmp_path, capsys
+):
     code, said, _ = run(capsys, bag)
     assert (code, 'the bag is whole' in said) == (0, True)
     assert [path.name for path in tmp_path.iterdir()] == ['bag']
@@ -296,7 +303,7 @@ def without_metadata(bag):
 def cut_in_a_chunk(bag):
     data = storage(bag).read_bytes()
     second = data.index(b'zstd', data.index(b'zstd') + 1)
-    storage(bag).write_bytes(data[:second + 30])
+    storage(bag).write_bytes(data[: second + 30])
     without_metadata(bag)
 
 
@@ -308,18 +315,24 @@ def wrong_checksum(bag):
 
 def garbage_in_the_middle(bag):
     data = storage(bag).read_bytes()
-    at = data.index(b'zstd', data.index(b'zstd') + 1) - 41   # where the second chunk begins
-    storage(bag).write_bytes(data[:at] + random.Random(1).randbytes(5000) + data[at + 100:])
+    at = data.index(b'zstd', data.index(b'zstd') + 1) - 41  # where the second chunk begins
+    storage(bag).write_bytes(data[:at] + random.Random(1).randbytes(5000) + data[at + 100 :])
 
 
-@pytest.mark.parametrize(('harm', 'code', 'said', 'count'), [
-    (cut_in_summary, 0, 'nothing was lost', 24), (without_metadata, 0, 'nothing was lost', 24),
-    (cut_in_a_chunk, 3, 'the recording was not finished', 6),
-    (wrong_checksum, 3, r'joint_states +15 +5', 18),
-    (garbage_in_the_middle, 3, r'joint_states +15 +5', 18),
-], ids=lambda value: getattr(value, '__name__', None))
+@pytest.mark.parametrize(
+    ('harm', 'code', 'said', 'count'),
+    [
+        (cut_in_summary, 0, 'nothing was lost', 24),
+        (without_metadata, 0, 'nothing was lost', 24),
+        (cut_in_a_chunk, 3, 'the recording was not finished', 6),
+        (wrong_checksum, 3, r'joint_states +15 +5', 18),
+        (garbage_in_the_middle, 3, r'joint_states +15 +5', 18),
+    ],
+    ids=lambda value: getattr(value, '__name__', None),
+)
 def test_given_a_damaged_bag_when_recovered_then_the_new_one_is_good_and_the_old_one_untouched(
-        bag, tmp_path, capsys, harm, code, said, count):
+    bag, tmp_path, capsys, harm, code, said, count
+):
     harm(bag)
     before = {path.name: path.read_bytes() for path in bag.iterdir()}
     readable = contents(bag)[0]
@@ -344,7 +357,8 @@ def test_given_a_single_file_when_recovered_then_it_becomes_a_bag(bag, tmp_path,
 
 @pytest.mark.parametrize('what', ['nothing', 'text.mcap', 'empty.mcap', 'folder', 'bag.db3'])
 def test_given_what_is_no_bag_when_recovered_then_one_line_says_so_and_the_code_is_1(
-        tmp_path, capsys, what):
+    tmp_path, capsys, what
+):
     (tmp_path / 'text.mcap').write_text('this is no bag\n' * 100)
     (tmp_path / 'empty.mcap').write_bytes(b'')
     (tmp_path / 'folder').mkdir()
@@ -376,7 +390,8 @@ def test_given_messages_of_a_topic_when_recovered_then_times_and_numbers_stay(ba
 
 
 def test_given_gains_in_a_bag_when_recovered_then_they_are_copied_if_they_are_whole(
-        tmp_path, paper_gains):
+    tmp_path, paper_gains
+):
     with BagWriter(tmp_path / 'a') as writer:
         writer.add_topic(CHATTER, 'std_msgs/msg/String')
         writer.write_raw(CHATTER, START, bytes(12))
@@ -385,6 +400,6 @@ def test_given_gains_in_a_bag_when_recovered_then_they_are_copied_if_they_are_wh
     assert recover(tmp_path / 'a', tmp_path / 'b').damages == []
     assert (tmp_path / 'b' / 'gains.yaml').read_bytes() == gains.read_bytes()
     gains.write_bytes(gains.read_bytes()[:500])
-    damage, = recover(tmp_path / 'a', tmp_path / 'c').damages
+    (damage,) = recover(tmp_path / 'a', tmp_path / 'c').damages
     assert damage.startswith('gains.yaml is left out')
     assert not (tmp_path / 'c' / 'gains.yaml').exists()

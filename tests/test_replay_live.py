@@ -20,15 +20,15 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from lpv_bag.interfaces import make_typestore  # noqa: E402
-from lpv_bag.offered_qos import qos_profile
-from lpv_bag.replay import Replay  # noqa: E402
-from lpv_bag.writing import BagWriter  # noqa: E402
-from lpv_core.faults import Fault  # noqa: E402
-from lpv_core.gains import save_gains  # noqa: E402
-from lpv_core.monitor import SensorMonitor  # noqa: E402
-from lpv_core.simulation import ArmSimulator  # noqa: E402
-from lpv_core.tracking import TrackingController  # noqa: E402
+from lpv_bag.replay.replay import Replay  # noqa: E402
+from lpv_bag.rosbag.interfaces import make_typestore  # noqa: E402
+from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.rosbag.writing import BagWriter  # noqa: E402
+from lpv_core.certificate.gains import save_gains  # noqa: E402
+from lpv_core.control.tracking import TrackingController  # noqa: E402
+from lpv_core.monitoring.monitor import SensorMonitor  # noqa: E402
+from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
+from lpv_core.simulation.faults import Fault  # noqa: E402
 from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds  # noqa: E402
@@ -63,8 +63,15 @@ def samples(paper_arm, paper_gains, two_faults):
         sense, truth = plant.sense()
         if k % 2 == 0:
             found.append([np.array(v) for v in (sense.position, sense.velocity, sense.effort)])
-        plant.step(controller.update(path.sample(plant.time), truth.position, truth.velocity,
-                                     truth.position, paper_arm.sample_time).torque)
+        plant.step(
+            controller.update(
+                path.sample(plant.time),
+                truth.position,
+                truth.velocity,
+                truth.position,
+                paper_arm.sample_time,
+            ).torque
+        )
     return found
 
 
@@ -77,8 +84,10 @@ def schedule(samples, rng):
         if 0.05 <= kind < 0.08 and len(order) > 3:
             order[-1], order[-2] = order[-2], order[-1]
     late = rng.random(len(order))
-    return [(PERIOD / 1e9 * (rng.uniform(0.2, 1.8) if x > 0.01 else rng.uniform(2, 8)), k)
-            for x, k in zip(late, order)]
+    return [
+        (PERIOD / 1e9 * (rng.uniform(0.2, 1.8) if x > 0.01 else rng.uniform(2, 8)), k)
+        for x, k in zip(late, order)
+    ]
 
 
 def send(client, samples, names, rng):
@@ -91,8 +100,12 @@ def send(client, samples, names, rng):
         due += delay
         time.sleep(max(0.0, due - time.monotonic()))
         position, velocity, effort = samples[k]
-        message = JointState(name=list(names), position=position.tolist(),
-                             velocity=velocity.tolist(), effort=effort.tolist())
+        message = JointState(
+            name=list(names),
+            position=position.tolist(),
+            velocity=velocity.tolist(),
+            effort=effort.tolist(),
+        )
         set_stamp(message.header.stamp, start + k * PERIOD)
         out.publish(message)
         stamps.append(start + k * PERIOD)
@@ -108,7 +121,8 @@ def stamped(bag):
             if hasattr(message, 'header'):
                 stamp = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
                 found[connection.topic].append(
-                    (stamp, bytes(TYPESTORE.serialize_cdr(message, connection.msgtype))))
+                    (stamp, bytes(TYPESTORE.serialize_cdr(message, connection.msgtype)))
+                )
     return found
 
 
@@ -163,12 +177,18 @@ def record(tmp_path, gains_file, play):
 
 
 def test_given_a_real_time_run_with_bad_transport_when_replayed_then_answers_agree_bit_by_bit(
-        tmp_path, gains_file, paper_arm, paper_gains, samples):
+    tmp_path, gains_file, paper_arm, paper_gains, samples
+):
     for attempt in range(4):
         sent, place = [], tmp_path / str(attempt)
         place.mkdir()
-        bag = record(place, gains_file, lambda client, _, sent=sent: sent.extend(send(
-            client, samples, paper_arm.joint_names, np.random.default_rng(4))))
+        bag = record(
+            place,
+            gains_file,
+            lambda client, _, sent=sent: sent.extend(
+                send(client, samples, paper_arm.joint_names, np.random.default_rng(4))
+            ),
+        )
         # A bag that lacks what the node got proves nothing: best effort, on a busy machine.
         if [stamp for stamp, _ in stamped(bag)['/lpv/joint_states']] == sent:
             break
@@ -186,32 +206,58 @@ def test_given_a_real_time_run_with_bad_transport_when_replayed_then_answers_agr
 @pytest.fixture(scope='module')
 def healthy_bag(samples, paper_arm, tmp_path_factory):
     """1 s of measurements, with answers of an earlier node that must not be played."""
-    from lpv_bag.messages import BagMessages
+    from lpv_bag.rosbag.messages import BagMessages
+
     path = tmp_path_factory.mktemp('played') / 'bag'
     messages = BagMessages(TYPESTORE, 'base_link')
     with BagWriter(path) as writer:
-        writer.add_topic('/lpv/joint_states', 'sensor_msgs/msg/JointState',
-                         [qos_profile(True, False, 1000)])
+        writer.add_topic(
+            '/lpv/joint_states', 'sensor_msgs/msg/JointState', [qos_profile(True, False, 1000)]
+        )
         writer.add_topic('/lpv/fault_alarm', 'lpv_msgs/msg/FaultAlarm')
         for k, sample in enumerate(samples[:250]):
             stamp = 5 * NANOSECONDS + k * PERIOD
-            writer.write('/lpv/joint_states', stamp,
-                         messages.joint_state(stamp, paper_arm.joint_names, *sample))
-        writer.write('/lpv/fault_alarm', stamp, messages.make('lpv_msgs/msg/FaultAlarm', stamp, {
-            'sensor': 'old', 'sensor_index': 0, 'event': 0, 'onset': 1, 'detected': 2, 'size': 1.0,
-            'bound': 1.0, 'kind': 'bias', 'confidence': 1.0}))
+            writer.write(
+                '/lpv/joint_states',
+                stamp,
+                messages.joint_state(stamp, paper_arm.joint_names, *sample),
+            )
+        writer.write(
+            '/lpv/fault_alarm',
+            stamp,
+            messages.make(
+                'lpv_msgs/msg/FaultAlarm',
+                stamp,
+                {
+                    'sensor': 'old',
+                    'sensor_index': 0,
+                    'event': 0,
+                    'onset': 1,
+                    'detected': 2,
+                    'size': 1.0,
+                    'bound': 1.0,
+                    'kind': 'bias',
+                    'confidence': 1.0,
+                },
+            ),
+        )
     return path
 
 
 def start_player(bag, domain, *options):
     program = Path(sys.executable).parent / 'lpv'
     return subprocess.Popen(
-        [program, 'replay', bag, '--publish', *options], text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
+        [program, 'replay', bag, '--publish', *options],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+    )
 
 
 def test_given_a_bag_when_played_to_a_node_then_it_answers_as_the_replay_does(
-        tmp_path, gains_file, paper_arm, paper_gains, healthy_bag):
+    tmp_path, gains_file, paper_arm, paper_gains, healthy_bag
+):
     clocks, seconds = [], []
 
     def play(client, domain):
@@ -239,18 +285,31 @@ def test_given_a_bag_when_played_to_a_node_then_it_answers_as_the_replay_does(
     assert seconds[0] > 1.7, 'a fifth of the rate, five times the time'
 
 
-def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_player_ends(
-        healthy_bag):
+def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_player_ends(healthy_bag):
     domain = ros.next_domain()
     with ros.client(domain) as client:
         heard = client.listen(JointState, 'joint_states', qos_profile_sensor_data)
         others = client.listen(FaultEstimate, 'fault_estimate', qos_profile_sensor_data)
-        player = start_player(healthy_bag, domain, '--loop', '--rate', '4', '--clock-rate', '0',
-                              '--from', '0.1', '--to', '0.9')
+        player = start_player(
+            healthy_bag,
+            domain,
+            '--loop',
+            '--rate',
+            '4',
+            '--clock-rate',
+            '0',
+            '--from',
+            '0.1',
+            '--to',
+            '0.9',
+        )
         stamps = []
-        assert client.wait(lambda: stamps.extend(
-            to_nanoseconds(m.header.stamp) for m in heard[len(stamps):]) or (
-                np.diff(stamps) < 0).sum() >= 2), 'time never started again'
+        assert client.wait(
+            lambda: (
+                stamps.extend(to_nanoseconds(m.header.stamp) for m in heard[len(stamps) :])
+                or (np.diff(stamps) < 0).sum() >= 2
+            )
+        ), 'time never started again'
         assert client.node.count_publishers('/clock') == 0
         player.send_signal(signal.SIGINT)
         _, errors = player.communicate(timeout=20)
@@ -260,13 +319,23 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
     assert 5.1 * NANOSECONDS <= min(stamps) <= max(stamps) < 5.9 * NANOSECONDS
 
 
-@pytest.mark.parametrize(('options', 'named'), [
-    (['--rate', '0'], '--rate'), (['--rate', 'nan'], '--rate'), (['--clock-rate', '-1'], 'clock'),
-    (['--topics', '/nowhere'], '/nowhere'), (['--topic', '/nowhere'], '/nowhere'),
-    (['--from', '-1'], '--from')], ids=str)
+@pytest.mark.parametrize(
+    ('options', 'named'),
+    [
+        (['--rate', '0'], '--rate'),
+        (['--rate', 'nan'], '--rate'),
+        (['--clock-rate', '-1'], 'clock'),
+        (['--topics', '/nowhere'], '/nowhere'),
+        (['--topic', '/nowhere'], '/nowhere'),
+        (['--from', '-1'], '--from'),
+    ],
+    ids=str,
+)
 def test_given_options_that_make_no_sense_when_played_then_one_line_says_so(
-        healthy_bag, capsys, options, named):
+    healthy_bag, capsys, options, named
+):
     from lpv_cli.main import main
+
     assert main(['replay', str(healthy_bag), '--publish', *options]) == 2
     said = capsys.readouterr().err
     assert said.startswith('lpv replay: ')

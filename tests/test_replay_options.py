@@ -9,19 +9,20 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from lpv_bag import blocks, measurements
-from lpv_bag.interfaces import make_typestore
-from lpv_bag.messages import BagMessages
-from lpv_bag.replay import Replay
-from lpv_bag.run_record import BagError, load_run
-from lpv_bag.writing import BagWriter
-from lpv_core.answers import alarm_fields
-from lpv_core.errors import SampleError
-from lpv_core.faults import Fault, FaultInjector
-from lpv_core.monitor import SensorMonitor
-from lpv_core.observer import NANOSECONDS
-from lpv_core.simulation import ArmSimulator
-from lpv_core.tracking import TrackingController
+from lpv_bag.replay.replay import Replay
+from lpv_bag.rosbag import message_blocks
+from lpv_bag.rosbag.interfaces import make_typestore
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.run import measurements
+from lpv_bag.run.record import BagError, load_run
+from lpv_core.control.tracking import TrackingController
+from lpv_core.monitoring.message_fields import alarm_fields
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.faults import Fault, FaultInjector
+from lpv_core.support.errors import SampleError
 
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'
@@ -35,15 +36,29 @@ def samples(paper_arm, paper_gains, two_faults):
     """Stamp, position, velocity, effort and next torque of 1.2 s with a fault in the end."""
     fault = Fault('link1_angle', 'bias', onset=0.8, size=0.3)
     scenario = replace(two_faults, duration=1.2, faults=(fault,))
-    plant, controller = ArmSimulator(paper_arm, scenario), TrackingController(paper_arm,
-                                                                              paper_gains)
+    plant, controller = (
+        ArmSimulator(paper_arm, scenario),
+        TrackingController(paper_arm, paper_gains),
+    )
     path, rows = scenario.path(paper_arm), []
     for k in range(600):
         sense, truth = plant.sense()
-        torque = controller.update(path.sample(plant.time), truth.position, truth.velocity,
-                                   truth.position, paper_arm.sample_time).torque
-        rows.append((NANOSECONDS + 2_000_000 * k, np.array(sense.position),
-                     np.array(sense.velocity), np.array(sense.effort), np.array(torque)))
+        torque = controller.update(
+            path.sample(plant.time),
+            truth.position,
+            truth.velocity,
+            truth.position,
+            paper_arm.sample_time,
+        ).torque
+        rows.append(
+            (
+                NANOSECONDS + 2_000_000 * k,
+                np.array(sense.position),
+                np.array(sense.velocity),
+                np.array(sense.effort),
+                np.array(torque),
+            )
+        )
         plant.step(torque)
     return rows
 
@@ -55,8 +70,9 @@ def monitor(paper_arm, paper_gains):
 
 def measurement(sample, names=('joint1', 'joint2'), order=(0, 1)):
     stamp, *vectors = sample[:4]
-    return MESSAGES.joint_state(stamp, [names[i] for i in order],
-                                *([v[i] for i in order] for v in vectors))
+    return MESSAGES.joint_state(
+        stamp, [names[i] for i in order], *([v[i] for i in order] for v in vectors)
+    )
 
 
 def cdr(message, msgtype=JOINT_STATE):
@@ -70,8 +86,10 @@ def big_endian(message, msgtype=JOINT_STATE):
 
 def write(path, entries, types, plugin=StoragePlugin.MCAP):
     with Writer(path, version=9, storage_plugin=plugin) as writer:
-        connections = {topic: writer.add_connection(topic, msgtype, typestore=TYPESTORE)
-                       for topic, msgtype in types.items()}
+        connections = {
+            topic: writer.add_connection(topic, msgtype, typestore=TYPESTORE)
+            for topic, msgtype in types.items()
+        }
         for topic, time, data in entries:
             writer.write(connections[topic], time, data)
     return path
@@ -79,8 +97,11 @@ def write(path, entries, types, plugin=StoragePlugin.MCAP):
 
 def raw(bag, topics=None):
     with AnyReader([bag]) as reader:
-        return [(c.topic, time, bytes(data)) for c, time, data in reader.messages()
-                if topics is None or c.topic in topics]
+        return [
+            (c.topic, time, bytes(data))
+            for c, time, data in reader.messages()
+            if topics is None or c.topic in topics
+        ]
 
 
 def troubled(samples, seed=3):
@@ -116,15 +137,20 @@ def troubled(samples, seed=3):
 
 @pytest.fixture(scope='module')
 def troubled_bag(samples, tmp_path_factory):
-    return write(tmp_path_factory.mktemp('troubled') / 'bag', troubled(samples),
-                 {'/lpv/joint_states': JOINT_STATE})
+    return write(
+        tmp_path_factory.mktemp('troubled') / 'bag',
+        troubled(samples),
+        {'/lpv/joint_states': JOINT_STATE},
+    )
 
 
 def expected_answers(bag, monitor, out):
     """The answers message by message, written by the plain writer."""
     messages = BagMessages(TYPESTORE, monitor.arm.name)
-    parts = (('state', '/lpv/state_estimate', 'lpv_msgs/msg/StateEstimate'),
-             ('fault', '/lpv/fault_estimate', 'lpv_msgs/msg/FaultEstimate'))
+    parts = (
+        ('state', '/lpv/state_estimate', 'lpv_msgs/msg/StateEstimate'),
+        ('fault', '/lpv/fault_estimate', 'lpv_msgs/msg/FaultEstimate'),
+    )
     with AnyReader([bag]) as reader, BagWriter(out) as writer:
         for _, topic, msgtype in parts:
             writer.add_topic(topic, msgtype)
@@ -144,8 +170,11 @@ def expected_answers(bag, monitor, out):
                 if fields is not None:
                     writer.write(topic, time, messages.make(msgtype, stamp, fields))
             for event in answer.events:
-                writer.write('/lpv/fault_alarm', time, messages.make(
-                    'lpv_msgs/msg/FaultAlarm', stamp, alarm_fields(event)))
+                writer.write(
+                    '/lpv/fault_alarm',
+                    time,
+                    messages.make('lpv_msgs/msg/FaultAlarm', stamp, alarm_fields(event)),
+                )
             if answer.status is not None:
                 writer.write('/diagnostics', time, messages.diagnostics(stamp, answer.status))
     return raw(out)
@@ -154,21 +183,26 @@ def expected_answers(bag, monitor, out):
 @pytest.mark.parametrize('size', [1, 20_000, 2 << 20])
 @pytest.mark.parametrize('fast', [True, False])
 def test_given_a_troubled_recording_when_replayed_then_every_byte_is_that_of_single_messages(
-        troubled_bag, paper_arm, paper_gains, monitor, tmp_path, monkeypatch, fast, size):
-    monkeypatch.setattr(blocks, 'BLOCK_SIZE', size)
-    expected = expected_answers(troubled_bag, SensorMonitor('/lpv/uio', paper_arm, paper_gains),
-                                tmp_path / 'expected')
+    troubled_bag, paper_arm, paper_gains, monitor, tmp_path, monkeypatch, fast, size
+):
+    monkeypatch.setattr(message_blocks, 'BLOCK_SIZE', size)
+    expected = expected_answers(
+        troubled_bag, SensorMonitor('/lpv/uio', paper_arm, paper_gains), tmp_path / 'expected'
+    )
     result = Replay(monitor, estimates_only=True, fast=fast).run(troubled_bag, tmp_path / 'out')
     assert raw(tmp_path / 'out') == expected
     assert sum(result.rejected.values()) == monitor.rejected > 20
     assert any(topic == '/lpv/fault_alarm' for topic, _, _ in expected)
     counters = monitor.counters
-    assert min(counters.duplicates, counters.out_of_order, counters.late_steps,
-               counters.not_finite) > 0
+    assert (
+        min(counters.duplicates, counters.out_of_order, counters.late_steps, counters.not_finite)
+        > 0
+    )
 
 
 def test_given_more_shapes_than_are_remembered_when_replayed_then_answers_are_the_same(
-        troubled_bag, paper_arm, paper_gains, monitor, tmp_path, monkeypatch):
+    troubled_bag, paper_arm, paper_gains, monitor, tmp_path, monkeypatch
+):
     Replay(SensorMonitor('', paper_arm, paper_gains)).run(troubled_bag, tmp_path / 'many')
     monkeypatch.setattr(measurements, '_MOST_LAYOUTS', 1)
     Replay(monitor).run(troubled_bag, tmp_path / 'one')
@@ -176,26 +210,36 @@ def test_given_more_shapes_than_are_remembered_when_replayed_then_answers_are_th
 
 
 def test_given_a_sqlite3_bag_when_replayed_then_answers_are_those_of_mcap(
-        samples, troubled_bag, paper_arm, paper_gains, monitor, tmp_path):
-    bag = write(tmp_path / 'bag', troubled(samples), {'/lpv/joint_states': JOINT_STATE},
-                StoragePlugin.SQLITE3)
+    samples, troubled_bag, paper_arm, paper_gains, monitor, tmp_path
+):
+    bag = write(
+        tmp_path / 'bag',
+        troubled(samples),
+        {'/lpv/joint_states': JOINT_STATE},
+        StoragePlugin.SQLITE3,
+    )
     Replay(monitor).run(bag, tmp_path / 'a')
     Replay(SensorMonitor('', paper_arm, paper_gains)).run(troubled_bag, tmp_path / 'b')
     assert raw(tmp_path / 'a') == raw(tmp_path / 'b')
 
 
 def test_given_faults_to_add_when_replayed_by_blocks_then_it_is_as_by_single_messages(
-        troubled_bag, paper_arm, paper_gains, tmp_path, monkeypatch):
-    faults = [Fault('link1_angle', 'noise', 0.1, 0.2, size=0.1),
-              Fault('link2_angle', 'stuck', 0.5, 0.2), Fault('link2_angle', 'stuck', 0.9, 0.1),
-              Fault('link2_angle', 'dropout', 1.1),
-              Fault('link1_angle', 'rate_bias', 0.55, 0.1, size=0.2)]
+    troubled_bag, paper_arm, paper_gains, tmp_path, monkeypatch
+):
+    faults = [
+        Fault('link1_angle', 'noise', 0.1, 0.2, size=0.1),
+        Fault('link2_angle', 'stuck', 0.5, 0.2),
+        Fault('link2_angle', 'stuck', 0.9, 0.1),
+        Fault('link2_angle', 'dropout', 1.1),
+        Fault('link1_angle', 'rate_bias', 0.55, 0.1, size=0.2),
+    ]
     found = []
     for name, size, fast in (('a', 2 << 20, True), ('b', 1, False)):
-        monkeypatch.setattr(blocks, 'BLOCK_SIZE', size)
+        monkeypatch.setattr(message_blocks, 'BLOCK_SIZE', size)
         injector = FaultInjector(paper_arm.sensor_names, faults, np.random.default_rng(7))
         Replay(SensorMonitor('', paper_arm, paper_gains), injector=injector, fast=fast).run(
-            troubled_bag, tmp_path / name)
+            troubled_bag, tmp_path / name
+        )
         found.append(raw(tmp_path / name))
     assert found[0] == found[1]
     before = [d for *_, d in raw(troubled_bag)]
@@ -205,14 +249,17 @@ def test_given_faults_to_add_when_replayed_by_blocks_then_it_is_as_by_single_mes
 
 
 def test_given_a_fault_of_a_rate_when_added_then_rates_differ_by_it_and_nothing_else_does(
-        samples, paper_arm, monitor, tmp_path):
+    samples, paper_arm, monitor, tmp_path
+):
     entries = [('/lpv/joint_states', s[0], cdr(measurement(s))) for s in samples]
     bag = write(tmp_path / 'bag', entries, {'/lpv/joint_states': JOINT_STATE})
     fault = Fault('link2_angle', 'rate_bias', 0.5, 0.25, size=0.2)
     injector = FaultInjector(paper_arm.sensor_names, [fault], np.random.default_rng(0))
     Replay(monitor, injector=injector).run(bag, tmp_path / 'out')
-    streams = [load_run(place, joint_names=paper_arm.joint_names).streams['joint_states']
-               for place in (bag, tmp_path / 'out')]
+    streams = [
+        load_run(place, joint_names=paper_arm.joint_names).streams['joint_states']
+        for place in (bag, tmp_path / 'out')
+    ]
     np.testing.assert_allclose(streams[1]['position'], streams[0]['position'], atol=1e-12)
     assert np.array_equal(streams[1]['effort'], streams[0]['effort'])
     rate = np.cumsum(streams[1]['velocity'] - streams[0]['velocity'], axis=1)
@@ -222,10 +269,12 @@ def test_given_a_fault_of_a_rate_when_added_then_rates_differ_by_it_and_nothing_
 
 
 def test_given_estimates_only_when_replayed_then_the_answers_are_the_same_and_alone(
-        troubled_bag, paper_arm, paper_gains, tmp_path):
+    troubled_bag, paper_arm, paper_gains, tmp_path
+):
     for name, only in (('all', False), ('only', True)):
-        Replay(SensorMonitor('', paper_arm, paper_gains), estimates_only=only,
-               preset='zstd_fast').run(troubled_bag, tmp_path / name)
+        Replay(
+            SensorMonitor('', paper_arm, paper_gains), estimates_only=only, preset='zstd_fast'
+        ).run(troubled_bag, tmp_path / name)
     with_copies, alone = raw(tmp_path / 'all'), raw(tmp_path / 'only')
     assert [e for e in with_copies if e[0] != '/lpv/joint_states'] == alone
     assert [e for e in with_copies if e[0] == '/lpv/joint_states'] == raw(troubled_bag)
@@ -253,40 +302,51 @@ def command(stamp, torque):
 
 
 def joint_efforts(stamp, torque):
-    return MESSAGES.joint_state(stamp, ['gripper', 'joint2', 'joint1'], [], [],
-                                [9.0, torque[1], torque[0]])
+    return MESSAGES.joint_state(
+        stamp, ['gripper', 'joint2', 'joint1'], [], [], [9.0, torque[1], torque[0]]
+    )
 
 
 def multi_array(stamp, torque):
     types = TYPESTORE.types
     return types['std_msgs/msg/Float64MultiArray'](
-        types['std_msgs/msg/MultiArrayLayout']([], 0), np.array(torque))
+        types['std_msgs/msg/MultiArrayLayout']([], 0), np.array(torque)
+    )
 
 
 def trajectory(stamp, torque):
     types, none = TYPESTORE.types, np.array([])
     point = types['trajectory_msgs/msg/JointTrajectoryPoint'](
-        none, none, none, np.array([torque[1], torque[0]]),
-        types['builtin_interfaces/msg/Duration'](0, 0))
+        none,
+        none,
+        none,
+        np.array([torque[1], torque[0]]),
+        types['builtin_interfaces/msg/Duration'](0, 0),
+    )
     return types['trajectory_msgs/msg/JointTrajectory'](
-        MESSAGES.header(stamp), ['joint2', 'joint1'], [point])
+        MESSAGES.header(stamp), ['joint2', 'joint1'], [point]
+    )
 
 
 def point(stamp, torque):
     return trajectory(stamp, torque[::-1]).points[0]
 
 
-SOURCES = {COMMAND: command, JOINT_STATE: joint_efforts,
-           'std_msgs/msg/Float64MultiArray': multi_array,
-           'trajectory_msgs/msg/JointTrajectory': trajectory,
-           'trajectory_msgs/msg/JointTrajectoryPoint': point}
+SOURCES = {
+    COMMAND: command,
+    JOINT_STATE: joint_efforts,
+    'std_msgs/msg/Float64MultiArray': multi_array,
+    'trajectory_msgs/msg/JointTrajectory': trajectory,
+    'trajectory_msgs/msg/JointTrajectoryPoint': point,
+}
 
 
 @pytest.mark.parametrize('msgtype', SOURCES)
 @pytest.mark.parametrize('fast', [True, False])
 def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample_is_used(
-        samples, paper_arm, paper_gains, monitor, tmp_path, monkeypatch, msgtype, fast):
-    monkeypatch.setattr(blocks, 'BLOCK_SIZE', 20_000)
+    samples, paper_arm, paper_gains, monitor, tmp_path, monkeypatch, msgtype, fast
+):
+    monkeypatch.setattr(message_blocks, 'BLOCK_SIZE', 20_000)
     entries, twin, latest, expected = [], SensorMonitor('', paper_arm, paper_gains), None, []
     for k, sample in enumerate(samples):
         expected.append(twin.take(sample[0], measurement(sample), latest or [math.nan] * 2))
@@ -298,7 +358,8 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
             latest = list(sample[4])
     bag = write(tmp_path / 'bag', entries, {'/lpv/joint_states': JOINT_STATE, '/torques': msgtype})
     Replay(monitor, topic='/lpv/joint_states', effort_topic='/torques', fast=fast).run(
-        bag, tmp_path / 'out')
+        bag, tmp_path / 'out'
+    )
     record = load_run(tmp_path / 'out', namespace='/lpv')
     fault = [a.fault['estimate'] for a in expected if a.fault is not None]
     assert len(fault) > 590
@@ -306,13 +367,15 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
 
 
 def test_given_torques_that_cannot_be_used_when_replayed_then_they_are_counted_by_reason(
-        samples, monitor, tmp_path):
+    samples, monitor, tmp_path
+):
     msgtype = 'std_msgs/msg/Float64MultiArray'
     entries = []
     for k, s in enumerate(samples[:60]):
         entries.append(('/lpv/joint_states', s[0], cdr(measurement(s))))
-        entries.append(('/torques', s[0], cdr(multi_array(s[0], s[4] if k % 3 else [1.0]),
-                                              msgtype)))
+        entries.append(
+            ('/torques', s[0], cdr(multi_array(s[0], s[4] if k % 3 else [1.0]), msgtype))
+        )
     bag = write(tmp_path / 'bag', entries, {'/lpv/joint_states': JOINT_STATE, '/torques': msgtype})
     result = Replay(monitor, effort_topic='/torques').run(bag, tmp_path / 'out')
     assert result.rejected == {f'{msgtype} has 1 torques for 2 joints': 20}
@@ -320,7 +383,8 @@ def test_given_torques_that_cannot_be_used_when_replayed_then_they_are_counted_b
 
 
 def test_given_a_damaged_message_when_replayed_then_the_error_names_the_bag_and_nothing_is_left(
-        samples, monitor, tmp_path):
+    samples, monitor, tmp_path
+):
     entries = [('/lpv/joint_states', s[0], cdr(measurement(s))) for s in samples[:50]]
     content = bytearray(entries[30][2])
     struct.pack_into('<I', content, 12, 10**6)

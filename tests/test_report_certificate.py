@@ -11,22 +11,21 @@ import pytest
 import yaml
 from runs import MEASURED, Recorder, record, rows, text
 
-from lpv_bag.run_record import load_run
+from lpv_bag.run.record import load_run
 from lpv_cli.main import main
-from lpv_cli.report import read_used_gains, write_report
-from lpv_cli.report.detectability import configurations, detectability, summary
-from lpv_cli.report.gains_source import find_used_gains
-from lpv_cli.report.phases import Phase, listed, phases
-from lpv_core.diagnosis import DiagnosisParameters, SensorState
-from lpv_core.error_bound import error_bound, static_bound
-from lpv_core.faults import Fault
-from lpv_core.gains import save_gains
-from lpv_core.joints import JointMap
-from lpv_core.observer import NANOSECONDS
+from lpv_core.bound.error_bound import error_bound, static_bound
+from lpv_core.certificate.gains import save_gains
+from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
+from lpv_core.model.joints import JointMap
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.simulation.faults import Fault
+from lpv_report.guarantees.detectability import configurations, detectability, summary
+from lpv_report.guarantees.gains_source import find_used_gains
+from lpv_report.history.phases import Phase, listed, phases
 from lpv_report.page import css_string
+from lpv_report.run import read_used_gains, write_report
 
-BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which(
-    'chromium-browser')
+BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
 SHA = 64
 
 
@@ -57,13 +56,19 @@ def gains_file(paper_gains, tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def report(foreign, gains_file, paper_arm, scenario, tmp_path_factory):
-    return write_report(foreign, tmp_path_factory.mktemp('report'), paper_arm,
-                        scenario.path(paper_arm), 'A run', read_used_gains(gains_file))
+    return write_report(
+        foreign,
+        tmp_path_factory.mktemp('report'),
+        paper_arm,
+        scenario.path(paper_arm),
+        'A run',
+        read_used_gains(gains_file),
+    )
 
 
 def plain(monkeypatch):
     """Leave the pictures out: other tests look at them."""
-    monkeypatch.setattr('lpv_cli.report.write.draw_all', lambda *_: [])
+    monkeypatch.setattr('lpv_report.run.write.draw_all', lambda *_: [])
 
 
 def page_of(*given, **options):
@@ -74,7 +79,8 @@ def page_of(*given, **options):
 
 
 def test_given_gains_when_reported_then_method_arm_region_decay_gamma_and_solver_are_told(
-        report, gains_file, paper_arm, paper_gains):
+    report, gains_file, paper_arm, paper_gains
+):
     facts = dict(cells for cells in rows(report.html.read_text()) if len(cells) == 2)
     assert facts['gains file'] == 'my_gains.yaml'
     assert facts['SHA-256 of the file'] == hashlib.sha256(gains_file.read_bytes()).hexdigest()
@@ -93,7 +99,8 @@ def test_given_gains_when_reported_then_method_arm_region_decay_gamma_and_solver
 
 
 def test_given_gains_when_reported_then_every_margin_is_rebuilt_and_the_time_it_took_is_told(
-        report, paper_gains):
+    report, paper_gains
+):
     page = report.html.read_text(encoding='utf-8')
     assert report.certificate.holds
     listed_ = {cells[0]: cells[1:] for cells in rows(page) if cells[-1] in ('yes', 'NO')}
@@ -110,6 +117,7 @@ def test_given_gains_when_reported_then_every_margin_is_rebuilt_and_the_time_it_
 
 def test_given_a_report_when_read_then_the_versions_of_the_software_are_there(report):
     import matplotlib
+
     versions = dict(cells for cells in rows(report.html.read_text()) if len(cells) == 2)
     assert versions['NumPy'] == np.__version__
     assert versions['Matplotlib'] == matplotlib.__version__
@@ -117,15 +125,18 @@ def test_given_a_report_when_read_then_the_versions_of_the_software_are_there(re
 
 
 def test_given_the_same_gains_when_reported_twice_then_only_the_time_of_the_check_differs(
-        report, foreign, gains_file, paper_arm, scenario, tmp_path):
-    again = write_report(foreign, tmp_path, paper_arm, scenario.path(paper_arm), 'A run',
-                         read_used_gains(gains_file))
+    report, foreign, gains_file, paper_arm, scenario, tmp_path
+):
+    again = write_report(
+        foreign, tmp_path, paper_arm, scenario.path(paper_arm), 'A run', read_used_gains(gains_file)
+    )
     first, second = (re.sub('<time .*?</time>', '', r.html.read_text()) for r in (report, again))
     assert first == second
 
 
 def test_given_a_bag_without_gains_when_reported_then_it_says_so_and_claims_nothing(
-        bag, paper_arm, tmp_path, monkeypatch):
+    bag, paper_arm, tmp_path, monkeypatch
+):
     plain(monkeypatch)
     report = write_report(bag, tmp_path / 'report', paper_arm)
     said = text(report.html.read_text(encoding='utf-8'))
@@ -138,7 +149,8 @@ def test_given_a_bag_without_gains_when_reported_then_it_says_so_and_claims_noth
 
 
 def test_given_gains_in_the_bag_when_reported_then_they_are_found(
-        bag, gains_file, paper_arm, tmp_path, monkeypatch):
+    bag, gains_file, paper_arm, tmp_path, monkeypatch
+):
     plain(monkeypatch)
     shutil.copy(gains_file, bag / 'gains.yaml')
     for path in (bag, bag / 'bag.mcap'):
@@ -176,15 +188,19 @@ def _renamed(gains):
     gains['arm_sha256'] = 'f' * SHA
 
 
-@pytest.mark.parametrize(('change', 'says'), [
-    (_weaker, 'The certificate does NOT hold. What fails: observer, link 1'),
-    (_retuned, 'the file was changed after the design'),
-    (_prettier, 'the file was changed after the design'),
-    (_unproven, 'the file was changed after the design'),
-    (_renamed, 'does not hold for this run'),
-])
+@pytest.mark.parametrize(
+    ('change', 'says'),
+    [
+        (_weaker, 'The certificate does NOT hold. What fails: observer, link 1'),
+        (_retuned, 'the file was changed after the design'),
+        (_prettier, 'the file was changed after the design'),
+        (_unproven, 'the file was changed after the design'),
+        (_renamed, 'does not hold for this run'),
+    ],
+)
 def test_given_a_gains_file_that_was_tampered_with_when_reported_then_nothing_is_guaranteed(
-        bag, gains_file, paper_arm, tmp_path, monkeypatch, change, says):
+    bag, gains_file, paper_arm, tmp_path, monkeypatch, change, says
+):
     plain(monkeypatch)
     tampered(gains_file, change, bag / 'gains.yaml')
     report = write_report(bag, tmp_path / 'report', paper_arm)
@@ -197,16 +213,19 @@ def test_given_a_gains_file_that_was_tampered_with_when_reported_then_nothing_is
 
 
 def test_given_other_gains_than_those_of_the_run_when_reported_then_the_difference_is_told(
-        bag, gains_file, paper_arm, tmp_path, monkeypatch):
+    bag, gains_file, paper_arm, tmp_path, monkeypatch
+):
     plain(monkeypatch)
     tampered(gains_file, _retuned, bag / 'gains.yaml')
     assert 'gives other fault estimates than the recorded ones' in text(
-        page_of(bag, tmp_path / 'report', paper_arm))
+        page_of(bag, tmp_path / 'report', paper_arm)
+    )
 
 
 @pytest.mark.parametrize('content', [b'', b'gains: 1', b'\xff\xfe\x00', b'[1, 2'])
 def test_given_rubbish_in_the_place_of_the_gains_when_reported_then_the_run_is_shown_all_the_same(
-        bag, paper_arm, tmp_path, monkeypatch, content):
+    bag, paper_arm, tmp_path, monkeypatch, content
+):
     plain(monkeypatch)
     (bag / 'gains.yaml').write_bytes(content)
     said = text(page_of(bag, tmp_path / 'report', paper_arm))
@@ -215,14 +234,16 @@ def test_given_rubbish_in_the_place_of_the_gains_when_reported_then_the_run_is_s
 
 
 def test_given_a_single_file_among_others_when_gains_lie_there_then_they_are_not_taken(
-        bag, gains_file, tmp_path):
+    bag, gains_file, tmp_path
+):
     shutil.copy(bag / 'bag.mcap', tmp_path / 'other.mcap')
     shutil.copy(gains_file, tmp_path / 'gains.yaml')
     assert find_used_gains(tmp_path / 'other.mcap').gains is None
 
 
 def test_given_the_method_of_the_paper_when_reported_then_its_figures_are_told(
-        bag, paper_arm, literal_gains, tmp_path, monkeypatch):
+    bag, paper_arm, literal_gains, tmp_path, monkeypatch
+):
     plain(monkeypatch)
     save_gains(literal_gains, bag / 'gains.yaml')
     page = page_of(bag, tmp_path / 'report', paper_arm)
@@ -235,14 +256,18 @@ def test_given_the_method_of_the_paper_when_reported_then_its_figures_are_told(
 
 
 def test_given_a_run_when_its_detectability_is_computed_then_it_is_threshold_plus_bound(
-        foreign, paper_arm, paper_gains):
+    foreign, paper_arm, paper_gains
+):
     run = load_run(foreign)
     found = detectability(run, paper_arm, paper_gains)
     assert found.source == 'true'
-    np.testing.assert_array_equal(found.moving, run.get('fault_estimate', 'threshold')
-                                  + run.get('fault_estimate', 'bound'))
-    tuning, theta = DiagnosisParameters(), JointMap(paper_arm).absolute_position(
-        run.get('ground_truth', 'position'))
+    np.testing.assert_array_equal(
+        found.moving, run.get('fault_estimate', 'threshold') + run.get('fault_estimate', 'bound')
+    )
+    tuning, theta = (
+        DiagnosisParameters(),
+        JointMap(paper_arm).absolute_position(run.get('ground_truth', 'position')),
+    )
     constants = error_bound(paper_arm, paper_gains, tuning.sigmas, tuning.friction_uncertainty)
     assert len(found.places) == 400
     for k in (0, 100, 399):
@@ -255,7 +280,8 @@ def test_given_a_run_when_its_detectability_is_computed_then_it_is_threshold_plu
 
 
 def test_given_an_arm_when_mapped_then_outside_of_its_region_its_sensors_are_not_diagnosable(
-        foreign, paper_arm, paper_gains, real_arm):
+    foreign, paper_arm, paper_gains, real_arm
+):
     grid = configurations(detectability(load_run(foreign), paper_arm, paper_gains), paper_arm)
     limit = np.arccos(0.3)
     assert grid.one[0] < -limit
@@ -274,12 +300,21 @@ def test_given_an_arm_when_mapped_then_outside_of_its_region_its_sensors_are_not
 
 
 def test_given_a_run_when_reported_then_the_table_of_detectability_is_that_of_the_run(
-        report, foreign, paper_arm, paper_gains):
-    row = summary(detectability(load_run(foreign), paper_arm, paper_gains),
-                  paper_arm.sensor_names)[0]
+    report, foreign, paper_arm, paper_gains
+):
+    row = summary(detectability(load_run(foreign), paper_arm, paper_gains), paper_arm.sensor_names)[
+        0
+    ]
     line = [cells for cells in rows(report.html.read_text()) if cells[0] == 'link1_angle'][-1]
-    assert line[1:] == [f'{row.smallest:.3f}', f'{row.middle:.3f}', f'{row.largest:.3f}',
-                        f'{row.rest_smallest:.3f}', f'{row.rest_largest:.3f}', '0.0 %', '0.0 %']
+    assert line[1:] == [
+        f'{row.smallest:.3f}',
+        f'{row.middle:.3f}',
+        f'{row.largest:.3f}',
+        f'{row.rest_smallest:.3f}',
+        f'{row.rest_largest:.3f}',
+        '0.0 %',
+        '0.0 %',
+    ]
 
 
 # ------------------------------------------------------------------ phases
@@ -296,40 +331,91 @@ def made_up(path, lost=(), stopped=(), reports=(), name='/lpv/uio: observer'):
         bag._writer.add_topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
         for time in range(0, 1010, 10):
             stamp = NANOSECONDS + time * MS
-            state = (SensorState.NOT_DIAGNOSABLE if any(a <= time < b for a, b in lost)
-                     else SensorState.OK)
+            state = (
+                SensorState.NOT_DIAGNOSABLE
+                if any(a <= time < b for a, b in lost)
+                else SensorState.OK
+            )
             bag.measure(stamp, [1.0, 0.2], [0.0, 0.0], [0.0, 0.0])
-            bag.stream('fault_estimate', stamp, sensor_names=['left', 'right'],
-                       estimate=[0.0, 0.0], bound=[0.1, 0.1], threshold=[0.1, 0.1],
-                       state=[state, SensorState.OK], alarm=[False, False])
-            bag.stream('torque_command', stamp, torque=[0.0, 0.0],
-                       safe_stop=any(a <= time < b for a, b in stopped))
-            bag.stream('state_estimate', stamp, position=[1.0, 0.2], velocity=[0.0, 0.0],
-                       compensated_position=[1.0, 0.2], measured_position=[1.0, 0.2],
-                       measured_velocity=[0.0, 0.0], mode=2 if time == 0 else 0,
-                       trustworthy=True)
+            bag.stream(
+                'fault_estimate',
+                stamp,
+                sensor_names=['left', 'right'],
+                estimate=[0.0, 0.0],
+                bound=[0.1, 0.1],
+                threshold=[0.1, 0.1],
+                state=[state, SensorState.OK],
+                alarm=[False, False],
+            )
+            bag.stream(
+                'torque_command',
+                stamp,
+                torque=[0.0, 0.0],
+                safe_stop=any(a <= time < b for a, b in stopped),
+            )
+            bag.stream(
+                'state_estimate',
+                stamp,
+                position=[1.0, 0.2],
+                velocity=[0.0, 0.0],
+                compensated_position=[1.0, 0.2],
+                measured_position=[1.0, 0.2],
+                measured_velocity=[0.0, 0.0],
+                mode=2 if time == 0 else 0,
+                trustworthy=True,
+            )
         for time, message in reports:
-            bag._writer.write('/diagnostics', NANOSECONDS + time * MS, bag._messages.diagnostics(
-                NANOSECONDS + time * MS, [
-                    {'level': 1, 'name': name, 'message': message, 'hardware_id': 'paper',
-                     'values': {}},
-                    {'level': 1, 'name': '/lpv/uio: left', 'message': CONFUSED,
-                     'hardware_id': 'left', 'values': {}}]))
+            bag._writer.write(
+                '/diagnostics',
+                NANOSECONDS + time * MS,
+                bag._messages.diagnostics(
+                    NANOSECONDS + time * MS,
+                    [
+                        {
+                            'level': 1,
+                            'name': name,
+                            'message': message,
+                            'hardware_id': 'paper',
+                            'values': {},
+                        },
+                        {
+                            'level': 1,
+                            'name': '/lpv/uio: left',
+                            'message': CONFUSED,
+                            'hardware_id': 'left',
+                            'values': {},
+                        },
+                    ],
+                ),
+            )
     return path
 
 
 def test_given_stops_contradictions_and_lost_sensors_when_reported_then_each_has_its_stretch(
-        paper_arm, tmp_path, monkeypatch):
+    paper_arm, tmp_path, monkeypatch
+):
     plain(monkeypatch)
-    path = made_up(tmp_path / 'bag', lost=[(0, 10), (200, 300)], stopped=[(400, 700)],
-                   reports=[(100, 'observing'), (500, CONFUSED), (600, CONFUSED),
-                            (800, 'observing')])
+    path = made_up(
+        tmp_path / 'bag',
+        lost=[(0, 10), (200, 300)],
+        stopped=[(400, 700)],
+        reports=[(100, 'observing'), (500, CONFUSED), (600, CONFUSED), (800, 'observing')],
+    )
     found = phases(load_run(path), path, ['left', 'right'])
-    assert found == [Phase('not diagnosable', 'left', 0.2, 0.3), Phase('safe stop', '', 0.4, 0.7),
-                     Phase('inconsistent', '', 0.5, 0.8)]
+    assert found == [
+        Phase('not diagnosable', 'left', 0.2, 0.3),
+        Phase('safe stop', '', 0.4, 0.7),
+        Phase('inconsistent', '', 0.5, 0.8),
+    ]
     page = page_of(path, tmp_path / 'report', paper_arm)
-    assert ['safe stop', 'arm', '0.400', '0.700', '0.300',
-            'the tracker commanded the drives to brake'] in rows(page)
+    assert [
+        'safe stop',
+        'arm',
+        '0.400',
+        '0.700',
+        '0.300',
+        'the tracker commanded the drives to brake',
+    ] in rows(page)
     assert 'Alarms were not recorded; 1 safe stop, 1 inconsistent phase.' in text(page)
     assert 'come once a second' in text(page)
     line = [cells for cells in rows(page) if cells[0] == 'link1_angle'][-1]
@@ -348,7 +434,8 @@ def test_given_hundreds_of_stretches_when_listed_then_the_longest_are_shown_and_
     assert many[50] in shown
     assert (rest.what, rest.sensor, rest.count) == ('no data', 'left', 92)
     assert sum(p.duration for p in shown if p.what == 'no data') + rest.duration == pytest.approx(
-        sum(p.duration for p in many))
+        sum(p.duration for p in many)
+    )
 
 
 def test_given_nothing_to_tell_when_reported_then_it_says_so(paper_arm, tmp_path, monkeypatch):
@@ -358,7 +445,8 @@ def test_given_nothing_to_tell_when_reported_then_it_says_so(paper_arm, tmp_path
 
 
 def test_given_a_bag_of_measurements_alone_when_reported_then_nothing_is_said_of_alarms(
-        paper_arm, paper_gains, scenario, tmp_path):
+    paper_arm, paper_gains, scenario, tmp_path
+):
     bag = record(tmp_path / 'bag', paper_arm, paper_gains, scenario, {'joint_states'})
     said = text(page_of(bag, tmp_path / 'report', paper_arm))
     assert 'Alarms were not recorded; no safe stops' in said
@@ -372,9 +460,14 @@ def test_given_a_bag_of_measurements_alone_when_reported_then_nothing_is_said_of
 def test_given_a_report_when_its_style_is_read_then_it_can_be_printed(report):
     style = re.search('<style>(.*)</style>', report.html.read_text(), re.DOTALL).group(1)
     assert '@page { size: A4;' in style
-    printed = style[style.index('@media print'):]
-    for rule in ('break-inside: avoid', 'break-after: avoid', 'display: table-header-group',
-                 '--ink: #000', '--paper: #fff'):
+    printed = style[style.index('@media print') :]
+    for rule in (
+        'break-inside: avoid',
+        'break-after: avoid',
+        'display: table-header-group',
+        '--ink: #000',
+        '--paper: #fff',
+    ):
         assert rule in printed
     assert '@top-left { content: "A\\000020run"' in style
     assert 'counter(page)' in style
@@ -388,7 +481,8 @@ def test_given_any_title_when_it_goes_into_the_style_sheet_then_it_stays_a_strin
 
 
 def test_given_a_browser_when_the_report_is_opened_and_printed_then_all_is_there_in_black_on_white(
-        report, tmp_path):
+    report, tmp_path
+):
     playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
     if not BROWSER:
         pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
@@ -413,45 +507,59 @@ def test_given_a_browser_when_the_report_is_opened_and_printed_then_all_is_there
     assert [url for url in asked if not url.startswith('data:')] == [report.html.as_uri()]
     assert complaints == []
     assert look == ['rgb(0, 0, 0)', 'rgb(255, 255, 255)', 'none', True]
-    boxes = [[float(v) for v in box.split()]
-             for box in re.findall(rb'/MediaBox\s*\[([^\]]*)\]', pdf)]
+    boxes = [
+        [float(v) for v in box.split()] for box in re.findall(rb'/MediaBox\s*\[([^\]]*)\]', pdf)
+    ]
     assert 5 <= len(boxes) <= 9
-    assert all(box[2:] == pytest.approx([595.3, 841.9], abs=1.5) for box in boxes)   # A4
+    assert all(box[2:] == pytest.approx([595.3, 841.9], abs=1.5) for box in boxes)  # A4
 
 
 # ------------------------------------------------------------------ command line
 
 
 def test_given_gains_when_the_command_is_run_then_the_arm_is_theirs_and_the_verdict_is_shown(
-        foreign, gains_file, tmp_path, capsys, monkeypatch):
+    foreign, gains_file, tmp_path, capsys, monkeypatch
+):
     plain(monkeypatch)
-    assert main(['report', str(foreign), '--gains', str(gains_file),
-                 '--out', str(tmp_path / 'report')]) == 0
+    assert (
+        main(
+            ['report', str(foreign), '--gains', str(gains_file), '--out', str(tmp_path / 'report')]
+        )
+        == 0
+    )
     assert 'my_gains.yaml: the certificate holds' in capsys.readouterr().out
     assert 'bag on arm paper' in (tmp_path / 'report' / 'report.html').read_text()
 
 
 def test_given_tampered_gains_when_the_command_is_run_then_the_verdict_is_shown(
-        foreign, gains_file, tmp_path, capsys, monkeypatch):
+    foreign, gains_file, tmp_path, capsys, monkeypatch
+):
     plain(monkeypatch)
     path = tampered(gains_file, _weaker, tmp_path / 'gains.yaml')
     assert main(['report', str(foreign), '--gains', str(path), '--out', str(tmp_path)]) == 0
     assert 'the certificate does NOT hold: observer, link 1' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(('options', 'named'), [
-    ([], '--arm'), (['--gains', 'nothing.yaml'], 'nothing.yaml'),
-    (['--gains', 'renamed.yaml'], 'designed for another arm'),
-    (['--gains', 'gains.yaml', '--arm', 'real_arm'], 'designed for another arm'),
-    (['--gains', 'short.yaml'], 'arm_json'),
-], ids=' '.join)
+@pytest.mark.parametrize(
+    ('options', 'named'),
+    [
+        ([], '--arm'),
+        (['--gains', 'nothing.yaml'], 'nothing.yaml'),
+        (['--gains', 'renamed.yaml'], 'designed for another arm'),
+        (['--gains', 'gains.yaml', '--arm', 'real_arm'], 'designed for another arm'),
+        (['--gains', 'short.yaml'], 'arm_json'),
+    ],
+    ids=' '.join,
+)
 def test_given_bad_gains_when_the_command_is_run_then_one_line_says_so_and_the_code_is_2(
-        foreign, gains_file, tmp_path, monkeypatch, capsys, options, named):
+    foreign, gains_file, tmp_path, monkeypatch, capsys, options, named
+):
     monkeypatch.chdir(tmp_path)
     shutil.copy(gains_file, 'gains.yaml')
     tampered(gains_file, _renamed, tmp_path / 'renamed.yaml')
-    tampered(gains_file, lambda gains: gains['certificate'].pop('arm_json'),
-             tmp_path / 'short.yaml')
+    tampered(
+        gains_file, lambda gains: gains['certificate'].pop('arm_json'), tmp_path / 'short.yaml'
+    )
     assert main(['report', str(foreign), *options]) == 2
     said = capsys.readouterr()
     assert (said.out, said.err.count('\n')) == ('', 1)
@@ -460,6 +568,7 @@ def test_given_bad_gains_when_the_command_is_run_then_one_line_says_so_and_the_c
 
 
 def test_given_streams_of_a_real_arm_when_reported_with_the_gains_then_the_path_is_the_estimate(
-        paper_arm, paper_gains, scenario, tmp_path):
+    paper_arm, paper_gains, scenario, tmp_path
+):
     path = record(tmp_path / 'bag', paper_arm, paper_gains, scenario, MEASURED)
     assert detectability(load_run(path), paper_arm, paper_gains).source == 'estimated'

@@ -20,9 +20,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from lpv_core.arm import load_arm  # noqa: E402
-from lpv_core.gains import save_gains  # noqa: E402
-from lpv_design.pipeline import design  # noqa: E402
+from lpv_core.certificate.gains import save_gains  # noqa: E402
+from lpv_core.model.arm import load_arm  # noqa: E402
+from lpv_design.design_flow import design  # noqa: E402
 from lpv_design.requirement import load_requirement  # noqa: E402
 from lpv_msgs.msg import GroundTruth, JointReference, TorqueCommand  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.ros
 
 BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 # In motion from the first second on: a node that dies leaves a moving arm behind.
-MOVING = '''
+MOVING = """
 name: moving
 duration: 600.0
 path:
@@ -39,7 +39,7 @@ path:
     - {t: 0.2, x: -0.8451, y: 1.5893}
     - {t: 6.0, x: 0.0, y: 1.58}
     - {t: 12.0, x: 0.8451, y: 1.5893}
-'''
+"""
 SAFE = 500_000_000
 """Time after the death of a node in which commands that were on their way are heard [ns]."""
 MOVING_ON = 0.35
@@ -63,23 +63,36 @@ class Rig:
         arm = f'arm_file:={files["arm"]}'
         scenario = folder / 'moving.yaml'
         scenario.write_text(MOVING)
-        self._own = {'simulator': [arm, f'scenario_file:={scenario}'], 'uio': [arm],
-                     'tracker': [arm, f'scenario_file:={scenario}']}
+        self._own = {
+            'simulator': [arm, f'scenario_file:={scenario}'],
+            'uio': [arm],
+            'tracker': [arm, f'scenario_file:={scenario}'],
+        }
         self.nodes, self._starts = {}, {}
         self.heard = {}
-        qos = stream(True) if lockstep else QoSProfile(
-            depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
-        topics = {'joint_states': JointState} if lockstep else {
-            'torque_command': TorqueCommand, 'ground_truth': GroundTruth,
-            'reference': JointReference}
+        qos = (
+            stream(True)
+            if lockstep
+            else QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        )
+        topics = (
+            {'joint_states': JointState}
+            if lockstep
+            else {
+                'torque_command': TorqueCommand,
+                'ground_truth': GroundTruth,
+                'reference': JointReference,
+            }
+        )
         self.heard = {topic: client.listen(kind, topic, qos) for topic, kind in topics.items()}
 
     def start(self, name, *parameters):
         files = [self._gains] if name in ('uio', 'tracker') else []
         self._starts[name] = count = self._starts.get(name, 0) + 1
         own = self._own.get(name) or [f'output:={self._folder / "bag"}{count}']
-        line = ros.command(name, *own, f'lockstep:={str(self._lockstep).lower()}', *parameters,
-                           files=files)
+        line = ros.command(
+            name, *own, f'lockstep:={str(self._lockstep).lower()}', *parameters, files=files
+        )
         self.nodes[name] = self.running.start(f'{name}{count}', line)
 
     def kill(self, name):
@@ -112,6 +125,7 @@ class Rig:
 
     def logged(self, name, words, moment):
         """Time at which a node first said something after a moment; waits for it."""
+
         def times():
             lines = re.findall(rf'\[([0-9.]+)\] \[lpv[^]]*\]: {words}', self.log(name))
             return [t for t in (round(float(line) * 1e9) for line in lines) if t > moment]
@@ -204,7 +218,8 @@ def assert_no_leap(rig):
 
 
 def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_on_with_the_new_one(
-        tmp_path, files):
+    tmp_path, files
+):
     with rig_on(tmp_path, files) as rig:
         for name in ('recorder', 'uio', 'tracker', 'simulator'):
             rig.start(name)
@@ -215,8 +230,9 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         death = rig.kill('uio')
         assert_brakes(rig, death)
         rig.logged('tracker', 'no estimates: safe stop', death)
-        assert_recovers(rig, 'uio', [('uio', 'measurements flow'),
-                                     ('tracker', 'following the path')])
+        assert_recovers(
+            rig, 'uio', [('uio', 'measurements flow'), ('tracker', 'following the path')]
+        )
         # The path's clock stood still: the reference goes on where the arm was left.
         before = [m for m in rig.heard['reference'] if stamp_of(m) < death][-1]
         after = rig.since('reference', death + SAFE)[0]
@@ -249,15 +265,17 @@ def assert_moves_as_an_arm_does(rig):
     """Between samples that were heard the arm went as far as its rates say: time never jumps."""
     heard = rig.heard['ground_truth']
     time = np.array([stamp_of(m) for m in heard]) * 1e-9
-    position, velocity = (np.array([getattr(m, name) for m in heard])
-                          for name in ('position', 'velocity'))
+    position, velocity = (
+        np.array([getattr(m, name) for m in heard]) for name in ('position', 'velocity')
+    )
     driven = np.all(velocity[1:] != 0.0, axis=1)
     way = np.diff(time)[:, None] * (velocity[1:] + velocity[:-1]) / 2
     np.testing.assert_allclose(np.diff(position, axis=0)[driven], way[driven], atol=0.02)
 
 
 def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_a_leap(
-        tmp_path, files):
+    tmp_path, files
+):
     with rig_on(tmp_path, files) as rig:
         for name in ('uio', 'tracker', 'simulator'):
             rig.start(name)
@@ -291,7 +309,8 @@ def assert_waits(rig):
 
 
 def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_with_the_new_one(
-        tmp_path, files):
+    tmp_path, files
+):
     with rig_on(tmp_path, files, lockstep=True) as rig:
         for name in ('uio', 'tracker', 'simulator'):
             rig.start(name)
@@ -313,26 +332,34 @@ def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_wit
             rig.kill(name)  # an orderly end would wait for the dead to acknowledge
 
 
-def test_given_a_node_when_configured_twice_then_it_publishes_and_serves_once(
-        tmp_path, files):
+def test_given_a_node_when_configured_twice_then_it_publishes_and_serves_once(tmp_path, files):
     with rig_on(tmp_path, files) as rig:
         for name in ('tracker', 'simulator', 'uio'):
             rig.start(name, 'autostart:=false')
         topics = {'tracker': 'torque_command', 'arm_sim': 'joint_states', 'uio': 'state_estimate'}
         for name, topic in topics.items():
-            for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE,
-                               Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
-                               Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-                answer = rig.client.call(ChangeState, f'{name}/change_state',
-                                         transition=Transition(id=transition))
+            for transition in (
+                Transition.TRANSITION_CONFIGURE,
+                Transition.TRANSITION_ACTIVATE,
+                Transition.TRANSITION_DEACTIVATE,
+                Transition.TRANSITION_CLEANUP,
+                Transition.TRANSITION_CONFIGURE,
+                Transition.TRANSITION_ACTIVATE,
+            ):
+                answer = rig.client.call(
+                    ChangeState, f'{name}/change_state', transition=Transition(id=transition)
+                )
                 assert answer.success, (name, transition)
             assert rig.client.wait(lambda t=topic: rig.client.node.count_publishers(t) == 1), name
         services = [n for n, _ in rig.client.node.get_service_names_and_types()]
         assert services.count('/lpv/arm_sim/inject_fault') == 1
         rig.logged('simulator', 'brakes released', 0)
         # Ended for good, a node is silent but alive.
-        answer = rig.client.call(ChangeState, 'uio/change_state', transition=Transition(
-            id=Transition.TRANSITION_ACTIVE_SHUTDOWN))
+        answer = rig.client.call(
+            ChangeState,
+            'uio/change_state',
+            transition=Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN),
+        )
         assert answer.success
         assert rig.client.wait(lambda: rig.client.node.count_publishers('state_estimate') == 0)
         assert rig.client.wait(rig.is_braked)

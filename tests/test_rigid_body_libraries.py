@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv_core.arm import ArmParameters, Link
-from lpv_core.dynamics import acceleration, inverse_dynamics, rk4_step
-from lpv_core.errors import ConfigError, LpvError
-from lpv_core.joints import JointMap
-from lpv_core.mjcf import mjcf
-from lpv_core.mujoco_plant import MujocoPlant
+from lpv_core.export.mjcf import mjcf
+from lpv_core.model.arm import ArmParameters, Link
+from lpv_core.model.dynamics import acceleration, inverse_dynamics, rk4_step
+from lpv_core.model.joints import JointMap
+from lpv_core.simulation.mujoco_plant import MujocoPlant
+from lpv_core.support.errors import ConfigError, LpvError
 
 ARMS = 40
 STATES = 10
@@ -27,16 +27,26 @@ def random_arm(rng, motors=True):
         links.append(Link(mass, length, center, mass * length**2 * rng.uniform(0.0, 0.3)))
     reference = rng.choice(['center_of_mass', 'joint'])
     if reference == 'joint':
-        links = [replace(link, inertia=link.inertia + link.mass * link.center_of_mass**2)
-                 for link in links]
+        links = [
+            replace(link, inertia=link.inertia + link.mass * link.center_of_mass**2)
+            for link in links
+        ]
     arm = ArmParameters(
-        'random', tuple(links), inertia_reference=str(reference), gravity=rng.uniform(1.0, 20.0),
+        'random',
+        tuple(links),
+        inertia_reference=str(reference),
+        gravity=rng.uniform(1.0, 20.0),
         zero_angle=rng.uniform(-math.pi, math.pi),
-        arrangement=str(rng.choice(['absolute', 'relative'])))
+        arrangement=str(rng.choice(['absolute', 'relative'])),
+    )
     if motors:
-        arm = replace(arm, rotor_inertia=rng.uniform(0.0, 0.01), gear_ratio=rng.uniform(1.0, 50.0),
-                      viscous=tuple(rng.uniform(0.0, 1.0, 2)),
-                      coulomb=tuple(rng.uniform(0.0, 1.0, 2)))
+        arm = replace(
+            arm,
+            rotor_inertia=rng.uniform(0.0, 0.01),
+            gear_ratio=rng.uniform(1.0, 50.0),
+            viscous=tuple(rng.uniform(0.0, 1.0, 2)),
+            coulomb=tuple(rng.uniform(0.0, 1.0, 2)),
+        )
     return arm
 
 
@@ -48,8 +58,12 @@ def random_states(rng):
 def joint_dynamics(arm, q, v, a):
     """Joint torques of lpv_core for a motion in joint coordinates."""
     joints = JointMap(arm)
-    absolute = inverse_dynamics(*joints.absolute_position(q), *joints.absolute_velocity(v),
-                                *joints.absolute_velocity(a), arm.constants())
+    absolute = inverse_dynamics(
+        *joints.absolute_position(q),
+        *joints.absolute_velocity(v),
+        *joints.absolute_velocity(a),
+        arm.constants(),
+    )
     return joints.joint_torque(np.array(absolute))
 
 
@@ -78,17 +92,21 @@ def pinocchio_arm(pin, arm):
     model.gravity.linear = np.array([0.0, 0.0, -arm.gravity])
     axis = np.array([0.0, -1.0, 0.0])
     turned = pin.AngleAxis(arm.zero_angle + 0.5 * math.pi, axis).toRotationMatrix()
-    places = (pin.SE3(turned, np.zeros(3)),
-              pin.SE3(np.eye(3), np.array([arm.links[0].length, 0.0, 0.0])))
+    places = (
+        pin.SE3(turned, np.zeros(3)),
+        pin.SE3(np.eye(3), np.array([arm.links[0].length, 0.0, 0.0])),
+    )
     parent = 0
     for link, place in zip(arm.links, places):
         inertia = link.inertia
         if arm.inertia_reference == 'joint':
             inertia -= link.mass * link.center_of_mass**2
-        parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(axis), place,
-                                f'joint{parent + 1}')
-        body = pin.Inertia(link.mass, np.array([link.center_of_mass, 0.0, 0.0]),
-                           np.diag([inertia] * 3))
+        parent = model.addJoint(
+            parent, pin.JointModelRevoluteUnaligned(axis), place, f'joint{parent + 1}'
+        )
+        body = pin.Inertia(
+            link.mass, np.array([link.center_of_mass, 0.0, 0.0]), np.diag([inertia] * 3)
+        )
         model.appendBodyToJoint(parent, body, pin.SE3.Identity())
     return model
 
@@ -103,8 +121,10 @@ def test_given_random_arms_when_compared_with_pinocchio_then_dynamics_agree_to_1
             close(joint_inertia(arm, q), pin.crba(model, data, q))
             close(joint_dynamics(arm, q, v, np.zeros(2)), pin.nonLinearEffects(model, data, q, v))
             close(joint_dynamics(arm, q, v, a), pin.rnea(model, data, q, v, a))
-            close(joint_dynamics(arm, q, np.zeros(2), np.zeros(2)),
-                  pin.computeGeneralizedGravity(model, data, q))
+            close(
+                joint_dynamics(arm, q, np.zeros(2), np.zeros(2)),
+                pin.computeGeneralizedGravity(model, data, q),
+            )
 
 
 def test_given_random_arms_when_torques_act_then_pinocchio_finds_the_same_accelerations(pin):
@@ -114,13 +134,16 @@ def test_given_random_arms_when_torques_act_then_pinocchio_finds_the_same_accele
         model, joints = pinocchio_arm(pin, arm), JointMap(arm)
         data = model.createData()
         for q, v, tau in zip(*random_states(rng)):
-            absolute = acceleration(*joints.absolute_position(q), *joints.absolute_velocity(v),
-                                    *joints.absolute_torque(tau), arm.constants())
+            absolute = acceleration(
+                *joints.absolute_position(q),
+                *joints.absolute_velocity(v),
+                *joints.absolute_torque(tau),
+                arm.constants(),
+            )
             close(joints.joint_velocity(np.array(absolute)), pin.aba(model, data, q, v, tau))
 
 
-def test_given_a_generated_mjcf_when_pinocchio_reads_it_then_it_is_the_same_arm(
-        pin, arm, tmp_path):
+def test_given_a_generated_mjcf_when_pinocchio_reads_it_then_it_is_the_same_arm(pin, arm, tmp_path):
     (tmp_path / 'arm.xml').write_text(mjcf(arm))
     model = pin.buildModelFromMJCF(str(tmp_path / 'arm.xml'))
     model.gravity.linear = np.array([0.0, 0.0, -arm.gravity])  # it does not read this option
@@ -142,7 +165,8 @@ def mujoco():
 
 
 def test_given_random_arms_with_motors_when_compared_with_mujoco_then_dynamics_agree_to_1e_9(
-        mujoco):
+    mujoco,
+):
     rng = np.random.default_rng(4)
     for _ in range(ARMS):
         arm = random_arm(rng)
@@ -172,8 +196,7 @@ def swing(arm, plant, seconds, steps, torque=(0.0, 0.0), push=(0.0, 0.0)):
     return worst
 
 
-def test_given_torque_friction_and_disturbance_when_integrated_then_both_plants_agree(
-        mujoco, arm):
+def test_given_torque_friction_and_disturbance_when_integrated_then_both_plants_agree(mujoco, arm):
     assert swing(arm, MujocoPlant(arm), 2.0, 4, (0.5, 0.2), (0.2, 0.1)) < 1e-9
     rng = np.random.default_rng(5)
     for _ in range(5):
@@ -182,13 +205,15 @@ def test_given_torque_friction_and_disturbance_when_integrated_then_both_plants_
 
 
 def test_given_no_passive_force_but_viscous_friction_when_integrated_then_both_plants_agree(
-        mujoco, paper_arm):
+    mujoco, paper_arm
+):
     arm = replace(paper_arm, viscous=(3.0, 2.0))
     assert swing(arm, MujocoPlant(arm), 2.0, 4, (5.0, 2.0)) < 1e-9
 
 
 def test_given_a_callback_of_somebody_else_when_the_plant_has_stepped_then_it_is_back(
-        mujoco, real_arm):
+    mujoco, real_arm
+):
     def mine(_model, _data):
         pass
 
@@ -202,7 +227,8 @@ def test_given_a_callback_of_somebody_else_when_the_plant_has_stepped_then_it_is
 
 
 def test_given_dry_friction_when_the_load_is_below_it_then_the_arm_sticks_and_smooth_creeps(
-        mujoco, real_arm):
+    mujoco, real_arm
+):
     moved = {}
     for law in ('smooth', 'dry'):
         plant, state = MujocoPlant(real_arm, law), np.array([math.pi, math.pi, 0.0, 0.0])
@@ -231,7 +257,8 @@ def test_given_point_masses_when_simulated_then_mujoco_takes_them(mujoco, paper_
 
 
 def test_given_no_mujoco_when_the_plant_is_made_then_the_error_says_what_to_install(
-        monkeypatch, paper_arm):
+    monkeypatch, paper_arm
+):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
     with pytest.raises(LpvError, match=r"pip install 'mujoco>=3.3.1,<4'"):
         MujocoPlant(paper_arm)

@@ -29,11 +29,13 @@ def wait():
     return 'waited'
 
 
-@pytest.mark.parametrize(('number', 'expected'), [
-    (signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+@pytest.mark.parametrize(
+    ('number', 'expected'), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
 @pytest.mark.parametrize('lost', [False, True])
 def test_given_a_wait_when_a_signal_comes_then_it_ends_even_from_a_destructor(
-        number, expected, lost):
+    number, expected, lost
+):
     before = sys.unraisablehook, signal.getsignal(number), signal.getsignal(signal.SIGALRM)
     with raising_signals() as received:
         if lost:
@@ -48,7 +50,10 @@ def test_given_a_wait_when_a_signal_comes_then_it_ends_even_from_a_destructor(
     if expected is SystemExit:
         assert raised.value.code == 128 + number
     assert before == (
-        sys.unraisablehook, signal.getsignal(number), signal.getsignal(signal.SIGALRM))
+        sys.unraisablehook,
+        signal.getsignal(number),
+        signal.getsignal(signal.SIGALRM),
+    )
 
 
 def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later():
@@ -59,7 +64,8 @@ def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later
 
 
 def test_given_another_exception_in_a_destructor_when_reported_then_as_without_a_command(
-        monkeypatch):
+    monkeypatch,
+):
     class Broken:
         def __del__(self):
             raise ValueError('broken')

@@ -27,8 +27,12 @@ def launch(tmp_path, monkeypatch):
     def start(text, *words, stdout=subprocess.PIPE):
         path = tmp_path / 'some.launch.xml'
         path.write_text(f'<launch>{text}</launch>')
-        process = subprocess.Popen([str(ROS2), 'launch', str(path), *words], text=True,
-                                   stdout=stdout, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            [str(ROS2), 'launch', str(path), *words],
+            text=True,
+            stdout=stdout,
+            stderr=subprocess.STDOUT,
+        )
         started.append(process)
         return process
 
@@ -52,9 +56,13 @@ def ended(process):
 
 
 def test_given_processes_that_end_when_launched_then_lines_and_ends_are_shown(launch, tmp_path):
-    code, text = ended(launch(
-        '<log message="hello"/>' + shell('echo one; echo two >&amp;2', name='a')
-        + shell('echo hidden; echo shown >&amp;2', '', name='b')))
+    code, text = ended(
+        launch(
+            '<log message="hello"/>'
+            + shell('echo one; echo two >&amp;2', name='a')
+            + shell('echo hidden; echo shown >&amp;2', '', name='b')
+        )
+    )
     assert code == 0
     assert '[INFO] [launch]: All log files can be found below ' in text
     assert '[INFO] [launch.user]: hello\n' in text
@@ -69,26 +77,41 @@ def test_given_processes_that_end_when_launched_then_lines_and_ends_are_shown(la
 
 
 def test_given_a_process_that_fails_when_launched_then_the_others_go_on_and_the_code_is_1(launch):
-    code, text = ended(launch(shell('exit 3') + shell('sleep 0.3; echo still there')
-                              + '<executable cmd="/nowhere/program" name="q"/>'))
+    code, text = ended(
+        launch(
+            shell('exit 3')
+            + shell('sleep 0.3; echo still there')
+            + '<executable cmd="/nowhere/program" name="q"/>'
+        )
+    )
     assert code == 1
-    assert re.search(r"\[ERROR\] \[p-1\]: process has died \[pid \d+, exit code 3, cmd 'sh -c exit "
-                     r"3'\]\.", text)
+    assert re.search(
+        r"\[ERROR\] \[p-1\]: process has died \[pid \d+, exit code 3, cmd 'sh -c exit "
+        r"3'\]\.",
+        text,
+    )
     assert '[p-2] still there\n' in text
     assert '[ERROR] [q-3]: cannot be started: ' in text
 
 
 def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again(launch):
-    code, text = ended(launch(shell('echo turn; exit 1', 'output="screen" respawn="true" '
-                                    'respawn_delay="0.1" respawn_max_retries="2"')))
+    code, text = ended(
+        launch(
+            shell(
+                'echo turn; exit 1',
+                'output="screen" respawn="true" respawn_delay="0.1" respawn_max_retries="2"',
+            )
+        )
+    )
     assert code == 1
     assert text.count('[p-1] turn\n') == 3
 
 
 def test_given_a_required_process_when_it_ends_then_all_are_stopped(launch):
     start = time.monotonic()
-    code, text = ended(launch(shell('sleep 0.3', 'on_exit="shutdown"')
-                              + shell('exec sleep 60', name='q')))
+    code, text = ended(
+        launch(shell('sleep 0.3', 'on_exit="shutdown"') + shell('exec sleep 60', name='q'))
+    )
     assert code == 0
     assert 'p-1 has ended: shutting down' in text
     assert time.monotonic() - start < 20
@@ -115,11 +138,17 @@ def test_given_a_signal_when_launched_then_every_process_gets_sigint_once(launch
 
 
 def test_given_a_terminal_that_is_closed_when_launched_then_every_process_is_stopped(
-        launch, tmp_path):
+    launch, tmp_path
+):
     caught, ready = tmp_path / 'caught', tmp_path / 'ready'
     ours, theirs = os.openpty()
-    process = launch(shell(f'trap &quot;echo caught; touch {caught}; exit 0&quot; INT; '
-                           f'touch {ready}; while true; do sleep 0.05; done'), stdout=theirs)
+    process = launch(
+        shell(
+            f'trap &quot;echo caught; touch {caught}; exit 0&quot; INT; '
+            f'touch {ready}; while true; do sleep 0.05; done'
+        ),
+        stdout=theirs,
+    )
     os.close(theirs)
     limit = time.monotonic() + 30.0
     while not ready.exists() and time.monotonic() < limit:
@@ -140,10 +169,14 @@ def test_given_a_process_that_ignores_signals_when_stopped_then_it_is_killed_in_
     process.send_signal(signal.SIGINT)
     code, text = ended(process)
     assert code == 0
-    assert "failed to terminate '0.3' seconds after receiving 'SIGINT', escalating to 'SIGTERM'" \
+    assert (
+        "failed to terminate '0.3' seconds after receiving 'SIGINT', escalating to 'SIGTERM'"
         in text
-    assert "failed to terminate '0.3' seconds after receiving 'SIGTERM', escalating to 'SIGKILL'" \
+    )
+    assert (
+        "failed to terminate '0.3' seconds after receiving 'SIGTERM', escalating to 'SIGKILL'"
         in text
+    )
     assert 'user interrupted with ctrl-c (SIGINT) again, ignoring...' in text
 
 
@@ -167,8 +200,13 @@ def test_given_a_storm_of_signals_when_stopped_then_none_of_them_blocks_the_end(
 
 
 def test_given_a_launch_file_when_only_shown_then_nothing_is_started(launch, tmp_path):
-    code, text = ended(launch('<arg name="a" default="1"/><group>'
-                              + shell('touch started') + '</group>', '--print', 'a:=2'))
+    code, text = ended(
+        launch(
+            '<arg name="a" default="1"/><group>' + shell('touch started') + '</group>',
+            '--print',
+            'a:=2',
+        )
+    )
     assert code == 0
     assert text == "arg a = '2'\ngroup\n    executable sh -c 'touch started'\n"
     assert not (tmp_path / 'log').exists()
@@ -176,15 +214,30 @@ def test_given_a_launch_file_when_only_shown_then_nothing_is_started(launch, tmp
 
 @pytest.mark.ros
 def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no_bag_is_overwritten(
-        tmp_path, monkeypatch):
+    tmp_path, monkeypatch
+):
     pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
     import ros
+
     monkeypatch.setenv('ROS_DOMAIN_ID', str(ros.next_domain()))
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
     process = subprocess.Popen(
-        [str(ROS2), 'launch', 'lpv_bringup', 'pipeline.launch.xml', 'record:=true', 'view:=true',
-         'view_port:=0', 'foxglove_port:=0', 'respawn:=true', f'bag:={tmp_path / "bag"}'],
-        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        [
+            str(ROS2),
+            'launch',
+            'lpv_bringup',
+            'pipeline.launch.xml',
+            'record:=true',
+            'view:=true',
+            'view_port:=0',
+            'foxglove_port:=0',
+            'respawn:=true',
+            f'bag:={tmp_path / "bag"}',
+        ],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
     lines = []
 
     def until(*patterns):
@@ -201,8 +254,12 @@ def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no
     started = r'\[{}-\d\]: process started with pid \[(\d+)\]'
     try:
         ((recorder,), (uio,), (page,), *_) = until(
-            started.format('recorder'), started.format('uio'), r'page: (http://127\S+)',
-            'lpv.recorder.*recording 8 topics', 'lpv.uio.*measurements flow')
+            started.format('recorder'),
+            started.format('uio'),
+            r'page: (http://127\S+)',
+            'lpv.recorder.*recording 8 topics',
+            'lpv.uio.*measurements flow',
+        )
         with urllib.request.urlopen(page, timeout=10) as answer:
             assert answer.status == 200
         first, deadline = tmp_path / 'bag' / 'bag.mcap', time.monotonic() + 30.0
@@ -211,8 +268,11 @@ def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no
             time.sleep(0.1)
         os.kill(int(uio), signal.SIGKILL)
         os.kill(int(recorder), signal.SIGKILL)
-        until(started.format('uio'), 'lpv.uio.*measurements flow',
-              'lpv.recorder.*bag exists already: recording into .*bag_1')
+        until(
+            started.format('uio'),
+            'lpv.uio.*measurements flow',
+            'lpv.recorder.*bag exists already: recording into .*bag_1',
+        )
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
         rest, _ = process.communicate(timeout=60)
@@ -220,7 +280,7 @@ def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)  # so that no node outlives the test
             process.communicate(timeout=90)
-    assert process.returncode == 1               # two of them died
+    assert process.returncode == 1  # two of them died
     assert rest.count('process has finished cleanly') == 5
     for name, finished in (('bag', False), ('bag_1', True)):
         assert (tmp_path / name / 'metadata.yaml').exists() == finished

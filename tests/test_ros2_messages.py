@@ -31,9 +31,11 @@ def test_given_a_message_when_shown_then_it_is_block_yaml_in_the_order_of_its_fi
     message.header.stamp.sec = 3
     assert to_yaml(message) == (
         "header:\n  stamp:\n    sec: 3\n    nanosec: 0\n  frame_id: ''\n"
-        'name:\n- a\n- b\nposition:\n- 0.5\n- -1.0\nvelocity: []\neffort: []\n')
+        'name:\n- a\n- b\nposition:\n- 0.5\n- -1.0\nvelocity: []\neffort: []\n'
+    )
     assert to_yaml(message.header, Style(flow=True)) == (
-        "{stamp: {sec: 3, nanosec: 0}, frame_id: ''}\n")
+        "{stamp: {sec: 3, nanosec: 0}, frame_id: ''}\n"
+    )
     assert to_yaml(message.header.stamp.sec) == '3\n'
     assert to_csv(message) == '3,0,,a,b,0.5,-1.0'
 
@@ -47,9 +49,11 @@ def test_given_long_fields_when_shown_then_they_are_shortened_or_left_out():
     shown = yaml.safe_load(to_yaml(message, Style(no_arr=True)))
     assert shown['position'] == '<sequence type: double, length: 200>'
     assert yaml.safe_load(to_yaml(FaultEstimate(), Style(no_arr=True)))['bound'] == (
-        '<array type: double[2]>')
+        '<array type: double[2]>'
+    )
     assert yaml.safe_load(to_yaml(String(data='abc'), Style(no_str=True)))['data'] == (
-        '<string length: <3>>')
+        '<string length: <3>>'
+    )
 
 
 def test_given_fields_by_path_when_asked_then_nested_ones_and_elements_are_found():
@@ -57,23 +61,34 @@ def test_given_fields_by_path_when_asked_then_nested_ones_and_elements_are_found
     assert field_of(message, 'status[1].name') == 'two'
     assert field_of(message, 'header.stamp') == Time()
     assert field_of(FaultEstimate(bound=[1.0, 2.0]), 'bound[1]') == 2.0
-    for path in ('nix', 'status[2]', 'status[x]', 'header.nix', '', 'status.', '__class__',
-                 'header.stamp.sec.real', 'get_fields_and_field_types'):
+    for path in (
+        'nix',
+        'status[2]',
+        'status[x]',
+        'header.nix',
+        '',
+        'status.',
+        '__class__',
+        'header.stamp.sec.real',
+        'get_fields_and_field_types',
+    ):
         with pytest.raises(CliError, match='Invalid field'):
             field_of(message, path)
 
 
 @given(st.lists(FINITE, max_size=5), st.text(max_size=20), st.integers(0, 2**31 - 1))
 def test_given_any_values_when_shown_and_read_back_then_the_message_is_the_same(
-        numbers, text, seconds):
+    numbers, text, seconds
+):
     message = JointState(name=[text], position=numbers)
     message.header.stamp.sec, message.header.frame_id = seconds, text
     assert message_from_text(JointState, to_yaml(message, Style(truncate=None))) == message
 
 
 def test_given_yaml_when_a_message_is_filled_then_numbers_take_the_fields_types():
-    request = message_from_text(InjectFault.Request,
-                                '{sensor: link1_angle, kind: bias, size: 1, rate: .inf}')
+    request = message_from_text(
+        InjectFault.Request, '{sensor: link1_angle, kind: bias, size: 1, rate: .inf}'
+    )
     assert (request.sensor, request.size, request.rate) == ('link1_angle', 1.0, math.inf)
     assert message_from_text(InjectFault.Request, '').sensor == ''
     assert message_from_text(InjectFault.Request, '{size: 1e-3}').size == 1e-3
@@ -92,28 +107,32 @@ def test_given_now_and_auto_when_a_message_is_filled_then_the_present_time_is_in
     assert (message.header.stamp, message.header.frame_id) == (now, 'f')
 
 
-@pytest.mark.parametrize(('kind', 'text', 'told'), [
-    (InjectFault.Request, '{szie: 1}', 'has no field szie; it has: sensor, kind, size'),
-    (InjectFault.Request, '[1, 2]', 'takes a mapping'),
-    (InjectFault.Request, '3', 'takes a mapping'),
-    (InjectFault.Request, '{size: large}', 'takes a number of type double'),
-    (InjectFault.Request, '{size: [1]}', 'takes a number'),
-    (InjectFault.Request, '{sensor: [a]}', 'takes a text'),
-    (InjectFault.Request, '{sensor:', 'not valid YAML'),
-    (InjectFault.Request, '{a: &x [*x]}', 'has no field a'),
-    (InjectFault.Request, '!!python/object/apply:os.system [ls]', 'not valid YAML'),
-    (JointState, '{header: 3}', 'takes a mapping'),
-    (JointState, '{header: {stamp: {sec: 1.5}}}', 'header.stamp.sec takes a whole number'),
-    (JointState, '{header: {stamp: {sec: 3000000000}}}', 'whole number of type int32'),
-    (JointState, '{header: {stamp: {nanosec: -1}}}', 'whole number of type uint32'),
-    (JointState, '{position: 1.0}', 'takes a list'),
-    (JointState, '{position: [1.0, x]}', r'position\[1\] takes a number'),
-    (FaultEstimate, '{bound: [1.0]}', 'takes 2 elements, got 1'),
-    (Imu, '{orientation_covariance: [1.0]}', 'takes 9 elements'),
-    (BatteryState, '{present: 1}', 'takes true or false'),
-])
+@pytest.mark.parametrize(
+    ('kind', 'text', 'told'),
+    [
+        (InjectFault.Request, '{szie: 1}', 'has no field szie; it has: sensor, kind, size'),
+        (InjectFault.Request, '[1, 2]', 'takes a mapping'),
+        (InjectFault.Request, '3', 'takes a mapping'),
+        (InjectFault.Request, '{size: large}', 'takes a number of type double'),
+        (InjectFault.Request, '{size: [1]}', 'takes a number'),
+        (InjectFault.Request, '{sensor: [a]}', 'takes a text'),
+        (InjectFault.Request, '{sensor:', 'not valid YAML'),
+        (InjectFault.Request, '{a: &x [*x]}', 'has no field a'),
+        (InjectFault.Request, '!!python/object/apply:os.system [ls]', 'not valid YAML'),
+        (JointState, '{header: 3}', 'takes a mapping'),
+        (JointState, '{header: {stamp: {sec: 1.5}}}', 'header.stamp.sec takes a whole number'),
+        (JointState, '{header: {stamp: {sec: 3000000000}}}', 'whole number of type int32'),
+        (JointState, '{header: {stamp: {nanosec: -1}}}', 'whole number of type uint32'),
+        (JointState, '{position: 1.0}', 'takes a list'),
+        (JointState, '{position: [1.0, x]}', r'position\[1\] takes a number'),
+        (FaultEstimate, '{bound: [1.0]}', 'takes 2 elements, got 1'),
+        (Imu, '{orientation_covariance: [1.0]}', 'takes 9 elements'),
+        (BatteryState, '{present: 1}', 'takes true or false'),
+    ],
+)
 def test_given_yaml_that_does_not_fit_when_a_message_is_filled_then_the_field_is_named(
-        kind, text, told):
+    kind, text, told
+):
     with pytest.raises(CliError, match=told):
         message_from_text(kind, text)
 
@@ -135,8 +154,10 @@ def test_given_messages_at_known_times_when_rate_and_bandwidth_are_asked_then_th
     for i in range(11):
         rate.take(0.1 * i)
         bandwidth.take(0.1 * i, 200)
-    assert rate.describe() == ('average rate: 10.000\n\tmin: 0.100s max: 0.100s '
-                               'std dev: 0.00000s window: 11')
+    assert rate.describe() == (
+        'average rate: 10.000\n\tmin: 0.100s max: 0.100s std dev: 0.00000s window: 11'
+    )
     assert rate.describe() == 'no new messages'
-    assert bandwidth.describe(1.1) == ('2.00 KB/s from 11 messages\n\t'
-                                       'Message size mean: 200 B min: 200 B max: 200 B')
+    assert bandwidth.describe(1.1) == (
+        '2.00 KB/s from 11 messages\n\tMessage size mean: 200 B min: 200 B max: 200 B'
+    )

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lpv_bag.messages import BagMessages
-from lpv_bag.ordering import WINDOW, StampOrder
-from lpv_bag.run_record import ALARM_TYPE, STREAMS, BagError, load_run
-from lpv_bag.run_rows import RunRows
-from lpv_bag.writing import BagWriter
-from lpv_core.diagnosis import AlarmEvent
-from lpv_core.observer import Mode
+from lpv_bag.recorder.stamp_sorter import WINDOW, StampOrder
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.run.record import ALARM_TYPE, STREAMS, BagError, load_run
+from lpv_bag.run.rows import RunRows
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.observer.sampled_observer import Mode
 
 EPOCH = 1_700_000_000_123_456_789
 MS = 1_000_000
@@ -42,33 +42,78 @@ class Recorder:
         self._time += 1
         self._writer.write(topic, self._time, message)
 
-    def measure(self, stamp, position, names=('joint1', 'joint2'), velocity=None, effort=None,
-                topic='/joint_states'):
+    def measure(
+        self,
+        stamp,
+        position,
+        names=('joint1', 'joint2'),
+        velocity=None,
+        effort=None,
+        topic='/joint_states',
+    ):
         zeros = [0.0] * len(names)
-        self.write(topic, 'sensor_msgs/msg/JointState', self._messages.joint_state(
-            stamp, names, position, zeros if velocity is None else velocity,
-            zeros if effort is None else effort))
+        self.write(
+            topic,
+            'sensor_msgs/msg/JointState',
+            self._messages.joint_state(
+                stamp,
+                names,
+                position,
+                zeros if velocity is None else velocity,
+                zeros if effort is None else effort,
+            ),
+        )
 
     def stream(self, name, stamp, topic=None, **fields):
         msgtype = STREAMS[name][0]
-        defaults = {'state_estimate': STATE, 'fault_estimate': FAULT, 'reference': REFERENCE,
-                    'torque_command': {'torque': [0.0, 0.0], 'safe_stop': False}}[name]
-        self.write(topic or f'/{name}', msgtype,
-                   self._messages.make(msgtype, stamp, {**defaults, **fields}))
+        defaults = {
+            'state_estimate': STATE,
+            'fault_estimate': FAULT,
+            'reference': REFERENCE,
+            'torque_command': {'torque': [0.0, 0.0], 'safe_stop': False},
+        }[name]
+        self.write(
+            topic or f'/{name}',
+            msgtype,
+            self._messages.make(msgtype, stamp, {**defaults, **fields}),
+        )
 
     def alarm(self, stamp, **fields):
-        self.write('/fault_alarm', ALARM_TYPE,
-                   self._messages.make(ALARM_TYPE, stamp, {**ALARM, **fields}))
+        self.write(
+            '/fault_alarm', ALARM_TYPE, self._messages.make(ALARM_TYPE, stamp, {**ALARM, **fields})
+        )
 
 
 ZERO = [0.0, 0.0]
-STATE = {'position': ZERO, 'velocity': ZERO, 'compensated_position': ZERO,
-         'measured_position': ZERO, 'measured_velocity': ZERO, 'mode': 0, 'trustworthy': True}
-FAULT = {'sensor_names': ['left', 'right'], 'estimate': ZERO, 'bound': ZERO, 'threshold': ZERO,
-         'state': [0, 0], 'alarm': [False, False]}
+STATE = {
+    'position': ZERO,
+    'velocity': ZERO,
+    'compensated_position': ZERO,
+    'measured_position': ZERO,
+    'measured_velocity': ZERO,
+    'mode': 0,
+    'trustworthy': True,
+}
+FAULT = {
+    'sensor_names': ['left', 'right'],
+    'estimate': ZERO,
+    'bound': ZERO,
+    'threshold': ZERO,
+    'state': [0, 0],
+    'alarm': [False, False],
+}
 REFERENCE = {'position': ZERO, 'velocity': ZERO, 'acceleration': ZERO, 'tip_position': ZERO}
-ALARM = {'sensor': 'left', 'sensor_index': 0, 'event': 0, 'onset': 5 * MS, 'detected': 15 * MS,
-         'size': 0.3, 'bound': 0.1, 'kind': 'unclassified', 'confidence': 0.99}
+ALARM = {
+    'sensor': 'left',
+    'sensor_index': 0,
+    'event': 0,
+    'onset': 5 * MS,
+    'detected': 15 * MS,
+    'size': 0.3,
+    'bound': 0.1,
+    'kind': 'unclassified',
+    'confidence': 0.99,
+}
 
 
 @pytest.fixture
@@ -103,8 +148,13 @@ def test_given_streams_when_loaded_then_each_field_is_an_array_of_numbers(record
         bag.stream('torque_command', 10, torque=[5, 6], safe_stop=True)
         bag.stream('reference', 10, tip_position=[7, 8])
     record = load_run(recorder.path)
-    assert set(record.streams) == {'joint_states', 'state_estimate', 'fault_estimate',
-                                   'torque_command', 'reference'}
+    assert set(record.streams) == {
+        'joint_states',
+        'state_estimate',
+        'fault_estimate',
+        'torque_command',
+        'reference',
+    }
     for name, fields in record.streams.items():
         assert tuple(fields) == STREAMS[name][1]
         assert all(values.dtype == float for values in fields.values())
@@ -125,8 +175,10 @@ def test_given_a_stream_with_other_stamps_when_aligned_then_only_equal_stamps_ar
         for k in (-3, 1, 3, 9):
             bag.stream('fault_estimate', EPOCH + k, estimate=[k, 2 * k])
     record = load_run(recorder.path)
-    np.testing.assert_array_equal(record.aligned('fault_estimate', 'estimate'), [
-        [math.nan] * 2, [1, 2], [math.nan] * 2, [3, 6], [math.nan] * 2])
+    np.testing.assert_array_equal(
+        record.aligned('fault_estimate', 'estimate'),
+        [[math.nan] * 2, [1, 2], [math.nan] * 2, [3, 6], [math.nan] * 2],
+    )
     assert record.get('fault_estimate', 'estimate').tolist() == [[-3, -6], [1, 2], [3, 6], [9, 18]]
 
 
@@ -140,7 +192,8 @@ def test_given_a_field_without_columns_when_aligned_then_it_has_none_either(reco
 
 
 def test_given_messages_in_any_order_when_loaded_then_rows_are_sorted_and_the_last_one_counts(
-        recorder):
+    recorder,
+):
     with recorder as bag:
         for stamp, value in ((30, 1), (10, 2), (20, 3), (10, 4), (30, 5)):
             bag.measure(stamp, [value, 0])
@@ -159,8 +212,9 @@ def test_given_answers_that_know_nothing_when_loaded_then_they_are_left_out_but_
             bag.stream('state_estimate', k, position=[k, k], mode=int(mode))
     record = load_run(recorder.path)
     assert record.stamps['state_estimate'].tolist() == [2, 3]
-    np.testing.assert_array_equal(record.aligned('state_estimate', 'position')[:, 0],
-                                  [math.nan, math.nan, 2, 3])
+    np.testing.assert_array_equal(
+        record.aligned('state_estimate', 'position')[:, 0], [math.nan, math.nan, 2, 3]
+    )
     assert record.counts['/state_estimate'] == 4
 
 
@@ -177,13 +231,15 @@ def test_given_topics_of_any_type_when_loaded_then_all_are_counted(recorder):
         for k in range(3):
             bag.measure(k, ZERO, topic='/lpv/joint_states')
         for k in range(2):
-            bag.write('/chatter', 'std_msgs/msg/String',
-                      bag._writer.typestore.types['std_msgs/msg/String'](str(k)))
+            bag.write(
+                '/chatter',
+                'std_msgs/msg/String',
+                bag._writer.typestore.types['std_msgs/msg/String'](str(k)),
+            )
         bag.topic('/lpv/fault_alarm', ALARM_TYPE)
     record = load_run(recorder.path)
     assert record.counts == {'/lpv/joint_states': 3, '/chatter': 2, '/lpv/fault_alarm': 0}
-    assert record.topics == {'joint_states': '/lpv/joint_states',
-                             'fault_alarm': '/lpv/fault_alarm'}
+    assert record.topics == {'joint_states': '/lpv/joint_states', 'fault_alarm': '/lpv/fault_alarm'}
     assert record.alarms == []
 
 
@@ -191,7 +247,7 @@ def test_given_a_single_storage_file_when_loaded_then_it_is_the_same_run(recorde
     with recorder as bag:
         for k in range(3):
             bag.measure(EPOCH + k, [k, k])
-    storage, = recorder.path.glob('*.mcap')
+    (storage,) = recorder.path.glob('*.mcap')
     record = load_run(shutil.copy(storage, tmp_path / 'alone.mcap'))
     assert record.get('joint_states', 'position').tolist() == [[0, 0], [1, 1], [2, 2]]
     assert record.counts == {'/joint_states': 3}
@@ -261,8 +317,11 @@ def test_given_alarms_when_loaded_then_all_fields_are_there_in_the_order_of_thei
         bag.alarm(EPOCH + 50, event=1, size=-0.5, kind='bias', confidence=0.5)
     alarms = load_run(recorder.path).alarms
     assert [(a.stamp - EPOCH, a.event, a.sensor) for a in alarms] == [
-        (2, AlarmEvent.RAISED, 'left'), (2, AlarmEvent.RAISED, 'right'),
-        (50, AlarmEvent.UPDATED, 'left'), (900, AlarmEvent.CLEARED, 'left')]
+        (2, AlarmEvent.RAISED, 'left'),
+        (2, AlarmEvent.RAISED, 'right'),
+        (50, AlarmEvent.UPDATED, 'left'),
+        (900, AlarmEvent.CLEARED, 'left'),
+    ]
     assert (alarms[0].onset, alarms[0].detected) == (EPOCH + 1, EPOCH + 2)
     assert (alarms[1].sensor_index, alarms[1].bound) == (1, 0.1)
     assert (alarms[2].size, alarms[2].kind, alarms[2].confidence) == (-0.5, 'bias', 0.5)
@@ -277,8 +336,11 @@ def test_given_latched_alarms_that_came_twice_when_loaded_then_each_is_there_onc
             bag.alarm(10, sensor='right', sensor_index=1)
         bag.alarm(20)
     record = load_run(recorder.path)
-    assert [(a.stamp, a.sensor) for a in record.alarms] == [(10, 'left'), (10, 'right'),
-                                                            (20, 'left')]
+    assert [(a.stamp, a.sensor) for a in record.alarms] == [
+        (10, 'left'),
+        (10, 'right'),
+        (20, 'left'),
+    ]
     assert record.counts['/fault_alarm'] == 7
 
 
@@ -324,8 +386,11 @@ def test_given_two_arms_when_loaded_then_a_namespace_tells_them_apart(recorder):
 
 
 STAMPS = st.integers(0, 6) | st.integers(0, 5 * WINDOW)
-ENTRIES = st.lists(st.tuples(STAMPS, st.sampled_from(['/a', '/b', '/c']), st.integers(0, WINDOW)),
-                   max_size=30, unique_by=lambda entry: entry[:2])
+ENTRIES = st.lists(
+    st.tuples(STAMPS, st.sampled_from(['/a', '/b', '/c']), st.integers(0, WINDOW)),
+    max_size=30,
+    unique_by=lambda entry: entry[:2],
+)
 
 
 def in_order(entries):
@@ -340,16 +405,20 @@ def in_order(entries):
 
 @given(ENTRIES)
 def test_given_delays_within_the_window_when_ordered_then_the_output_does_not_depend_on_them(
-        entries):
+    entries,
+):
     arrivals = sorted(entries, key=lambda entry: entry[0] + entry[2])
     found = in_order([(stamp, topic, (stamp, topic)) for stamp, topic, _ in arrivals])
-    assert found == [(topic, stamp, (stamp, topic))
-                     for stamp, topic, _ in sorted(entries, key=lambda entry: entry[:2])]
+    assert found == [
+        (topic, stamp, (stamp, topic))
+        for stamp, topic, _ in sorted(entries, key=lambda entry: entry[:2])
+    ]
 
 
 @given(st.lists(st.tuples(STAMPS, st.sampled_from(['/a', '/b'])), max_size=40))
 def test_given_any_arrivals_when_ordered_then_nothing_is_lost_and_equal_ones_keep_their_order(
-        arrivals):
+    arrivals,
+):
     entries = [(stamp, topic, k) for k, (stamp, topic) in enumerate(arrivals)]
     found = in_order(entries)
     assert sorted(k for _, _, k in found) == list(range(len(entries)))
@@ -363,7 +432,7 @@ def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts
     order = StampOrder(lambda *entry: released.append(entry))
     for k in range(2000):
         order.add('/a', k * 2 * MS, k)
-    assert [k for _, _, k in released] == list(range(1749))   # older than the window of 0.5 s
+    assert [k for _, _, k in released] == list(range(1749))  # older than the window of 0.5 s
     order.flush()
     assert [k for _, _, k in released] == list(range(2000))
 
@@ -392,11 +461,17 @@ def mixed(path, seed):
             elif kind == 5:
                 bag.stream('state_estimate', stamp, position=pair(), mode=int(random.integers(5)))
             elif kind == 6:
-                bag.stream('fault_estimate', stamp, estimate=pair(), state=[0, 4],
-                           sensor_names=['left', 'right'] if random.random() < 0.8 else ['l', 'r'])
+                bag.stream(
+                    'fault_estimate',
+                    stamp,
+                    estimate=pair(),
+                    state=[0, 4],
+                    sensor_names=['left', 'right'] if random.random() < 0.8 else ['l', 'r'],
+                )
             elif kind == 7:
-                bag.stream('torque_command', stamp, torque=pair(),
-                           safe_stop=bool(random.integers(2)))
+                bag.stream(
+                    'torque_command', stamp, torque=pair(), safe_stop=bool(random.integers(2))
+                )
             else:
                 bag.alarm(stamp, size=next(values), event=int(random.integers(3)))
     return path
@@ -404,15 +479,16 @@ def mixed(path, seed):
 
 @pytest.mark.parametrize('seed', range(4))
 def test_given_messages_of_many_shapes_when_read_many_at_a_time_then_it_is_as_one_by_one(
-        tmp_path, monkeypatch, seed):
+    tmp_path, monkeypatch, seed
+):
     path = mixed(tmp_path / 'bag', seed)
     one_by_one = []
     add = RunRows.add
     monkeypatch.setattr(RunRows, 'add', lambda *given: (one_by_one.append(1), add(*given))[1])
     fast, few = load_run(path), len(one_by_one)
-    monkeypatch.setattr('lpv_bag.stream_blocks._MOST_ATTEMPTS', 0)
+    monkeypatch.setattr('lpv_bag.run.stream_blocks._MOST_ATTEMPTS', 0)
     slow = load_run(path)
-    assert few < 100 < len(one_by_one) - few              # alarms are few and always one by one
+    assert few < 100 < len(one_by_one) - few  # alarms are few and always one by one
     assert list(fast.streams) == list(slow.streams)
     for name, fields in slow.streams.items():
         np.testing.assert_array_equal(fast.stamps[name], slow.stamps[name])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from parts import ChangeTest, History, SensorDecision, classify
 
-from lpv_core.change_test import WINDOWS, sigmas_for
-from lpv_core.diagnosis import DiagnosisParameters
-from lpv_core.fault_kind import is_stuck, noise_level
-from lpv_core.fault_size import removable
-from lpv_core.history import READING, RESIDUAL
+from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.decision.fault_classification import is_stuck, noise_level
+from lpv_core.decision.fault_magnitude import removable
+from lpv_core.residual.change_detection import WINDOWS, sigmas_for
+from lpv_core.residual.sample_buffer import READING, RESIDUAL
 
 TS = 2_000_000
 SIGMA = 0.001
@@ -33,9 +33,18 @@ def sensor(paper_arm, paper_gains):
 def sample_at(k, fault=0.0, **fields):
     """Fields of sample k of a sensor that is expected to read 0.5 rad, without any error of the
     estimate or of the rates."""
-    given = {'stamp': k * TS, 'fault': fault, 'residual': fault, 'reading': 0.5 + fault,
-             'threshold': THRESHOLD, 'allowance': 0.0, 'innovation': 0.0,
-             'missing': False, 'lost': False, 'inconsistent': False}
+    given = {
+        'stamp': k * TS,
+        'fault': fault,
+        'residual': fault,
+        'reading': 0.5 + fault,
+        'threshold': THRESHOLD,
+        'allowance': 0.0,
+        'innovation': 0.0,
+        'missing': False,
+        'lost': False,
+        'inconsistent': False,
+    }
     return {**given, **fields}
 
 
@@ -83,7 +92,8 @@ def test_given_a_step_that_changes_later_when_seen_then_the_estimate_is_removed_
 
 
 def test_given_a_scale_error_when_the_arm_has_moved_then_what_is_removed_follows_the_reading(
-        sensor):
+    sensor,
+):
     feed(sensor, 0, noise(300))
     for k in range(300, 1100):
         true = 0.5 + 0.2 * math.sin(0.004 * (k - 300))
@@ -127,7 +137,7 @@ def test_given_a_wrapped_history_when_asked_at_a_stamp_then_the_latest_not_after
     assert history.at(10 * last) == (10 * last, last)
     assert history.at(10 * last + 5) == (10 * last, last)
     assert history.at(10 * last - 1) == (10 * (last - 1), last - 1)
-    assert history.at(10 * (last - 7)) == (10 * (last - 7), last - 7)   # the oldest that is kept
+    assert history.at(10 * (last - 7)) == (10 * (last - 7), last - 7)  # the oldest that is kept
     assert history.at(10 * (last - 7) - 1) is None
 
 
@@ -143,9 +153,9 @@ def test_given_one_outlier_when_the_median_is_taken_then_it_does_not_show():
     for k, fault in enumerate([1.0, 2.0, 3.0, 4.0, 99.0, 5.0]):
         history.add(10 * k, fault, 0.0)
     assert history.at(40)[1] == 99.0
-    assert history.median_at(40) == 3.0          # of 1, 2, 3, 4, 99
+    assert history.median_at(40) == 3.0  # of 1, 2, 3, 4, 99
     assert history.median_at(45) == 3.0
-    assert history.median_at(20) == 2.0          # fewer than five
+    assert history.median_at(20) == 2.0  # fewer than five
 
 
 def test_given_samples_when_asked_since_a_stamp_then_its_end_is_inclusive():
@@ -166,7 +176,7 @@ def test_given_hours_between_false_alarms_when_more_are_asked_then_the_quantile_
 
 def test_given_hours_when_the_quantile_is_taken_then_it_is_two_sided_over_all_tests():
     z = sigmas_for(1000.0, 0.002)
-    tests = 10 * 1000 * 3600 * 500                # 2 sensors, 5 windows, 500 samples a second
+    tests = 10 * 1000 * 3600 * 500  # 2 sensors, 5 windows, 500 samples a second
     assert 2 * NormalDist().cdf(-z) * tests == pytest.approx(1.0, rel=1e-6)
     assert z == pytest.approx(6.56, abs=0.01)
 
@@ -193,7 +203,8 @@ def history_of(faults):
 
 
 def test_given_a_step_above_the_limit_when_searched_then_the_shortest_window_has_the_value_before(
-        changes):
+    changes,
+):
     history = history_of(np.full(600, 0.013))
     found = changes.find(history, 600 * TS, 0.013 + 0.03)
     assert found == (0, 0.013)
@@ -209,7 +220,8 @@ def test_given_a_step_within_the_allowance_of_the_rates_when_searched_then_it_is
 
 @pytest.mark.parametrize(('rate', 'window'), [(0.03, 3), (0.15, 2), (0.6, 1), (3.0, 0)])
 def test_given_a_ramp_when_searched_then_only_windows_that_are_long_enough_see_it(
-        changes, rate, window):
+    changes, rate, window
+):
     history = history_of(rate * 0.002 * np.arange(600))
     found = changes.find(history, 600 * TS, rate * 1.2)
     assert found[0] == window
@@ -224,9 +236,9 @@ def test_given_a_ramp_below_every_limit_when_searched_then_it_is_none(changes):
 
 def test_given_a_spike_as_reference_when_searched_then_it_makes_no_change(changes):
     faults = np.zeros(600)
-    faults[595] = 0.3                             # 10 ms before
+    faults[595] = 0.3  # 10 ms before
     assert changes.find(history_of(faults), 600 * TS, 0.0) is None
-    faults[591:596] = 0.3                         # no spike any more
+    faults[591:596] = 0.3  # no spike any more
     assert changes.find(history_of(faults), 600 * TS, 0.0) == (0, 0.3)
 
 
@@ -240,9 +252,10 @@ def test_given_a_history_shorter_than_a_window_when_searched_then_nothing_is_fou
 
 
 def test_given_a_step_below_the_level_when_the_dwell_is_over_then_its_size_and_onset_are_known(
-        sensor):
+    sensor,
+):
     assert feed(sensor, 0, np.full(300, 0.04)) == []
-    assert feed(sensor, 300, np.full(5, -0.02)) == []    # 8 ms of 10
+    assert feed(sensor, 300, np.full(5, -0.02)) == []  # 8 ms of 10
     news = feed(sensor, 305, [-0.02])
     assert news == [(305, 'raised', 'unclassified')]
     assert (sensor.onset, sensor.detected) == (300 * TS, 305 * TS)
@@ -259,7 +272,8 @@ def test_given_a_step_when_its_course_is_known_then_an_update_names_the_bias_onc
 
 
 def test_given_a_level_without_a_change_when_it_is_crossed_then_the_alarm_rests_on_the_level(
-        sensor):
+    sensor,
+):
     ramp = 0.01 * 0.002 * np.arange(6000)
     news = feed(sensor, 0, ramp, residual=0.0)
     crossing = int(np.argmax(ramp > THRESHOLD))
@@ -400,7 +414,7 @@ def test_given_a_stuck_reading_when_the_arm_rests_then_the_alarm_stays(sensor):
     feed(sensor, 0, noise(300, SIGMA))
     freeze(sensor, 300, 40)
     assert sensor.kind == 'stuck'
-    for k in range(340, 1000):                    # back in place, but without any noise
+    for k in range(340, 1000):  # back in place, but without any noise
         assert sensor.update(**sample_at(k, 0.0)) is None
     assert sensor.alarm
     assert [n[1:] for n in feed(sensor, 1000, noise(300, SIGMA))] == [('cleared', 'stuck')]
@@ -415,7 +429,7 @@ def test_given_no_reading_when_the_dwell_is_over_then_a_dropout_is_raised_once(s
     news = feed(sensor, 305, np.zeros(500), missing=True)
     assert news == [(305, 'raised', 'dropout')]
     assert sensor.onset == 300 * TS
-    assert removed(sensor) == 0.0                 # the rates carry the reading on
+    assert removed(sensor) == 0.0  # the rates carry the reading on
 
 
 def test_given_noise_when_the_reading_stops_then_its_last_error_is_not_carried_on(sensor):
@@ -426,10 +440,13 @@ def test_given_noise_when_the_reading_stops_then_its_last_error_is_not_carried_o
     assert removed(sensor) == pytest.approx(0.003, abs=0.0006)
 
 
-@pytest.mark.parametrize(('back', 'kinds'), [
-    (0.004, [('cleared', 'dropout')]), (0.2, [('updated', 'unclassified'), ('updated', 'bias')])])
+@pytest.mark.parametrize(
+    ('back', 'kinds'),
+    [(0.004, [('cleared', 'dropout')]), (0.2, [('updated', 'unclassified'), ('updated', 'bias')])],
+)
 def test_given_a_dropout_when_readings_come_back_wrong_then_the_alarm_goes_on_with_their_error(
-        sensor, back, kinds):
+    sensor, back, kinds
+):
     feed(sensor, 0, noise(300, SIGMA))
     feed(sensor, 300, np.zeros(100), missing=True)
     news = feed(sensor, 400, back + noise(500, SIGMA, seed=1))
@@ -439,10 +456,12 @@ def test_given_a_dropout_when_readings_come_back_wrong_then_the_alarm_goes_on_wi
         assert removed(sensor) == pytest.approx(0.2, abs=0.004)
 
 
-@pytest.mark.parametrize(('speed', 'kind', 'compensable'), [
-    (0.2, 'drift', True), (0.03, 'inconsistent', False)])
+@pytest.mark.parametrize(
+    ('speed', 'kind', 'compensable'), [(0.2, 'drift', True), (0.03, 'inconsistent', False)]
+)
 def test_given_a_slow_change_when_rates_could_feign_it_unseen_then_the_cause_is_unknown(
-        sensor, speed, kind, compensable):
+    sensor, speed, kind, compensable
+):
     feed(sensor, 0, noise(300))
     ramp = speed * 0.002 * np.arange(round(0.048 / speed / 0.002))  # the level says nothing yet
     feed(sensor, 300, ramp + noise(len(ramp), seed=1))
@@ -450,9 +469,10 @@ def test_given_a_slow_change_when_rates_could_feign_it_unseen_then_the_cause_is_
 
 
 def test_given_a_doubtful_change_when_no_rate_draws_the_level_so_far_then_the_sensor_is_blamed(
-        sensor):
+    sensor,
+):
     feed(sensor, 0, noise(300))
-    ramp = 0.03 * 0.002 * np.arange(4000)         # passes the threshold of 0.1 rad after 3.3 s
+    ramp = 0.03 * 0.002 * np.arange(4000)  # passes the threshold of 0.1 rad after 3.3 s
     news = feed(sensor, 300, ramp + noise(4000, seed=1))
     assert [n[2] for n in news][0] == 'inconsistent'
     cleared_up = next(n[0] for n in news if n[2] != 'inconsistent')
@@ -552,7 +572,7 @@ def test_given_single_missing_samples_when_they_come_often_then_there_is_no_drop
 
 
 def test_given_an_alarm_by_level_when_below_the_hysteresis_then_it_clears_after_its_dwell(sensor):
-    feed(sensor, 0, np.full(20, 0.2))             # from the first sample on: no change to see
+    feed(sensor, 0, np.full(20, 0.2))  # from the first sample on: no change to see
     assert sensor.alarm and not sensor.by_change
     assert [n for n in feed(sensor, 20, np.full(500, 0.051)) if n[1] == 'cleared'] == []
     assert [n for n in feed(sensor, 520, np.full(50, 0.049)) if n[1] == 'cleared'] == []
@@ -576,16 +596,16 @@ def test_given_a_bias_seen_as_a_change_when_it_ends_then_the_end_is_no_new_fault
     assert [n[1] for n in news if n[1] != 'updated'] == ['cleared']
 
 
-def test_given_a_small_bias_seen_as_a_change_when_it_stays_then_the_level_does_not_clear_it(
-        sensor):
+def test_given_a_small_bias_seen_as_a_change_when_it_stays_then_the_level_does_not_clear_it(sensor):
     feed(sensor, 0, noise(300))
-    news = feed(sensor, 300, 0.03 + noise(2000, seed=1))   # far below the level of 0.1
+    news = feed(sensor, 300, 0.03 + noise(2000, seed=1))  # far below the level of 0.1
     assert [n[1] for n in news] == ['raised', 'updated']
     assert sensor.alarm
 
 
 def test_given_a_latch_when_the_fault_is_over_then_the_alarm_stays_until_the_reset(
-        paper_arm, paper_gains):
+    paper_arm, paper_gains
+):
     sensor = SensorDecision(paper_arm, paper_gains, replace(PARAMETERS, latch=True))
     feed(sensor, 0, np.zeros(300))
     feed(sensor, 300, np.full(50, 0.3))
@@ -653,8 +673,11 @@ def course(fault, seconds=0.6, sigma=SIGMA, seed=0):
     return stamps, np.column_stack([error, angle + error, none, none])
 
 
-FAULTS = {'bias': lambda t, y: 0.1 + 0.0 * t, 'drift': lambda t, y: 0.2 * t,
-          'scale': lambda t, y: 0.3 * y}
+FAULTS = {
+    'bias': lambda t, y: 0.1 + 0.0 * t,
+    'drift': lambda t, y: 0.2 * t,
+    'scale': lambda t, y: 0.3 * y,
+}
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -700,8 +723,9 @@ def test_given_steps_spikes_and_ramps_when_the_noise_level_is_taken_then_they_do
     assert 0.7 * SIGMA < noise_level(values) < 2.0 * SIGMA
 
 
-@pytest.mark.parametrize(('jitter', 'rate', 'stuck'), [
-    (0.0, 0.2, True), (0.0, 0.01, False), (SIGMA, 0.2, False)])
+@pytest.mark.parametrize(
+    ('jitter', 'rate', 'stuck'), [(0.0, 0.2, True), (0.0, 0.01, False), (SIGMA, 0.2, False)]
+)
 def test_given_a_reading_when_still_while_the_arm_moves_then_it_is_stuck(jitter, rate, stuck):
     angle = rate * 0.002 * np.arange(40)
     reading = jitter * np.random.default_rng(0).standard_normal(40)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lpv_core.polytope import sinc_box
-from lpv_core.state_space import (
+from lpv_core.model.polytope import sinc_box
+from lpv_core.model.state_space import (
     Descriptor,
     disturbance_matrix,
     gravity_matrix,
@@ -57,15 +57,17 @@ def test_given_the_paper_arm_when_eqs_5_and_8_are_formed_then_they_hold_table_1(
 
 
 def test_given_the_published_box_when_vertices_are_formed_then_eqs_14_to_20_and_27_28_hold(
-        published):
+    published,
+):
     a, b = published
     assert a.shape == (8, 4, 4)
     assert b.shape == (8, 4, 2)
     for i in range(8):
         phi_1, phi_2, phi_3 = (-1, 1)[i >> 2], (-0.2, 1)[i >> 1 & 1], (-0.2, 1)[i & 1]
         inverse = np.linalg.inv([[8.33, 2.5 * phi_1], [2.5 * phi_1, 1.66]])
-        np.testing.assert_allclose(a[i, 2:, :2], inverse @ np.diag([98 * phi_2, 24.5 * phi_3]),
-                                   rtol=1e-12)
+        np.testing.assert_allclose(
+            a[i, 2:, :2], inverse @ np.diag([98 * phi_2, 24.5 * phi_3]), rtol=1e-12
+        )
         np.testing.assert_array_equal(a[i, :2], [[0, 0, 1, 0], [0, 0, 0, 1]])
         np.testing.assert_array_equal(a[i, 2:, 2:], 0.0)
         np.testing.assert_allclose(b[i, 2:], inverse, rtol=1e-12)
@@ -74,7 +76,8 @@ def test_given_the_published_box_when_vertices_are_formed_then_eqs_14_to_20_and_
 
 @given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
 def test_given_any_state_when_the_lpv_plant_is_evaluated_then_it_is_eq_25(
-        published, th_1, th_2, v_1, v_2, u_1, u_2):
+    published, th_1, th_2, v_1, v_2, u_1, u_2
+):
     a, b = published
     got = lpv_rates(th_1, th_2, v_1, v_2, u_1, u_2, a, b, sinc_box(-0.2), np.zeros(8))
     expected = lpv_right_side(np.array([th_1, th_2, v_1, v_2]), (u_1, u_2), (0, 0))[2:]
@@ -98,12 +101,12 @@ def test_given_absolute_sensors_when_outputs_are_formed_then_eqs_29_30_hold(pape
     np.testing.assert_array_equal(df, np.eye(4)[:, :2])
 
 
-def test_given_relative_encoders_when_outputs_are_formed_then_they_read_joint_coordinates(
-        real_arm):
+def test_given_relative_encoders_when_outputs_are_formed_then_they_read_joint_coordinates(real_arm):
     c, df = output_matrices(real_arm)
     s = [[1.0, 0.0], [-1.0, 1.0]]
-    np.testing.assert_array_equal(c, np.block([[np.array(s), np.zeros((2, 2))],
-                                               [np.zeros((2, 2)), np.array(s)]]))
+    np.testing.assert_array_equal(
+        c, np.block([[np.array(s), np.zeros((2, 2))], [np.zeros((2, 2)), np.array(s)]])
+    )
     # In absolute coordinates a fault of encoder 1 shifts both angles: Df = [[1, 0], [1, 1], ...].
     np.testing.assert_allclose(np.linalg.inv(c) @ df, [[1, 0], [1, 1], [0, 0], [0, 0]])
 

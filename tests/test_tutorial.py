@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lpv_cli.main import main
-from lpv_core.diagnosis import AlarmEvent
+from lpv_core.decision.diagnosis import AlarmEvent
 
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIAL = ROOT / 'docs' / 'design-tutorial.md'
@@ -52,11 +52,17 @@ def test_given_the_tutorial_when_its_commands_run_then_all_succeed(tutorial):
 
 
 def test_given_the_tutorial_when_designed_then_the_certificate_holds_and_is_printed_as_shown(
-        tutorial):
+    tutorial,
+):
     namespace, _, _ = tutorial
     assert namespace['certificate_holds'] is True
-    shown = [line for kind, text in blocks(TUTORIAL) if kind == 'text'
-             for line in text.splitlines() if line.endswith('(negative: holds)')]
+    shown = [
+        line
+        for kind, text in blocks(TUTORIAL)
+        if kind == 'text'
+        for line in text.splitlines()
+        if line.endswith('(negative: holds)')
+    ]
     assert len(shown) == 4
     for line, printed in zip(shown, namespace['result'].lines):
         assert line.rsplit(':', 2)[0] == printed.rsplit(':', 2)[0]
@@ -65,13 +71,15 @@ def test_given_the_tutorial_when_designed_then_the_certificate_holds_and_is_prin
 def test_given_the_tutorials_figures_when_recomputed_then_they_are_as_printed(tutorial):
     namespace, _, _ = tutorial
     np.testing.assert_allclose(namespace['gravity'], [18.9, 4.2], atol=0.05)
-    np.testing.assert_allclose(namespace['friction'] / namespace['gravity'], [0.021, 0.024],
-                               atol=5e-4)
+    np.testing.assert_allclose(
+        namespace['friction'] / namespace['gravity'], [0.021, 0.024], atol=5e-4
+    )
     np.testing.assert_allclose(namespace['upright'], [0.029, 0.064], atol=2e-3)
 
 
 def test_given_the_tutorials_heavier_arm_when_verified_then_hash_and_inequalities_refuse_it(
-        tutorial):
+    tutorial,
+):
     namespace, _, _ = tutorial
     assert 'designed for another arm' in namespace['refusal']
     assert any('poles between 0.25 and 60/s' in name for name in namespace['broken'])
@@ -87,7 +95,7 @@ def test_given_the_tutorials_bound_when_drawn_then_the_picture_exists_and_reads_
     np.testing.assert_allclose(first, np.broadcast_to(first[:1], first.shape))  # link 1 alone
     assert first.min() == pytest.approx(0.03, abs=0.005)
     assert first.max() == pytest.approx(0.14, abs=0.01)
-    assert np.isinf(limits[[0, -1], :, 1]).all()        # link 2 at 60 degrees
+    assert np.isinf(limits[[0, -1], :, 1]).all()  # link 2 at 60 degrees
     assert np.isfinite(limits[5:-5, :, 1]).all()
 
 
@@ -97,7 +105,8 @@ def test_given_the_tutorials_fault_when_simulated_then_one_alarm_names_the_senso
     alarms = namespace['run'].alarms
     assert [(a.event, a.sensor, a.kind) for a in alarms] == [
         (AlarmEvent.RAISED, 'elbow_encoder', 'unclassified'),
-        (AlarmEvent.UPDATED, 'elbow_encoder', 'bias')]
+        (AlarmEvent.UPDATED, 'elbow_encoder', 'bias'),
+    ]
     assert alarms[0].onset == 4_000_000_000
     assert alarms[0].detected == 4_010_000_000
     assert alarms[0].size == pytest.approx(0.25, abs=0.005)
@@ -106,7 +115,8 @@ def test_given_the_tutorials_fault_when_simulated_then_one_alarm_names_the_senso
 
 
 def test_given_the_tutorials_fault_when_compensated_then_the_arm_is_off_by_the_estimates_error(
-        tutorial):
+    tutorial,
+):
     largest = tutorial[0]['largest']
     assert largest['confirmed'] == pytest.approx(0.003, abs=0.002)
     assert largest['off'] == pytest.approx(0.25, abs=0.01)
@@ -114,8 +124,9 @@ def test_given_the_tutorials_fault_when_compensated_then_the_arm_is_off_by_the_e
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_given_a_page_when_its_relative_links_are_followed_then_files_and_headings_exist(page):
-    text = re.sub(r'^```.*?^```$', '', page.read_text(encoding='utf-8'),
-                  flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r'^```.*?^```$', '', page.read_text(encoding='utf-8'), flags=re.MULTILINE | re.DOTALL
+    )
     for link in _LINK.findall(text):
         if re.match(r'[a-z]+:', link):
             continue

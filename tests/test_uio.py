@@ -7,14 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lpv_core.dynamics import acceleration, inverse_dynamics
-from lpv_core.joints import JointMap
-from lpv_core.momentum_uio import output_injection
-from lpv_core.polytope import exact_state_space, exact_vertices, sinc_box
-from lpv_core.records import new_record
-from lpv_core.recursion import RECURSION_STATE, advance, recursion
-from lpv_core.state_space import Descriptor, output_matrices, vertex_matrices
-from lpv_core.uio import decoupling, fault_feedthrough, observer_matrices, paper_step
+from lpv_core.model.dynamics import acceleration, inverse_dynamics
+from lpv_core.model.joints import JointMap
+from lpv_core.model.polytope import exact_state_space, exact_vertices, sinc_box
+from lpv_core.model.state_space import Descriptor, output_matrices, vertex_matrices
+from lpv_core.observer.exact_observer import output_injection
+from lpv_core.observer.observer_step import RECURSION_STATE, advance, recursion
+from lpv_core.observer.paper_observer import (
+    decoupling,
+    fault_feedthrough,
+    observer_matrices,
+    paper_step,
+)
+from lpv_core.support.records import new_record
 
 
 def paper_descriptor(arm, s_min=-0.2):
@@ -48,13 +53,20 @@ class Exact:
         self.state.x[:] = x
 
     def step(self, y_old, y_new, torque, dt):
-        advance(self.recursion, self.state, np.asarray(y_old, float), np.asarray(y_new, float),
-                np.asarray(torque, float), dt)
+        advance(
+            self.recursion,
+            self.state,
+            np.asarray(y_old, float),
+            np.asarray(y_new, float),
+            np.asarray(torque, float),
+            dt,
+        )
         return self.state.x.copy()
 
     def injection(self, theta, rates):
-        return output_injection(theta, rates, self.arm.sign * self.gains.kappa, self.gains.mu,
-                                self.constants, self.s)
+        return output_injection(
+            theta, rates, self.arm.sign * self.gains.kappa, self.gains.mu, self.constants, self.s
+        )
 
 
 class Motion:
@@ -66,8 +78,12 @@ class Motion:
         self.s = JointMap(arm).sensor_matrix
 
     def angles(self, t):
-        return np.array([self.rest + 0.3 + 0.3 * math.sin(0.9 * t),
-                         self.rest - 0.2 + 0.4 * math.sin(1.3 * t + 0.5)])
+        return np.array(
+            [
+                self.rest + 0.3 + 0.3 * math.sin(0.9 * t),
+                self.rest - 0.2 + 0.4 * math.sin(1.3 * t + 0.5),
+            ]
+        )
 
     def rates(self, t):
         return np.array([0.27 * math.cos(0.9 * t), 0.52 * math.cos(1.3 * t + 0.5)])
@@ -76,8 +92,9 @@ class Motion:
         return np.array([-0.243 * math.sin(0.9 * t), -0.676 * math.sin(1.3 * t + 0.5)])
 
     def torque(self, t):
-        return np.array(inverse_dynamics(*self.angles(t), *self.rates(t),
-                                         *self.accelerations(t), self.c))
+        return np.array(
+            inverse_dynamics(*self.angles(t), *self.rates(t), *self.accelerations(t), self.c)
+        )
 
     def outputs(self, t, fault=(0.0, 0.0)):
         return np.concatenate([self.s @ self.angles(t) + fault, self.s @ self.rates(t)])
@@ -118,8 +135,9 @@ def test_given_any_gains_when_n_l_g_are_formed_then_constraints_44_and_45_hold_a
         n, ell, g = observer_matrices(d.a, d.b, d.c, t1, t2, k)
         for i in range(len(d.a)):
             scale = np.abs(n[i]).max()
-            np.testing.assert_allclose(t1 @ d.a[i] - n[i] @ t1 @ d.e - ell[i] @ d.c, 0.0,
-                                       atol=1e-12 * scale)
+            np.testing.assert_allclose(
+                t1 @ d.a[i] - n[i] @ t1 @ d.e - ell[i] @ d.c, 0.0, atol=1e-12 * scale
+            )
             np.testing.assert_allclose(t1 @ d.b[i] - g[i], 0.0, atol=1e-14)
             np.testing.assert_allclose(n[i] @ t2 - ell[i], k[i], atol=1e-12 * scale)  # (50)
 
@@ -144,11 +162,12 @@ def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38
         paper_step(z, y_old, y_new, u, dt, gains, t1, t2, d.c, d.a, d.b, box, x, *work)
 
         guess = other + t2 @ y_old
-        phi = (math.cos(guess[0] - guess[1]), np.sinc(guess[0] / np.pi),
-               np.sinc(guess[1] / np.pi))
+        phi = (math.cos(guess[0] - guess[1]), np.sinc(guess[0] / np.pi), np.sinc(guess[1] / np.pi))
         alpha = [min(max((hi - p) / (hi - lo), 0), 1) for p, (lo, hi) in zip(phi, box)]
-        rho = [np.prod([1 - a if bit else a for a, bit in
-                        zip(alpha, (i >> 2 & 1, i >> 1 & 1, i & 1))]) for i in range(8)]
+        rho = [
+            np.prod([1 - a if bit else a for a, bit in zip(alpha, (i >> 2 & 1, i >> 1 & 1, i & 1))])
+            for i in range(8)
+        ]
         n, ell, g = (np.tensordot(rho, stack, 1) for stack in (n_i, l_i, g_i))
         first = n @ other + ell @ y_old + g @ u
         second = n @ (other + dt * first) + ell @ y_new + g @ u
@@ -163,7 +182,8 @@ def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38
 
 
 def test_given_the_exact_observer_when_stepped_then_it_is_the_uio_form_with_its_injection(
-        arm, gains_of):
+    arm, gains_of
+):
     observer, motion, h = Exact(arm, gains_of[arm.name]), Motion(arm), 1e-7
     t1, t2 = fault_feedthrough(exact_descriptor(arm).c)
     c = np.hstack(output_matrices(arm))
@@ -173,8 +193,9 @@ def test_given_the_exact_observer_when_stepped_then_it_is_the_uio_form_with_its_
         x = np.concatenate([theta, rate, y[:2] - observer.s @ theta])
         # z' = T1 (model of x^) + K(rho) (C~ x^ - y), eq. (38) in its estimate.
         v = np.linalg.solve(observer.s, y[2:])
-        model = np.concatenate([rate, acceleration(*theta, *v, *motion.torque(t),
-                                                   observer.constants), -x[4:]])
+        model = np.concatenate(
+            [rate, acceleration(*theta, *v, *motion.torque(t), observer.constants), -x[4:]]
+        )
         rates = t1 @ model + observer.injection(theta, v) @ (c @ x - y)
         observer.start(x)
         after = observer.step(y, y, motion.torque(t), h)
@@ -182,7 +203,8 @@ def test_given_the_exact_observer_when_stepped_then_it_is_the_uio_form_with_its_
 
 
 def test_given_any_state_when_differentiated_then_the_momentum_error_is_decoupled_link_by_link(
-        arm, gains_of):
+    arm, gains_of
+):
     """e' = -s kappa m and m' = s Gamma e - mu m + coupling, without any linearisation."""
     observer, motion, h = Exact(arm, gains_of[arm.name]), Motion(arm), 1e-6
     c, rng = observer.constants, np.random.default_rng(5)
@@ -201,23 +223,27 @@ def test_given_any_state_when_differentiated_then_the_momentum_error_is_decouple
         guess_acc = (after[2:4] - guess_rate) / h
         e, m = wrong[:2], inertia(guess) @ wrong[2:]
         swirl = -c[1] * math.sin(guess[0] - guess[1]) * (rate[0] - rate[1])
-        m_rate = (np.array([[0, swirl], [swirl, 0]]) @ wrong[2:]
-                  + inertia(guess) @ (guess_acc - acc))
+        m_rate = np.array([[0, swirl], [swirl, 0]]) @ wrong[2:] + inertia(guess) @ (guess_acc - acc)
         gravity = np.array(c[4:6]) * (np.sin(guess) - np.sin(theta))
         delta = inertia(guess) - inertia(theta)
         spin = c[1] * (math.sin(guess[0] - guess[1]) - math.sin(theta[0] - theta[1]))
-        coupling = -delta @ acc - spin * np.array([rate[1] ** 2, -rate[0] ** 2])
+        coupling = -delta @ acc - spin * np.array([rate[1] ** 2, -(rate[0] ** 2)])
         expected = gravity + coupling - observer.gains.mu * m
         scale = np.abs(np.concatenate([m, expected])).max()
         np.testing.assert_allclose(m_rate, expected, rtol=1e-4, atol=1e-4 * scale)
-        np.testing.assert_allclose((after[:2] - guess) / h - rate,
-                                   -arm.sign * observer.gains.kappa * m, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(
+            (after[:2] - guess) / h - rate,
+            -arm.sign * observer.gains.kappa * m,
+            rtol=1e-4,
+            atol=1e-6,
+        )
         slope = gravity / e * arm.sign
         assert np.all(slope > 0.0) and np.all(slope <= c[4:6])
 
 
 def test_given_the_exact_torques_of_a_motion_when_started_right_then_the_observer_stays_on_it(
-        arm, gains_of):
+    arm, gains_of
+):
     motion, observer, dt = Motion(arm), Exact(arm, gains_of[arm.name]), arm.sample_time
     y = motion.outputs(0.0)
     observer.start(np.concatenate([motion.angles(0.0), motion.rates(0.0), [0, 0]]))
@@ -226,15 +252,21 @@ def test_given_the_exact_torques_of_a_motion_when_started_right_then_the_observe
         y_new = motion.outputs((k + 1) * dt)
         x = observer.step(y, y_new, motion.torque((k + 0.5) * dt), dt)
         y = y_new
-        worst = max(worst, np.abs(x - np.concatenate([
-            motion.angles((k + 1) * dt), motion.rates((k + 1) * dt), [0, 0]])).max())
+        worst = max(
+            worst,
+            np.abs(
+                x
+                - np.concatenate([motion.angles((k + 1) * dt), motion.rates((k + 1) * dt), [0, 0]])
+            ).max(),
+        )
     # The Heun rule at 2 ms; Coulomb friction turns round within a few samples.
     assert worst < (2e-4 if any(arm.coulomb) else 3e-5)
 
 
 @pytest.mark.parametrize('bias', [(0.2, -0.1), (-0.25, 0.2)])
 def test_given_a_wrong_start_when_the_nonlinear_arm_moves_then_the_error_dies_out(
-        paper_arm, paper_gains, bias):
+    paper_arm, paper_gains, bias
+):
     motion, dt = Motion(paper_arm), paper_arm.sample_time
     observer = Exact(paper_arm, paper_gains)
     y = motion.outputs(0.0, bias)
@@ -245,8 +277,9 @@ def test_given_a_wrong_start_when_the_nonlinear_arm_moves_then_the_error_dies_ou
         x = observer.step(y, y_new, motion.torque((k + 0.5) * dt), dt)
         y = y_new
         if k % 2500 == 2499:
-            errors.append(np.abs(np.concatenate([x[:2] - motion.angles((k + 1) * dt),
-                                                 x[4:] - bias])).max())
+            errors.append(
+                np.abs(np.concatenate([x[:2] - motion.angles((k + 1) * dt), x[4:] - bias])).max()
+            )
     # Every 5 s take off at least what the certified decay promises, down to the Heun rule's error.
     for before, after in zip([0.25, *errors], errors):
         assert after < before * math.exp(-0.25 * 5.0) + 5e-6
@@ -258,15 +291,19 @@ FAULT = st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size
 @settings(max_examples=40)
 @given(FAULT)
 def test_given_position_faults_of_any_shape_when_observed_then_the_state_estimate_is_bitwise_same(
-        paper_arm, real_arm, gains_of, faults):
+    paper_arm, real_arm, gains_of, faults
+):
     for arm in (paper_arm, real_arm):
         motion, dt = Motion(arm), arm.sample_time
         ends = []
         for shape in (np.zeros((61, 2)), np.vstack([[0.0, 0.0], faults])):
             observer = Exact(arm, gains_of[arm.name])
             y = motion.outputs(0.0)
-            observer.start(np.concatenate([motion.angles(0.0) + 0.05, motion.rates(0.0),
-                                           -observer.s @ [0.05, 0.05]]))
+            observer.start(
+                np.concatenate(
+                    [motion.angles(0.0) + 0.05, motion.rates(0.0), -observer.s @ [0.05, 0.05]]
+                )
+            )
             for k in range(60):
                 y_new = motion.outputs((k + 1) * dt, shape[k + 1])
                 x = observer.step(y, y_new, motion.torque((k + 0.5) * dt), dt)
@@ -275,8 +312,9 @@ def test_given_position_faults_of_any_shape_when_observed_then_the_state_estimat
         np.testing.assert_array_equal(ends[0][0][:4], ends[1][0][:4])
         # And the fault estimate follows without delay: f^ = y_p - S theta^.
         (x, y) = ends[1]
-        np.testing.assert_allclose(x[4:], y[:2] - observer.s @ x[:2],
-                                   atol=1e-9 + 1e-13 * np.abs(faults).max())
+        np.testing.assert_allclose(
+            x[4:], y[:2] - observer.s @ x[:2], atol=1e-9 + 1e-13 * np.abs(faults).max()
+        )
 
 
 def outside(arm, link):
@@ -288,7 +326,8 @@ def outside(arm, link):
 
 @pytest.mark.parametrize('link', [0, 1])
 def test_given_a_link_outside_the_region_when_observed_then_it_is_held_on_the_measured_rate(
-        arm, gains_of, link):
+    arm, gains_of, link
+):
     observer, dt = Exact(arm, gains_of[arm.name]), arm.sample_time
     theta = outside(arm, link)
     true_rate = np.array([0.4, -0.3])
@@ -308,7 +347,8 @@ def test_given_a_link_outside_the_region_when_observed_then_it_is_held_on_the_me
 
 
 def test_given_a_link_on_either_side_of_the_border_when_observed_then_only_outside_is_held(
-        arm, gains_of):
+    arm, gains_of
+):
     observer = Exact(arm, gains_of[arm.name])
     rest = 0.0 if arm.orientation == 'upright' else math.pi
     for offset, expected in ((-1e-6, False), (1e-6, True)):

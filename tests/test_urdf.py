@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lpv_core.errors import ConfigError
-from lpv_core.kinematics import forward
-from lpv_core.urdf import arm_urdf, frame_angles, points, transforms
+from lpv_core.export.urdf import arm_urdf, frame_angles, points, transforms
+from lpv_core.model.kinematics import forward
+from lpv_core.support.errors import ConfigError
 
 POSES = np.random.default_rng(3).uniform(-4.0, 4.0, (20, 2))
 
@@ -53,8 +53,9 @@ def test_given_the_urdf_when_its_tip_is_placed_then_it_is_where_kinematics_say(a
         np.testing.assert_allclose(points(arm, q)[1], tip, atol=1e-12)
         angles = frame_angles(arm, q)
         for name, angle in zip(('link1', 'link2'), angles):
-            np.testing.assert_allclose(placed[name][[0, 2], 0], [np.cos(angle), np.sin(angle)],
-                                       atol=1e-12)
+            np.testing.assert_allclose(
+                placed[name][[0, 2], 0], [np.cos(angle), np.sin(angle)], atol=1e-12
+            )
 
 
 def test_given_a_configuration_when_transforms_are_made_then_they_are_those_of_the_urdf(arm):
@@ -80,9 +81,11 @@ def test_given_the_urdf_when_masses_are_moved_then_inertia_and_gravity_are_the_m
         for link in robot.findall('link'):
             part = link.find('inertial')
             if part is not None:
-                yield (float(part.find('mass').get('value')),
-                       (placed[link.get('name')] @ origin(part))[:3, 3],
-                       float(part.find('inertia').get('iyy')))
+                yield (
+                    float(part.find('mass').get('value')),
+                    (placed[link.get('name')] @ origin(part))[:3, 3],
+                    float(part.find('inertia').get('iyy')),
+                )
 
     mass_matrix, weight = np.zeros((2, 2)), np.zeros(2)
     for i, (mass, _, inertia) in enumerate(bodies(q)):
@@ -122,6 +125,7 @@ def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm,
     main = pytest.importorskip('lpv_cli.main').main
     file = 'ros2_ws/src/lpv_bringup/arms/paper.yaml'
     from conftest import ROOT
+
     assert main(['urdf', '--arm', str(ROOT / file)]) == 0
     assert capsys.readouterr().out == arm_urdf(paper_arm)
     assert main(['urdf', '--arm', str(ROOT / file), '--out', str(tmp_path / 'a.urdf')]) == 0

@@ -14,7 +14,7 @@ pytest.importorskip('lpv_view', reason='the workspace is not built')
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
-from lpv_bag.interfaces import make_typestore  # noqa: E402
+from lpv_bag.rosbag.interfaces import make_typestore  # noqa: E402
 from lpv_view.access import Access  # noqa: E402
 from lpv_view.foxglove_bridge import FoxgloveBridge  # noqa: E402
 from lpv_view.foxglove_gate import gate  # noqa: E402
@@ -23,9 +23,12 @@ from lpv_view.server import ViewServer  # noqa: E402
 
 PROTOCOL = 'foxglove.sdk.v1'
 APP = 'https://app.foxglove.dev'
-TOPICS = {'/lpv/arm_markers': (MARKERS, 0), '/tf': (TRANSFORMS, 0),
-          '/lpv/robot_description': ('std_msgs/msg/String', 1),
-          '/lpv/fault_alarm': ('lpv_msgs/msg/FaultAlarm', 2)}
+TOPICS = {
+    '/lpv/arm_markers': (MARKERS, 0),
+    '/tf': (TRANSFORMS, 0),
+    '/lpv/robot_description': ('std_msgs/msg/String', 1),
+    '/lpv/fault_alarm': ('lpv_msgs/msg/FaultAlarm', 2),
+}
 
 
 @contextmanager
@@ -34,7 +37,7 @@ def bridge(arm):
     access = Access('127.0.0.1', '', (), (APP,))
     server = ViewServer(access, arm.sensor_names, lambda *_: True)
     try:
-        port, = server.start([(gate(access, running.address, running.port), '127.0.0.1', 0)])
+        (port,) = server.start([(gate(access, running.address, running.port), '127.0.0.1', 0)])
         yield running, port
     finally:
         server.stop()
@@ -54,8 +57,12 @@ class Viewer:
             message = json.loads((await self.ws.receive(timeout=10.0)).data)
             assert message['op'] == 'advertise'
             self.channels.update({c['id']: c for c in message['channels']})
-        await self.ws.send_json({'op': 'subscribe', 'subscriptions': [
-            {'id': 100 + i, 'channelId': i} for i in self.channels]})
+        await self.ws.send_json(
+            {
+                'op': 'subscribe',
+                'subscriptions': [{'id': 100 + i, 'channelId': i} for i in self.channels],
+            }
+        )
         return info
 
     async def next(self):
@@ -83,8 +90,7 @@ def decode(channel, data):
     return store.deserialize_cdr(data, channel['schemaName'])
 
 
-def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_schema_alone(
-        paper_arm):
+def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_schema_alone(paper_arm):
     scene = Scene(paper_arm, make_typestore())
     arms = {'true': [1.0, 0.5], 'estimated': [1.1, 0.4], 'measured': None}
     stamp = 12_000_000_034
@@ -97,8 +103,9 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
             await asyncio.sleep(0.2)
             running.send('/lpv/arm_markers', scene.markers(arms, stamp), stamp)
             running.send('/tf', scene.tree(arms, stamp), stamp)
-            running.send_band({'estimate': [0.1, 0.2], 'bound': [0.3, 0.3],
-                               'threshold': [0.4, 0.5]}, stamp)
+            running.send_band(
+                {'estimate': [0.1, 0.2], 'bound': [0.3, 0.3], 'threshold': [0.4, 0.5]}, stamp
+            )
             return viewer.channels, [await viewer.next() for _ in range(3)]
 
     with bridge(paper_arm) as (running, port):
@@ -107,7 +114,10 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
     for topic, (msgtype, _) in TOPICS.items():
         channel = by_topic[topic]
         assert (channel['schemaName'], channel['encoding'], channel['schemaEncoding']) == (
-            msgtype, 'cdr', 'ros2msg')
+            msgtype,
+            'cdr',
+            'ros2msg',
+        )
     messages = {topic: (time, data) for topic, time, data in received}
     assert {time for time, _ in messages.values()} == {stamp}
     markers = decode(by_topic['/lpv/arm_markers'], messages['/lpv/arm_markers'][1]).markers
@@ -115,18 +125,24 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
     assert [(m.header.stamp.sec, m.header.stamp.nanosec) for m in markers] == [(12, 34)] * 4
     tree = decode(by_topic['/tf'], messages['/tf'][1]).transforms
     assert [t.child_frame_id for t in tree] == [
-        f'{arm}/{link}' for arm in ('true', 'estimated')
-        for link in ('base_link', 'link1', 'link2', 'tip')]
+        f'{arm}/{link}'
+        for arm in ('true', 'estimated')
+        for link in ('base_link', 'link1', 'link2', 'tip')
+    ]
     band = json.loads(messages['/lpv/fault_band'][1])
     assert band['upper'] == pytest.approx([0.4, 0.5])
     assert band['threshold_low'] == [-0.4, -0.5]
 
 
 def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_last_ones(
-        paper_arm):
+    paper_arm,
+):
     async def late_ones(running, port):
-        async with aiohttp.ClientSession() as client, connect(client, port) as early, \
-                connect(client, port) as late:
+        async with (
+            aiohttp.ClientSession() as client,
+            connect(client, port) as early,
+            connect(client, port) as late,
+        ):
             first, second = Viewer(early), Viewer(late)
             await first.start(len(TOPICS) + 1)
             got = [await first.next() for _ in range(3)]
@@ -147,9 +163,15 @@ def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_
         assert min(time for _, time, _ in received) >= 13
 
 
-@pytest.mark.parametrize(('headers', 'status'), [
-    ({'Origin': 'http://evil.example'}, 403), ({'Origin': 'null'}, 403),
-    ({'Origin': 'https://app.foxglove.dev.evil.example'}, 403), ({'Host': 'evil.example'}, 403)])
+@pytest.mark.parametrize(
+    ('headers', 'status'),
+    [
+        ({'Origin': 'http://evil.example'}, 403),
+        ({'Origin': 'null'}, 403),
+        ({'Origin': 'https://app.foxglove.dev.evil.example'}, 403),
+        ({'Host': 'evil.example'}, 403),
+    ],
+)
 def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, headers, status):
     async def attempt(port):
         async with aiohttp.ClientSession() as client:
@@ -163,8 +185,10 @@ def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, hea
 
 def test_given_the_bridge_when_it_listens_then_only_this_machine_can_reach_it(paper_arm):
     async def plain(port):
-        async with aiohttp.ClientSession() as client, client.get(
-                f'http://127.0.0.1:{port}/') as response:
+        async with (
+            aiohttp.ClientSession() as client,
+            client.get(f'http://127.0.0.1:{port}/') as response,
+        ):
             return response.status
 
     with bridge(paper_arm) as (running, port):
@@ -181,8 +205,14 @@ def test_given_the_layout_when_read_then_every_topic_in_it_is_forwarded():
 
     made = {'arm_markers', 'robot_description', 'true_robot_description', 'fault_band'}
     known = {'/lpv/' + name for name in made | {t.name for t in LISTENED}} | {'/diagnostics'}
-    file = (Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_view' / 'layout'
-            / 'lpv_foxglove.json')
+    file = (
+        Path(__file__).resolve().parents[1]
+        / 'ros2_ws'
+        / 'src'
+        / 'lpv_view'
+        / 'layout'
+        / 'lpv_foxglove.json'
+    )
     named = set()
 
     def walk(value):

@@ -21,17 +21,24 @@ from std_msgs.msg import String  # noqa: E402
 from test_view_foxglove import Viewer, connect, decode  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from lpv_core.gains import save_gains  # noqa: E402
-from lpv_core.urdf import arm_urdf  # noqa: E402
+from lpv_core.certificate.gains import save_gains  # noqa: E402
+from lpv_core.export.urdf import arm_urdf  # noqa: E402
 from lpv_msgs.srv import ClearFaults  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
 ARM = Path(__file__).resolve().parents[1] / 'ros2_ws/src/lpv_bringup/arms/paper.yaml'
-FLAGS = ('--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
-         '--disable-background-networking', '--disable-component-update', '--disable-sync')
-BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which(
-    'chromium-browser')
+FLAGS = (
+    '--headless',
+    '--no-sandbox',
+    '--disable-gpu',
+    '--disable-quic',
+    '--no-first-run',
+    '--disable-background-networking',
+    '--disable-component-update',
+    '--disable-sync',
+)
+BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
 
 
 class Running:
@@ -75,8 +82,10 @@ def free_port():
 
 def scenario_file(folder):
     """To and fro on a line, for longer than any test lasts."""
-    points = ''.join(f'    - {{t: {10.0 * k + 0.1}, x: {0.8451 * (-1) ** (k + 1)}, y: 1.5893}}\n'
-                     for k in range(100))
+    points = ''.join(
+        f'    - {{t: {10.0 * k + 0.1}, x: {0.8451 * (-1) ** (k + 1)}, y: 1.5893}}\n'
+        for k in range(100)
+    )
     path = folder / 'scenario.yaml'
     path.write_text('name: to_and_fro\nduration: 1000.0\npath:\n  waypoints:\n' + points)
     return path
@@ -99,8 +108,16 @@ def live(gains_file, tmp_path_factory):
     folder, domain = tmp_path_factory.mktemp('live'), ros.next_domain()
     scenario = scenario_file(folder)
     with ros.graph(folder / 'log', domain) as graph:
-        graph.start('view', ros.command('view', f'arm_file:={ARM}', f'scenario_file:={scenario}',
-                                        'port:=0', f'foxglove_port:={free_port()}'))
+        graph.start(
+            'view',
+            ros.command(
+                'view',
+                f'arm_file:={ARM}',
+                f'scenario_file:={scenario}',
+                'port:=0',
+                f'foxglove_port:={free_port()}',
+            ),
+        )
         running = Running(graph, domain, folder / 'log')
         running.foxglove = running.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)')
         steps = start(graph, gains_file, scenario)
@@ -113,8 +130,9 @@ def live(gains_file, tmp_path_factory):
             next(steps)
             # Not by an estimate: this client would be one of its readers.  The first run compiles.
             markers = client.listen(MarkerArray, 'arm_markers', 10)
-            assert client.wait(lambda: any(m.ns == 'estimated' for array in markers
-                                           for m in array.markers), 240.0), 'no estimates'
+            assert client.wait(
+                lambda: any(m.ns == 'estimated' for array in markers for m in array.markers), 240.0
+            ), 'no estimates'
         yield running
         codes = graph.stop()
     assert set(codes.values()) == {0}, codes
@@ -129,8 +147,12 @@ def browser(tmp_path_factory):
         pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
     with playwright.sync_playwright() as driver:
         started = driver.chromium.launch_persistent_context(
-            str(tmp_path_factory.mktemp('profile')), executable_path=BROWSER, args=list(FLAGS),
-            headless=True, viewport={'width': 1280, 'height': 900})
+            str(tmp_path_factory.mktemp('profile')),
+            executable_path=BROWSER,
+            args=list(FLAGS),
+            headless=True,
+            viewport={'width': 1280, 'height': 900},
+        )
         yield started
         started.close()
 
@@ -140,8 +162,9 @@ def page(live, browser):
     """The page; it must neither complain nor load anything from elsewhere."""
     complaints, asked = [], []
     tab = browser.new_page()
-    tab.on('console', lambda m: complaints.append(m.text) if m.type in ('error', 'warning')
-           else None)
+    tab.on(
+        'console', lambda m: complaints.append(m.text) if m.type in ('error', 'warning') else None
+    )
     tab.on('pageerror', lambda error: complaints.append(str(error)))
     tab.on('request', lambda request: asked.append(request.url))
     tab.goto(live.page)
@@ -164,7 +187,8 @@ def until(page, condition, timeout=20.0):
 
 
 def test_given_a_running_graph_when_a_fault_is_injected_from_the_page_then_its_alarm_comes_and_goes(
-        live, page):
+    live, page
+):
     until(page, lambda: page.text_content('#mode') == 'observing', 60.0)
     assert page.inner_text('#arm-name') == 'paper'
     first = picture(page)
@@ -210,11 +234,11 @@ def test_given_a_phone_when_the_page_is_opened_then_nothing_is_wider_than_the_sc
 def test_given_a_page_when_the_connection_breaks_then_it_says_so_and_comes_back(live, page):
     page.wait_for_selector('#clock:not([hidden])', timeout=60_000)
     # A WebSocket that is closed under the page, as by a node that ends.
-    page.evaluate('''() => {
+    page.evaluate("""() => {
       const send = WebSocket.prototype.send;
       WebSocket.prototype.send = function (data) { window.cut = () => this.close();
         WebSocket.prototype.send = send; send.call(this, data); };
-    }''')
+    }""")
     page.click('#reset')
     page.evaluate('window.cut()')
     until(page, lambda: page.text_content('#connection') != 'connected')
@@ -224,9 +248,20 @@ def test_given_a_page_when_the_connection_breaks_then_it_says_so_and_comes_back(
 
 
 def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_and_their_data(live):
-    wanted = {f'/lpv/{name}' for name in (
-        'joint_states', 'state_estimate', 'fault_estimate', 'torque_command', 'ground_truth',
-        'reference', 'arm_markers', 'robot_description', 'fault_band')} | {'/tf', '/diagnostics'}
+    wanted = {
+        f'/lpv/{name}'
+        for name in (
+            'joint_states',
+            'state_estimate',
+            'fault_estimate',
+            'torque_command',
+            'ground_truth',
+            'reference',
+            'arm_markers',
+            'robot_description',
+            'fault_band',
+        )
+    } | {'/tf', '/diagnostics'}
 
     async def listen():
         seen = {}
@@ -249,18 +284,20 @@ def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_an
     assert np.isfinite(state.position).all()
     faults = decode(channels['/lpv/fault_estimate'], seen['/lpv/fault_estimate'][1])
     assert list(faults.sensor_names) == ['link1_angle', 'link2_angle']
-    assert '<robot name="paper">' in decode(channels['/lpv/robot_description'],
-                                            seen['/lpv/robot_description'][1]).data
+    assert (
+        '<robot name="paper">'
+        in decode(channels['/lpv/robot_description'], seen['/lpv/robot_description'][1]).data
+    )
 
 
 def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_description(
-        live, paper_arm):
+    live, paper_arm
+):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     with ros.client(live.domain) as client:
         descriptions = client.listen(String, 'robot_description', latched)
         markers = client.listen(MarkerArray, 'arm_markers', 10)
-        assert client.wait(lambda: descriptions and any(len(m.markers) == 6 for m in markers),
-                           60.0)
+        assert client.wait(lambda: descriptions and any(len(m.markers) == 6 for m in markers), 60.0)
     assert descriptions[0].data == arm_urdf(paper_arm)
     lines = {m.ns: m.points for array in markers for m in array.markers if m.id == 0}
     assert {'true', 'estimated', 'measured'} <= set(lines)
@@ -273,10 +310,15 @@ def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_de
 
 
 def test_given_a_view_that_others_may_see_when_opened_then_its_buttons_need_the_printed_token(
-        live, tmp_path, request):
+    live, tmp_path, request
+):
     with ros.graph(tmp_path, live.domain) as graph:
-        graph.start('view', ros.command('view', f'arm_file:={ARM}', 'address:=0.0.0.0', 'port:=0',
-                                        'foxglove_port:=0'))
+        graph.start(
+            'view',
+            ros.command(
+                'view', f'arm_file:={ARM}', 'address:=0.0.0.0', 'port:=0', 'foxglove_port:=0'
+            ),
+        )
         shown = Running(graph, live.domain, tmp_path, r'(http://\S+/)#token=')
         log = text(tmp_path / 'view.log')
         token = re.search(r'need the token (\S+)', log).group(1)
@@ -312,13 +354,17 @@ def try_token(page, address, token):
     page.close()
 
 
-@pytest.mark.parametrize(('parameters', 'told'), [
-    ((), 'arm_file: must be set'),
-    ((f'arm_file:={ARM}', 'port:=70000'), 'port'),
-    ((f'arm_file:={ARM}', 'address:=192.0.2.1'), r'cannot listen on 192\.0\.2\.1'),
-])
+@pytest.mark.parametrize(
+    ('parameters', 'told'),
+    [
+        ((), 'arm_file: must be set'),
+        ((f'arm_file:={ARM}', 'port:=70000'), 'port'),
+        ((f'arm_file:={ARM}', 'address:=192.0.2.1'), r'cannot listen on 192\.0\.2\.1'),
+    ],
+)
 def test_given_a_view_that_cannot_start_when_run_then_it_says_why_and_ends_with_code_1(
-        tmp_path, parameters, told):
+    tmp_path, parameters, told
+):
     with ros.graph(tmp_path) as graph:
         node = graph.start('view', ros.command('view', 'foxglove_port:=0', *parameters))
         assert node.process.wait(60) == 1

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip('lpv_view', reason='the workspace is not built')
 
-from lpv_core.faults import KINDS  # noqa: E402
+from lpv_core.simulation.faults import KINDS  # noqa: E402
 from lpv_view.alarm_list import CLEARED, RAISED, UPDATED, AlarmList  # noqa: E402
 from lpv_view.commands import CommandError, parse_command  # noqa: E402
 from lpv_view.model import WINDOW, LiveModel  # noqa: E402
@@ -29,8 +29,15 @@ def message(t, **fields):
 
 
 def fault_estimate(t, estimate=(0.0, 0.0), alarm=(False, False), state=(0, 0)):
-    return message(t, sensor_names=SENSORS, estimate=np.array(estimate), bound=np.full(2, 0.1),
-                   threshold=np.full(2, 0.1), state=np.array(state, np.uint8), alarm=alarm)
+    return message(
+        t,
+        sensor_names=SENSORS,
+        estimate=np.array(estimate),
+        bound=np.full(2, 0.1),
+        threshold=np.full(2, 0.1),
+        state=np.array(state, np.uint8),
+        alarm=alarm,
+    )
 
 
 def state_estimate(t, position=(1.6, 0.1), mode=0):
@@ -39,8 +46,9 @@ def state_estimate(t, position=(1.6, 0.1), mode=0):
 
 def alarm(event, t, onset=1.0, sensor=SENSORS[0], **fields):
     values = {'kind': 'bias', 'size': 0.3, 'bound': 0.05, 'confidence': 0.9, **fields}
-    return message(t, event=event, sensor=sensor, onset=stamp(onset), detected=stamp(onset + 0.01),
-                   **values)
+    return message(
+        t, event=event, sensor=sensor, onset=stamp(onset), detected=stamp(onset + 0.01), **values
+    )
 
 
 def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_known(paper_arm):
@@ -56,8 +64,9 @@ def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them
     model = LiveModel(paper_arm)
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
     model.take('fault_estimate', fault_estimate(1.0, (math.inf, -0.2)), 0.0)
-    model.take('joint_states', message(1.0, name=['elbow'], position=[1.0], velocity=[0.0],
-                                       effort=[]), 0.0)
+    model.take(
+        'joint_states', message(1.0, name=['elbow'], position=[1.0], velocity=[0.0], effort=[]), 0.0
+    )
     frame = json.loads(json.dumps(model.frame(0.1), allow_nan=False))
     assert frame['arms'] == {'true': None, 'estimated': None, 'measured': None}
     assert frame['sample']['fault'] == [None, 0.1]
@@ -66,9 +75,17 @@ def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them
 
 def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(paper_arm):
     model = LiveModel(paper_arm)
-    model.take('joint_states', message(1.0, name=['gripper', 'joint2', 'joint1'],
-                                       position=[9.0, 0.5, 1.0], velocity=[0.0] * 3, effort=[]),
-               0.0)
+    model.take(
+        'joint_states',
+        message(
+            1.0,
+            name=['gripper', 'joint2', 'joint1'],
+            position=[9.0, 0.5, 1.0],
+            velocity=[0.0] * 3,
+            effort=[],
+        ),
+        0.0,
+    )
     # The paper's q1 counts from the x axis, and so do the angles of a frame.
     assert model.frame(0.0)['arms']['measured'] == pytest.approx([1.0, 1.5])
 
@@ -85,7 +102,8 @@ def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown
 
 
 def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_without_repeats(
-        paper_arm):
+    paper_arm,
+):
     model = LiveModel(paper_arm)
     for k in range(2000):
         model.take('fault_estimate', fault_estimate(1.0 + 0.04 * (k // 2)), 0.04 * k)
@@ -99,7 +117,8 @@ def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_withou
 
 
 def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then_it_goes_on(
-        paper_arm):
+    paper_arm,
+):
     model = LiveModel(paper_arm)
     model.take('ground_truth', message(50.0, position=[1.0, 0.0], fault=[0.0, 0.0]), 0.0)
     model.take('state_estimate', state_estimate(50.0), 0.0)
@@ -156,22 +175,38 @@ def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
     assert [row['ended'] is None for row in rows].count(True) == 1
 
 
-@pytest.mark.parametrize(('text', 'told'), [
-    ('', 'JSON'), ('{', 'JSON'), ('[' * 4000, 'JSON'), ('[]', 'object'), ('null', 'object'),
-    ('"inject"', 'object'), ('{}', 'type'), ('{"type": 3}', 'type'), ('{"type": "stop"}', 'type'),
-    ('{"type": "reset", "id": -1}', 'id'), ('{"type": "reset", "id": "x"}', 'id'),
-    ('{"type": "reset", "id": true}', 'id'), ('{"type": "token"}', 'token'),
-    ('{"type": "token", "token": "%s"}' % ('x' * 300), 'token'),
-    ('{"type": "clear", "sensor": "elbow"}', 'sensor'), ('{"type": "clear", "sensor": []}', 'sen'),
-    ('{"type": "inject"}', 'sensor'),
-    ('{"type": "inject", "sensor": "link1_angle", "kind": "odd"}', 'kind'),
-    ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": "1"}', 'size'),
-    ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": NaN}', 'JSON'),
-    ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": 1e999}', 'size'),
-    ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": true}', 'size'),
-    ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "rate": %s}' % ('9' * 4000),
-     'rate'),
-])
+@pytest.mark.parametrize(
+    ('text', 'told'),
+    [
+        ('', 'JSON'),
+        ('{', 'JSON'),
+        ('[' * 4000, 'JSON'),
+        ('[]', 'object'),
+        ('null', 'object'),
+        ('"inject"', 'object'),
+        ('{}', 'type'),
+        ('{"type": 3}', 'type'),
+        ('{"type": "stop"}', 'type'),
+        ('{"type": "reset", "id": -1}', 'id'),
+        ('{"type": "reset", "id": "x"}', 'id'),
+        ('{"type": "reset", "id": true}', 'id'),
+        ('{"type": "token"}', 'token'),
+        ('{"type": "token", "token": "%s"}' % ('x' * 300), 'token'),
+        ('{"type": "clear", "sensor": "elbow"}', 'sensor'),
+        ('{"type": "clear", "sensor": []}', 'sen'),
+        ('{"type": "inject"}', 'sensor'),
+        ('{"type": "inject", "sensor": "link1_angle", "kind": "odd"}', 'kind'),
+        ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": "1"}', 'size'),
+        ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": NaN}', 'JSON'),
+        ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": 1e999}', 'size'),
+        ('{"type": "inject", "sensor": "link1_angle", "kind": "bias", "size": true}', 'size'),
+        (
+            '{"type": "inject", "sensor": "link1_angle", "kind": "bias", "rate": %s}'
+            % ('9' * 4000),
+            'rate',
+        ),
+    ],
+)
 def test_given_malformed_commands_when_parsed_then_the_reason_is_told(text, told):
     with pytest.raises(CommandError, match=told):
         parse_command(text, SENSORS)
@@ -184,8 +219,16 @@ def test_given_the_kinds_of_faults_when_the_page_is_made_then_its_form_knows_the
 
 
 def test_given_a_command_when_parsed_then_only_known_fields_remain():
-    command = parse_command('{"type": "inject", "id": 7, "sensor": "link2_angle", "kind": "bias",'
-                            ' "size": 1, "extra": "x"}', SENSORS)
+    command = parse_command(
+        '{"type": "inject", "id": 7, "sensor": "link2_angle", "kind": "bias",'
+        ' "size": 1, "extra": "x"}',
+        SENSORS,
+    )
     assert (command.name, command.number) == ('inject', 7)
-    assert command.fields == {'sensor': 'link2_angle', 'kind': 'bias', 'size': 1.0, 'rate': 0.0,
-                              'duration': 0.0}
+    assert command.fields == {
+        'sensor': 'link2_angle',
+        'kind': 'bias',
+        'size': 1.0,
+        'rate': 0.0,
+        'duration': 0.0,
+    }

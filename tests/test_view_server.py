@@ -11,7 +11,7 @@ import pytest
 aiohttp = pytest.importorskip('aiohttp')
 pytest.importorskip('lpv_view', reason='the workspace is not built')
 
-from lpv_core.errors import ConfigError  # noqa: E402
+from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_view.access import Access  # noqa: E402
 from lpv_view.model import LiveModel  # noqa: E402
 from lpv_view.server import LARGEST_MESSAGE, ViewServer  # noqa: E402
@@ -34,7 +34,7 @@ class Served:
             return answer
 
         self.server = ViewServer(access, arm.sensor_names, submit, **options)
-        self.port, = self.server.start([(self.server.application(), '127.0.0.1', 0)])
+        (self.port,) = self.server.start([(self.server.application(), '127.0.0.1', 0)])
         self.url = f'http://127.0.0.1:{self.port}'
 
     def welcome(self):
@@ -55,13 +55,19 @@ def serve(arm, access=None, **options):
 
 def talk(served, messages, headers=None, replies=None):
     """Send messages (text or dict), collect as many replies; the last is a close code if closed."""
+
     async def conversation():
         received = []
-        async with aiohttp.ClientSession() as session, session.ws_connect(
-                served.url + '/ws', headers=headers) as ws:
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(served.url + '/ws', headers=headers) as ws,
+        ):
             for message in messages:
-                await (ws.send_bytes(message) if isinstance(message, bytes) else
-                       ws.send_str(message if isinstance(message, str) else json.dumps(message)))
+                await (
+                    ws.send_bytes(message)
+                    if isinstance(message, bytes)
+                    else ws.send_str(message if isinstance(message, str) else json.dumps(message))
+                )
             while len(received) < (len(messages) if replies is None else replies):
                 message = await ws.receive(timeout=10.0)
                 if message.type != aiohttp.WSMsgType.TEXT:
@@ -69,22 +75,37 @@ def talk(served, messages, headers=None, replies=None):
                     break
                 received.append(json.loads(message.data))
         return received
+
     return asyncio.run(conversation())
 
 
 def get(served, path='/', **headers):
     async def fetch():
-        async with aiohttp.ClientSession() as session, session.get(
-                served.url + path, headers=headers) as response:
+        async with (
+            aiohttp.ClientSession() as session,
+            session.get(served.url + path, headers=headers) as response,
+        ):
             return response.status, response.headers, await response.read()
+
     return asyncio.run(fetch())
 
 
 def test_given_the_page_when_fetched_then_all_of_it_comes_from_here_with_strict_headers(paper_arm):
     with serve(paper_arm) as served:
-        pages = {path: get(served, path) for path in
-                 ('/', '/view.css', '/icon.svg', '/view.js', '/arm.js', '/chart.js', '/link.js',
-                  '/panels.js', '/theme.js')}
+        pages = {
+            path: get(served, path)
+            for path in (
+                '/',
+                '/view.css',
+                '/icon.svg',
+                '/view.js',
+                '/arm.js',
+                '/chart.js',
+                '/link.js',
+                '/panels.js',
+                '/theme.js',
+            )
+        }
         for path in ('/nothing', '/../access.py', '/static/view.js'):
             status, headers, _ = get(served, path)
             assert status == 404 and 'Content-Security-Policy' in headers
@@ -98,20 +119,30 @@ def test_given_the_page_when_fetched_then_all_of_it_comes_from_here_with_strict_
             assert elsewhere not in body.replace(b'http://www.w3.org/2000/svg', b'')
 
 
-@pytest.mark.parametrize(('headers', 'status'), [
-    ({}, 200), ({'Host': 'localhost:{port}'}, 200), ({'Host': '[::1]:{port}'}, 200),
-    ({'Origin': 'http://127.0.0.1:{port}'}, 200),
-    ({'Host': 'localhost', 'Origin': 'http://localhost'}, 200),
-    ({'Sec-Fetch-Site': 'cross-site', 'Sec-Fetch-Mode': 'navigate'}, 200),
-    ({'Origin': 'http://evil.example'}, 403), ({'Origin': 'null'}, 403),
-    ({'Origin': 'http://127.0.0.1:1'}, 403), ({'Origin': 'http://127.0.0.1.evil.example'}, 403),
-    ({'Host': 'evil.example'}, 403), ({'Host': 'evil.example:{port}'}, 403),
-    ({'Host': 'evil.example', 'Origin': 'http://evil.example'}, 403),
-    ({'Host': '127.0.0.1.evil.example'}, 403), ({'Host': ''}, 403),
-    ({'Sec-Fetch-Site': 'cross-site', 'Sec-Fetch-Mode': 'no-cors'}, 403),
-])
+@pytest.mark.parametrize(
+    ('headers', 'status'),
+    [
+        ({}, 200),
+        ({'Host': 'localhost:{port}'}, 200),
+        ({'Host': '[::1]:{port}'}, 200),
+        ({'Origin': 'http://127.0.0.1:{port}'}, 200),
+        ({'Host': 'localhost', 'Origin': 'http://localhost'}, 200),
+        ({'Sec-Fetch-Site': 'cross-site', 'Sec-Fetch-Mode': 'navigate'}, 200),
+        ({'Origin': 'http://evil.example'}, 403),
+        ({'Origin': 'null'}, 403),
+        ({'Origin': 'http://127.0.0.1:1'}, 403),
+        ({'Origin': 'http://127.0.0.1.evil.example'}, 403),
+        ({'Host': 'evil.example'}, 403),
+        ({'Host': 'evil.example:{port}'}, 403),
+        ({'Host': 'evil.example', 'Origin': 'http://evil.example'}, 403),
+        ({'Host': '127.0.0.1.evil.example'}, 403),
+        ({'Host': ''}, 403),
+        ({'Sec-Fetch-Site': 'cross-site', 'Sec-Fetch-Mode': 'no-cors'}, 403),
+    ],
+)
 def test_given_a_request_when_its_origin_or_host_is_another_then_page_and_socket_are_refused(
-        paper_arm, headers, status):
+    paper_arm, headers, status
+):
     with serve(paper_arm) as served:
         headers = {k: v.replace('{port}', str(served.port)) for k, v in headers.items()}
         assert get(served, **headers)[0] == status
@@ -126,19 +157,26 @@ def test_given_a_request_when_its_origin_or_host_is_another_then_page_and_socket
 
 def test_given_the_loopback_address_when_a_button_is_pressed_then_no_token_is_needed(paper_arm):
     with serve(paper_arm) as served:
-        reply, = talk(served, [INJECT])
+        (reply,) = talk(served, [INJECT])
     assert reply == {'type': 'reply', 'id': 5, 'command': 'inject', 'ok': True, 'message': 'done'}
     assert served.commands[0].fields['size'] == 0.3
 
 
 def test_given_another_address_when_a_button_is_pressed_then_the_token_is_needed_but_not_to_look(
-        paper_arm):
+    paper_arm,
+):
     access = Access('0.0.0.0', TOKEN)
     with serve(paper_arm, access) as served:
         assert get(served)[0] == 200
-        refused, wrong, granted, done = talk(served, [
-            INJECT, {'type': 'token', 'token': '\ud800'},
-            {'type': 'token', 'token': TOKEN}, INJECT])
+        refused, wrong, granted, done = talk(
+            served,
+            [
+                INJECT,
+                {'type': 'token', 'token': '\ud800'},
+                {'type': 'token', 'token': TOKEN},
+                INJECT,
+            ],
+        )
         assert not refused['ok'] and 'token' in refused['message']
         assert not wrong['ok'] and granted['ok'] and done['ok']
         assert len(served.commands) == 1
@@ -167,19 +205,32 @@ def test_given_no_token_when_bound_elsewhere_then_a_random_one_is_made():
     assert Access('127.0.0.1', TOKEN).token == TOKEN
 
 
-@pytest.mark.parametrize(('address', 'token', 'named'), [
-    ('', '', 'address'), ('example.org', '', 'address'), ('1.2.3', '', 'address'),
-    ('0.0.0.0', 'short', 'token')])
+@pytest.mark.parametrize(
+    ('address', 'token', 'named'),
+    [
+        ('', '', 'address'),
+        ('example.org', '', 'address'),
+        ('1.2.3', '', 'address'),
+        ('0.0.0.0', 'short', 'token'),
+    ],
+)
 def test_given_an_address_or_token_that_will_not_do_when_set_up_then_it_is_named(
-        address, token, named):
+    address, token, named
+):
     with pytest.raises(ConfigError, match=named):
         Access(address, token)
 
 
-def test_given_nonsense_when_sent_then_each_message_gets_an_error_and_the_server_goes_on(
-        paper_arm):
-    nonsense = ['', '{', '[' * 4000, 'NaN', b'\x00\xff', '{"type": "inject"}',
-                json.dumps({**INJECT, 'size': 1e300})]
+def test_given_nonsense_when_sent_then_each_message_gets_an_error_and_the_server_goes_on(paper_arm):
+    nonsense = [
+        '',
+        '{',
+        '[' * 4000,
+        'NaN',
+        b'\x00\xff',
+        '{"type": "inject"}',
+        json.dumps({**INJECT, 'size': 1e300}),
+    ]
     with serve(paper_arm) as served:
         replies = talk(served, [*nonsense, INJECT])
         assert [r['type'] for r in replies] == ['error'] * len(nonsense) + ['reply']
@@ -218,18 +269,19 @@ def test_given_clients_when_frames_are_sent_then_all_get_them_after_their_welcom
             assert received[0]['token_needed'] is False
 
 
-def test_given_a_client_that_reads_nothing_when_frames_are_sent_then_nobody_waits_for_it(
-        paper_arm):
-    handshake = ('GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n'
-                 'Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n'
-                 'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n')
+def test_given_a_client_that_reads_nothing_when_frames_are_sent_then_nobody_waits_for_it(paper_arm):
+    handshake = (
+        'GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n'
+        'Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n'
+        'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n'
+    )
     with serve(paper_arm) as served, socket.create_connection(('127.0.0.1', served.port)) as lazy:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         lazy.sendall(handshake.encode())
         served.welcome()
         frame = served.model.frame(0.0)
         big = {**frame, 'pad': 'x' * 100_000}
-        client, = served.server._hub.clients
+        (client,) = served.server._hub.clients
         waited, stuck = 0.0, 0
         for _ in range(600):
             start = time.monotonic()
@@ -247,8 +299,11 @@ def test_given_a_client_that_reads_nothing_when_frames_are_sent_then_nobody_wait
 
 def test_given_too_many_clients_when_another_comes_then_it_is_refused(paper_arm):
     async def crowd(url):
-        async with aiohttp.ClientSession() as session, session.ws_connect(url), \
-                session.ws_connect(url):
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(url),
+            session.ws_connect(url),
+        ):
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
                 await session.ws_connect(url)
             return refused.value.status

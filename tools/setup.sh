@@ -121,7 +121,7 @@ build_workspace() {
     fail "the workspace did not build; see $build/log"
   fi
   say "compiling the recursions"
-  "$venv/bin/python" -m lpv_core.precompile
+  "$venv/bin/python" -m lpv_core.simulation.precompile
   mark_done workspace "$id"
 }
 

@@ -6,12 +6,16 @@ from functools import lru_cache
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.arm import G_1, G_2
-from lpv_core.lmi import integral_feedback, largest_eigenvalue
+from lpv_core.certificate.lmi import integral_feedback, largest_eigenvalue
+from lpv_core.model.arm import G_1, G_2
 from lpv_design.solve import run, solve, symmetric_below
 
-PUBLISHED_M1 = np.array([[-4426.747411, -0.001668, -420.832109, -0.000786],
-                         [0.003075, -1440.412948, -0.000361, -145.310838]])
+PUBLISHED_M1 = np.array(
+    [
+        [-4426.747411, -0.001668, -420.832109, -0.000786],
+        [0.003075, -1440.412948, -0.000361, -145.310838],
+    ]
+)
 """M1 of section 5 of the paper."""
 PUBLISHED_M2 = np.array([[13268.9910017, -0.0171864], [-0.0312571, 3932.6833916]])
 """M2 of section 5 of the paper."""
@@ -135,11 +139,13 @@ class LoopProblem:
         for gravity, inverse in zip(self._gravity, self._inverse):
             # A_c Q + B_c X, with the rows of eq. (64) that do not depend on the vertex.
             closed = cp.vstack([q[2:4], gravity @ q[:2] + inverse @ x, -q[:2]])
-            cost = cp.bmat([
-                [closed + closed.T, q @ root, effort * x.T],
-                [root @ q, -np.eye(6), np.zeros((6, 2))],
-                [effort * x, np.zeros((2, 6)), -np.eye(2)],
-            ])
+            cost = cp.bmat(
+                [
+                    [closed + closed.T, q @ root, effort * x.T],
+                    [root @ q, -np.eye(6), np.zeros((6, 2))],
+                    [effort * x, np.zeros((2, 6)), -np.eye(2)],
+                ]
+            )
             shifted = center * q + closed
             disc = cp.bmat([[-radius * q, shifted], [shifted.T, -radius * q]])
             constraints += [symmetric_below(cost, 1e-7), symmetric_below(disc, 1e-7)]

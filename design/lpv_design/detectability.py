@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lpv_core.polytope import paper_weights
+from lpv_core.model.polytope import paper_weights
 
 
 def lost_mode(a, c, tolerance=1e-9):

@@ -1,7 +1,7 @@
 """Method ``exact``: gains of the observer in momentum coordinates, one small LMI a link.
 
 The error of link i is e' = -kappa m, m' = Gamma e - mu m + q, with one uncertain slope Gamma in
-[G cos_min, G] (see :mod:`lpv_core.momentum_uio`): an observer problem for A = [[0, 0], [Gamma, 0]],
+[G cos_min, G] (see :mod:`lpv_core.observer.exact_observer`): an observer problem for A = [[0, 0], [Gamma, 0]],
 C = [0, 1] and the injection L = -[kappa; mu].  The inequalities are linear in P and Y = P L:
 a disc for the poles of every slope (decay rate and fastest pole), and the H2 inequality whose
 P^-1 bounds the covariance of the error; its trace is minimised.
@@ -14,8 +14,8 @@ from functools import lru_cache
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.error_system import LinkError, link_errors
-from lpv_core.lmi import covariance, disc
+from lpv_core.certificate.error_system import LinkError, link_errors
+from lpv_core.certificate.lmi import covariance, disc
 from lpv_design.solve import run, symmetric_below
 
 _RESERVE = 0.02
@@ -131,8 +131,12 @@ def solve_link(link: LinkError, requirement):
         ``(kappa, mu, p, status)``; kappa is None where no point was found.
     """
     noises = link.noises(requirement.acceleration_noise, requirement.rate_noise)
-    problem = _compiled(noises[0].direct.shape[1], requirement.decay, requirement.fastest,
-                        requirement.velocity_weight)
+    problem = _compiled(
+        noises[0].direct.shape[1],
+        requirement.decay,
+        requirement.fastest,
+        requirement.velocity_weight,
+    )
     return problem.solve(link, noises)
 
 
@@ -140,7 +144,7 @@ def torque_gains(arm):
     """H-infinity norm from an unknown torque to each link's angle error.
 
     With real poles the error system is positive in suitable coordinates (see
-    `lpv_core.error_bound`), so that its norm is the static gain at the smallest slope, whatever
+    `lpv_core.bound.error_bound`), so that its norm is the static gain at the smallest slope, whatever
     the gains are: gravity, not the observer, sets it.
 
     Parameters

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lpv_core.diagnosis import DiagnosisParameters
-from lpv_core.error_bound import error_bound, static_bound
+from lpv_core.bound.error_bound import error_bound, static_bound
+from lpv_core.decision.diagnosis import DiagnosisParameters
 
 POINTS = 13
 """Angles of each link in the map."""
@@ -40,9 +40,11 @@ class Guarantee:
 
     def to_dict(self):
         """Plain data for the gains file."""
-        return {'deviation': self.deviation.tolist(),
-                'threshold_1': self.threshold[:, :, 0].ravel().tolist(),
-                'threshold_2': self.threshold[:, :, 1].ravel().tolist()}
+        return {
+            'deviation': self.deviation.tolist(),
+            'threshold_1': self.threshold[:, :, 0].ravel().tolist(),
+            'threshold_2': self.threshold[:, :, 1].ravel().tolist(),
+        }
 
 
 def guarantee(arm, gains, points=POINTS):
@@ -92,8 +94,7 @@ def at_rest(arm, gains, theta):
     """
     tuning, theta = DiagnosisParameters(), np.asarray(theta, float)
     constants = error_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
-    bound = np.reshape([static_bound(constants, one) for one in theta.reshape(-1, 2)],
-                       theta.shape)
+    bound = np.reshape([static_bound(constants, one) for one in theta.reshape(-1, 2)], theta.shape)
     return bound, np.maximum(tuning.threshold_factor * bound, tuning.minimum_threshold)
 
 
@@ -119,14 +120,24 @@ def draw(found, arm, path):
     levels = [0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0]
     for i, axis in enumerate(axes):
         values = np.minimum(found.detectable[:, :, i], 10.0)
-        shades = axis.contourf(degrees, degrees, values.T, levels=[*levels, 10.0], cmap='viridis',
-                               norm=matplotlib.colors.LogNorm(levels[0], levels[-1]),
-                               extend='both')
-        lines = axis.contour(degrees, degrees, values.T, levels=levels, colors='white',
-                             linewidths=0.7)
+        shades = axis.contourf(
+            degrees,
+            degrees,
+            values.T,
+            levels=[*levels, 10.0],
+            cmap='viridis',
+            norm=matplotlib.colors.LogNorm(levels[0], levels[-1]),
+            extend='both',
+        )
+        lines = axis.contour(
+            degrees, degrees, values.T, levels=levels, colors='white', linewidths=0.7
+        )
         axis.clabel(lines, fontsize=8)
-        axis.set(title=arm.sensor_names[i], xlabel='link 1 from the vertical [deg]',
-                 ylabel='link 2 from the vertical [deg]')
+        axis.set(
+            title=arm.sensor_names[i],
+            xlabel='link 1 from the vertical [deg]',
+            ylabel='link 2 from the vertical [deg]',
+        )
         axis.set_aspect('equal')
     bar = figure.colorbar(shades, ax=axes, ticks=levels, shrink=0.9)
     bar.set_label('smallest lasting fault that is detected at rest [rad]')

@@ -4,13 +4,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from lpv_core.arm import load_arm
-from lpv_core.errors import LpvError
-from lpv_core.gains import save_gains
-from lpv_core.proof import prove
-from lpv_core.resources import bringup_file
+from lpv_core.certificate.exact_proof import prove
+from lpv_core.certificate.gains import save_gains
+from lpv_core.model.arm import load_arm
+from lpv_core.support.errors import LpvError
+from lpv_core.support.resources import bringup_file
+from lpv_design.design_flow import NotDetectableError, design
 from lpv_design.guarantee import draw
-from lpv_design.pipeline import NotDetectableError, design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
 
@@ -25,17 +25,31 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('--arm', required=True, metavar='ARM',
-                        help='arm file, or name of a shipped arm (paper, real_arm)')
-    parser.add_argument('--requirement', metavar='REQUIREMENT',
-                        help='requirement file, or name of a shipped one (paper, paper_literal, '
-                        'real_arm); without, the one with the arm\'s name')
-    parser.add_argument('--map', metavar='MAP.png',
-                        help='picture to write: smallest surely detectable fault over the region')
-    parser.add_argument('--proof', action='store_true',
-                        help='also prove the inequalities in exact rational arithmetic')
-    parser.add_argument('--out', required=True, metavar='GAINS.yaml',
-                        help='parameter file to write')
+    parser.add_argument(
+        '--arm',
+        required=True,
+        metavar='ARM',
+        help='arm file, or name of a shipped arm (paper, real_arm)',
+    )
+    parser.add_argument(
+        '--requirement',
+        metavar='REQUIREMENT',
+        help='requirement file, or name of a shipped one (paper, paper_literal, '
+        "real_arm); without, the one with the arm's name",
+    )
+    parser.add_argument(
+        '--map',
+        metavar='MAP.png',
+        help='picture to write: smallest surely detectable fault over the region',
+    )
+    parser.add_argument(
+        '--proof',
+        action='store_true',
+        help='also prove the inequalities in exact rational arithmetic',
+    )
+    parser.add_argument(
+        '--out', required=True, metavar='GAINS.yaml', help='parameter file to write'
+    )
 
 
 def run(arguments):
@@ -64,8 +78,13 @@ def run(arguments):
     except LpvError as error:
         print(f'lpv design: {error}', file=sys.stderr)
         return EXIT_BAD_INPUT
-    comment = '\n'.join([f'Gains for arm {arm.name!r}, written by lpv design.',
-                         f'Requirement: {Path(requirement.source).name}', *result.lines])
+    comment = '\n'.join(
+        [
+            f'Gains for arm {arm.name!r}, written by lpv design.',
+            f'Requirement: {Path(requirement.source).name}',
+            *result.lines,
+        ]
+    )
     try:
         save_gains(result.gains, arguments.out, comment)
     except OSError as error:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
-from lpv_core.polytope import sinc_box
-from lpv_core.state_space import Descriptor, vertex_matrices
-from lpv_core.uio import decoupling
+from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
+from lpv_core.model.polytope import sinc_box
+from lpv_core.model.state_space import Descriptor, vertex_matrices
+from lpv_core.observer.paper_observer import decoupling
 from lpv_design.solve import solve, symmetric_below
 
 
@@ -67,8 +67,9 @@ def _inequalities(problem, p, y, gamma_squared, lmi, block=np.block):
     for a_i, y_i in zip(d.a, y):
         pn = p @ (problem.t1 @ a_i) + y_i @ d.c
         if lmi == '55':
-            matrices.append(bounded_real_disc(p, pn, pbd, pbf, gamma_squared,
-                                              problem.q, problem.r, block))
+            matrices.append(
+                bounded_real_disc(p, pn, pbd, pbf, gamma_squared, problem.q, problem.r, block)
+            )
         else:
             matrices.append(bounded_real(p, pn, pbd, pbf, gamma_squared, block))
             matrices.append(disc(p, pn, problem.q, problem.r, block))
@@ -97,8 +98,9 @@ def solve_paper(problem, lmi='55', gamma=None):
     y = [cp.Variable((6, 4)) for _ in problem.descriptor.a]
     gamma_squared = cp.Variable(nonneg=True) if gamma is None else cp.Constant(gamma**2)
     constraints = [p >> 1e-6 * np.eye(6)]
-    constraints += [symmetric_below(m, 1e-8)
-                    for m in _inequalities(problem, p, y, gamma_squared, lmi, cp.bmat)]
+    constraints += [
+        symmetric_below(m, 1e-8) for m in _inequalities(problem, p, y, gamma_squared, lmi, cp.bmat)
+    ]
     status = solve(gamma_squared if gamma is None else 0, constraints)
     if p.value is None:
         return None, None, np.inf, status

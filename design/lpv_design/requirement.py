@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_core.config import Section, read_yaml
-from lpv_core.errors import ConfigError
+from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.errors import ConfigError
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
 
@@ -109,9 +109,12 @@ def parse_requirement(data, source):
     top = Section(data, source)
     observer, controller = top.section('observer'), top.section('controller')
     requirement = Requirement(
-        observer=_observer(observer), controller=_controller(controller),
+        observer=_observer(observer),
+        controller=_controller(controller),
         controller_method=controller.text('method', choices=('paper', 'exact')),
-        controller_sinc_min=controller.number('sinc_min', -0.2, -0.3, 0.99), source=source)
+        controller_sinc_min=controller.number('sinc_min', -0.2, -0.3, 0.99),
+        source=source,
+    )
     for section in (observer, controller, top):
         section.finish()
     return requirement
@@ -123,23 +126,29 @@ def _observer(section):
             lmi=section.text('lmi', '55', ('55', '54+disc')),
             sinc_min=section.number('sinc_min', 0.96, -0.3, 0.999),
             gamma=section.number('gamma', 1.0, above=0.0),
-            q=section.number('q', 20.0, above=0.0), r=section.number('r', 15.0, above=0.0))
+            q=section.number('q', 20.0, above=0.0),
+            r=section.number('r', 15.0, above=0.0),
+        )
         if not requirement.r < requirement.q:
             raise section.error('r', 'must be below q, or the disc reaches unstable poles')
         return requirement
     return ExactRequirement(
-        decay=section.number('decay', above=0.0), fastest=_fastest(section, 'decay'),
+        decay=section.number('decay', above=0.0),
+        fastest=_fastest(section, 'decay'),
         acceleration_noise=section.pair('acceleration_noise', above=0.0),
         rate_noise=section.number('rate_noise', above=0.0),
         velocity_weight=section.number('velocity_weight', 0.02, above=0.0),
-        torque_gain=section.number('torque_gain', 1e9, above=0.0))
+        torque_gain=section.number('torque_gain', 1e9, above=0.0),
+    )
 
 
 def _controller(section):
     return ControllerRequirement(
-        alpha=section.number('alpha', above=0.0), fastest=_fastest(section, 'alpha'),
+        alpha=section.number('alpha', above=0.0),
+        fastest=_fastest(section, 'alpha'),
         state_weight=tuple(section.vector('state_weight', 3, above=0.0)),
-        torque_weight=section.number('torque_weight', above=0.0))
+        torque_weight=section.number('torque_weight', above=0.0),
+    )
 
 
 def _fastest(section, slowest):

@@ -9,9 +9,9 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
 from lpv_arm_sim.services import FaultServices
-from lpv_core.arm import load_arm
-from lpv_core.scenario import load_scenario
-from lpv_core.simulation import ArmSimulator
+from lpv_core.model.arm import load_arm
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.scenario import load_scenario
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
@@ -21,15 +21,38 @@ from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML)', read_only=True),
-    Spec('seed', -1, 'seed of noise and disturbance; -1 takes the scenario\'s', -1, 2**31 - 1,
-         read_only=True),
+    Spec(
+        'seed',
+        -1,
+        "seed of noise and disturbance; -1 takes the scenario's",
+        -1,
+        2**31 - 1,
+        read_only=True,
+    ),
     Spec('substeps', 2, 'Runge-Kutta steps per sample', 1, 100, read_only=True),
-    Spec('shutdown_at_end', False, 'exit with code 0 after the scenario\'s duration; otherwise '
-         'the arm goes on at the end of its path', read_only=True),
-    Spec('command_timeout', 0.2, 'real time only: brake when the measurement that was answered '
-         'last is so old [s]', 0.01, 60.0, read_only=True),
-    Spec('start_time', 1.0, 'lockstep only: stamp of the first sample [s]; zero means "not set" '
-         'in ROS', 0.001, 1e9, read_only=True),
+    Spec(
+        'shutdown_at_end',
+        False,
+        "exit with code 0 after the scenario's duration; otherwise "
+        'the arm goes on at the end of its path',
+        read_only=True,
+    ),
+    Spec(
+        'command_timeout',
+        0.2,
+        'real time only: brake when the measurement that was answered last is so old [s]',
+        0.01,
+        60.0,
+        read_only=True,
+    ),
+    Spec(
+        'start_time',
+        1.0,
+        'lockstep only: stamp of the first sample [s]; zero means "not set" in ROS',
+        0.001,
+        1e9,
+        read_only=True,
+    ),
 )
 
 _CATCH_UP = 5
@@ -92,7 +115,8 @@ class SimulatorNode(ManagedNode):
     def listen(self):
         """Subscribe to commands: the tracker waits for this before it takes estimates."""
         self._command_in = self.create_subscription(
-            TorqueCommand, 'torque_command', self._on_command, stream(self.lockstep))
+            TorqueCommand, 'torque_command', self._on_command, stream(self.lockstep)
+        )
 
     def begin(self):
         """Start stepping."""
@@ -104,15 +128,16 @@ class SimulatorNode(ManagedNode):
             self._ticker = self.steady_timer(0.25, self._ask_again)
         else:
             # Time that passed while the node was inactive is none of the arm's.
-            self._start = (self.get_clock().now().nanoseconds
-                           - self._plant.step_count * self._period)
+            self._start = self.get_clock().now().nanoseconds - self._plant.step_count * self._period
             self.get_logger().info(f'real time, {1.0 / self._arm.sample_time:.0f} Hz')
             self._ticker = self.steady_timer(self._arm.sample_time, self._tick)
 
     def end(self):
         """Stop stepping."""
-        for item, destroy in ((self._command_in, self.destroy_subscription),
-                              (self._ticker, self.destroy_timer)):
+        for item, destroy in (
+            (self._command_in, self.destroy_subscription),
+            (self._ticker, self.destroy_timer),
+        ):
             if item is not None:
                 destroy(item)
         self._command_in = self._ticker = self._command = None
@@ -136,8 +161,10 @@ class SimulatorNode(ManagedNode):
             self.get_logger().info('commands flow')
 
     def _count_peers(self):
-        return (self._joint_states_out.get_subscription_count(),
-                self.count_publishers(self._command_in.topic_name))
+        return (
+            self._joint_states_out.get_subscription_count(),
+            self.count_publishers(self._command_in.topic_name),
+        )
 
     def _ask_again(self):
         """Lockstep: send a sample again that went to a node which is no more.
@@ -230,7 +257,8 @@ class SimulatorNode(ManagedNode):
         if step % max(1, round(1.0 / self._arm.sample_time)) == 0 and step <= self._last:
             slipped = f', {self._slips} samples slipped' if self._slips else ''
             self.get_logger().info(
-                f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{slipped}')
+                f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{slipped}'
+            )
         if step == self._last and self.get_parameter('shutdown_at_end').value:
             self.finish()
 

@@ -1,7 +1,7 @@
 """Services that inject and clear faults on the running simulator."""
 
-from lpv_core.errors import LpvError
-from lpv_core.faults import Fault
+from lpv_core.simulation.faults import Fault
+from lpv_core.support.errors import LpvError
 from lpv_msgs.srv import ClearFaults, InjectFault
 
 
@@ -34,8 +34,14 @@ class FaultServices:
         lpv_msgs.srv.InjectFault.Response
             ``success``, and the reason where it is refused.
         """
-        fault = Fault(request.sensor, request.kind, self._plant.time, request.duration,
-                      request.size, request.rate)
+        fault = Fault(
+            request.sensor,
+            request.kind,
+            self._plant.time,
+            request.duration,
+            request.size,
+            request.rate,
+        )
         try:
             self._plant.injector.add(fault)
         except LpvError as error:

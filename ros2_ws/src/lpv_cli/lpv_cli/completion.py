@@ -2,11 +2,15 @@
 
 import os
 
-from lpv_core.errors import LpvError
-from lpv_core.resources import executable, shipped_files
+from lpv_core.support.errors import LpvError
+from lpv_core.support.resources import executable, shipped_files
 
-_PROGRAMS = {'lpv_arm_sim': 'simulator', 'lpv_bag': 'recorder', 'lpv_tracker': 'tracker',
-             'lpv_uio': 'uio'}
+_PROGRAMS = {
+    'lpv_arm_sim': 'simulator',
+    'lpv_bag': 'recorder',
+    'lpv_tracker': 'tracker',
+    'lpv_uio': 'uio',
+}
 
 
 def complete(build_parser, commands):
@@ -41,10 +45,13 @@ def shipped(kind):
     callable
         Completer.
     """
+
     def names(prefix, **_):
         import argcomplete
+
         files = argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix)
         return [*_shipped_names(kind), *files]
+
     return names
 
 

@@ -5,23 +5,23 @@ import importlib
 import sys
 
 from lpv_cli.completion import complete
-from lpv_core.errors import LpvError
+from lpv_core.support.errors import LpvError
 
 COMMANDS = {
     'design': ('lpv_design.main', 'design certified gains for an arm'),
-    'verify': ('lpv_cli.verify', 'check the certificate of a gains file'),
-    'demo': ('lpv_cli.demo', 'design, simulate with the real graph, record, report'),
+    'verify': ('lpv_cli.commands.verify', 'check the certificate of a gains file'),
+    'demo': ('lpv_cli.commands.demo', 'design, simulate with the real graph, record, report'),
     'doctor': ('lpv_cli.doctor', 'find the usual mistakes in files, environment and graph'),
-    'campaign': ('lpv_cli.campaign', 'run thousands of simulations, or replay many bags'),
-    'tune': ('lpv_cli.tune', 'search the weights of a design by campaigns of runs'),
-    'run': ('lpv_cli.run_command', 'start a node, as ros2 run does'),
-    'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),
-    'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),
-    'view': ('lpv_cli.view', 'show the running graph: web page, Foxglove, markers'),
-    'urdf': ('lpv_cli.urdf', 'print the URDF of an arm'),
-    'recover': ('lpv_cli.recover', 'repair a bag that is cut off or damaged'),
-    'compare': ('lpv_cli.compare', 'compare the answers in two bags of one recording'),
-    'report': ('lpv_cli.report_command', 'write the report of a bag'),
+    'campaign': ('lpv_cli.commands.campaign', 'run thousands of simulations, or replay many bags'),
+    'tune': ('lpv_cli.commands.tune', 'search the weights of a design by campaigns of runs'),
+    'run': ('lpv_cli.commands.run', 'start a node, as ros2 run does'),
+    'import-csv': ('lpv_cli.commands.import_csv', 'turn a CSV recording of an arm into a bag'),
+    'replay': ('lpv_cli.commands.replay', 'run observer and diagnosis offline on a bag'),
+    'view': ('lpv_cli.commands.view', 'show the running graph: web page, Foxglove, markers'),
+    'urdf': ('lpv_cli.commands.urdf', 'print the URDF of an arm'),
+    'recover': ('lpv_cli.commands.recover', 'repair a bag that is cut off or damaged'),
+    'compare': ('lpv_cli.commands.compare', 'compare the answers in two bags of one recording'),
+    'report': ('lpv_cli.commands.report', 'write the report of a bag'),
 }
 """Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""
 
@@ -41,7 +41,8 @@ def build_parser(chosen=None):
         With one sub-command each.
     """
     parser = argparse.ArgumentParser(
-        prog='lpv', description='Sensor-fault diagnosis and tracking of two-link robot arms.')
+        prog='lpv', description='Sensor-fault diagnosis and tracking of two-link robot arms.'
+    )
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, (module, text) in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text)

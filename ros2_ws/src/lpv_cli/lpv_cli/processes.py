@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_core.errors import LpvError
+from lpv_core.support.errors import LpvError
 
 
 class NodeFailure(LpvError):
@@ -43,6 +43,7 @@ def ended_by_signals():
     They are in sessions of their own, where neither arrives.  SIGHUP is left alone where it is
     ignored, as nohup asks for.
     """
+
     def end(number, _frame):
         raise SystemExit(128 + number)
 
@@ -72,11 +73,14 @@ class Graph:
         self._log_dir = Path(log_dir)
         self._log_dir.mkdir(parents=True, exist_ok=True)
         self._environment = dict(
-            os.environ, ROS_DOMAIN_ID=str(domain_id),
+            os.environ,
+            ROS_DOMAIN_ID=str(domain_id),
             # Nobody else's business: nodes are found on this machine only.
-            ROS_AUTOMATIC_DISCOVERY_RANGE=os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE',
-                                                         'LOCALHOST'),
-            PYTHONUNBUFFERED='1')
+            ROS_AUTOMATIC_DISCOVERY_RANGE=os.environ.get(
+                'ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'
+            ),
+            PYTHONUNBUFFERED='1',
+        )
         self.nodes = []
         self.lines = queue.Queue()
 
@@ -102,8 +106,13 @@ class Graph:
             The node.
         """
         process = subprocess.Popen(
-            [str(part) for part in command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            env=self._environment, text=True, start_new_session=True)
+            [str(part) for part in command],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=self._environment,
+            text=True,
+            start_new_session=True,
+        )
         node = NodeProcess(name, process, self._log_dir / f'{name}.log')
         threading.Thread(target=self._pump, args=(node,), daemon=True).start()
         self.nodes.append(node)

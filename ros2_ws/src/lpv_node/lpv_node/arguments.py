@@ -6,7 +6,7 @@ from pathlib import Path
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from lpv_core.errors import ConfigError
+from lpv_core.support.errors import ConfigError
 
 
 def initialise(argv=None):
@@ -25,8 +25,11 @@ def initialise(argv=None):
     argv = sys.argv if argv is None else argv
     for option, path in zip(argv, argv[1:]):
         if option == '--params-file' and not Path(path).is_file():
-            raise ConfigError('--params-file', f'there is no file {path}; gains of an arm are '
-                              'written by: lpv design --arm ARM --out GAINS.yaml')
+            raise ConfigError(
+                '--params-file',
+                f'there is no file {path}; gains of an arm are '
+                'written by: lpv design --arm ARM --out GAINS.yaml',
+            )
     try:
         # rclpy's own handler shuts the context down at once, with messages still in the queues.
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)

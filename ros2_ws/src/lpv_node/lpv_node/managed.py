@@ -12,7 +12,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from lpv_core.errors import LpvError
+from lpv_core.support.errors import LpvError
 from lpv_node.arguments import initialise
 from lpv_node.discovery import announce_often
 from lpv_node.parameters import Spec, declare
@@ -23,12 +23,27 @@ _LONGEST_DRAIN = 10.0
 """Longest time that stopping may take [s]."""
 
 COMMON = (
-    Spec('autostart', True, 'configure and activate at start, without a lifecycle manager',
-         read_only=True),
-    Spec('lockstep', False, 'reliable topics with deep queues: every step waits for its answer',
-         read_only=True),
-    Spec('await_recorders', 0, 'wait until each output has so many recorders before taking part: '
-         'recordings are then complete from the first sample', 0, 100, read_only=True),
+    Spec(
+        'autostart',
+        True,
+        'configure and activate at start, without a lifecycle manager',
+        read_only=True,
+    ),
+    Spec(
+        'lockstep',
+        False,
+        'reliable topics with deep queues: every step waits for its answer',
+        read_only=True,
+    ),
+    Spec(
+        'await_recorders',
+        0,
+        'wait until each output has so many recorders before taking part: '
+        'recordings are then complete from the first sample',
+        0,
+        100,
+        read_only=True,
+    ),
 )
 
 
@@ -128,8 +143,10 @@ class ManagedNode(LifecycleNode):
 
     def _try_begin(self):
         recorders = self.get_parameter('await_recorders').value
-        if all(self._matched(publisher) >= recorders + self.lockstep * consumers
-               for publisher, consumers in self.outputs().items()):
+        if all(
+            self._matched(publisher) >= recorders + self.lockstep * consumers
+            for publisher, consumers in self.outputs().items()
+        ):
             self.destroy_timer(self._gate)
             self._gate = None
             self.begin()
@@ -163,8 +180,9 @@ class ManagedNode(LifecycleNode):
 
     def create_subscription(self, msg_type, topic, callback, qos_profile, **options):
         """Subscribe as rclpy does; what arrives while the node is not active is dropped."""
-        return super().create_subscription(msg_type, topic, self._while_active(callback),
-                                           qos_profile, **options)
+        return super().create_subscription(
+            msg_type, topic, self._while_active(callback), qos_profile, **options
+        )
 
     def _while_active(self, callback):
         """A callback that does nothing while the node takes no part.
@@ -172,10 +190,12 @@ class ManagedNode(LifecycleNode):
         Executors still call what was queued before a subscription or timer was destroyed, when
         the publishers that it needs may be gone, too.
         """
+
         @functools.wraps(callback)
         def guarded(*arguments):
             if self._taking_part:
                 callback(*arguments)
+
         return guarded
 
     def finish(self, code=0):
@@ -269,8 +289,10 @@ class _StopRequest:
 
 def _spin(node, stop):
     if node.get_parameter('autostart').value:
-        started = (node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-                   and node.trigger_activate() == TransitionCallbackReturn.SUCCESS)
+        started = (
+            node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+            and node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        )
         if not started:
             return 1
     executor = _executor()

@@ -15,13 +15,16 @@ from rclpy.exceptions import (
 )
 from rclpy.parameter import Parameter
 
-from lpv_core.certificate import require
-from lpv_core.errors import ConfigError
-from lpv_core.gains import parse_gains
+from lpv_core.certificate.conditions import require
+from lpv_core.certificate.gains import parse_gains
+from lpv_core.support.errors import ConfigError
 
 _ARRAY, _DOUBLE, _STRING, _INTEGER = (
-    Parameter.Type.DOUBLE_ARRAY, Parameter.Type.DOUBLE, Parameter.Type.STRING,
-    Parameter.Type.INTEGER)
+    Parameter.Type.DOUBLE_ARRAY,
+    Parameter.Type.DOUBLE,
+    Parameter.Type.STRING,
+    Parameter.Type.INTEGER,
+)
 
 
 @dataclass(frozen=True)
@@ -59,10 +62,10 @@ class Spec:
             result.additional_constraints = 'one of ' + ', '.join(self.choices)
         if self.low is not None and isinstance(self.default, float):
             result.floating_point_range = [
-                FloatingPointRange(from_value=float(self.low), to_value=float(self.high))]
+                FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
+            ]
         elif self.low is not None:
-            result.integer_range = [
-                IntegerRange(from_value=int(self.low), to_value=int(self.high))]
+            result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high))]
         return result
 
 
@@ -88,8 +91,14 @@ class GainField:
     def descriptor(self):
         """The ROS descriptor of this parameter."""
         like = {_DOUBLE: 0.0, _INTEGER: 0}.get(self.kind, '')
-        return Spec('', like, self.description + ', from the gains file written by lpv design',
-                    self.low, self.high, read_only=True).descriptor()
+        return Spec(
+            '',
+            like,
+            self.description + ', from the gains file written by lpv design',
+            self.low,
+            self.high,
+            read_only=True,
+        ).descriptor()
 
 
 FORMAT_FIELD = GainField(_INTEGER, 'version of the format [1]', 1, 1000)
@@ -106,21 +115,24 @@ GAIN_FIELDS = {
     'controller.decay': GainField(_DOUBLE, 'certified decay rate of the loop [1/s]', 0.0, 1e6),
     'controller.sinc_min': GainField(_DOUBLE, 'lower end of the box [1]', -1.0, 1.0),
 }
-"""Parameters below ``gains.`` that every gains file sets; see lpv_core.gains."""
+"""Parameters below ``gains.`` that every gains file sets; see lpv_core.certificate.gains."""
 METHOD_FIELDS = {
     'exact': {
         'kappa': GainField(_ARRAY, 'kappa of both links [1/(kg m2)]'),
         'mu': GainField(_ARRAY, 'mu of both links [1/s]'),
         'decay': GainField(_DOUBLE, 'certified slowest pole of the error [1/s]', 0.0, 1e6),
-        'fastest': GainField(_DOUBLE, 'certified fastest pole of the error [1/s]', 0.0, 1e6)},
+        'fastest': GainField(_DOUBLE, 'certified fastest pole of the error [1/s]', 0.0, 1e6),
+    },
     'paper': {
-        't1': GainField(_ARRAY, 'T1, row by row'), 't2': GainField(_ARRAY, 'T2, row by row'),
+        't1': GainField(_ARRAY, 'T1, row by row'),
+        't2': GainField(_ARRAY, 'T2, row by row'),
         'k': GainField(_ARRAY, 'K of all vertices, row by row'),
         'box': GainField(_ARRAY, 'ranges of phi1, phi2, phi3'),
         'lmi': GainField(_STRING, 'inequalities that hold'),
         'gamma': GainField(_DOUBLE, 'attenuation level [1]', 0.0, 1e9),
-        'q': GainField(_DOUBLE, 'distance of the disc\'s centre [1/s]', 0.0, 1e6),
-        'r': GainField(_DOUBLE, 'radius of the disc [1/s]', 0.0, 1e6)},
+        'q': GainField(_DOUBLE, "distance of the disc's centre [1/s]", 0.0, 1e6),
+        'r': GainField(_DOUBLE, 'radius of the disc [1/s]', 0.0, 1e6),
+    },
 }
 """Parameters below ``gains.observer.`` of each method."""
 
@@ -147,8 +159,11 @@ def declare(node, specs):
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             raise ConfigError(spec.name, str(error), node.get_name()) from error
         if spec.choices and value not in spec.choices:
-            raise ConfigError(spec.name, f'must be one of {", ".join(spec.choices)}, got {value!r}',
-                              node.get_name())
+            raise ConfigError(
+                spec.name,
+                f'must be one of {", ".join(spec.choices)}, got {value!r}',
+                node.get_name(),
+            )
 
     def check(parameters):
         for parameter in parameters:
@@ -242,6 +257,8 @@ def _gain(node, name):
     try:
         return node.get_parameter(f'gains.{name}').value
     except ParameterUninitializedException:
-        raise ConfigError(f'gains.{name}', 'is not set: start the node with '
-                          '--params-file GAINS.yaml as written by lpv design',
-                          node.get_name()) from None
+        raise ConfigError(
+            f'gains.{name}',
+            'is not set: start the node with --params-file GAINS.yaml as written by lpv design',
+            node.get_name(),
+        ) from None

@@ -21,10 +21,14 @@ def stream(lockstep):
         For publishers and subscriptions.
     """
     if lockstep:
-        return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=_LOCKSTEP_DEPTH,
-                          reliability=ReliabilityPolicy.RELIABLE)
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5,
-                      reliability=ReliabilityPolicy.BEST_EFFORT)
+        return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=_LOCKSTEP_DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE,
+        )
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.BEST_EFFORT
+    )
 
 
 def latched():
@@ -35,6 +39,9 @@ def latched():
     rclpy.qos.QoSProfile
         Reliable and transient local.
     """
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=50,
-                      reliability=ReliabilityPolicy.RELIABLE,
-                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=50,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )

@@ -21,8 +21,13 @@ def css_string(text):
     str
         In quotes, with all but letters and digits escaped by their numbers: safe in HTML, too.
     """
-    return '"' + ''.join(c if c.isascii() and c.isalnum() else f'\\{ord(c):06x}'
-                         for c in text if c != '\0') + '"'
+    return (
+        '"'
+        + ''.join(
+            c if c.isascii() and c.isalnum() else f'\\{ord(c):06x}' for c in text if c != '\0'
+        )
+        + '"'
+    )
 
 
 def environment(folder):
@@ -40,8 +45,12 @@ def environment(folder):
         Escapes everything, and refuses names that are not given.
     """
     found = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined,
-        loader=jinja2.FileSystemLoader([Path(folder), Path(__file__).parent]))
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+        loader=jinja2.FileSystemLoader([Path(folder), Path(__file__).parent]),
+    )
     found.filters['css_string'] = css_string
     return found
 

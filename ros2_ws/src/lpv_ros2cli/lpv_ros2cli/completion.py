@@ -23,7 +23,7 @@ def complete():
 
 def _words():
     """Finished words of the line that is being typed, without the program."""
-    line = os.environ.get('COMP_LINE', '')[:int(os.environ.get('COMP_POINT', '0'))]
+    line = os.environ.get('COMP_LINE', '')[: int(os.environ.get('COMP_POINT', '0'))]
     try:
         words = shlex.split(line)
     except ValueError:  # an open quote
@@ -34,12 +34,14 @@ def _words():
 def packages(**_):
     """Completer: names of packages."""
     from lpv_ros2cli import packages as index
+
     return index.names()
 
 
 def executables(parsed_args, **_):
     """Completer: programs of the package that was typed."""
     from lpv_ros2cli import packages as index
+
     return [path.name for path in index.executables(parsed_args.package)]
 
 
@@ -48,6 +50,7 @@ def launch_words(parsed_args, **_):
     from lpv_ros2cli.launch.arguments import declared
     from lpv_ros2cli.launch.context import Context
     from lpv_ros2cli.launch.files import find_launch_file, launch_files_of
+
     names = [path.name for path in launch_files_of(parsed_args.package_or_file)]
     chosen = [word for word in parsed_args.rest or () if word in names]
     if not chosen:
@@ -69,6 +72,7 @@ def services(**_):
 def nodes(**_):
     """Completer: nodes of the running graph."""
     from lpv_ros2cli.names import node_names
+
     return _from_graph(lambda node: node_names(node, hidden=False))
 
 
@@ -85,9 +89,12 @@ def interface_types(kind):
     callable
         Completer.
     """
+
     def types(**_):
         from lpv_ros2cli.interfaces import installed
+
         return [name for name in installed() if f'/{kind}/' in name]
+
     return types
 
 
@@ -96,6 +103,7 @@ def parameters(parsed_args, **_):
     from lpv_ros2cli.discovery import command_node
     from lpv_ros2cli.errors import CliError
     from lpv_ros2cli.param.client import ParameterAccess
+
     try:
         with command_node() as node:
             return ParameterAccess(node, parsed_args.node_name).names()
@@ -105,6 +113,7 @@ def parameters(parsed_args, **_):
 
 def _from_graph(ask):
     from lpv_ros2cli.discovery import command_node, settle
+
     with command_node() as node:
         settle(node)
         return [name for name in ask(node) if '/_' not in name]

@@ -30,11 +30,19 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('--spin-time', type=float, default=None, metavar='SECONDS',
-                        help='wait for the graph so long (until all nodes of this machine are '
-                        f'known, at most {LONGEST:g} s)')
-    parser.add_argument('--no-daemon', action='store_true',
-                        help='accepted for compatibility: there is no daemon here')
+    parser.add_argument(
+        '--spin-time',
+        type=float,
+        default=None,
+        metavar='SECONDS',
+        help='wait for the graph so long (until all nodes of this machine are '
+        f'known, at most {LONGEST:g} s)',
+    )
+    parser.add_argument(
+        '--no-daemon',
+        action='store_true',
+        help='accepted for compatibility: there is no daemon here',
+    )
 
 
 @contextlib.contextmanager
@@ -63,8 +71,8 @@ def command_node(name=None):
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node(
-            name or f'_ros2cli_{os.getpid()}', start_parameter_services=False,
-            enable_rosout=False)
+            name or f'_ros2cli_{os.getpid()}', start_parameter_services=False, enable_rosout=False
+        )
     except (InvalidNodeNameException, RuntimeError, ValueError) as error:
         rclpy.try_shutdown()
         raise CliError(f'no ROS node: {" ".join(str(error).split())}') from error
@@ -113,8 +121,11 @@ def find(node, look, spin_time=None, quiet=_SURELY_QUIET):
         found, now = look(), time.monotonic()
         if found or now > start + (LONGEST if spin_time is None else spin_time):
             return found
-        seen = (len(node.get_node_names()), len(node.get_topic_names_and_types()),
-                len(node.get_service_names_and_types()))
+        seen = (
+            len(node.get_node_names()),
+            len(node.get_topic_names_and_types()),
+            len(node.get_service_names_and_types()),
+        )
         if seen != known:
             known, changed = seen, now
         elif spin_time is None and now > changed + quiet and _all_found(node):
@@ -147,8 +158,10 @@ def _all_found(node):
     """Whether every participant of this machine was found, and of others probably."""
     if os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') != 'LOCALHOST':
         return False  # who is on the network cannot be known: take the whole time
-    participants = {bytes(info.endpoint_gid[:12])
-                    for info in node.get_publishers_info_by_topic(_EVERY_NODE_PUBLISHES)}
+    participants = {
+        bytes(info.endpoint_gid[:12])
+        for info in node.get_publishers_info_by_topic(_EVERY_NODE_PUBLISHES)
+    }
     wanted = _local_participants(node.context.get_domain_id())
     return min(len(participants), len(node.get_node_names())) >= wanted
 

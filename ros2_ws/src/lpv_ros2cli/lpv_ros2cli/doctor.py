@@ -12,9 +12,17 @@ from lpv_ros2cli import discovery, packages
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.names import node_names
 
-_VARIABLES = ('ROS_DISTRO', 'ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS',
-              'ROS_LOCALHOST_ONLY', 'RMW_IMPLEMENTATION', 'AMENT_PREFIX_PATH',
-              'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+_VARIABLES = (
+    'ROS_DISTRO',
+    'ROS_DOMAIN_ID',
+    'ROS_AUTOMATIC_DISCOVERY_RANGE',
+    'ROS_STATIC_PEERS',
+    'ROS_LOCALHOST_ONLY',
+    'RMW_IMPLEMENTATION',
+    'AMENT_PREFIX_PATH',
+    'FASTRTPS_DEFAULT_PROFILES_FILE',
+    'FASTDDS_DEFAULT_PROFILES_FILE',
+)
 _SMALLEST_SHM = 64 << 20
 _HIGHEST_DOMAIN = 101
 
@@ -42,12 +50,16 @@ def run(arguments):
 def _problems():
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     if not domain.isdigit() or int(domain) > _HIGHEST_DOMAIN:
-        yield (f'ROS_DOMAIN_ID is {domain!r}: it should be a number from 0 to {_HIGHEST_DOMAIN}; '
-               'the ports of higher ones are also given to other programs')
+        yield (
+            f'ROS_DOMAIN_ID is {domain!r}: it should be a number from 0 to {_HIGHEST_DOMAIN}; '
+            'the ports of higher ones are also given to other programs'
+        )
     memory = Path('/dev/shm')
     if memory.is_dir() and shutil.disk_usage(memory).free < _SMALLEST_SHM:
-        yield f'{memory} is nearly full: middleware falls back to slow transports; end the ' \
-              'nodes, then run: fastdds shm clean'
+        yield (
+            f'{memory} is nearly full: middleware falls back to slow transports; end the '
+            'nodes, then run: fastdds shm clean'
+        )
     try:
         with discovery.command_node():
             pass
@@ -61,24 +73,43 @@ def _problems():
 
 def _report():
     import rclpy
-    yield 'PLATFORM INFORMATION', [
-        ('system', platform.system()), ('release', platform.release()),
-        ('machine', platform.machine()), ('processors', os.cpu_count()),
-        ('python', f'{platform.python_version()} ({sys.executable})')]
-    yield 'ROS 2 INFORMATION', [
-        *((name.lower(), os.environ.get(name, 'not set')) for name in _VARIABLES),
-        ('middleware name', rclpy.get_rmw_implementation_identifier()),
-        ('rclpy', _version('ros-rclpy')), ('packages', len(packages.names()))]
-    yield 'NETWORK CONFIGURATION', [
-        (name, _state(name)) for _, name in socket.if_nameindex()]
+
+    yield (
+        'PLATFORM INFORMATION',
+        [
+            ('system', platform.system()),
+            ('release', platform.release()),
+            ('machine', platform.machine()),
+            ('processors', os.cpu_count()),
+            ('python', f'{platform.python_version()} ({sys.executable})'),
+        ],
+    )
+    yield (
+        'ROS 2 INFORMATION',
+        [
+            *((name.lower(), os.environ.get(name, 'not set')) for name in _VARIABLES),
+            ('middleware name', rclpy.get_rmw_implementation_identifier()),
+            ('rclpy', _version('ros-rclpy')),
+            ('packages', len(packages.names())),
+        ],
+    )
+    yield 'NETWORK CONFIGURATION', [(name, _state(name)) for _, name in socket.if_nameindex()]
     with discovery.command_node() as node:
         discovery.settle(node)
         names = node_names(node, hidden=False)
         topics = node.get_topic_names_and_types()
         yield 'GRAPH', [('nodes', ', '.join(names) or 'none'), ('topics', len(topics))]
-        yield 'TOPIC LIST', [
-            (topic, f'{node.count_publishers(topic)} publishers, '
-             f'{node.count_subscribers(topic)} subscribers') for topic, _ in sorted(topics)]
+        yield (
+            'TOPIC LIST',
+            [
+                (
+                    topic,
+                    f'{node.count_publishers(topic)} publishers, '
+                    f'{node.count_subscribers(topic)} subscribers',
+                )
+                for topic, _ in sorted(topics)
+            ],
+        )
 
 
 def _version(distribution):

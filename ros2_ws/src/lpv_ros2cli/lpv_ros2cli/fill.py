@@ -37,17 +37,22 @@ def message_from_text(message_class, text, now=None):
 def _fill(message, values, prefix, now):
     kinds = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES))
     if not isinstance(values, dict):
-        raise CliError(f'Failed to populate {prefix or "the message"}: {_name(message)} takes a '
-                       f'mapping of its fields, not {values!r}')
+        raise CliError(
+            f'Failed to populate {prefix or "the message"}: {_name(message)} takes a '
+            f'mapping of its fields, not {values!r}'
+        )
     for name, value in values.items():
         if name not in kinds:
-            raise CliError(f'Failed to populate field: {_name(message)} has no field '
-                           f'{prefix}{name}; it has: {", ".join(kinds) or "none"}')
+            raise CliError(
+                f'Failed to populate field: {_name(message)} has no field '
+                f'{prefix}{name}; it has: {", ".join(kinds) or "none"}'
+            )
         setattr(message, name, _value(kinds[name], value, f'{prefix}{name}', now))
 
 
 def _value(kind, value, path, now):
     from rosidl_parser import definition as idl
+
     if isinstance(kind, idl.AbstractNestedType):
         return _sequence(kind, value, path, now)
     if isinstance(kind, idl.NamespacedType):
@@ -59,6 +64,7 @@ def _value(kind, value, path, now):
 
 def _nested(kind, value, path, now):
     from lpv_ros2cli.interfaces import load
+
     name = '/'.join(kind.namespaced_name())
     if now is not None and name == 'builtin_interfaces/msg/Time' and value == 'now':
         return now
@@ -72,17 +78,21 @@ def _nested(kind, value, path, now):
 
 def _sequence(kind, value, path, now):
     from rosidl_parser import definition as idl
+
     if isinstance(value, str) and getattr(kind.value_type, 'typename', '') in ('octet', 'uint8'):
         value = list(value.encode())
     if not isinstance(value, list):
         raise _error(path, 'takes a list', value)
     items = [_value(kind.value_type, v, f'{path}[{i}]', now) for i, v in enumerate(value)]
     if isinstance(kind, idl.Array) and len(items) != kind.size:
-        raise CliError(f'Failed to populate field: {path} takes {kind.size} elements, '
-                       f'got {len(items)}')
+        raise CliError(
+            f'Failed to populate field: {path} takes {kind.size} elements, got {len(items)}'
+        )
     if isinstance(kind, idl.BoundedSequence) and len(items) > kind.maximum_size:
-        raise CliError(f'Failed to populate field: {path} takes at most {kind.maximum_size} '
-                       f'elements, got {len(items)}')
+        raise CliError(
+            f'Failed to populate field: {path} takes at most {kind.maximum_size} '
+            f'elements, got {len(items)}'
+        )
     return items
 
 
@@ -97,10 +107,25 @@ def _text(kind, value, path):
 
 
 _FLOATS = {'float': 'f', 'double': 'd', 'long double': 'd'}
-_INTEGERS = {'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i', 'uint32': 'I',
-             'int64': 'q', 'uint64': 'Q', 'short': 'h', 'unsigned short': 'H', 'long': 'i',
-             'unsigned long': 'I', 'long long': 'q', 'unsigned long long': 'Q', 'octet': 'B',
-             'char': 'B', 'wchar': 'H'}
+_INTEGERS = {
+    'int8': 'b',
+    'uint8': 'B',
+    'int16': 'h',
+    'uint16': 'H',
+    'int32': 'i',
+    'uint32': 'I',
+    'int64': 'q',
+    'uint64': 'Q',
+    'short': 'h',
+    'unsigned short': 'H',
+    'long': 'i',
+    'unsigned long': 'I',
+    'long long': 'q',
+    'unsigned long long': 'Q',
+    'octet': 'B',
+    'char': 'B',
+    'wchar': 'H',
+}
 
 
 def _number(typename, value, path):

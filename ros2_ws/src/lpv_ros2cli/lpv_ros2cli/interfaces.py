@@ -34,8 +34,12 @@ def full_type(text, kind=None):
     parts = text.split('/')
     if len(parts) == 2 and kind is not None:
         parts.insert(1, kind)
-    if (len(parts) != 3 or parts[1] not in KINDS or (kind is not None and parts[1] != kind)
-            or not all(_NAME.fullmatch(part) for part in parts)):
+    if (
+        len(parts) != 3
+        or parts[1] not in KINDS
+        or (kind is not None and parts[1] != kind)
+        or not all(_NAME.fullmatch(part) for part in parts)
+    ):
         example = {'srv': 'std_srvs/srv/Trigger'}.get(kind, 'std_msgs/msg/String')
         raise CliError(f"The passed type '{text}' is invalid: it should look like {example}")
     return '/'.join(parts)

@@ -25,6 +25,7 @@ def absolute(name):
     from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
     from rclpy.expand_topic_name import expand_topic_name
     from rclpy.validate_full_topic_name import validate_full_topic_name
+
     try:
         expanded = expand_topic_name(name, 'ros2', '/')
         validate_full_topic_name(expanded)
@@ -64,9 +65,11 @@ def node_names(node, hidden):
     list of str
         Absolute names, sorted; a name that two nodes have occurs twice.
     """
-    return sorted(f'{namespace.rstrip("/")}/{name}'
-                  for name, namespace in node.get_node_names_and_namespaces()
-                  if hidden or not name.startswith('_'))
+    return sorted(
+        f'{namespace.rstrip("/")}/{name}'
+        for name, namespace in node.get_node_names_and_namespaces()
+        if hidden or not name.startswith('_')
+    )
 
 
 def find_node(node, name, spin_time=None):
@@ -143,8 +146,7 @@ def without_hidden(names_and_types, hidden):
     list of tuple
         Kept ones.
     """
-    return sorted((name, types) for name, types in names_and_types
-                  if hidden or '/_' not in name)
+    return sorted((name, types) for name, types in names_and_types if hidden or '/_' not in name)
 
 
 def _known(names):

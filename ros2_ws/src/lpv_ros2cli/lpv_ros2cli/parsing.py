@@ -41,9 +41,9 @@ def parse(argv):
     arguments, unknown = parser.parse_known_args(argv)
     options = [argument for argument in unknown if argument.startswith('-')]
     if options:
-        raise CliError(f'option {options[0]!r} {NOT_COVERED}see '
-                       f'{arguments.parser.prog} --help',
-                       USAGE_ERROR)
+        raise CliError(
+            f'option {options[0]!r} {NOT_COVERED}see {arguments.parser.prog} --help', USAGE_ERROR
+        )
     if unknown:
         arguments.parser.error(f'unexpected arguments: {" ".join(unknown)}')
     return arguments
@@ -71,14 +71,17 @@ def chosen(argv):
         return None, None
     command = canonical(argv[0])
     if command not in VERBS and command not in COMMANDS:
-        raise CliError(f'{argv[0]!r} {NOT_COVERED}covered here: '
-                       + ', '.join(sorted((*VERBS, *COMMANDS))), USAGE_ERROR)
+        raise CliError(
+            f'{argv[0]!r} {NOT_COVERED}covered here: ' + ', '.join(sorted((*VERBS, *COMMANDS))),
+            USAGE_ERROR,
+        )
     if command in COMMANDS or len(argv) < 2 or argv[1].startswith('-'):
         return command, None
     verbs = VERBS[command][1]
     if argv[1] not in verbs:
-        raise CliError(f'{command} {argv[1]!r} {NOT_COVERED}covered here: {", ".join(verbs)}',
-                       USAGE_ERROR)
+        raise CliError(
+            f'{command} {argv[1]!r} {NOT_COVERED}covered here: {", ".join(verbs)}', USAGE_ERROR
+        )
     return command, argv[1]
 
 
@@ -95,13 +98,20 @@ def build_parser(command=None, verb=None):
     argparse.ArgumentParser
         Ready to parse.
     """
-    parser = _Parser(prog='ros2', description='The everyday part of the ros2 command, for '
-                     'machines where ROS 2 comes from wheels without ros2cli.')
+    parser = _Parser(
+        prog='ros2',
+        description='The everyday part of the ros2 command, for '
+        'machines where ROS 2 comes from wheels without ros2cli.',
+    )
     parser.set_defaults(run=None, parser=parser)
     commands = parser.add_subparsers(metavar='COMMAND', parser_class=_Parser)
     for name, text in sorted({**{k: v[0] for k, v in VERBS.items()}, **COMMANDS}.items()):
-        sub = commands.add_parser(name, help=text, description=_sentence(text),
-                                  aliases=['wtf'] if name == 'doctor' else [])
+        sub = commands.add_parser(
+            name,
+            help=text,
+            description=_sentence(text),
+            aliases=['wtf'] if name == 'doctor' else [],
+        )
         sub.set_defaults(parser=sub)
         if name == command and name in COMMANDS:
             _implement(sub, module_of(name))

@@ -18,8 +18,9 @@ def add_arguments(parser, default):
     default : str
         What is taken without them, for the help.
     """
-    parser.add_argument('--qos-profile', choices=_PROFILES, default=None,
-                        help=f'profile to start from ({default})')
+    parser.add_argument(
+        '--qos-profile', choices=_PROFILES, default=None, help=f'profile to start from ({default})'
+    )
     parser.add_argument('--qos-depth', type=int, default=None, metavar='N', help='queue length')
     parser.add_argument('--qos-history', choices=_HISTORY, default=None)
     parser.add_argument('--qos-reliability', choices=_RELIABILITY, default=None)
@@ -47,13 +48,17 @@ def chosen_profile(arguments, base):
         If the depth is negative.
     """
     from rclpy import qos
+
     if arguments.qos_profile is not None:
         base = qos.QoSPresetProfiles.get_from_short_key(arguments.qos_profile)
     if arguments.qos_depth is not None and arguments.qos_depth < 0:
         raise CliError('--qos-depth must not be negative')
     profile = qos.QoSProfile(
-        history=base.history, depth=base.depth, reliability=base.reliability,
-        durability=base.durability)
+        history=base.history,
+        depth=base.depth,
+        reliability=base.reliability,
+        durability=base.durability,
+    )
     if arguments.qos_history is not None:
         profile.history = qos.HistoryPolicy.get_from_short_key(arguments.qos_history)
     if arguments.qos_depth is not None:
@@ -83,12 +88,15 @@ def fitting(node, topic, depth=10):
         Reliable and transient local only where all publishers are.
     """
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
     profiles = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
-    reliable = bool(profiles) and all(
-        p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    reliable = bool(profiles) and all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = bool(profiles) and all(
-        p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles
+    )
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=depth,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

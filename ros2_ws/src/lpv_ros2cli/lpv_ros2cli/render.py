@@ -56,8 +56,14 @@ def to_yaml(value, style=Style()):  # noqa: B008 - immutable
         Ends with a newline.
     """
     plain = to_plain(value, style)
-    text = yaml.dump(plain, Dumper=_Dumper, width=sys.maxsize, sort_keys=False,
-                     default_flow_style=style.flow, allow_unicode=True)
+    text = yaml.dump(
+        plain,
+        Dumper=_Dumper,
+        width=sys.maxsize,
+        sort_keys=False,
+        default_flow_style=style.flow,
+        allow_unicode=True,
+    )
     return text.removesuffix('...\n')  # the end mark of a bare scalar
 
 
@@ -84,7 +90,7 @@ def to_plain(value, style=Style()):  # noqa: B008 - immutable
     if isinstance(value, bytes):
         value = value.decode('latin-1')
     if isinstance(value, str) and style.truncate is not None and len(value) > style.truncate:
-        return value[:style.truncate] + '...'
+        return value[: style.truncate] + '...'
     return value
 
 
@@ -166,8 +172,9 @@ def field_of(message, path):
             else:
                 value = getattr(value, part)
         except (AttributeError, IndexError, TypeError, ValueError) as error:
-            raise CliError(f"Invalid field '{path}': {type(message).__name__} has no such field"
-                           ) from error
+            raise CliError(
+                f"Invalid field '{path}': {type(message).__name__} has no such field"
+            ) from error
     return value
 
 

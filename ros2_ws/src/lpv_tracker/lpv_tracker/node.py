@@ -2,10 +2,10 @@
 
 import sys
 
-from lpv_core.arm import load_arm
-from lpv_core.guide import PathGuide
-from lpv_core.scenario import load_scenario
-from lpv_core.tracking import COMPENSATION, TrackingController
+from lpv_core.control.path_follower import PathGuide
+from lpv_core.control.tracking import COMPENSATION, TrackingController
+from lpv_core.model.arm import load_arm
+from lpv_core.simulation.scenario import load_scenario
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
@@ -15,12 +15,30 @@ from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML); its path is tracked', read_only=True),
-    Spec('compensation', 'confirmed', 'position in the loop: as measured (off), with confirmed '
-         'faults removed, or as estimated (always)', choices=COMPENSATION),
-    Spec('estimate_timeout', 0.2, 'real time only: command a safe stop when no estimate came for '
-         'so long [s]', 0.01, 60.0, read_only=True),
-    Spec('approach_speed', 0.5, 'fastest joint rate on the way to the path, where the arm starts '
-         'or goes on elsewhere [rad/s]', 0.01, 10.0, read_only=True),
+    Spec(
+        'compensation',
+        'confirmed',
+        'position in the loop: as measured (off), with confirmed '
+        'faults removed, or as estimated (always)',
+        choices=COMPENSATION,
+    ),
+    Spec(
+        'estimate_timeout',
+        0.2,
+        'real time only: command a safe stop when no estimate came for so long [s]',
+        0.01,
+        60.0,
+        read_only=True,
+    ),
+    Spec(
+        'approach_speed',
+        0.5,
+        'fastest joint rate on the way to the path, where the arm starts '
+        'or goes on elsewhere [rad/s]',
+        0.01,
+        10.0,
+        read_only=True,
+    ),
 )
 
 _SILENCE = 'no estimates: safe stop'
@@ -31,7 +49,7 @@ class TrackerNode(ManagedNode):
 
     Topics: subscribes ``state_estimate``; publishes ``torque_command`` and ``reference``.  The
     path starts at the stamp of the first estimate; its clock stands still during a safe stop, and
-    an arm that is found elsewhere is led to the path first (`lpv_core.guide`).
+    an arm that is found elsewhere is led to the path first (`lpv_core.control.path_follower`).
 
     Safe stops: when an estimate is not to be trusted, when estimates stay away, and when the node
     is deactivated or ends.
@@ -68,7 +86,8 @@ class TrackerNode(ManagedNode):
     def begin(self):
         """Subscribe."""
         self._estimate_in = self.create_subscription(
-            StateEstimate, 'state_estimate', self._on_estimate, stream(self.lockstep))
+            StateEstimate, 'state_estimate', self._on_estimate, stream(self.lockstep)
+        )
         if not self.lockstep:
             self._watch = self.steady_timer(0.05, self._check_silence)
         self.get_logger().info(f'tracking a path of {self._path.end:.1f} s')
@@ -105,9 +124,11 @@ class TrackerNode(ManagedNode):
             return
         position = self._feedback(message)
         reference = self._guide.reference(stamp, position)
-        if not self.lockstep and self._guide.is_unheeded(reference, position):
-            self.get_logger().warning('the arm does not move: nobody hears the commands, or the '
-                                      'drives brake', throttle_duration_sec=5.0)
+        if not self.lockstep and self._guide.arm_not_following(reference, position):
+            self.get_logger().warning(
+                'the arm does not move: nobody hears the commands, or the drives brake',
+                throttle_duration_sec=5.0,
+            )
             self._guide.stop()
             self._controller.reset()
             reference = self._guide.reference(stamp, position)
@@ -134,8 +155,9 @@ class TrackerNode(ManagedNode):
     def _publish_command(self, message, position, stamp, reference):
         integrated = message.measured_position if self._integrates_measurement else position
         interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
-        command = self._controller.update(reference, position, message.velocity, integrated,
-                                          interval)
+        command = self._controller.update(
+            reference, position, message.velocity, integrated, interval
+        )
         set_stamp(self._command.header.stamp, stamp)
         self._command.torque, self._command.safe_stop = command.torque, False
         self._command_out.publish(self._command)

@@ -1,4 +1,4 @@
-"""Puts the fields of lpv_core.answers into ROS messages."""
+"""Puts the fields of lpv_core.monitoring.message_fields into ROS messages."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -43,11 +43,18 @@ class OutputMessages:
     @staticmethod
     def diagnostics(stamp, status):
         """A new diagnostic_msgs/DiagnosticArray with a stamp [ns] and statuses."""
-        array = DiagnosticArray(status=[
-            DiagnosticStatus(**{
-                **fields, 'level': bytes([fields['level']]),
-                'values': [KeyValue(key=k, value=v) for k, v in fields['values'].items()]})
-            for fields in status])
+        array = DiagnosticArray(
+            status=[
+                DiagnosticStatus(
+                    **{
+                        **fields,
+                        'level': bytes([fields['level']]),
+                        'values': [KeyValue(key=k, value=v) for k, v in fields['values'].items()],
+                    }
+                )
+                for fields in status
+            ]
+        )
         set_stamp(array.header.stamp, stamp)
         return array
 

@@ -8,11 +8,11 @@ from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from lpv_core.arm import load_arm
-from lpv_core.diagnosis import AlarmEvent, DiagnosisParameters
-from lpv_core.errors import SampleError
-from lpv_core.monitor import SensorMonitor, describe
-from lpv_core.observer import Mode
+from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters
+from lpv_core.model.arm import load_arm
+from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.observer.sampled_observer import Mode
+from lpv_core.support.errors import SampleError
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
@@ -22,41 +22,121 @@ from lpv_uio.messages import OutputMessages
 
 _DIAGNOSIS = DiagnosisParameters()
 DIAGNOSIS_SPECS = (
-    Spec('diagnosis.threshold_factor', _DIAGNOSIS.threshold_factor,
-         'threshold over guaranteed bound [1]', 0.1, 10.0),
-    Spec('diagnosis.minimum_threshold', _DIAGNOSIS.minimum_threshold,
-         'no alarm below this fault [rad]', 0.0, 10.0),
-    Spec('diagnosis.dwell', _DIAGNOSIS.dwell,
-         'time above the threshold before the alarm [s]', 0.0, 10.0),
-    Spec('diagnosis.clear_dwell', _DIAGNOSIS.clear_dwell,
-         'time below hysteresis*threshold before the alarm clears [s]', 0.0, 100.0),
-    Spec('diagnosis.hysteresis', _DIAGNOSIS.hysteresis,
-         'fraction of the threshold at which an alarm may clear [1]', 0.0, 1.0),
-    Spec('diagnosis.sigmas', _DIAGNOSIS.sigmas,
-         'standard deviations of noise in the bound [1]', 1.0, 10.0),
-    Spec('diagnosis.false_alarm_hours', _DIAGNOSIS.false_alarm_hours,
-         'mean time between false alarms by noise, for changes of readings [h]', 0.01, 1e6),
-    Spec('diagnosis.latch', _DIAGNOSIS.latch,
-         'alarms stay until ~/reset, even if the fault is over'),
-    Spec('diagnosis.compensation_rate', _DIAGNOSIS.compensation_rate,
-         'how fast a compensation without a known step is faded in and out [rad/s]', 0.01, 100.0),
-    Spec('diagnosis.safe_stop_bound', _DIAGNOSIS.safe_stop_bound,
-         'size plus bound of a confirmed fault, not a jump, that stops the arm [rad]', 0.01, 100.0),
-    Spec('diagnosis.doubt_limit', _DIAGNOSIS.doubt_limit,
-         'largest change of unknown cause with which the arm goes on [rad]', 0.01, 100.0),
-    Spec('diagnosis.friction_uncertainty', _DIAGNOSIS.friction_uncertainty,
-         'relative uncertainty of Coulomb friction [1]', 0.0, 1.0),
+    Spec(
+        'diagnosis.threshold_factor',
+        _DIAGNOSIS.threshold_factor,
+        'threshold over guaranteed bound [1]',
+        0.1,
+        10.0,
+    ),
+    Spec(
+        'diagnosis.minimum_threshold',
+        _DIAGNOSIS.minimum_threshold,
+        'no alarm below this fault [rad]',
+        0.0,
+        10.0,
+    ),
+    Spec(
+        'diagnosis.dwell',
+        _DIAGNOSIS.dwell,
+        'time above the threshold before the alarm [s]',
+        0.0,
+        10.0,
+    ),
+    Spec(
+        'diagnosis.clear_dwell',
+        _DIAGNOSIS.clear_dwell,
+        'time below hysteresis*threshold before the alarm clears [s]',
+        0.0,
+        100.0,
+    ),
+    Spec(
+        'diagnosis.hysteresis',
+        _DIAGNOSIS.hysteresis,
+        'fraction of the threshold at which an alarm may clear [1]',
+        0.0,
+        1.0,
+    ),
+    Spec(
+        'diagnosis.sigmas',
+        _DIAGNOSIS.sigmas,
+        'standard deviations of noise in the bound [1]',
+        1.0,
+        10.0,
+    ),
+    Spec(
+        'diagnosis.false_alarm_hours',
+        _DIAGNOSIS.false_alarm_hours,
+        'mean time between false alarms by noise, for changes of readings [h]',
+        0.01,
+        1e6,
+    ),
+    Spec(
+        'diagnosis.latch', _DIAGNOSIS.latch, 'alarms stay until ~/reset, even if the fault is over'
+    ),
+    Spec(
+        'diagnosis.compensation_rate',
+        _DIAGNOSIS.compensation_rate,
+        'how fast a compensation without a known step is faded in and out [rad/s]',
+        0.01,
+        100.0,
+    ),
+    Spec(
+        'diagnosis.safe_stop_bound',
+        _DIAGNOSIS.safe_stop_bound,
+        'size plus bound of a confirmed fault, not a jump, that stops the arm [rad]',
+        0.01,
+        100.0,
+    ),
+    Spec(
+        'diagnosis.max_ambiguous_change',
+        _DIAGNOSIS.max_ambiguous_change,
+        'largest change of unknown cause with which the arm goes on [rad]',
+        0.01,
+        100.0,
+    ),
+    Spec(
+        'diagnosis.friction_uncertainty',
+        _DIAGNOSIS.friction_uncertainty,
+        'relative uncertainty of Coulomb friction [1]',
+        0.0,
+        1.0,
+    ),
 )
 SPECS = DIAGNOSIS_SPECS + (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
-    Spec('torque_source', 'effort', 'where torques come from: the effort of joint_states, or '
-         'the latest torque_command', choices=('effort', 'command'), read_only=True),
-    Spec('stale_after', 0.5, 'real time only: silence after which the diagnosis is stale [s]',
-         0.01, 60.0, read_only=True),
-    Spec('initial_samples', 1, 'samples over which the start value is averaged', 1, 100000,
-         read_only=True),
-    Spec('max_gap', 0.1, 'longest interval that is integrated [s]; after a longer one the '
-         'estimate is re-anchored on the encoders', 0.001, 10.0, read_only=True),
+    Spec(
+        'torque_source',
+        'effort',
+        'where torques come from: the effort of joint_states, or the latest torque_command',
+        choices=('effort', 'command'),
+        read_only=True,
+    ),
+    Spec(
+        'stale_after',
+        0.5,
+        'real time only: silence after which the diagnosis is stale [s]',
+        0.01,
+        60.0,
+        read_only=True,
+    ),
+    Spec(
+        'initial_samples',
+        1,
+        'samples over which the start value is averaged',
+        1,
+        100000,
+        read_only=True,
+    ),
+    Spec(
+        'max_gap',
+        0.1,
+        'longest interval that is integrated [s]; after a longer one the '
+        'estimate is re-anchored on the encoders',
+        0.001,
+        10.0,
+        read_only=True,
+    ),
 )
 
 
@@ -79,9 +159,13 @@ class UioNode(ManagedNode):
         """Read arm and gains, create publishers."""
         self._arm = load_arm(required_text(self, 'arm_file'))
         self._monitor = SensorMonitor(
-            self.get_fully_qualified_name(), self._arm, read_gains(self, self._arm),
-            self._diagnosis_parameters({}), self.get_parameter('max_gap').value,
-            self.get_parameter('initial_samples').value)
+            self.get_fully_qualified_name(),
+            self._arm,
+            read_gains(self, self._arm),
+            self._diagnosis_parameters({}),
+            self.get_parameter('max_gap').value,
+            self.get_parameter('initial_samples').value,
+        )
         self._monitor.warm_up()
         self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
@@ -103,14 +187,15 @@ class UioNode(ManagedNode):
         """Subscribe."""
         qos = stream(self.lockstep)
         self._inputs = [
-            self.create_subscription(JointState, 'joint_states', self._on_measurement, qos)]
+            self.create_subscription(JointState, 'joint_states', self._on_measurement, qos)
+        ]
         if self._from_command:
-            self._inputs.append(self.create_subscription(
-                TorqueCommand, 'torque_command', self._on_command, qos))
+            self._inputs.append(
+                self.create_subscription(TorqueCommand, 'torque_command', self._on_command, qos)
+            )
         if not self.lockstep:
             self._watch = self.steady_timer(0.1, self._check_silence)
-        self.get_logger().info(f'observing {self._arm.name!r} with method '
-                               f'{self._monitor.method!r}')
+        self.get_logger().info(f'observing {self._arm.name!r} with method {self._monitor.method!r}')
 
     def end(self):
         """Unsubscribe."""
@@ -134,8 +219,9 @@ class UioNode(ManagedNode):
             self.get_logger().warning('lockstep starts anew: so do observer and alarms')
             self._monitor.reset()
         try:
-            answer = self._monitor.take(stamp, message,
-                                        self._torque if self._from_command else None)
+            answer = self._monitor.take(
+                stamp, message, self._torque if self._from_command else None
+            )
         except SampleError as error:
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
@@ -178,7 +264,8 @@ class UioNode(ManagedNode):
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')
             self._diagnostics_out.publish(
-                self._messages.diagnostics(now, self._monitor.status(Mode.STALE)))
+                self._messages.diagnostics(now, self._monitor.status(Mode.STALE))
+            )
             fault = self._monitor.stale_fault()
             if fault is not None:
                 self._fault_out.publish(self._messages.fault(now, fault))

@@ -5,7 +5,7 @@ import ipaddress
 import secrets
 import socket
 
-from lpv_core.errors import ConfigError
+from lpv_core.support.errors import ConfigError
 
 _SHORTEST_TOKEN = 16
 
@@ -72,10 +72,13 @@ class Access:
         origin = headers.get('Origin', '').lower().rstrip('/')
         own = (f'http://{host.lower()}', f'https://{host.lower()}')
         if origin and origin not in own and origin not in self._origins:
-            return f'Origin {origin[:100]!r} is not this server\'s'
+            return f"Origin {origin[:100]!r} is not this server's"
         # A link from elsewhere may open the page; nothing else may be fetched from elsewhere.
-        if (not origin and headers.get('Sec-Fetch-Site', 'none') in ('cross-site', 'same-site')
-                and headers.get('Sec-Fetch-Mode') != 'navigate'):
+        if (
+            not origin
+            and headers.get('Sec-Fetch-Site', 'none') in ('cross-site', 'same-site')
+            and headers.get('Sec-Fetch-Mode') != 'navigate'
+        ):
             return 'a request from another site'
         return ''
 
@@ -93,7 +96,8 @@ class Access:
             True also if no token is needed.
         """
         return not self.token or hmac.compare_digest(
-            token.encode('utf-8', 'backslashreplace'), self.token.encode())
+            token.encode('utf-8', 'backslashreplace'), self.token.encode()
+        )
 
 
 def is_loopback(address):
@@ -119,8 +123,11 @@ def is_loopback(address):
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
-        raise ConfigError('address', f'{address!r} must be localhost or an IP address; 0.0.0.0 '
-                          'stands for all of this machine') from None
+        raise ConfigError(
+            'address',
+            f'{address!r} must be localhost or an IP address; 0.0.0.0 '
+            'stands for all of this machine',
+        ) from None
 
 
 def _host_name(host):

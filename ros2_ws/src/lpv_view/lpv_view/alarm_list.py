@@ -2,7 +2,7 @@
 
 import math
 
-from lpv_core.observer import NANOSECONDS
+from lpv_core.observer.sampled_observer import NANOSECONDS
 
 RAISED, UPDATED, CLEARED = range(3)
 _MOST_ROWS, _MOST_TEXT = 200, 100
@@ -61,8 +61,12 @@ class AlarmList:
         if event.event == RAISED and sensor in self._open:
             self._end(sensor, _time(event.onset))
         row = self._open.get(sensor) or self._over(event) or self._new_row(sensor)
-        row.update(kind=event.kind[:_MOST_TEXT], onset=_time(event.onset),
-                   detected=_time(event.detected), confidence=_finite(event.confidence))
+        row.update(
+            kind=event.kind[:_MOST_TEXT],
+            onset=_time(event.onset),
+            detected=_time(event.detected),
+            confidence=_finite(event.confidence),
+        )
         if event.event == CLEARED:
             self._open.pop(sensor, None)
             row['ended'] = _time(event.header.stamp)

@@ -4,8 +4,8 @@ import json
 import math
 from dataclasses import dataclass, field
 
-from lpv_core.errors import LpvError
-from lpv_core.faults import KINDS
+from lpv_core.simulation.faults import KINDS
+from lpv_core.support.errors import LpvError
 
 _LARGEST = 1e6
 _MOST_TEXT = 256
@@ -104,7 +104,11 @@ def _choice(data, key, choices, default=None):
 def _number(data, key):
     value = data.get(key, 0.0)
     # Comparison comes first: an enormous int has no float.
-    if (isinstance(value, bool) or not isinstance(value, (int, float))
-            or not -_LARGEST <= value <= _LARGEST or not math.isfinite(value)):
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, float))
+        or not -_LARGEST <= value <= _LARGEST
+        or not math.isfinite(value)
+    ):
         raise CommandError(f'{key}: must be a number between {-_LARGEST:g} and {_LARGEST:g}')
     return float(value)

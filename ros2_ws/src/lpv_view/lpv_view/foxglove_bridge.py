@@ -4,15 +4,18 @@ import logging
 import secrets
 from collections import deque
 
-from lpv_bag.interfaces import add_type, make_typestore
-from lpv_core.errors import ConfigError
+from lpv_bag.rosbag.interfaces import add_type, make_typestore
+from lpv_core.support.errors import ConfigError
 
 PROTOCOL = 'foxglove.sdk.v1'
 BAND = 'fault_band'
 """A topic made for charts: estimate with its bound, and thresholds with both signs."""
 _PAIR = {'type': 'array', 'items': {'type': 'number'}}
-_BAND_SCHEMA = {'type': 'object', 'title': 'FaultBand', 'properties': {
-    name: _PAIR for name in ('lower', 'upper', 'threshold_low', 'threshold_high')}}
+_BAND_SCHEMA = {
+    'type': 'object',
+    'title': 'FaultBand',
+    'properties': {name: _PAIR for name in ('lower', 'upper', 'threshold_low', 'threshold_high')},
+}
 _BACKLOG = 256
 """Messages that wait for one slow client; then the oldest are dropped."""
 
@@ -54,8 +57,11 @@ class FoxgloveBridge:
             add_type(typestore, msgtype)
             text, _ = typestore.generate_msgdef(msgtype, ros_version=2)
             channel = foxglove.Channel(
-                topic, message_encoding='cdr', context=self._context,
-                schema=foxglove.Schema(name=msgtype, encoding='ros2msg', data=text.encode()))
+                topic,
+                message_encoding='cdr',
+                context=self._context,
+                schema=foxglove.Schema(name=msgtype, encoding='ros2msg', data=text.encode()),
+            )
             self._channels[topic] = channel
             self._kept[topic] = deque(maxlen=keep)
             self._by_id[channel.id()] = topic
@@ -103,11 +109,15 @@ class FoxgloveBridge:
         values = [sample[name] for name in ('estimate', 'bound', 'threshold')]
         if not any(None in pair for pair in values):
             estimate, bound, threshold = values
-            self._band.log({
-                'lower': [e - b for e, b in zip(estimate, bound)],
-                'upper': [e + b for e, b in zip(estimate, bound)],
-                'threshold_low': [-t for t in threshold], 'threshold_high': threshold,
-            }, log_time=stamp)
+            self._band.log(
+                {
+                    'lower': [e - b for e, b in zip(estimate, bound)],
+                    'upper': [e + b for e, b in zip(estimate, bound)],
+                    'threshold_low': [-t for t in threshold],
+                    'threshold_high': threshold,
+                },
+                log_time=stamp,
+            )
 
     def restart(self):
         """Time started anew: clients forget what they have."""
@@ -144,8 +154,10 @@ def _sdk():
     try:
         import foxglove
     except ImportError as error:
-        raise ConfigError('foxglove_port', 'needs the Python package foxglove-sdk '
-                          '(pip install foxglove-sdk), or 0') from error
+        raise ConfigError(
+            'foxglove_port',
+            'needs the Python package foxglove-sdk (pip install foxglove-sdk), or 0',
+        ) from error
     foxglove.set_log_level(logging.ERROR)
     return foxglove
 
@@ -157,8 +169,14 @@ def _start(foxglove, name, context, bridge):
     for address in (f'127.{parts[0]}.{parts[1]}.{parts[2]}', '127.0.0.1'):
         try:
             server = foxglove.start_server(
-                name=name, host=address, port=0, context=context, server_listener=listener,
-                capabilities=[], message_backlog_size=_BACKLOG)
+                name=name,
+                host=address,
+                port=0,
+                context=context,
+                server_listener=listener,
+                capabilities=[],
+                message_backlog_size=_BACKLOG,
+            )
         except (OSError, RuntimeError) as error:
             failure = error
             continue

@@ -50,14 +50,23 @@ def gate(access, address, port, max_clients=8):
 
 
 async def _pass_on(request, url):
-    outside = web.WebSocketResponse(protocols=[PROTOCOL], max_msg_size=_LARGEST_REQUEST,
-                                    compress=False, heartbeat=20.0, timeout=2.0)
+    outside = web.WebSocketResponse(
+        protocols=[PROTOCOL],
+        max_msg_size=_LARGEST_REQUEST,
+        compress=False,
+        heartbeat=20.0,
+        timeout=2.0,
+    )
     try:
-        async with aiohttp.ClientSession() as session, session.ws_connect(
-                url, protocols=[PROTOCOL], max_msg_size=_LARGEST_MESSAGE) as inside:
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(url, protocols=[PROTOCOL], max_msg_size=_LARGEST_MESSAGE) as inside,
+        ):
             await outside.prepare(request)
-            pumps = [asyncio.ensure_future(_pump(*pair))
-                     for pair in ((inside, outside), (outside, inside))]
+            pumps = [
+                asyncio.ensure_future(_pump(*pair))
+                for pair in ((inside, outside), (outside, inside))
+            ]
             try:
                 await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
             finally:

@@ -3,11 +3,11 @@
 import math
 from collections import deque
 
-from lpv_core.errors import SampleError
-from lpv_core.faults import KINDS
-from lpv_core.joint_order import JointOrder
-from lpv_core.observer import NANOSECONDS
-from lpv_core.urdf import frame_angles
+from lpv_core.export.urdf import frame_angles
+from lpv_core.model.joint_order import JointOrder
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.simulation.faults import KINDS
+from lpv_core.support.errors import SampleError
 from lpv_view.alarm_list import AlarmList, seconds
 
 MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
@@ -18,8 +18,14 @@ WINDOW = 30.0
 QUIET = 1.0
 """A source that said nothing for so long is no longer shown as live [s]."""
 _MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 16, 300
-_SOURCES = ('joint_states', 'state_estimate', 'fault_estimate', 'torque_command', 'ground_truth',
-            'reference')
+_SOURCES = (
+    'joint_states',
+    'state_estimate',
+    'fault_estimate',
+    'torque_command',
+    'ground_truth',
+    'reference',
+)
 
 
 class LiveModel:
@@ -82,8 +88,10 @@ class LiveModel:
             if status.name not in self._statuses and len(self._statuses) >= _MOST_STATUSES:
                 continue
             self._statuses[status.name[:_MOST_TEXT]] = {
-                'name': status.name[:_MOST_TEXT], 'level': _name(LEVELS, level),
-                'message': status.message[:_MOST_TEXT]}
+                'name': status.name[:_MOST_TEXT],
+                'level': _name(LEVELS, level),
+                'message': status.message[:_MOST_TEXT],
+            }
 
     def hello(self):
         """What a client is told first.
@@ -94,11 +102,19 @@ class LiveModel:
             Constants of the arm, history and alarms.
         """
         arm = self._arm
-        return {'type': 'hello', 'arm': arm.name, 'lengths': list(arm.lengths),
-                'joints': list(arm.joint_names), 'sensors': list(arm.sensor_names),
-                'torque_limit': [v if v < 1e8 else None for v in arm.torque_limit],
-                'kinds': list(KINDS), 'window': WINDOW, 'scene': self._scene(),
-                'history': list(self._history), 'alarms': self.alarms.rows()}
+        return {
+            'type': 'hello',
+            'arm': arm.name,
+            'lengths': list(arm.lengths),
+            'joints': list(arm.joint_names),
+            'sensors': list(arm.sensor_names),
+            'torque_limit': [v if v < 1e8 else None for v in arm.torque_limit],
+            'kinds': list(KINDS),
+            'window': WINDOW,
+            'scene': self._scene(),
+            'history': list(self._history),
+            'alarms': self.alarms.rows(),
+        }
 
     def _scene(self):
         if self._path is None:
@@ -106,9 +122,11 @@ class LiveModel:
         start, end = self._path.start, self._path.end
         times = [start + (end - start) * i / 150 for i in range(151)]
         obstacle = self._path.obstacle
-        return {'path': [[round(float(v), 4) for v in p] for p in self._path.sample(times).tip],
-                'obstacle': obstacle and {'center': _numbers(obstacle.center),
-                                          'radius': obstacle.radius}}
+        return {
+            'path': [[round(float(v), 4) for v in p] for p in self._path.sample(times).tip],
+            'obstacle': obstacle
+            and {'center': _numbers(obstacle.center), 'radius': obstacle.radius},
+        }
 
     def frame(self, now):
         """The present, for the clients that are connected; also adds it to the history.
@@ -124,17 +142,26 @@ class LiveModel:
             Values are None where they are not known or not finite.
         """
         state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
-        angles = {name: None if q is None else _numbers(frame_angles(self._arm, q), 5)
-                  for name, q in self.arms(now).items()}
-        result = {'type': 'frame', 'live': self._live(now), 'services': dict(self.services),
-                  'age': self._age(now), 'sample': self._sample(now), 'arms': angles,
-                  'diagnostics': list(self._statuses.values())}
+        angles = {
+            name: None if q is None else _numbers(frame_angles(self._arm, q), 5)
+            for name, q in self.arms(now).items()
+        }
+        result = {
+            'type': 'frame',
+            'live': self._live(now),
+            'services': dict(self.services),
+            'age': self._age(now),
+            'sample': self._sample(now),
+            'arms': angles,
+            'diagnostics': list(self._statuses.values()),
+        }
         result['mode'] = _name(MODES, state.mode) if state is not None else None
         result['trustworthy'] = bool(state.trustworthy) if state is not None else None
         result['safe_stop'] = bool(command.safe_stop) if command is not None else None
         fault = self._latest.get('fault_estimate')
-        result['states'] = ([_name(STATES, int(s)) for s in fault.state] if fault is not None
-                            else [None, None])
+        result['states'] = (
+            [_name(STATES, int(s)) for s in fault.state] if fault is not None else [None, None]
+        )
         return result
 
     def arms(self, now):
@@ -151,14 +178,15 @@ class LiveModel:
             ``true``, ``estimated``, ``measured``: two joint positions [rad], or None.
         """
         live = self._live(now)
-        found = {'true': self._field('ground_truth', 'position', live),
-                 'estimated': self._field('state_estimate', 'position', live),
-                 'measured': self._measured(live)}
+        found = {
+            'true': self._field('ground_truth', 'position', live),
+            'estimated': self._field('state_estimate', 'position', live),
+            'measured': self._measured(live),
+        }
         state = self._latest.get('state_estimate')
         if state is not None and _name(MODES, state.mode) == 'NO_ESTIMATE':
             found['estimated'] = None
-        return {name: q if q is not None and None not in q else None
-                for name, q in found.items()}
+        return {name: q if q is not None and None not in q else None for name, q in found.items()}
 
     def stamp(self):
         """Stamp of the newest measurement, estimate or command [ns], None before the first."""
@@ -166,12 +194,16 @@ class LiveModel:
             return None
         # What fell silent is left out: its clock may be one that has started anew since.
         newest = max(self._received.values())
-        return max(_stamp(message) for source, message in self._latest.items()
-                   if self._received[source] > newest - QUIET)
+        return max(
+            _stamp(message)
+            for source, message in self._latest.items()
+            if self._received[source] > newest - QUIET
+        )
 
     def _live(self, now):
-        return {name: name in self._received and now - self._received[name] < QUIET
-                for name in _SOURCES}
+        return {
+            name: name in self._received and now - self._received[name] < QUIET for name in _SOURCES
+        }
 
     def _age(self, now):
         newest = max(self._received.values(), default=None)
@@ -195,12 +227,18 @@ class LiveModel:
         live = self._live(now)
         stamp = self.stamp()
         none = [None, None]
-        fields = (('estimate', 'fault_estimate', 'estimate'), ('bound', 'fault_estimate', 'bound'),
-                  ('threshold', 'fault_estimate', 'threshold'), ('fault', 'ground_truth', 'fault'),
-                  ('torque', 'torque_command', 'torque'), ('tip', 'reference', 'tip_position'))
+        fields = (
+            ('estimate', 'fault_estimate', 'estimate'),
+            ('bound', 'fault_estimate', 'bound'),
+            ('threshold', 'fault_estimate', 'threshold'),
+            ('fault', 'ground_truth', 'fault'),
+            ('torque', 'torque_command', 'torque'),
+            ('tip', 'reference', 'tip_position'),
+        )
         sample = {'t': seconds(stamp) if stamp is not None else None}
-        sample.update({name: self._field(source, field, live) or none
-                       for name, source, field in fields})
+        sample.update(
+            {name: self._field(source, field, live) or none for name, source, field in fields}
+        )
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
                 self._history.clear()  # time started anew

@@ -10,11 +10,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from lpv_bag.interfaces import add_type, make_typestore
-from lpv_core.arm import load_arm
-from lpv_core.errors import ConfigError
-from lpv_core.scenario import load_scenario
-from lpv_core.urdf import arm_urdf
+from lpv_bag.rosbag.interfaces import add_type, make_typestore
+from lpv_core.export.urdf import arm_urdf
+from lpv_core.model.arm import load_arm
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ONLOOKER, ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
 from lpv_node.stamps import NANOSECONDS
@@ -29,19 +29,48 @@ from lpv_view.topics import TOPICS, Inbox
 
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
-    Spec('scenario_file', '', 'scenario file (YAML) whose path and obstacle are drawn; may be '
-         'empty', read_only=True),
-    Spec('address', '127.0.0.1', 'where to listen; anything but a loopback address lets others '
-         'see the page, and its buttons then need the token', read_only=True),
+    Spec(
+        'scenario_file',
+        '',
+        'scenario file (YAML) whose path and obstacle are drawn; may be empty',
+        read_only=True,
+    ),
+    Spec(
+        'address',
+        '127.0.0.1',
+        'where to listen; anything but a loopback address lets others '
+        'see the page, and its buttons then need the token',
+        read_only=True,
+    ),
     Spec('port', 8090, 'port of the page; 0 takes a free one', 0, 65535, read_only=True),
-    Spec('foxglove_port', 8765, 'port of the Foxglove WebSocket protocol; 0: off', 0, 65535,
-         read_only=True),
-    Spec('foxglove_rate', 100.0, 'most messages of a fast topic sent to Foxglove [1/s]', 1.0,
-         1000.0, read_only=True),
-    Spec('foxglove_origins', ['https://app.foxglove.dev', 'file://'],
-         'web origins that may connect to the Foxglove port', read_only=True),
-    Spec('hosts', [''], 'further names of this machine under which the page is called',
-         read_only=True),
+    Spec(
+        'foxglove_port',
+        8765,
+        'port of the Foxglove WebSocket protocol; 0: off',
+        0,
+        65535,
+        read_only=True,
+    ),
+    Spec(
+        'foxglove_rate',
+        100.0,
+        'most messages of a fast topic sent to Foxglove [1/s]',
+        1.0,
+        1000.0,
+        read_only=True,
+    ),
+    Spec(
+        'foxglove_origins',
+        ['https://app.foxglove.dev', 'file://'],
+        'web origins that may connect to the Foxglove port',
+        read_only=True,
+    ),
+    Spec(
+        'hosts',
+        [''],
+        'further names of this machine under which the page is called',
+        read_only=True,
+    ),
     Spec('rate', 25.0, 'frames, markers and transforms [1/s]', 1.0, 60.0, read_only=True),
 )
 _ALARM_INTERVAL = 0.2
@@ -88,10 +117,14 @@ class ViewNode(ManagedNode):
 
     def _create_publishers(self):
         once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._outputs = {name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
-                         for name in _DESCRIPTIONS}
-        self._outputs['arm_markers'] = (self.create_publisher(MarkerArray, 'arm_markers', 1),
-                                        MARKERS)
+        self._outputs = {
+            name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
+            for name in _DESCRIPTIONS
+        }
+        self._outputs['arm_markers'] = (
+            self.create_publisher(MarkerArray, 'arm_markers', 1),
+            MARKERS,
+        )
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
@@ -108,19 +141,28 @@ class ViewNode(ManagedNode):
         self._server = ViewServer(access, arm.sensor_names, self._requests.submit)
         sites = [(self._server.application(), address, value['port'])]
         if value['foxglove_port']:
-            self._foxglove = FoxgloveBridge(f'lpv {self.get_namespace()}', self._forwarded(),
-                                            self.resolve_topic_name(BAND))
+            self._foxglove = FoxgloveBridge(
+                f'lpv {self.get_namespace()}', self._forwarded(), self.resolve_topic_name(BAND)
+            )
             origins = Access(address, '', value['hosts'], value['foxglove_origins'])
-            sites.append((gate(origins, self._foxglove.address, self._foxglove.port), address,
-                          value['foxglove_port']))
+            sites.append(
+                (
+                    gate(origins, self._foxglove.address, self._foxglove.port),
+                    address,
+                    value['foxglove_port'],
+                )
+            )
         ports = self._server.start(sites)
         shown = socket.gethostname() if address in ('0.0.0.0', '::') else address
         shown = f'[{shown}]' if ':' in shown else shown
         self.get_logger().info(f'page: http://{shown}:{ports[0]}/')
         if access.token:
             # Printed, not logged: logs are published on /rosout and kept in files.
-            print(f'buttons of the page need the token {access.token}\n'
-                  f'  http://{shown}:{ports[0]}/#token={access.token}', flush=True)
+            print(
+                f'buttons of the page need the token {access.token}\n'
+                f'  http://{shown}:{ports[0]}/#token={access.token}',
+                flush=True,
+            )
         if len(ports) > 1:
             self.get_logger().info(f'Foxglove: ws://{shown}:{ports[1]}')
 
@@ -129,8 +171,10 @@ class ViewNode(ManagedNode):
         keep = {'fault_alarm': 50, **dict.fromkeys(_DESCRIPTIONS, 1)}
         types = {topic.name: topic.msgtype for topic in TOPICS}
         types.update({name: msgtype for name, (_, msgtype) in self._outputs.items()})
-        return {self.resolve_topic_name(name): (msgtype, keep.get(name, 0))
-                for name, msgtype in types.items()}
+        return {
+            self.resolve_topic_name(name): (msgtype, keep.get(name, 0))
+            for name, msgtype in types.items()
+        }
 
     def _forwarder(self, topic):
         name = self.resolve_topic_name(topic.name)
@@ -145,6 +189,7 @@ class ViewNode(ManagedNode):
                 self._describe_again()
             self._stamp = max(stamp, self._stamp)
             self._foxglove.send(name, data, self._stamp if topic.every else stamp)
+
         return forward
 
     def _describe(self, arm):
@@ -165,8 +210,11 @@ class ViewNode(ManagedNode):
     def begin(self):
         """Subscribe."""
         self._subscriptions_in = [
-            self.create_subscription(inbox.topic.kind, inbox.topic.name, inbox.store,
-                                     inbox.topic.qos, raw=True) for inbox in self._inboxes]
+            self.create_subscription(
+                inbox.topic.kind, inbox.topic.name, inbox.store, inbox.topic.qos, raw=True
+            )
+            for inbox in self._inboxes
+        ]
 
     def end(self):
         """Unsubscribe; the page stays, and says that nothing comes."""

@@ -24,9 +24,11 @@ class Requests:
 
     def __init__(self, node):
         self._node = node
-        self._clients = {'inject': node.create_client(InjectFault, 'arm_sim/inject_fault'),
-                         'clear': node.create_client(ClearFaults, 'arm_sim/clear_faults'),
-                         'reset': node.create_client(Trigger, 'uio/reset')}
+        self._clients = {
+            'inject': node.create_client(InjectFault, 'arm_sim/inject_fault'),
+            'clear': node.create_client(ClearFaults, 'arm_sim/clear_faults'),
+            'reset': node.create_client(Trigger, 'uio/reset'),
+        }
         self._incoming = queue.Queue(_MOST)
         self._pending = []
 
@@ -63,8 +65,10 @@ class Requests:
         for client, future, reply, deadline in self._pending:
             if future.done():
                 answer, error = future.result(), future.exception()
-                reply(error is None and answer.success,
-                      str(error) if error is not None else answer.message)
+                reply(
+                    error is None and answer.success,
+                    str(error) if error is not None else answer.message,
+                )
             elif time.monotonic() > deadline:
                 client.remove_pending_request(future)
                 reply(False, f'{client.srv_name} does not answer')

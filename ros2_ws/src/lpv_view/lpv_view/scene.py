@@ -2,10 +2,13 @@
 
 import numpy as np
 
-from lpv_core.urdf import BASE, points, transforms
+from lpv_core.export.urdf import BASE, points, transforms
 
-ARMS = {'true': (0.13, 0.55, 0.30, 0.45), 'estimated': (0.12, 0.40, 0.85, 1.0),
-        'measured': (0.85, 0.40, 0.05, 0.9)}
+ARMS = {
+    'true': (0.13, 0.55, 0.30, 0.45),
+    'estimated': (0.12, 0.40, 0.85, 1.0),
+    'measured': (0.85, 0.40, 0.05, 0.9),
+}
 """Red, green, blue, alpha of each arm."""
 MARKERS, TRANSFORMS = 'visualization_msgs/msg/MarkerArray', 'tf2_msgs/msg/TFMessage'
 _LINE_STRIP, _SPHERE_LIST, _CYLINDER = 4, 7, 3
@@ -20,7 +23,7 @@ class Scene:
     arm : ArmParameters
         The arm.
     typestore : rosbags.typesys.store.Typestore
-        As of `lpv_bag.interfaces.make_typestore`.
+        As of `lpv_bag.rosbag.interfaces.make_typestore`.
     path : CartesianPath, optional
         Path of the scenario, with its obstacle.
     """
@@ -57,8 +60,9 @@ class Scene:
             corners[1:, [0, 2]] = points(self._arm, q)
             corners[:, 1] = 0.3 * self._width * (1 - depth)
             found.append(self._marker(name, 0, _LINE_STRIP, colour, self._width, stamp, corners))
-            found.append(self._marker(name, 1, _SPHERE_LIST, colour, 1.6 * self._width, stamp,
-                                      corners))
+            found.append(
+                self._marker(name, 1, _SPHERE_LIST, colour, 1.6 * self._width, stamp, corners)
+            )
         if with_path and self._path is not None:
             found += self._surroundings(stamp)
         return self._bytes(MARKERS, self._types[MARKERS](found))
@@ -67,12 +71,23 @@ class Scene:
         tips = self._path.sample(np.linspace(self._path.start, self._path.end, 151)).tip
         line = np.zeros((len(tips), 3))
         line[:, [0, 2]] = tips
-        result = [self._marker('path', 0, _LINE_STRIP, (0.5, 0.5, 0.5, 0.8), 0.2 * self._width,
-                               stamp, line, lifetime=0)]
+        result = [
+            self._marker(
+                'path',
+                0,
+                _LINE_STRIP,
+                (0.5, 0.5, 0.5, 0.8),
+                0.2 * self._width,
+                stamp,
+                line,
+                lifetime=0,
+            )
+        ]
         obstacle = self._path.obstacle
         if obstacle is not None:
-            marker = self._marker('obstacle', 0, _CYLINDER, (0.8, 0.2, 0.2, 0.5), 1.0, stamp, (),
-                                  lifetime=0)
+            marker = self._marker(
+                'obstacle', 0, _CYLINDER, (0.8, 0.2, 0.2, 0.5), 1.0, stamp, (), lifetime=0
+            )
             marker.pose.position.x, marker.pose.position.z = map(float, obstacle.center)
             marker.pose.orientation.x = marker.pose.orientation.w = 0.5**0.5
             marker.scale.x = marker.scale.y = 2.0 * obstacle.radius
@@ -98,10 +113,13 @@ class Scene:
             q = arms.get(name)
             if q is None:
                 continue
-            found.append(self._transform(stamp, BASE, f'{name}/{BASE}', (0.0,) * 3,
-                                         (0.0, 0.0, 0.0, 1.0)))
-            found += [self._transform(stamp, f'{name}/{parent}', f'{name}/{child}', *rest)
-                      for parent, child, *rest in transforms(self._arm, q)]
+            found.append(
+                self._transform(stamp, BASE, f'{name}/{BASE}', (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))
+            )
+            found += [
+                self._transform(stamp, f'{name}/{parent}', f'{name}/{child}', *rest)
+                for parent, child, *rest in transforms(self._arm, q)
+            ]
         return self._bytes(TRANSFORMS, self._types[TRANSFORMS](found))
 
     def text(self, content):
@@ -115,31 +133,54 @@ class Scene:
         new = self._new
         point = self._types['geometry_msgs/msg/Point']
         return self._types['visualization_msgs/msg/Marker'](
-            header=self._header(stamp, BASE), ns=namespace, id=number, type=kind, action=0,
-            pose=self._pose(), scale=new('geometry_msgs/msg/Vector3', x=width, y=width, z=width),
+            header=self._header(stamp, BASE),
+            ns=namespace,
+            id=number,
+            type=kind,
+            action=0,
+            pose=self._pose(),
+            scale=new('geometry_msgs/msg/Vector3', x=width, y=width, z=width),
             color=new('std_msgs/msg/ColorRGBA', **dict(zip('rgba', colour))),
             lifetime=new('builtin_interfaces/msg/Duration', sec=0, nanosec=lifetime),
-            frame_locked=False, points=[point(*map(float, c)) for c in corners], colors=[],
-            texture_resource='', text='', mesh_resource='', mesh_use_embedded_materials=False,
-            texture=new('sensor_msgs/msg/CompressedImage', header=self._header(0, ''), format='',
-                        data=np.zeros(0, np.uint8)),
+            frame_locked=False,
+            points=[point(*map(float, c)) for c in corners],
+            colors=[],
+            texture_resource='',
+            text='',
+            mesh_resource='',
+            mesh_use_embedded_materials=False,
+            texture=new(
+                'sensor_msgs/msg/CompressedImage',
+                header=self._header(0, ''),
+                format='',
+                data=np.zeros(0, np.uint8),
+            ),
             uv_coordinates=[],
-            mesh_file=new('visualization_msgs/msg/MeshFile', filename='',
-                          data=np.zeros(0, np.uint8)))
+            mesh_file=new(
+                'visualization_msgs/msg/MeshFile', filename='', data=np.zeros(0, np.uint8)
+            ),
+        )
 
     def _pose(self):
         return self._new(
             'geometry_msgs/msg/Pose',
             position=self._new('geometry_msgs/msg/Point', x=0.0, y=0.0, z=0.0),
-            orientation=self._new('geometry_msgs/msg/Quaternion', x=0.0, y=0.0, z=0.0, w=1.0))
+            orientation=self._new('geometry_msgs/msg/Quaternion', x=0.0, y=0.0, z=0.0, w=1.0),
+        )
 
     def _transform(self, stamp, parent, child, translation, quaternion):
         new = self._new
-        moved = new('geometry_msgs/msg/Transform',
-                    translation=new('geometry_msgs/msg/Vector3', **dict(zip('xyz', translation))),
-                    rotation=new('geometry_msgs/msg/Quaternion', **dict(zip('xyzw', quaternion))))
-        return new('geometry_msgs/msg/TransformStamped', header=self._header(stamp, parent),
-                   child_frame_id=child, transform=moved)
+        moved = new(
+            'geometry_msgs/msg/Transform',
+            translation=new('geometry_msgs/msg/Vector3', **dict(zip('xyz', translation))),
+            rotation=new('geometry_msgs/msg/Quaternion', **dict(zip('xyzw', quaternion))),
+        )
+        return new(
+            'geometry_msgs/msg/TransformStamped',
+            header=self._header(stamp, parent),
+            child_frame_id=child,
+            transform=moved,
+        )
 
     def _header(self, stamp, frame):
         time = self._types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))

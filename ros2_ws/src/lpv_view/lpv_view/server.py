@@ -8,7 +8,7 @@ from importlib import resources
 
 from aiohttp import WSMsgType, web
 
-from lpv_core.errors import ConfigError
+from lpv_core.support.errors import ConfigError
 from lpv_view.commands import CommandError, parse_command
 from lpv_view.hub import Client, Hub, encode
 
@@ -17,18 +17,27 @@ LARGEST_MESSAGE = 4096
 _MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
 _MOST_RATE, _BURST = 10.0, 30.0
 """Messages of one client [1/s], and how many at once."""
-_FILES = {'/': ('index.html', 'text/html'), '/view.css': ('view.css', 'text/css'),
-          '/icon.svg': ('icon.svg', 'image/svg+xml'),
-          **{f'/{name}.js': (f'{name}.js', 'text/javascript')
-             for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')}}
+_FILES = {
+    '/': ('index.html', 'text/html'),
+    '/view.css': ('view.css', 'text/css'),
+    '/icon.svg': ('icon.svg', 'image/svg+xml'),
+    **{
+        f'/{name}.js': (f'{name}.js', 'text/javascript')
+        for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')
+    },
+}
 HEADERS = {
     'Content-Security-Policy': "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'",
-    'Cache-Control': 'no-store', 'X-Content-Type-Options': 'nosniff',
-    'Referrer-Policy': 'no-referrer', 'X-Frame-Options': 'DENY',
-    'Cross-Origin-Opener-Policy': 'same-origin', 'Cross-Origin-Resource-Policy': 'same-origin',
-    'Server': 'lpv_view'}
+    'Cache-Control': 'no-store',
+    'X-Content-Type-Options': 'nosniff',
+    'Referrer-Policy': 'no-referrer',
+    'X-Frame-Options': 'DENY',
+    'Cross-Origin-Opener-Policy': 'same-origin',
+    'Cross-Origin-Resource-Policy': 'same-origin',
+    'Server': 'lpv_view',
+}
 
 
 class ViewServer:
@@ -86,16 +95,21 @@ class ViewServer:
         return ports
 
     async def _open(self, application, address, port):
-        runner = web.AppRunner(application, access_log=None, handle_signals=False,
-                               shutdown_timeout=1.0)
+        runner = web.AppRunner(
+            application, access_log=None, handle_signals=False, shutdown_timeout=1.0
+        )
         await runner.setup()
         self._runners.append(runner)
         try:
-            await web.TCPSite(runner, '127.0.0.1' if address == 'localhost' else address,
-                              port).start()
+            await web.TCPSite(
+                runner, '127.0.0.1' if address == 'localhost' else address, port
+            ).start()
         except (OSError, OverflowError) as error:
-            raise ConfigError('port', f'cannot listen on {address}, port {port}: '
-                              f'{getattr(error, "strerror", None) or error}') from error
+            raise ConfigError(
+                'port',
+                f'cannot listen on {address}, port {port}: '
+                f'{getattr(error, "strerror", None) or error}',
+            ) from error
         return runner.addresses[0][1]
 
     def _run(self):
@@ -138,8 +152,7 @@ class ViewServer:
 
     def welcome(self, hello):
         """Send new clients their first message: they get frames from then on."""
-        self._call(self._hub.welcome,
-                   {**hello, 'token_needed': bool(self._access.token)})
+        self._call(self._hub.welcome, {**hello, 'token_needed': bool(self._access.token)})
 
     def frame(self, message):
         """Send a frame to all clients; those that are slow skip some."""
@@ -160,8 +173,9 @@ class ViewServer:
     async def _on_socket(self, request):
         if len(self._hub.clients) >= self._max_clients:
             raise web.HTTPServiceUnavailable(text='too many clients')
-        socket = web.WebSocketResponse(max_msg_size=LARGEST_MESSAGE, heartbeat=20.0,
-                                       compress=False, timeout=2.0)
+        socket = web.WebSocketResponse(
+            max_msg_size=LARGEST_MESSAGE, heartbeat=20.0, compress=False, timeout=2.0
+        )
         await socket.prepare(request)
         client = Client(socket)
         client.granted = not self._access.token
@@ -241,6 +255,7 @@ def guard(access):
     callable
         For `aiohttp.web.Application`.
     """
+
     @web.middleware
     async def middleware(request, handler):
         refusal = access.refusal(request.headers)
@@ -254,12 +269,14 @@ def guard(access):
         if not response.prepared:
             response.headers.update(HEADERS)
         return response
+
     return middleware
 
 
 def _reply(command, ok, text):
-    return encode({'type': 'reply', 'id': command.number, 'command': command.name, 'ok': ok,
-                   'message': text})
+    return encode(
+        {'type': 'reply', 'id': command.number, 'command': command.name, 'ok': ok, 'message': text}
+    )
 
 
 def _load_pages():

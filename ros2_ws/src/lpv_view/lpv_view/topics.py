@@ -52,9 +52,12 @@ class Topic:
 
 
 TOPICS = (
-    Topic('joint_states', JointState), Topic('state_estimate', StateEstimate),
-    Topic('fault_estimate', FaultEstimate), Topic('torque_command', TorqueCommand),
-    Topic('reference', JointReference), Topic('ground_truth', GroundTruth),
+    Topic('joint_states', JointState),
+    Topic('state_estimate', StateEstimate),
+    Topic('fault_estimate', FaultEstimate),
+    Topic('torque_command', TorqueCommand),
+    Topic('reference', JointReference),
+    Topic('ground_truth', GroundTruth),
     Topic('fault_alarm', FaultAlarm, latched(), every=True),
     Topic('/diagnostics', DiagnosticArray, QoSProfile(depth=10), every=True),
 )

@@ -19,29 +19,44 @@ def print_summary(numbers, console=None):
     """
     console = console or Console()
     head, stability = numbers['head'], numbers['stability']
-    table = Table(title=f'{head["name"]}: {head["runs"]} runs, {head["hours"]:.3g} h simulated',
-                  box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table = Table(
+        title=f'{head["name"]}: {head["runs"]} runs, {head["hours"]:.3g} h simulated',
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )
     table.add_column('fault', no_wrap=True)
     table.add_column('sensor', no_wrap=True)
     for name in ('runs', 'found', 'isolated', 'delay', '(95%)', '95% found from'):
         table.add_column(name, justify='right', no_wrap=True)
     for entry in numbers['detection']:
-        table.add_row(entry['kind'], entry['sensor'], str(entry['detected']['cases']),
-                      percent(entry['detected']), percent(entry['isolated']),
-                      seconds(entry['delay']['median']), seconds(entry['delay']['high']),
-                      smallest(entry, '0.95'))
+        table.add_row(
+            entry['kind'],
+            entry['sensor'],
+            str(entry['detected']['cases']),
+            percent(entry['detected']),
+            percent(entry['isolated']),
+            seconds(entry['delay']['median']),
+            seconds(entry['delay']['high']),
+            smallest(entry, '0.95'),
+        )
     if numbers['detection']:
         console.print(table)
     else:
         console.print(table.title)
     healthy, after = (numbers['false_alarms'][name] for name in ('before', 'after'))
-    console.print(f'false alarms of healthy arms: {healthy["events"]} in {healthy["hours"]:.3g} h; '
-                  f'{rate(healthy)}')
+    console.print(
+        f'false alarms of healthy arms: {healthy["events"]} in {healthy["hours"]:.3g} h; '
+        f'{rate(healthy)}'
+    )
     if after['hours']:
-        console.print(f'alarms after the end of a fault: {after["events"]} in '
-                      f'{after["hours"]:.3g} h')
-    console.print(f'stable: {percent(stability["stable"])}, unstable {stability["unstable"]}, '
-                  f'safe stops {stability["safe_stops"]} in {stability["stopped"]} runs')
+        console.print(
+            f'alarms after the end of a fault: {after["events"]} in {after["hours"]:.3g} h'
+        )
+    console.print(
+        f'stable: {percent(stability["stable"])}, unstable {stability["unstable"]}, '
+        f'safe stops {stability["safe_stops"]} in {stability["stopped"]} runs'
+    )
 
 
 def smallest(entry, probability):
@@ -50,7 +65,7 @@ def smallest(entry, probability):
     Parameters
     ----------
     entry : dict
-        Of `lpv_campaign.report.detection.detection`.
+        Of `lpv_campaign.report.sections.detection.detection`.
     probability : str
         Key of ``smallest``.
 

@@ -12,7 +12,7 @@ def milli(value, digits=3):
 
 
 def percent(share):
-    """Rate of `lpv_campaign.report.intervals.proportion`, or ``-``."""
+    """Rate of `lpv_campaign.report.statistics.intervals.proportion`, or ``-``."""
     return '-' if share['rate'] is None else f'{100.0 * share["rate"]:.1f}%'
 
 
@@ -31,17 +31,16 @@ def seconds(value):
 
 
 def middle(values, digits=2):
-    """Middle 90 % of `lpv_campaign.report.intervals.spread`, or nothing."""
+    """Middle 90 % of `lpv_campaign.report.statistics.intervals.spread`, or nothing."""
     if not values['count']:
         return ''
     return f'{number(values["low"], digits)} to {number(values["high"], digits)}'
 
 
 def rate(alarms):
-    """Rate of `lpv_campaign.report.intervals.poisson_rate`, with its interval."""
+    """Rate of `lpv_campaign.report.statistics.intervals.poisson_rate`, with its interval."""
     if alarms['rate'] is None:
         return 'no time without a fault'
     if not alarms['events']:
         return f'none; fewer than {alarms["high"]:.3g} an hour with 95% confidence'
-    return (f'{alarms["rate"]:.3g} an hour, 95% interval {alarms["low"]:.3g} to '
-            f'{alarms["high"]:.3g}')
+    return f'{alarms["rate"]:.3g} an hour, 95% interval {alarms["low"]:.3g} to {alarms["high"]:.3g}'

@@ -9,30 +9,35 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from lpv_campaign.report import text
-from lpv_campaign.report.comparison import comparison
-from lpv_campaign.report.detection import detection
-from lpv_campaign.report.detection_figures import draw_detection
-from lpv_campaign.report.estimate_figures import draw_estimates
-from lpv_campaign.report.estimates import estimates
-from lpv_campaign.report.head import head
-from lpv_campaign.report.intervals import share
-from lpv_campaign.report.isolation import isolation
-from lpv_campaign.report.limit import limit
-from lpv_campaign.report.results import Results
-from lpv_campaign.report.roc import roc
-from lpv_campaign.report.roc_figures import draw_roc, draw_sweep
-from lpv_campaign.report.stability import stability
-from lpv_campaign.report.stability_figures import draw_going, draw_stability
+from lpv_campaign.report.pictures.detection_figures import draw_detection
+from lpv_campaign.report.pictures.estimate_figures import draw_estimates
+from lpv_campaign.report.pictures.roc_figures import draw_roc, draw_sweep
+from lpv_campaign.report.pictures.stability_figures import draw_going, draw_stability
+from lpv_campaign.report.sections.comparison import comparison
+from lpv_campaign.report.sections.detection import detection
+from lpv_campaign.report.sections.estimates import estimates
+from lpv_campaign.report.sections.head import head
+from lpv_campaign.report.sections.isolation import isolation
+from lpv_campaign.report.sections.limit import limit
+from lpv_campaign.report.sections.roc import roc
+from lpv_campaign.report.sections.stability import stability
+from lpv_campaign.report.sections.tiles import tiles
+from lpv_campaign.report.sections.tracking import false_alarms, tracking, wrong_alarms
+from lpv_campaign.report.sections.worst import worst
+from lpv_campaign.report.statistics.intervals import share
+from lpv_campaign.report.statistics.results import Results
 from lpv_campaign.report.summary import smallest
-from lpv_campaign.report.tiles import tiles
-from lpv_campaign.report.tracking import false_alarms, tracking, wrong_alarms
-from lpv_campaign.report.worst import worst
 from lpv_report.page import embedded, environment
 
 HTML, JSON = 'report.html', 'report.json'
-_FIGURES = {'roc': (draw_roc, 'roc'), 'sweep': (draw_sweep, 'roc'),
-            'detection': (draw_detection, 'detection'), 'estimates': (draw_estimates, 'estimates'),
-            'stability': (draw_stability, 'stability'), 'going': (draw_going, 'stability')}
+_FIGURES = {
+    'roc': (draw_roc, 'roc'),
+    'sweep': (draw_sweep, 'roc'),
+    'detection': (draw_detection, 'detection'),
+    'estimates': (draw_estimates, 'estimates'),
+    'stability': (draw_stability, 'stability'),
+    'going': (draw_going, 'stability'),
+}
 """What draws each picture, and from which section."""
 _PAGE_WIDTH = 9.8
 """Width of a figure that fills the page [in]; others keep the same size of letters."""
@@ -74,9 +79,18 @@ def write_report(campaign, table, folder):
     """
     folder = Path(folder)
     numbers = _finite(report_numbers(Results(campaign, table), folder))
-    page = environment(Path(__file__).parent).get_template('report.html').render(
-        **numbers, title=f'Campaign {campaign.spec.name}', tiles=tiles(numbers),
-        figures=_figures(numbers), text=text, smallest=smallest)
+    page = (
+        environment(Path(__file__).parent)
+        .get_template('report.html')
+        .render(
+            **numbers,
+            title=f'Campaign {campaign.spec.name}',
+            tiles=tiles(numbers),
+            figures=_figures(numbers),
+            text=text,
+            smallest=smallest,
+        )
+    )
     _write(folder / HTML, page)
     _write(folder / JSON, json.dumps(numbers, allow_nan=False, indent=1))
     return CampaignReport(folder / HTML, folder / JSON, numbers)
@@ -99,14 +113,22 @@ def report_numbers(results, folder):
     """
     return {
         'head': head(results),
-        'overall': {'detected': share(results.flag('detected'), results.faulty),
-                    'isolated': share(results.flag('isolated'), results.faulty),
-                    'wrong': wrong_alarms(results)},
-        'roc': roc(results), 'detection': detection(results), 'isolation': isolation(results),
-        'estimates': estimates(results), 'stability': stability(results),
-        'tracking': tracking(results), 'false_alarms': false_alarms(results),
-        'comparison': comparison(results), 'worst': worst(results, folder),
-        'limit': limit(results)}
+        'overall': {
+            'detected': share(results.flag('detected'), results.faulty),
+            'isolated': share(results.flag('isolated'), results.faulty),
+            'wrong': wrong_alarms(results),
+        },
+        'roc': roc(results),
+        'detection': detection(results),
+        'isolation': isolation(results),
+        'estimates': estimates(results),
+        'stability': stability(results),
+        'tracking': tracking(results),
+        'false_alarms': false_alarms(results),
+        'comparison': comparison(results),
+        'worst': worst(results, folder),
+        'limit': limit(results),
+    }
 
 
 def _figures(numbers):

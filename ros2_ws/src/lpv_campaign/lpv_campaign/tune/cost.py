@@ -1,6 +1,6 @@
 """What a trial costs, how far it is beyond the limits, and which one is picked."""
 
-from lpv_core.errors import ConfigError
+from lpv_core.support.errors import ConfigError
 
 
 def cost(figures, values, first):
@@ -31,8 +31,9 @@ def cost(figures, values, first):
             continue
         scale = figure.scale or first[figure.name]
         if not scale > 0.0:
-            raise ConfigError(f'figures.{figure.name}', f'is {scale:g} in the first trial: give '
-                              'it a scale')
+            raise ConfigError(
+                f'figures.{figure.name}', f'is {scale:g} in the first trial: give it a scale'
+            )
         total += figure.weight * values[figure.name] / scale
         weights += figure.weight
     return total / weights
@@ -59,15 +60,18 @@ def excesses(study, outcome, first, validation=None):
     """
     limit = (validation or study.limits).healthy_score
     share = 1.0 + (validation.slack if validation else 0.0)
-    found = {'false_alarms': float(outcome.false_alarms),
-             'healthy_score': outcome.healthy_score - limit}
+    found = {
+        'false_alarms': float(outcome.false_alarms),
+        'healthy_score': outcome.healthy_score - limit,
+    }
     for figure in study.figures:
         value = outcome.figures[figure.name]
         if figure.at_most < float('inf'):
             found[f'{figure.name} at_most'] = value - share * figure.at_most
         if figure.at_most_ratio < float('inf'):
-            found[f'{figure.name} at_most_ratio'] = \
+            found[f'{figure.name} at_most_ratio'] = (
                 value - share * figure.at_most_ratio * first[figure.name]
+            )
     return found
 
 

@@ -5,12 +5,16 @@ import math
 import re
 from dataclasses import fields
 
-from lpv_core.diagnosis import DiagnosisParameters
-from lpv_core.errors import ConfigError
+from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.support.errors import ConfigError
 
 DIAGNOSIS_LIMITS = {
-    'threshold_factor': (1.0, math.inf), 'sigmas': (3.0, math.inf), 'dwell': (1e-3, math.inf),
-    'hysteresis': (0.1, 1.0), 'false_alarm_hours': (1.0, math.inf)}
+    'threshold_factor': (1.0, math.inf),
+    'sigmas': (3.0, math.inf),
+    'dwell': (1e-3, math.inf),
+    'hysteresis': (0.1, 1.0),
+    'false_alarm_hours': (1.0, math.inf),
+}
 """Widest ranges: below its bound a threshold means nothing, whatever a campaign says."""
 _NAME = re.compile(r'(observer|controller)\.(\w+)(?:\[(\d)\])?')
 _DIAGNOSIS = 'diagnosis.'
@@ -38,7 +42,7 @@ def base_value(name, requirement):
         If there is no such number.
     """
     if name.startswith(_DIAGNOSIS):
-        return _diagnosis(name[len(_DIAGNOSIS):], name)
+        return _diagnosis(name[len(_DIAGNOSIS) :], name)
     match = _NAME.fullmatch(name)
     part = getattr(requirement, match[1]) if match else None
     known = {f.name for f in fields(part)} if match else set()
@@ -58,9 +62,12 @@ def base_value(name, requirement):
 
 
 def _unknown(name, requirement):
-    known = [f'{part}.{f.name}' for part in ('observer', 'controller')
-             for f in fields(getattr(requirement, part))
-             if isinstance(getattr(getattr(requirement, part), f.name), (float, tuple))]
+    known = [
+        f'{part}.{f.name}'
+        for part in ('observer', 'controller')
+        for f in fields(getattr(requirement, part))
+        if isinstance(getattr(getattr(requirement, part), f.name), (float, tuple))
+    ]
     known += [f'{_DIAGNOSIS}{f.name}' for f in fields(DiagnosisParameters) if f.name != 'latch']
     return ConfigError(f'search.{name}', 'cannot be searched; there are ' + ', '.join(known))
 
@@ -89,13 +96,18 @@ def check_range(name, found, base):
     ConfigError
         Naming the field.
     """
-    low, high = DIAGNOSIS_LIMITS.get(name[len(_DIAGNOSIS):], (0.0, math.inf)) \
-        if name.startswith(_DIAGNOSIS) else (0.0, math.inf)
+    low, high = (
+        DIAGNOSIS_LIMITS.get(name[len(_DIAGNOSIS) :], (0.0, math.inf))
+        if name.startswith(_DIAGNOSIS)
+        else (0.0, math.inf)
+    )
     if not (low <= found.low and found.high <= high):
         raise ConfigError(f'search.{name}', f'must lie within {low:g} and {high:g}')
     if not found.low <= base <= found.high:
-        raise ConfigError(f'search.{name}', f'must hold {base:g}, the value before the search, '
-                          'which is tried first')
+        raise ConfigError(
+            f'search.{name}',
+            f'must hold {base:g}, the value before the search, which is tried first',
+        )
 
 
 def changed(data, requirement, values):
@@ -123,8 +135,11 @@ def changed(data, requirement, values):
         part, field, index = match.groups()
         old = getattr(getattr(requirement, part), field)
         if isinstance(old, tuple):
-            new = list(result[part].get(field, old)) if isinstance(
-                result[part].get(field, old), (list, tuple)) else list(old)
+            new = (
+                list(result[part].get(field, old))
+                if isinstance(result[part].get(field, old), (list, tuple))
+                else list(old)
+            )
             for k in range(len(new)) if index is None else (int(index),):
                 new[k] = value
             value = new

@@ -19,15 +19,19 @@ def draw(result, path):
     import matplotlib.pyplot as plt
 
     names = list(result['study']['search'])
-    figure, axes = plt.subplots(2, max(3, (len(names) + 3) // 2), layout='constrained',
-                                figsize=(3.4 * max(3, (len(names) + 3) // 2), 6.4))
+    figure, axes = plt.subplots(
+        2,
+        max(3, (len(names) + 3) // 2),
+        layout='constrained',
+        figsize=(3.4 * max(3, (len(names) + 3) // 2), 6.4),
+    )
     axes = axes.ravel()
     _front(axes[0], result)
     _history(axes[1], result)
     _importance(axes[2], result)
     for axis, name in zip(axes[3:], names):
         _slice(axis, result, name)
-    for axis in axes[3 + len(names):]:
+    for axis in axes[3 + len(names) :]:
         axis.set_axis_off()
     figure.suptitle(f'{result["name"]}: {result["verdict"]}', fontsize=10)
     figure.savefig(path, dpi=100)
@@ -52,10 +56,16 @@ def _marked(axis, result, x, y):
 
 def _front(axis, result):
     for state, colour, trials in _points(result):
-        axis.plot([t['healthy_score'] for t in trials], [t['cost'] for t in trials], '.',
-                  color=colour, label=state)
-    front = sorted((result['trials'][n]['healthy_score'], result['trials'][n]['cost'])
-                   for n in result['front'])
+        axis.plot(
+            [t['healthy_score'] for t in trials],
+            [t['cost'] for t in trials],
+            '.',
+            color=colour,
+            label=state,
+        )
+    front = sorted(
+        (result['trials'][n]['healthy_score'], result['trials'][n]['cost']) for n in result['front']
+    )
     if front:
         axis.step(*zip(*front), where='post', color='tab:blue', lw=0.8)
     _marked(axis, result, lambda t: t['healthy_score'], lambda t: t['cost'])
@@ -85,9 +95,11 @@ def _importance(axis, result):
 
 def _slice(axis, result, name):
     from matplotlib.ticker import LogLocator, NullFormatter
+
     for _, colour, trials in _points(result):
-        axis.plot([t['values'][name] for t in trials], [t['cost'] for t in trials], '.',
-                  color=colour)
+        axis.plot(
+            [t['values'][name] for t in trials], [t['cost'] for t in trials], '.', color=colour
+        )
     _marked(axis, result, lambda t: t['values'][name], lambda t: t['cost'])
     if result['study']['search'][name].get('spacing') == 'log':
         axis.set_xscale('log')

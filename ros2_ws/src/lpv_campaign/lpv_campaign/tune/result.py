@@ -9,11 +9,11 @@ import yaml
 from lpv_campaign.tune.cost import pick
 from lpv_campaign.tune.fields import diagnosis_values
 from lpv_campaign.tune.validate import validate
-from lpv_core.certificate import require
-from lpv_core.diagnosis import DiagnosisParameters
-from lpv_core.errors import LpvError
-from lpv_core.gains import load_gains, save_gains
-from lpv_design.pipeline import design
+from lpv_core.certificate.conditions import require
+from lpv_core.certificate.gains import load_gains, save_gains
+from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.support.errors import LpvError
+from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
 
@@ -37,10 +37,20 @@ def conclude(bench, search):
     """
     study, trials = bench.study, search.trials
     picked = pick(trials, study.tolerance)
-    result = {'name': study.name, 'seed': study.seed, 'study': study.data,
-              'requirement': Path(bench.requirement.source).stem, 'first': bench.base,
-              'picked': None, 'accepted': False, 'verdict': '', 'validation': None,
-              'front': search.front, 'importance': search.importance, 'trials': trials}
+    result = {
+        'name': study.name,
+        'seed': study.seed,
+        'study': study.data,
+        'requirement': Path(bench.requirement.source).stem,
+        'first': bench.base,
+        'picked': None,
+        'accepted': False,
+        'verdict': '',
+        'validation': None,
+        'front': search.front,
+        'importance': search.importance,
+        'trials': trials,
+    }
     if picked is None:
         return {**result, 'verdict': 'no trial is certified and keeps all limits'}
     result['picked'] = picked['number']
@@ -49,8 +59,11 @@ def conclude(bench, search):
     try:
         first = bench.gains(bench.base)
     except (InfeasibleError, LpvError):
-        return {**result, 'accepted': True,
-                'verdict': 'certified; the values before the search are not'}
+        return {
+            **result,
+            'accepted': True,
+            'verdict': 'certified; the values before the search are not',
+        }
     found = validate(bench, bench.gains(picked['values']), picked['values'], first)
     verdict = 'better, with the stated confidence' if found['accepted'] else found['reason']
     return {**result, 'accepted': found['accepted'], 'verdict': verdict, 'validation': found}
@@ -91,8 +104,13 @@ def write(bench, result, folder):
     tuned = {name.split('.')[1]: value for name, value in diagnosis_values(values).items()}
     if tuned:
         parameters = replace(DiagnosisParameters(), **tuned)
-        written.append(_dump(folder / 'diagnosis.yaml', comment, {
-            '/**': {'ros__parameters': {'diagnosis': vars(parameters)}}}))
+        written.append(
+            _dump(
+                folder / 'diagnosis.yaml',
+                comment,
+                {'/**': {'ros__parameters': {'diagnosis': vars(parameters)}}},
+            )
+        )
     return written
 
 

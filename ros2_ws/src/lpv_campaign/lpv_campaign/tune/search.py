@@ -9,7 +9,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from lpv_campaign.tune.cost import cost, excesses
 from lpv_campaign.tune.trial import Outcome
-from lpv_core.errors import ConfigError
+from lpv_core.support.errors import ConfigError
 
 _STARTUP = 16
 """Trials at random before the search models anything."""
@@ -46,25 +46,34 @@ class Search:
         try:
             storage = optuna.storages.RDBStorage(f'sqlite:///{path}')
             self._found = optuna.create_study(
-                study_name='tune', storage=storage, directions=('minimize', 'minimize'),
-                load_if_exists=True)
+                study_name='tune',
+                storage=storage,
+                directions=('minimize', 'minimize'),
+                load_if_exists=True,
+            )
             known = self._found.user_attrs.get('key', key)
             self._found.set_user_attr('key', known)
         except (SQLAlchemyError, optuna.exceptions.OptunaError, RuntimeError) as error:
             text = str(error).split('\n')[0]
-            raise ConfigError('study', f'cannot be read ({text}); remove the file to begin anew',
-                              str(path)) from error
+            raise ConfigError(
+                'study', f'cannot be read ({text}); remove the file to begin anew', str(path)
+            ) from error
         if known != key:
-            raise ConfigError('--out', 'holds another study (file, arm, campaign or software '
-                              'changed): take another folder, or remove it', str(path))
+            raise ConfigError(
+                '--out',
+                'holds another study (file, arm, campaign or software '
+                'changed): take another folder, or remove it',
+                str(path),
+            )
         for trial in self._found.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            self._found.tell(trial.number, state=TrialState.FAIL)   # a crash left it behind
+            self._found.tell(trial.number, state=TrialState.FAIL)  # a crash left it behind
 
     @property
     def trials(self):
         """Finished trials in their order, each a dict as `study.json` has them."""
-        return [{'number': number, **trial.user_attrs}
-                for number, trial in enumerate(self._finished())]
+        return [
+            {'number': number, **trial.user_attrs} for number, trial in enumerate(self._finished())
+        ]
 
     def _finished(self):
         return self._found.get_trials(deepcopy=False, states=_DONE)
@@ -83,9 +92,10 @@ class Search:
         if len([t for t in self._finished() if t.state == TrialState.COMPLETE]) < 4:
             return {}
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore')     # the lowest costs are what is meant
+            warnings.simplefilter('ignore')  # the lowest costs are what is meant
             found = optuna.importance.get_param_importances(
-                self._found, target=lambda trial: trial.values[0])
+                self._found, target=lambda trial: trial.values[0]
+            )
         return {name: found.get(name, 0.0) for name in self._study.search}
 
     def step(self, bench):
@@ -103,14 +113,20 @@ class Search:
         """
         number = len(self._finished())
         self._found.sampler = optuna.samplers.TPESampler(
-            seed=(self._study.seed * _STREAM + number) % 2**32, n_startup_trials=_STARTUP)
+            seed=(self._study.seed * _STREAM + number) % 2**32, n_startup_trials=_STARTUP
+        )
         if number == 0:
             self._found.enqueue_trial(bench.base)
         trial = self._found.ask()
-        asked = {name: trial.suggest_float(name, part.low, part.high, log=part.logarithmic)
-                 for name, part in self._study.search.items()}
-        values = bench.base if number == 0 else {
-            name: _rounded(value, self._study.search[name]) for name, value in asked.items()}
+        asked = {
+            name: trial.suggest_float(name, part.low, part.high, log=part.logarithmic)
+            for name, part in self._study.search.items()
+        }
+        values = (
+            bench.base
+            if number == 0
+            else {name: _rounded(value, self._study.search[name]) for name, value in asked.items()}
+        )
         self._keep(trial, values, bench.outcome(values))
         return self.trials[-1]
 
@@ -120,17 +136,23 @@ class Search:
             trial.set_constraint('certified', 1.0)
         else:
             figures = asdict(outcome)
-            first = next((t['figures'] for t in self.trials if t['state'] != 'infeasible'),
-                         outcome.figures)
+            first = next(
+                (t['figures'] for t in self.trials if t['state'] != 'infeasible'), outcome.figures
+            )
             price = cost(self._study.figures, outcome.figures, first)
             over = excesses(self._study, outcome, first)
             for name, excess in over.items():
                 trial.set_constraint(name, excess)
             violated = [name for name, excess in over.items() if excess > 0.0]
-            entry = {'values': values, 'state': 'beyond limits' if violated else 'good',
-                     'violated': violated, 'cost': price, 'figures': figures['figures'],
-                     'healthy_score': outcome.healthy_score,
-                     'false_alarms': outcome.false_alarms}
+            entry = {
+                'values': values,
+                'state': 'beyond limits' if violated else 'good',
+                'violated': violated,
+                'cost': price,
+                'figures': figures['figures'],
+                'healthy_score': outcome.healthy_score,
+                'false_alarms': outcome.false_alarms,
+            }
         for name, value in entry.items():
             trial.set_user_attr(name, value)
         if outcome.reason:

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_campaign.factors import Range, parse_factor
-from lpv_campaign.spec import NO_FAULT
-from lpv_campaign.tune.figure import Figure, parse_figure, parse_where
-from lpv_core.config import Section, read_yaml
-from lpv_core.errors import ConfigError
+from lpv_campaign.plan.factors import Range, parse_factor
+from lpv_campaign.plan.spec import NO_FAULT
+from lpv_campaign.tune.metric import Figure, parse_figure, parse_where
+from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.errors import ConfigError
 
 MOST_TRIALS = 100_000
 _OWN = ('arm', 'designs', 'name')
@@ -133,14 +133,22 @@ def load_study(path):
     limits = _limits(top.section('limits'), top.plain('healthy'))
     figures = _figures(top)
     study = Study(
-        name=top.text('name'), seed=top.integer('seed', 1, low=0),
-        trials=_trials(top), requirement=top.text('requirement', arm), search=search,
-        campaign=_campaign(top, data, arm, search, folder), figures=figures, limits=limits,
+        name=top.text('name'),
+        seed=top.integer('seed', 1, low=0),
+        trials=_trials(top),
+        requirement=top.text('requirement', arm),
+        search=search,
+        campaign=_campaign(top, data, arm, search, folder),
+        figures=figures,
+        limits=limits,
         tolerance=top.number('tolerance', 0.0, 0.0, 1.0),
-        validation=_validation(top.section('validation'), limits), data=data, folder=str(folder))
+        validation=_validation(top.section('validation'), limits),
+        data=data,
+        folder=str(folder),
+    )
     top.finish()
     if study.validation.seed == study.campaign.get('seed', 1):
-        raise ConfigError('validation.seed', 'must be another one than the campaign\'s', source)
+        raise ConfigError('validation.seed', "must be another one than the campaign's", source)
     return study
 
 
@@ -165,29 +173,39 @@ def _search(top):
 
 
 def _figures(top):
-    figures = tuple(parse_figure(Section(entry, 'study', f'figures.{name}'), str(name))
-                    for name, entry in top.plain('figures').items())
+    figures = tuple(
+        parse_figure(Section(entry, 'study', f'figures.{name}'), str(name))
+        for name, entry in top.plain('figures').items()
+    )
     if not any(figure.weight > 0.0 for figure in figures):
         raise top.error('figures', 'needs one with a weight above 0')
     return figures
 
 
 def _limits(section, healthy):
-    conditions = tuple(parse_where(Section(where, 'study', f'healthy.{name}'), where)
-                       for name, where in healthy.items()) or ({'kind': (NO_FAULT,)},)
-    limits = Limits(conditions, section.number('healthy_score', 1.0, above=0.0),
-                    section.number('pole_step', 0.5, above=0.0))
+    conditions = tuple(
+        parse_where(Section(where, 'study', f'healthy.{name}'), where)
+        for name, where in healthy.items()
+    ) or ({'kind': (NO_FAULT,)},)
+    limits = Limits(
+        conditions,
+        section.number('healthy_score', 1.0, above=0.0),
+        section.number('pole_step', 0.5, above=0.0),
+    )
     section.finish()
     return limits
 
 
 def _validation(section, limits):
     validation = Validation(
-        section.integer('seed', low=0), section.integer('runs', low=1),
+        section.integer('seed', low=0),
+        section.integer('runs', low=1),
         section.number('healthy_score', limits.healthy_score, above=0.0),
-        section.number('slack', 0.0, 0.0, 1.0), section.integer('resamples', 2000, low=100),
+        section.number('slack', 0.0, 0.0, 1.0),
+        section.integer('resamples', 2000, low=100),
         section.number('confidence', 0.95, 0.5, 0.999),
-        section.number('least_gain', 0.02, 0.0, 1.0))
+        section.number('least_gain', 0.02, 0.0, 1.0),
+    )
     section.finish()
     return validation
 
@@ -213,6 +231,5 @@ def _campaign(top, study, arm, search, folder):
         if name.startswith('diagnosis.'):
             if name in factors:
                 raise section.error(f'factors.{name}', 'is searched')
-            factors[name] = 1.0     # of every trial its own
-    return {**data, 'name': top.text('name'), 'arm': arm, 'designs': ['tried'],
-            'factors': factors}
+            factors[name] = 1.0  # of every trial its own
+    return {**data, 'name': top.text('name'), 'arm': arm, 'designs': ['tried'], 'factors': factors}

@@ -4,13 +4,13 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lpv_campaign.campaign import resolve
+from lpv_campaign.plan.campaign import resolve
 from lpv_campaign.tune.fields import base_value, changed, check_range, diagnosis_values
-from lpv_campaign.tune.figure import BEYOND, meets
-from lpv_core.certificate import require
-from lpv_core.config import read_yaml
-from lpv_core.errors import ConfigError
-from lpv_design.pipeline import design
+from lpv_campaign.tune.metric import BEYOND, meets
+from lpv_core.certificate.conditions import require
+from lpv_core.support.config import read_yaml
+from lpv_core.support.errors import ConfigError
+from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement, parse_requirement
 from lpv_design.solve import InfeasibleError
 
@@ -45,7 +45,7 @@ class Bench:
     study : Study
         The study.
     execute : callable
-        As `lpv_campaign.execute.crew` gives it.
+        As `lpv_campaign.execution.execute.worker_pool` gives it.
     """
 
     def __init__(self, study, execute):
@@ -62,7 +62,7 @@ class Bench:
 
     @property
     def key(self):
-        """Hash of the campaign; see `lpv_campaign.campaign.Campaign.key`."""
+        """Hash of the campaign; see `lpv_campaign.plan.campaign.Campaign.key`."""
         return self._campaign.key
 
     def content(self, values):
@@ -92,8 +92,10 @@ class Bench:
         fastest = getattr(observer, 'fastest', None) or observer.q + observer.r
         step = fastest * self.arm.sample_time
         if step > self.study.limits.pole_step:
-            raise InfeasibleError(f'observer: pole {fastest:g}/s times the sample time is '
-                                  f'{step:.3g}, beyond {self.study.limits.pole_step:g}')
+            raise InfeasibleError(
+                f'observer: pole {fastest:g}/s times the sample time is '
+                f'{step:.3g}, beyond {self.study.limits.pole_step:g}'
+            )
         gains = design(self.arm, requirement).gains
         require(self.arm, gains, self.study.name)
         return gains
@@ -121,8 +123,11 @@ class Bench:
         return sorted(rows, key=lambda row: row['number'])
 
     def _other(self, seed, runs):
-        data = {**self.study.campaign, 'seed': seed,
-                'plan': {**self.study.campaign['plan'], 'runs': runs}}
+        data = {
+            **self.study.campaign,
+            'seed': seed,
+            'plan': {**self.study.campaign['plan'], 'runs': runs},
+        }
         return resolve(data, self.study.name, self.study.folder, designed=False)
 
     def outcome(self, values):
@@ -161,7 +166,8 @@ class Bench:
         return Outcome(
             figures={f.name: f.summary(f.values(rows, self.length)) for f in self.study.figures},
             healthy_score=_score(rows, healthy),
-            false_alarms=sum(row['false_alarms'] for row, well in zip(rows, healthy) if well))
+            false_alarms=sum(row['false_alarms'] for row, well in zip(rows, healthy) if well),
+        )
 
     def _is_healthy(self, row):
         return any(meets(row, where, 'limits.healthy') for where in self.study.limits.healthy)
@@ -174,8 +180,11 @@ def _base(study):
 
 def _score(rows, healthy):
     """Over whole healthy runs, and up to the faults of the others."""
-    parts = [(row, part) for row, well in zip(rows, healthy)
-             for part in (('before', 'during') if well else ('before',))]
+    parts = [
+        (row, part)
+        for row, well in zip(rows, healthy)
+        for part in (('before', 'during') if well else ('before',))
+    ]
     scores = [row[f'score_{part}_{i}'] for row, part in parts for i in (1, 2)]
     scores = [score for score in scores if not math.isnan(score)]
     if not scores:

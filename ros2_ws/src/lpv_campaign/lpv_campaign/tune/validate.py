@@ -33,11 +33,18 @@ def validate(bench, gains, values, first):
     rows = {'first': bench.rows(first, bench.base, plan), 'picked': bench.rows(gains, values, plan)}
     outcomes = {name: bench.measure(found) for name, found in rows.items()}
     over = excesses(study, outcomes['picked'], outcomes['first'].figures, wanted)
-    columns = {name: {f.name: f.values(found, bench.length) for f in study.figures}
-               for name, found in rows.items()}
-    result = {'runs': wanted.runs, 'seed': wanted.seed, 'confidence': wanted.confidence,
-              'resamples': wanted.resamples, 'least_gain': wanted.least_gain,
-              **_compare(study, columns)}
+    columns = {
+        name: {f.name: f.values(found, bench.length) for f in study.figures}
+        for name, found in rows.items()
+    }
+    result = {
+        'runs': wanted.runs,
+        'seed': wanted.seed,
+        'confidence': wanted.confidence,
+        'resamples': wanted.resamples,
+        'least_gain': wanted.least_gain,
+        **_compare(study, columns),
+    }
     for name in ('healthy_score', 'false_alarms'):
         result[name] = {which: getattr(found, name) for which, found in outcomes.items()}
     broken = [f'{name} by {excess:.3g}' for name, excess in over.items() if excess > 0.0]
@@ -45,8 +52,10 @@ def validate(bench, gains, values, first):
     if broken:
         result['reason'] = 'beyond the limits: ' + ', '.join(broken)
     elif not result['cost']['interval'][1] < -wanted.least_gain * result['cost']['first']:
-        result['reason'] = (f'the cost is not lower by {wanted.least_gain:.3g} of what it was with '
-                            f'{wanted.confidence:.3g} confidence')
+        result['reason'] = (
+            f'the cost is not lower by {wanted.least_gain:.3g} of what it was with '
+            f'{wanted.confidence:.3g} confidence'
+        )
     result['accepted'] = not result['reason']
     return result
 
@@ -57,8 +66,10 @@ def _compare(study, columns):
     names = [f.name for f in study.figures]
 
     def summaries(chosen):
-        return {which: {f.name: f.summary(found[f.name][chosen]) for f in study.figures}
-                for which, found in columns.items()}
+        return {
+            which: {f.name: f.summary(found[f.name][chosen]) for f in study.figures}
+            for which, found in columns.items()
+        }
 
     def costs(found):
         return {which: cost(study.figures, found[which], whole['first']) for which in found}
@@ -71,14 +82,23 @@ def _compare(study, columns):
         differences['cost'].append(price['picked'] - price['first'])
         for name in names:
             differences[name].append(found['picked'][name] - found['first'][name])
-    return {'cost': _entry(costs(whole), differences['cost'], wanted.confidence),
-            'figures': {name: _entry({which: whole[which][name] for which in whole},
-                                     differences[name], wanted.confidence) for name in names}}
+    return {
+        'cost': _entry(costs(whole), differences['cost'], wanted.confidence),
+        'figures': {
+            name: _entry(
+                {which: whole[which][name] for which in whole}, differences[name], wanted.confidence
+            )
+            for name in names
+        },
+    }
 
 
 def _entry(pair, differences, confidence):
     tail = 50.0 * (1.0 - confidence)
     # A resample may hold no run that counts for a figure.
     differences = np.array(differences)[np.isfinite(differences)]
-    return {**pair, 'difference': pair['picked'] - pair['first'],
-            'interval': np.percentile(differences, [tail, 100.0 - tail]).tolist()}
+    return {
+        **pair,
+        'difference': pair['picked'] - pair['first'],
+        'interval': np.percentile(differences, [tail, 100.0 - tail]).tolist(),
+    }

@@ -20,13 +20,15 @@ def add_arguments(parser):
     parser : argparse.ArgumentParser
         Receives them.
     """
-    parser.add_argument('--arm', help='arm file, or name of a shipped arm; without, that of the '
-                        'running observer')
+    parser.add_argument(
+        '--arm', help='arm file, or name of a shipped arm; without, that of the running observer'
+    )
     parser.add_argument('--gains', help='gains file that should fit the arm')
     parser.add_argument('--scenario', help='scenario file, or name of a shipped one')
     parser.add_argument('--offline', action='store_true', help='leave the running graph alone')
-    parser.add_argument('--seconds', type=_seconds, default=3.0,
-                        help='how long to watch the graph (3)')
+    parser.add_argument(
+        '--seconds', type=_seconds, default=3.0, help='how long to watch the graph (3)'
+    )
     parser.add_argument('--json', action='store_true', help='findings as JSON')
 
 
@@ -56,8 +58,11 @@ def run(arguments):
     if not arguments.offline:
         findings += _check_graph(arm, arguments, alone=not of_files)
     if arguments.json:
-        print(json.dumps({'ok': _is_ok(findings), 'findings': [as_dict(f) for f in findings]},
-                         indent=2))
+        print(
+            json.dumps(
+                {'ok': _is_ok(findings), 'findings': [as_dict(f) for f in findings]}, indent=2
+            )
+        )
     else:
         show(findings, Console(soft_wrap=True, highlight=False))
     return 0 if _is_ok(findings) else FOUND

@@ -9,16 +9,29 @@ import sys
 from packaging.requirements import Requirement
 
 from lpv_cli.doctor.findings import error, ok, warn
-from lpv_core.errors import LpvError
-from lpv_core.resources import executable
+from lpv_core.support.errors import LpvError
+from lpv_core.support.resources import executable
 
 REQUIREMENTS = (
-    'numpy>=1.24,<3', 'scipy>=1.10,<2', 'numba>=0.59,<1', 'pyyaml>=6,<7', 'cvxpy>=1.5,<2',
-    'clarabel>=0.9,<1', 'matplotlib>=3.7,<4', 'jinja2>=3.1,<4', 'rich>=13,<16', 'mcap>=1.2,<2',
-    'rosbags>=0.11.9,<0.12')
+    'numpy>=1.24,<3',
+    'scipy>=1.10,<2',
+    'numba>=0.59,<1',
+    'pyyaml>=6,<7',
+    'cvxpy>=1.5,<2',
+    'clarabel>=0.9,<1',
+    'matplotlib>=3.7,<4',
+    'jinja2>=3.1,<4',
+    'rich>=13,<16',
+    'mcap>=1.2,<2',
+    'rosbags>=0.11.9,<0.12',
+)
 """As in requirements/base.txt, which is not installed."""
-PROGRAMS = (('lpv_arm_sim', 'simulator'), ('lpv_uio', 'uio'), ('lpv_tracker', 'tracker'),
-            ('lpv_bag', 'recorder'))
+PROGRAMS = (
+    ('lpv_arm_sim', 'simulator'),
+    ('lpv_uio', 'uio'),
+    ('lpv_tracker', 'tracker'),
+    ('lpv_bag', 'recorder'),
+)
 _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT')
 _LARGEST_DOMAIN = 232
 _SAFE_DOMAIN = 101
@@ -33,8 +46,16 @@ def check_environment():
     list of Finding
         One a check.
     """
-    return [check_python(), check_packages(), check_compiler(), check_ros(), check_workspace(),
-            check_middleware(), check_domain(), check_range()]
+    return [
+        check_python(),
+        check_packages(),
+        check_compiler(),
+        check_ros(),
+        check_workspace(),
+        check_middleware(),
+        check_domain(),
+        check_range(),
+    ]
 
 
 def check_python():
@@ -57,19 +78,23 @@ def check_packages(requirements=REQUIREMENTS):
         if not requirement.specifier.contains(version, prereleases=True):
             bad.append(f'{requirement.name} is {version}, {requirement.specifier} is needed')
     if bad:
-        return error('packages', '; '.join(bad), 'make setup, or pip install -r '
-                     'requirements/base.txt')
+        return error(
+            'packages', '; '.join(bad), 'make setup, or pip install -r requirements/base.txt'
+        )
     return ok('packages', f'{len(requirements)} packages in the versions that are needed')
 
 
 def check_compiler():
     """Whether the recursions run compiled."""
-    from lpv_core.jit import COMPILED
+    from lpv_core.support.jit import COMPILED
 
     if COMPILED:
         return ok('compiler', 'recursions are compiled')
-    return warn('compiler', 'recursions run as plain Python: real time is out of reach',
-                'unset LPV_NO_JIT, and install numba')
+    return warn(
+        'compiler',
+        'recursions run as plain Python: real time is out of reach',
+        'unset LPV_NO_JIT, and install numba',
+    )
 
 
 def check_ros():
@@ -78,13 +103,19 @@ def check_ros():
     try:
         import rclpy
     except ImportError as problem:
-        return error('ros', f'rclpy cannot be imported: {problem}',
-                     'make setup, or source the ROS 2 that it was run with')
+        return error(
+            'ros',
+            f'rclpy cannot be imported: {problem}',
+            'make setup, or source the ROS 2 that it was run with',
+        )
     inside = os.path.realpath(rclpy.__file__).startswith(os.path.realpath(sys.prefix) + os.sep)
     if distro and inside and sys.prefix != sys.base_prefix:
-        return error('ros', f'ROS 2 {distro} is sourced, but rclpy comes from wheels in '
-                     f'{sys.prefix}: two builds of the same libraries',
-                     'use a shell without ROS 2, or make clean setup with ROS 2 sourced')
+        return error(
+            'ros',
+            f'ROS 2 {distro} is sourced, but rclpy comes from wheels in '
+            f'{sys.prefix}: two builds of the same libraries',
+            'use a shell without ROS 2, or make clean setup with ROS 2 sourced',
+        )
     return ok('ros', f'{distro} is sourced' if distro else 'from wheels')
 
 
@@ -95,8 +126,9 @@ def check_workspace():
         for package, program in PROGRAMS:
             executable(package, program)
     except (ImportError, LpvError) as problem:
-        return error('workspace', str(problem),
-                     'make setup, or colcon build and source install/setup.bash')
+        return error(
+            'workspace', str(problem), 'make setup, or colcon build and source install/setup.bash'
+        )
     return ok('workspace', 'messages and programs are there')
 
 
@@ -109,11 +141,17 @@ def check_middleware():
         found = get_rmw_implementation_identifier()
     except Exception as problem:
         # Missing libraries show up as many kinds of exceptions here.
-        return error('middleware', ' '.join(str(problem).split()) or type(problem).__name__,
-                     f'install {wanted}, or unset RMW_IMPLEMENTATION' if wanted else 'make setup')
+        return error(
+            'middleware',
+            ' '.join(str(problem).split()) or type(problem).__name__,
+            f'install {wanted}, or unset RMW_IMPLEMENTATION' if wanted else 'make setup',
+        )
     if wanted and wanted != found:
-        return error('middleware', f'RMW_IMPLEMENTATION is {wanted}, but {found} is loaded',
-                     f'install {wanted}, or unset RMW_IMPLEMENTATION')
+        return error(
+            'middleware',
+            f'RMW_IMPLEMENTATION is {wanted}, but {found} is loaded',
+            f'install {wanted}, or unset RMW_IMPLEMENTATION',
+        )
     return ok('middleware', found)
 
 
@@ -126,8 +164,7 @@ def check_domain():
     if not text.isdecimal() or int(text) > _LARGEST_DOMAIN:
         return error('domain', f'ROS_DOMAIN_ID is {text!r}', remedy)
     if int(text) > _SAFE_DOMAIN:
-        return warn('domain', f'ROS_DOMAIN_ID {text} has ports that programs use at random',
-                    remedy)
+        return warn('domain', f'ROS_DOMAIN_ID {text} has ports that programs use at random', remedy)
     return ok('domain', text)
 
 
@@ -135,12 +172,21 @@ def check_range():
     """Where nodes are looked for."""
     text = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
     if os.environ.get('ROS_LOCALHOST_ONLY', '') == '1':
-        return warn('discovery', 'ROS_LOCALHOST_ONLY overrides ROS_AUTOMATIC_DISCOVERY_RANGE and '
-                    'is out of use', 'unset ROS_LOCALHOST_ONLY')
+        return warn(
+            'discovery',
+            'ROS_LOCALHOST_ONLY overrides ROS_AUTOMATIC_DISCOVERY_RANGE and is out of use',
+            'unset ROS_LOCALHOST_ONLY',
+        )
     if text and text not in _RANGES:
-        return error('discovery', f'ROS_AUTOMATIC_DISCOVERY_RANGE is {text!r}',
-                     'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)')
+        return error(
+            'discovery',
+            f'ROS_AUTOMATIC_DISCOVERY_RANGE is {text!r}',
+            'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)',
+        )
     if text == 'OFF':
-        return error('discovery', 'ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each '
-                     'other', 'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)')
+        return error(
+            'discovery',
+            'ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other',
+            'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)',
+        )
     return ok('discovery', text or 'LOCALHOST (of lpv, as nothing is set)')

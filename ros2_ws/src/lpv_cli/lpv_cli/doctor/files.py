@@ -3,13 +3,13 @@
 import numpy as np
 
 from lpv_cli.doctor.findings import error, ok, warn
-from lpv_core.arm import load_arm
-from lpv_core.certificate import verify
-from lpv_core.errors import LpvError
-from lpv_core.faults import FaultInjector
-from lpv_core.gains import load_gains
-from lpv_core.resources import bringup_file
-from lpv_core.scenario import load_scenario
+from lpv_core.certificate.conditions import verify
+from lpv_core.certificate.gains import load_gains
+from lpv_core.model.arm import load_arm
+from lpv_core.simulation.faults import FaultInjector
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.errors import LpvError
+from lpv_core.support.resources import bringup_file
 
 
 def check_files(arm_name, gains_name, scenario_name):
@@ -32,9 +32,14 @@ def check_files(arm_name, gains_name, scenario_name):
     if gains_name:
         findings.append(check_gains(gains_name, arm, arm_name))
     elif arm is not None:
-        findings.append(warn('gains', 'none given: no node starts without',
-                             f'lpv design --arm {arm_name} --out gains.yaml; then lpv doctor '
-                             f'--arm {arm_name} --gains gains.yaml'))
+        findings.append(
+            warn(
+                'gains',
+                'none given: no node starts without',
+                f'lpv design --arm {arm_name} --out gains.yaml; then lpv doctor '
+                f'--arm {arm_name} --gains gains.yaml',
+            )
+        )
     if scenario_name:
         findings.append(check_scenario(scenario_name, arm))
     return arm, findings
@@ -90,8 +95,11 @@ def check_gains(name, arm, arm_name='ARM'):
         return error('gains', str(problem), f'{again}, or give the arm file that they are for')
     failed = [check.name for check in verify(arm, gains) if not check.holds]
     if failed:
-        return error('gains', f'the certificate does not hold: {"; ".join(failed)}',
-                     f'the numbers were changed after the design: {again}')
+        return error(
+            'gains',
+            f'the certificate does not hold: {"; ".join(failed)}',
+            f'the numbers were changed after the design: {again}',
+        )
     return ok('gains', f'certificate for arm {arm.name!r} holds')
 
 
@@ -117,7 +125,8 @@ def check_scenario(name, arm):
             scenario.path(arm)
             FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
             if scenario.plant == 'mujoco':
-                from lpv_core.mujoco_plant import MujocoPlant
+                from lpv_core.simulation.mujoco_plant import MujocoPlant
+
                 MujocoPlant(scenario.true_arm(arm), scenario.coulomb)
     except LpvError as problem:
         return error('scenario', str(problem), remedy)

@@ -76,11 +76,15 @@ def show(findings, console):
         table.add_column(overflow='fold')
     for finding in findings:
         style = _STYLES[finding.level]
-        table.add_row(f'[{style}]{finding.level.value}', escape(finding.check),
-                      escape(finding.text))
+        table.add_row(
+            f'[{style}]{finding.level.value}', escape(finding.check), escape(finding.text)
+        )
         if finding.remedy:
             table.add_row('', '', Padding(f'-> {escape(finding.remedy)}', (0, 0, 0, 2)))
     console.print(table)
     bad = [f for f in findings if f.level != Level.OK]
-    console.print(f'{len(bad)} findings in {len(findings)} checks' if bad
-                  else f'{len(findings)} checks, nothing found')
+    console.print(
+        f'{len(bad)} findings in {len(findings)} checks'
+        if bad
+        else f'{len(findings)} checks, nothing found'
+    )

@@ -7,8 +7,8 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from lpv_cli.doctor.findings import error, ok, warn
 from lpv_cli.doctor.measurements import check_measurements
 from lpv_cli.doctor.watch import JOINT_STATE
-from lpv_core.arm import load_arm
-from lpv_core.errors import LpvError
+from lpv_core.model.arm import load_arm
+from lpv_core.support.errors import LpvError
 
 SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
 """Topics of a graph that must have one publisher."""
@@ -35,10 +35,18 @@ def check_graph(shot, arm=None, alone=True):
     if not shot.ours() and not shot.measured:
         return [check_anybody(shot, alone)]
     arm = arm or running_arm(shot)
-    return [check_anybody(shot, alone), *check_states(shot), *check_names(shot),
-            *check_publishers(shot), *check_clock(shot), *check_modes(shot),
-            *check_gains_in_use(shot, arm), *check_connections(shot), *check_qos(shot),
-            *check_measurements(shot, arm)]
+    return [
+        check_anybody(shot, alone),
+        *check_states(shot),
+        *check_names(shot),
+        *check_publishers(shot),
+        *check_clock(shot),
+        *check_modes(shot),
+        *check_gains_in_use(shot, arm),
+        *check_connections(shot),
+        *check_qos(shot),
+        *check_measurements(shot, arm),
+    ]
 
 
 def running_arm(shot):
@@ -57,13 +65,19 @@ def check_anybody(shot, alone=True):
         return ok('nodes', f'domain {shot.domain}: {", ".join(shot.ours())}')
     text = f'nothing of this software runs on domain {shot.domain}'
     if shot.measured:
-        return warn('nodes', f'{text}, but there are measurements',
-                    'ros2 launch lpv_bringup observer.launch.xml ...; a node that ended at once '
-                    'said why: no gains, gains of another arm, a file that is not there')
+        return warn(
+            'nodes',
+            f'{text}, but there are measurements',
+            'ros2 launch lpv_bringup observer.launch.xml ...; a node that ended at once '
+            'said why: no gains, gains of another arm, a file that is not there',
+        )
     if not alone:
         return ok('nodes', f'{text}: files were checked')
-    return warn('nodes', text, 'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE '
-                'to those of its shell')
+    return warn(
+        'nodes',
+        text,
+        'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE to those of its shell',
+    )
 
 
 def check_states(shot):
@@ -71,13 +85,24 @@ def check_states(shot):
     findings = []
     for name, state in shot.states.items():
         if state is None:
-            findings.append(error('lifecycle', f'{name} does not answer',
-                                  f'it hangs or has died ({_DEAD}): start it again'))
+            findings.append(
+                error(
+                    'lifecycle',
+                    f'{name} does not answer',
+                    f'it hangs or has died ({_DEAD}): start it again',
+                )
+            )
         elif state != 'active':
             steps = {'unconfigured': 'configure, then activate', 'inactive': 'activate'}
-            findings.append(warn('lifecycle', f'{name} is {state}', f'ros2 lifecycle set {name} '
-                                 f'{steps.get(state, "activate")}; finalized nodes are started '
-                                 'anew'))
+            findings.append(
+                warn(
+                    'lifecycle',
+                    f'{name} is {state}',
+                    f'ros2 lifecycle set {name} '
+                    f'{steps.get(state, "activate")}; finalized nodes are started '
+                    'anew',
+                )
+            )
     return findings or [ok('lifecycle', f'{len(shot.states)} nodes are active')]
 
 
@@ -86,9 +111,13 @@ def check_names(shot):
     twice = sorted(name for name, count in Counter(shot.nodes).items() if count > 1)
     if not twice:
         return [ok('names', 'no name is used twice')]
-    return [error('names', f'there are several nodes {", ".join(twice)}',
-                  'two runs are on one domain: give one another ROS_DOMAIN_ID or namespace; '
-                  + _DEAD)]
+    return [
+        error(
+            'names',
+            f'there are several nodes {", ".join(twice)}',
+            'two runs are on one domain: give one another ROS_DOMAIN_ID or namespace; ' + _DEAD,
+        )
+    ]
 
 
 def check_publishers(shot):
@@ -98,9 +127,14 @@ def check_publishers(shot):
         if len(ends) < 2 or not (topic == '/clock' or topic.rsplit('/', 1)[1] in SINGLE):
             continue
         by = ', '.join(sorted(e.node for e in ends))
-        findings.append(error('publishers', f'{topic} has {len(ends)} publishers: {by}',
-                              'two simulators, or a driver beside one: stop one, or give it '
-                              f'another ROS_DOMAIN_ID or namespace; {_DEAD}'))
+        findings.append(
+            error(
+                'publishers',
+                f'{topic} has {len(ends)} publishers: {by}',
+                'two simulators, or a driver beside one: stop one, or give it '
+                f'another ROS_DOMAIN_ID or namespace; {_DEAD}',
+            )
+        )
     return findings or [ok('publishers', 'every topic has one source')]
 
 
@@ -112,9 +146,14 @@ def check_clock(shot):
     if len({told for _, told in shot.clock}) > 1:
         return [ok('clock', f'/clock runs; {", ".join(waiting)} use it')]
     state = 'stands still' if shot.clock else 'is silent'
-    return [error('clock', f'/clock {state}, but {", ".join(waiting)} use it',
-                  'start what publishes /clock (simulator in lockstep, bag player with --clock), '
-                  'or start the nodes without use_sim_time:=true')]
+    return [
+        error(
+            'clock',
+            f'/clock {state}, but {", ".join(waiting)} use it',
+            'start what publishes /clock (simulator in lockstep, bag player with --clock), '
+            'or start the nodes without use_sim_time:=true',
+        )
+    ]
 
 
 def check_modes(shot):
@@ -123,38 +162,55 @@ def check_modes(shot):
     if len(set(modes.values())) < 2:
         return [ok('mode', 'lockstep' if True in modes.values() else 'real time')]
     stepping = ', '.join(sorted(n for n, mode in modes.items() if mode))
-    return [error('mode', f'only some nodes are in lockstep: {stepping}',
-                  'start all with the same mode:=lockstep or mode:=realtime')]
+    return [
+        error(
+            'mode',
+            f'only some nodes are in lockstep: {stepping}',
+            'start all with the same mode:=lockstep or mode:=realtime',
+        )
+    ]
 
 
 def check_gains_in_use(shot, arm):
     """Whether running nodes have gains of the arm."""
-    hashes = {n: v['gains.arm_sha256'] for n, v in shot.parameters.items()
-              if v.get('gains.arm_sha256')}
+    hashes = {
+        n: v['gains.arm_sha256'] for n, v in shot.parameters.items() if v.get('gains.arm_sha256')
+    }
     if arm is None or not hashes:
         return []
     others = sorted(n for n, value in hashes.items() if value != arm.sha256())
     if not others:
         return [ok('gains in use', f'those of arm {arm.name!r}')]
-    return [error('gains in use', f'{", ".join(others)}: gains of another arm than {arm.name!r}',
-                  'design gains for this arm file (lpv design) and start the nodes with them')]
+    return [
+        error(
+            'gains in use',
+            f'{", ".join(others)}: gains of another arm than {arm.name!r}',
+            'design gains for this arm file (lpv design) and start the nodes with them',
+        )
+    ]
 
 
 def check_connections(shot):
     """Whether what nodes of ours listen to has a source, and commands are heard."""
     findings = []
     for topic, ends in sorted(shot.subscriptions.items()):
-        listeners = [e for e in ends if e.node in shot.ours()
-                     and not e.node.endswith('/recorder')]
+        listeners = [e for e in ends if e.node in shot.ours() and not e.node.endswith('/recorder')]
         if not listeners or shot.publishers.get(topic):
             continue
         remedy = 'start what publishes it, or remap the topic'
         others = sorted(t for t in shot.measured if t != topic)
         if listeners[0].msgtype == JOINT_STATE and others:
-            remedy = (f'measurements are on {", ".join(others)}: joint_states:={others[0]} of '
-                      f'the launch file, or -r joint_states:={others[0]}')
-        findings.append(error('connections', f'{listeners[0].node} listens to {topic}, which '
-                              'nobody publishes', remedy))
+            remedy = (
+                f'measurements are on {", ".join(others)}: joint_states:={others[0]} of '
+                f'the launch file, or -r joint_states:={others[0]}'
+            )
+        findings.append(
+            error(
+                'connections',
+                f'{listeners[0].node} listens to {topic}, which nobody publishes',
+                remedy,
+            )
+        )
     return findings or [ok('connections', 'every input has a source')]
 
 
@@ -168,10 +224,14 @@ def check_qos(shot):
                     continue
                 reason = _mismatch(source, sink)
                 if reason:
-                    findings.append(error(
-                        'qos', f'{topic}: {sink.node} does not hear {source.node}: {reason}',
-                        'give all nodes the same mode (lockstep or realtime); a driver should '
-                        'offer reliable, or be heard best effort'))
+                    findings.append(
+                        error(
+                            'qos',
+                            f'{topic}: {sink.node} does not hear {source.node}: {reason}',
+                            'give all nodes the same mode (lockstep or realtime); a driver should '
+                            'offer reliable, or be heard best effort',
+                        )
+                    )
     return findings or [ok('qos', 'publishers and subscriptions fit')]
 
 

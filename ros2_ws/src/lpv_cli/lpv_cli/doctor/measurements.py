@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from lpv_cli.doctor.findings import error, ok, warn
-from lpv_core.errors import SampleError
-from lpv_core.joint_order import JointOrder
+from lpv_core.model.joint_order import JointOrder
+from lpv_core.support.errors import SampleError
 
 _FAR = 0.5
 """Largest difference between stamp and clock [s]."""
@@ -32,16 +32,26 @@ def check_measurements(shot, arm):
     findings = []
     for topic, heard in sorted(shot.measured.items()):
         if not heard:
-            findings.append(error(
-                'measurements', f'{topic} is silent', 'the driver or simulator is not active, '
-                'or waits (lockstep: for the torque that answers); see its log'))
+            findings.append(
+                error(
+                    'measurements',
+                    f'{topic} is silent',
+                    'the driver or simulator is not active, '
+                    'or waits (lockstep: for the torque that answers); see its log',
+                )
+            )
             continue
         messages = [message for _, message in heard]
-        problems = [check_joints(topic, messages[-1], arm), check_efforts(topic, messages, shot),
-                    check_values(topic, messages), check_stamps(topic, heard, shot),
-                    check_rate(topic, messages, arm, shot)]
+        problems = [
+            check_joints(topic, messages[-1], arm),
+            check_efforts(topic, messages, shot),
+            check_values(topic, messages),
+            check_stamps(topic, heard, shot),
+            check_rate(topic, messages, arm, shot),
+        ]
         findings += [p for p in problems if p is not None] or [
-            ok('measurements', f'{topic}: {len(messages)} messages in {shot.seconds:g} s')]
+            ok('measurements', f'{topic}: {len(messages)} messages in {shot.seconds:g} s')
+        ]
     return findings
 
 
@@ -52,8 +62,12 @@ def check_joints(topic, message, arm):
     try:
         JointOrder(arm.joint_names).pick(message)
     except SampleError as problem:
-        return error('joints', f'{topic}: {problem}', 'put the names of the driver into '
-                     'joints.names of the arm file and design the gains again, or mend the driver')
+        return error(
+            'joints',
+            f'{topic}: {problem}',
+            'put the names of the driver into '
+            'joints.names of the arm file and design the gains again, or mend the driver',
+        )
     return None
 
 
@@ -65,33 +79,46 @@ def check_efforts(topic, messages, shot):
     without = sum(not len(m.effort) or not np.isfinite(m.effort).all() for m in messages)
     if not without:
         return None
-    return error('efforts', f'{topic}: {without} of {len(messages)} messages carry no effort',
-                 'let the driver publish joint torques in effort [N m], or start the observer '
-                 'with torque_source:=command')
+    return error(
+        'efforts',
+        f'{topic}: {without} of {len(messages)} messages carry no effort',
+        'let the driver publish joint torques in effort [N m], or start the observer '
+        'with torque_source:=command',
+    )
 
 
 def check_values(topic, messages):
     """Whether positions and rates are numbers."""
-    bad = sum(not (len(m.velocity) and np.isfinite([*m.position, *m.velocity]).all())
-              for m in messages)
+    bad = sum(
+        not (len(m.velocity) and np.isfinite([*m.position, *m.velocity]).all()) for m in messages
+    )
     if not bad:
         return None
-    return error('values', f'{topic}: {bad} of {len(messages)} messages have positions or rates '
-                 'that are missing or no numbers', 'see the sensors and their driver; the '
-                 'observer bridges positions, and leaves out samples without rates')
+    return error(
+        'values',
+        f'{topic}: {bad} of {len(messages)} messages have positions or rates '
+        'that are missing or no numbers',
+        'see the sensors and their driver; the '
+        'observer bridges positions, and leaves out samples without rates',
+    )
 
 
 def check_stamps(topic, heard, shot):
     """Whether stamps are set, increase, and are near the clock."""
     stamps = np.array([_nanoseconds(m) for _, m in heard], dtype=np.int64)
     if not stamps.any():
-        return error('stamps', f'{topic}: stamps are zero', 'let the driver stamp its messages '
-                     'with the time of measurement')
+        return error(
+            'stamps',
+            f'{topic}: stamps are zero',
+            'let the driver stamp its messages with the time of measurement',
+        )
     backwards = int((np.diff(stamps) < 0).sum())
     if backwards:
-        return error('stamps', f'{topic}: time goes backwards {backwards} times in '
-                     f'{len(stamps)} messages', 'two sources publish on the topic, or a bag is '
-                     'played in a loop')
+        return error(
+            'stamps',
+            f'{topic}: time goes backwards {backwards} times in {len(stamps)} messages',
+            'two sources publish on the topic, or a bag is played in a loop',
+        )
     clock, name = np.array([t for t, _ in heard], dtype=np.int64), 'the clock of this machine'
     if any(v.get('lockstep') or v.get('use_sim_time') for v in shot.parameters.values()):
         if not shot.clock:
@@ -101,10 +128,12 @@ def check_stamps(topic, heard, shot):
     offset = float(np.median((stamps - clock) / 1e9))
     if abs(offset) <= _FAR:
         return None
-    return error('stamps', f'{topic}: stamps are {abs(offset):.3g} s '
-                 f'{"ahead of" if offset > 0 else "behind"} {name}',
-                 'synchronise the clocks (chrony), stamp with the time of measurement since 1970, '
-                 'or set use_sim_time where a bag or simulator drives /clock')
+    return error(
+        'stamps',
+        f'{topic}: stamps are {abs(offset):.3g} s {"ahead of" if offset > 0 else "behind"} {name}',
+        'synchronise the clocks (chrony), stamp with the time of measurement since 1970, '
+        'or set use_sim_time where a bag or simulator drives /clock',
+    )
 
 
 def check_rate(topic, messages, arm, shot):
@@ -116,9 +145,12 @@ def check_rate(topic, messages, arm, shot):
     ratio = interval / arm.sample_time
     if 1.0 / _UNEVEN <= ratio <= _UNEVEN or math.isnan(ratio):
         return None
-    return warn('rate', f'{topic}: a sample every {1e3 * interval:.3g} ms, the arm file says '
-                f'{1e3 * arm.sample_time:.3g} ms', 'set sample_time of the arm file to that of '
-                'the driver and design the gains again')
+    return warn(
+        'rate',
+        f'{topic}: a sample every {1e3 * interval:.3g} ms, the arm file says '
+        f'{1e3 * arm.sample_time:.3g} ms',
+        'set sample_time of the arm file to that of the driver and design the gains again',
+    )
 
 
 def _nanoseconds(message):

@@ -100,8 +100,12 @@ def watch(seconds):
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     context = Context()
     rclpy.init(context=context)
-    node = rclpy.create_node(f'lpv_doctor_{os.getpid()}', context=context, enable_rosout=False,
-                             start_parameter_services=False)
+    node = rclpy.create_node(
+        f'lpv_doctor_{os.getpid()}',
+        context=context,
+        enable_rosout=False,
+        start_parameter_services=False,
+    )
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:
@@ -136,8 +140,10 @@ class _Watch:
         end, quiet_since, known = time.monotonic() + _LONGEST_SEARCH, time.monotonic(), None
         while time.monotonic() < min(end, quiet_since + _QUIET):
             self._executor.spin_once(timeout_sec=0.1)
-            found = (sorted(self._node.get_node_names_and_namespaces()),
-                     self._node.get_topic_names_and_types())
+            found = (
+                sorted(self._node.get_node_names_and_namespaces()),
+                self._node.get_topic_names_and_types(),
+            )
             if found != known:
                 known, quiet_since = found, time.monotonic()
 
@@ -150,16 +156,25 @@ class _Watch:
 
     def _listen(self, shot):
         node = self._node
-        topics = [t for t, ends in sorted(shot.publishers.items())
-                  if any(e.msgtype == JOINT_STATE for e in ends)]
+        topics = [
+            t
+            for t, ends in sorted(shot.publishers.items())
+            if any(e.msgtype == JOINT_STATE for e in ends)
+        ]
         for topic in topics[:_MOST_TOPICS]:
             received = shot.measured[topic] = []
             node.create_subscription(
-                JointState, topic, lambda m, to=received: to.append((time.time_ns(), m)),
-                qos_profile_sensor_data)
+                JointState,
+                topic,
+                lambda m, to=received: to.append((time.time_ns(), m)),
+                qos_profile_sensor_data,
+            )
         node.create_subscription(
-            Clock, '/clock', lambda m: shot.clock.append(
-                (time.time_ns(), m.clock.sec * 10**9 + m.clock.nanosec)), qos_profile_sensor_data)
+            Clock,
+            '/clock',
+            lambda m: shot.clock.append((time.time_ns(), m.clock.sec * 10**9 + m.clock.nanosec)),
+            qos_profile_sensor_data,
+        )
 
     def _questions(self, names):
         questions = []
@@ -168,8 +183,9 @@ class _Watch:
             questions.append(_Question(name, '', state, GetState.Request()))
             values = self._node.create_client(GetParameters, f'{name}/get_parameters')
             # One by one: a name that a node does not know spoils the answer to the others.
-            questions += [_Question(name, p, values, GetParameters.Request(names=[p]))
-                          for p in PARAMETERS]
+            questions += [
+                _Question(name, p, values, GetParameters.Request(names=[p])) for p in PARAMETERS
+            ]
         return questions
 
     @staticmethod
@@ -179,8 +195,7 @@ class _Watch:
             if not question.parameter:
                 shot.states[name] = None if answer is None else answer.current_state.label
             elif answer is not None and answer.values:
-                shot.parameters.setdefault(name, {})[question.parameter] = _plain(
-                    answer.values[0])
+                shot.parameters.setdefault(name, {})[question.parameter] = _plain(answer.values[0])
 
 
 class _Question:
@@ -199,10 +214,15 @@ class _Question:
 
 
 def _plain(value):
-    return {ParameterType.PARAMETER_BOOL: value.bool_value,
-            ParameterType.PARAMETER_STRING: value.string_value}.get(value.type)
+    return {
+        ParameterType.PARAMETER_BOOL: value.bool_value,
+        ParameterType.PARAMETER_STRING: value.string_value,
+    }.get(value.type)
 
 
 def _endpoints(infos):
-    return [Endpoint(f'{i.node_namespace.rstrip("/")}/{i.node_name}', i.topic_type, i.qos_profile)
-            for i in infos if not i.node_name.startswith('lpv_doctor_')]
+    return [
+        Endpoint(f'{i.node_namespace.rstrip("/")}/{i.node_name}', i.topic_type, i.qos_profile)
+        for i in infos
+        if not i.node_name.startswith('lpv_doctor_')
+    ]

@@ -11,8 +11,9 @@ _SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
 def add_arguments(parser):
     """Declare the verb's arguments."""
     parser.add_argument('bag_path', help='bag')
-    parser.add_argument('-t', '--topic-name', action='store_true',
-                        help='only show the names of the topics')
+    parser.add_argument(
+        '-t', '--topic-name', action='store_true', help='only show the names of the topics'
+    )
 
 
 def run(arguments):
@@ -31,9 +32,12 @@ def run(arguments):
             'Bag size:': _size(sum(file.stat().st_size for file in files)),
             'Storage id:': ', '.join(sorted({_SUFFIXES[file.suffix] for file in files})),
             'ROS Distro:': _distribution(Path(arguments.bag_path)),
-            'Duration:': f'{(end - start) / 1e9:.9f}s', 'Start:': _date(start), 'End:': _date(end),
+            'Duration:': f'{(end - start) / 1e9:.9f}s',
+            'Start:': _date(start),
+            'End:': _date(end),
             'Messages:': count,
-            'Topic information:': '\n'.join(_topic(*item) for item in topics.items())}
+            'Topic information:': '\n'.join(_topic(*item) for item in topics.items()),
+        }
     print()
     for heading, text in lines.items():
         print(f'{heading:<19}' + str(text).replace('\n', f'\n{"":<19}'))
@@ -49,6 +53,7 @@ def _distribution(path):
     """As the bag's metadata says; bags of single files have none."""
     from lpv_ros2cli.errors import CliError
     from lpv_ros2cli.yaml_text import read_yaml
+
     try:
         data = read_yaml(path / 'metadata.yaml', 'metadata')
         return data['rosbag2_bagfile_information'].get('ros_distro') or 'unknown'
@@ -58,8 +63,10 @@ def _distribution(path):
 
 def _topic(name, connections):
     first = connections[0]
-    return (f'Topic: {name} | Type: {first.msgtype} | Count: {sum(c.msgcount for c in connections)}'
-            f' | Serialization Format: {first.ext.serialization_format}')
+    return (
+        f'Topic: {name} | Type: {first.msgtype} | Count: {sum(c.msgcount for c in connections)}'
+        f' | Serialization Format: {first.ext.serialization_format}'
+    )
 
 
 def _size(number):

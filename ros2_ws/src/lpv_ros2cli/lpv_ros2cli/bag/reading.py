@@ -16,7 +16,7 @@ def opened(path):
 
     Yields
     ------
-    lpv_bag.run_record.BagReader
+    lpv_bag.run.record.BagReader
         Open reader.
 
     Raises
@@ -24,8 +24,9 @@ def opened(path):
     CliError
         If it is no bag, or damaged.
     """
-    from lpv_bag.run_record import open_bag
-    from lpv_core.errors import LpvError
+    from lpv_bag.run.record import open_bag
+    from lpv_core.support.errors import LpvError
+
     try:
         with open_bag(path) as reader:
             yield reader
@@ -38,7 +39,7 @@ def topics_of(reader):
 
     Parameters
     ----------
-    reader : lpv_bag.run_record.BagReader
+    reader : lpv_bag.run.record.BagReader
         Open reader.
 
     Returns

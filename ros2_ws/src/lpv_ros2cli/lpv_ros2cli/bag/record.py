@@ -14,23 +14,42 @@ from lpv_ros2cli.packages import executable
 
 def add_arguments(parser):
     """Declare the verb's arguments."""
-    parser.add_argument('topics', nargs='*', metavar='topic', help='topics; they need not be '
-                        'there yet').completer = completion.topics
-    parser.add_argument('--topics', nargs='+', dest='more_topics', default=[], metavar='topic',
-                        help='topics').completer = completion.topics
+    parser.add_argument(
+        'topics', nargs='*', metavar='topic', help='topics; they need not be there yet'
+    ).completer = completion.topics
+    parser.add_argument(
+        '--topics', nargs='+', dest='more_topics', default=[], metavar='topic', help='topics'
+    ).completer = completion.topics
     parser.add_argument('-a', '--all', '--all-topics', action='store_true', help='all topics')
-    parser.add_argument('-e', '--regex', metavar='PATTERN',
-                        help='topics that are there at the start and contain the pattern')
+    parser.add_argument(
+        '-e',
+        '--regex',
+        metavar='PATTERN',
+        help='topics that are there at the start and contain the pattern',
+    )
     parser.add_argument('-x', '--exclude-regex', metavar='PATTERN', help='but not these')
-    parser.add_argument('-b', '--max-bag-size', type=int, default=0, metavar='BYTES',
-                        help='begin a new file at this size (never)')
-    parser.add_argument('-d', '--max-bag-duration', type=int, default=0, metavar='SECONDS',
-                        help='begin a new file after this time (never)')
+    parser.add_argument(
+        '-b',
+        '--max-bag-size',
+        type=int,
+        default=0,
+        metavar='BYTES',
+        help='begin a new file at this size (never)',
+    )
+    parser.add_argument(
+        '-d',
+        '--max-bag-duration',
+        type=int,
+        default=0,
+        metavar='SECONDS',
+        help='begin a new file after this time (never)',
+    )
     parser.add_argument('-o', '--output', help='folder to create (rosbag2_<date>-<time>)')
     parser.add_argument('-s', '--storage', choices=('mcap',), default='mcap', help='storage (mcap)')
     parser.add_argument('--include-hidden-topics', action='store_true')
-    parser.add_argument('--spin-time', type=float, default=None, metavar='SECONDS',
-                        help='look for topics so long')
+    parser.add_argument(
+        '--spin-time', type=float, default=None, metavar='SECONDS', help='look for topics so long'
+    )
 
 
 def run(arguments):
@@ -59,9 +78,13 @@ def _selection(arguments, chosen):
     if arguments.all or include is not None:
         with discovery.command_node() as node:
             discovery.settle(node, arguments.spin_time)
-            topics |= {name for name, _ in without_hidden(
-                node.get_topic_names_and_types(), arguments.include_hidden_topics)
-                if arguments.all or include.search(name)}
+            topics |= {
+                name
+                for name, _ in without_hidden(
+                    node.get_topic_names_and_types(), arguments.include_hidden_topics
+                )
+                if arguments.all or include.search(name)
+            }
     topics = sorted(t for t in topics if exclude is None or not exclude.search(t))
     if not topics:
         raise CliError('there are no topics to record')
@@ -71,8 +94,9 @@ def _selection(arguments, chosen):
 def _splitting(arguments):
     known, settings = _recorder_parameters(), {}
     for option, value, name in (
-            ('-b', -(-arguments.max_bag_size // (1 << 20)), 'split_size'),
-            ('-d', float(arguments.max_bag_duration), 'split_duration')):
+        ('-b', -(-arguments.max_bag_size // (1 << 20)), 'split_size'),
+        ('-d', float(arguments.max_bag_duration), 'split_duration'),
+    ):
         if value < 0 or (value and name not in known):
             raise CliError(f'option {option}: bags cannot be split so', 2)
         if value:
@@ -81,7 +105,8 @@ def _splitting(arguments):
 
 
 def _recorder_parameters():
-    from lpv_bag.recorder_node import SPECS
+    from lpv_bag.recorder.node import SPECS
+
     return {spec.name for spec in SPECS}
 
 

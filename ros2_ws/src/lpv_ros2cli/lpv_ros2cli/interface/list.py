@@ -5,12 +5,20 @@ from lpv_ros2cli.interfaces import KINDS, installed
 
 def add_arguments(parser):
     """Declare the verb's arguments."""
-    parser.add_argument('-m', '--only-msgs', action='append_const', dest='kinds', const='msg',
-                        help='only messages')
-    parser.add_argument('-s', '--only-srvs', action='append_const', dest='kinds', const='srv',
-                        help='only services')
-    parser.add_argument('-a', '--only-actions', action='append_const', dest='kinds',
-                        const='action', help='only actions')
+    parser.add_argument(
+        '-m', '--only-msgs', action='append_const', dest='kinds', const='msg', help='only messages'
+    )
+    parser.add_argument(
+        '-s', '--only-srvs', action='append_const', dest='kinds', const='srv', help='only services'
+    )
+    parser.add_argument(
+        '-a',
+        '--only-actions',
+        action='append_const',
+        dest='kinds',
+        const='action',
+        help='only actions',
+    )
 
 
 def run(arguments):

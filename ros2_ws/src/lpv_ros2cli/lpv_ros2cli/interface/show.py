@@ -12,11 +12,13 @@ _DEEPEST = 20
 
 def add_arguments(parser):
     """Declare the verb's arguments."""
-    parser.add_argument('type', help='interface type, or - to read it from stdin'
-                        ).completer = lambda **_: installed()
+    parser.add_argument('type', help='interface type, or - to read it from stdin').completer = (
+        lambda **_: installed()
+    )
     group = parser.add_mutually_exclusive_group()
-    group.add_argument('--all-comments', action='store_true',
-                       help='also the comments of nested types')
+    group.add_argument(
+        '--all-comments', action='store_true', help='also the comments of nested types'
+    )
     group.add_argument('--no-comments', action='store_true', help='no comments and blank lines')
 
 

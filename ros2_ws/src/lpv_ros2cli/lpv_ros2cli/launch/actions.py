@@ -113,8 +113,9 @@ def _arg(context, entity, plan):
     entity.text('description')
     if name not in context.scope.configurations:
         if default is None:
-            raise entity.error(f"required launch argument '{name}' was not provided "
-                               f'(give {name}:=...)')
+            raise entity.error(
+                f"required launch argument '{name}' was not provided (give {name}:=...)"
+            )
         context.scope.configurations[name] = context.perform(default)
     value = context.scope.configurations[name]
     choices = [choice.required('value') for choice in entity.all('choice')]
@@ -213,10 +214,19 @@ def _executable(context, entity, plan):
 
 
 ACTIONS = {
-    'arg': _arg, 'let': _let, 'node': _node, 'executable': _executable, 'group': _group,
-    'include': _include, 'push_ros_namespace': _push_namespace,
-    'push-ros-namespace': _push_namespace, 'set_env': _set_env, 'append_env': _append_env,
-    'unset_env': _unset_env, 'set_parameter': _set_parameter, 'set_remap': _set_remap,
+    'arg': _arg,
+    'let': _let,
+    'node': _node,
+    'executable': _executable,
+    'group': _group,
+    'include': _include,
+    'push_ros_namespace': _push_namespace,
+    'push-ros-namespace': _push_namespace,
+    'set_env': _set_env,
+    'append_env': _append_env,
+    'unset_env': _unset_env,
+    'set_parameter': _set_parameter,
+    'set_remap': _set_remap,
     'log': _log,
 }
 """Actions by their element's name."""

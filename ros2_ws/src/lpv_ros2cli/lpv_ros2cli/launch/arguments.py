@@ -29,8 +29,7 @@ def parse_arguments(words):
     for word in words:
         name, found, value = word.partition(':=')
         if not found or not name:
-            raise CliError(f"malformed launch argument '{word}', expected format "
-                           "'<name>:=<value>'")
+            raise CliError(f"malformed launch argument '{word}', expected format '<name>:=<value>'")
         arguments[name] = value
     return arguments
 
@@ -67,9 +66,14 @@ def _collect(entity, context, found, given):
             name, default = child.required('name'), child.text('default')
             choices = [choice.required('value') for choice in child.all('choice')]
             if name not in given:
-                found.setdefault(name, (
-                    child.text('description', 'no description given'),
-                    None if default is None else parse(default), choices))
+                found.setdefault(
+                    name,
+                    (
+                        child.text('description', 'no description given'),
+                        None if default is None else parse(default),
+                        choices,
+                    ),
+                )
             _assume(context, name, default)
         elif child.tag == 'let':
             _assume(context, child.required('name'), child.text('value'))

@@ -15,21 +15,45 @@ from lpv_ros2cli.launch.runner import Runner
 
 def add_arguments(parser):
     """Declare the command's arguments."""
-    parser.add_argument('-n', '--noninteractive', action='store_true',
-                        help='accepted for compatibility: nothing is asked here')
+    parser.add_argument(
+        '-n',
+        '--noninteractive',
+        action='store_true',
+        help='accepted for compatibility: nothing is asked here',
+    )
     parser.add_argument('-d', '--debug', action='store_true', help='show command lines')
-    parser.add_argument('-a', '--show-all-subprocesses-output', action='store_true',
-                        help='show all that the processes print')
+    parser.add_argument(
+        '-a',
+        '--show-all-subprocesses-output',
+        action='store_true',
+        help='show all that the processes print',
+    )
     group = parser.add_mutually_exclusive_group()
-    group.add_argument('-p', '--print', '--print-description', action='store_true', dest='outline',
-                       help='print what would be done')
-    group.add_argument('-s', '--show-args', '--show-arguments', action='store_true',
-                       dest='show_args', help='show the arguments that the file takes')
-    parser.add_argument('package_or_file', help='package, or path of a launch file'
-                        ).completer = completion.packages
-    parser.add_argument('rest', nargs=argparse.REMAINDER, metavar='[file] name:=value ...',
-                        help='launch file of the package, and launch arguments'
-                        ).completer = completion.launch_words
+    group.add_argument(
+        '-p',
+        '--print',
+        '--print-description',
+        action='store_true',
+        dest='outline',
+        help='print what would be done',
+    )
+    group.add_argument(
+        '-s',
+        '--show-args',
+        '--show-arguments',
+        action='store_true',
+        dest='show_args',
+        help='show the arguments that the file takes',
+    )
+    parser.add_argument(
+        'package_or_file', help='package, or path of a launch file'
+    ).completer = completion.packages
+    parser.add_argument(
+        'rest',
+        nargs=argparse.REMAINDER,
+        metavar='[file] name:=value ...',
+        help='launch file of the package, and launch arguments',
+    ).completer = completion.launch_words
 
 
 def run(arguments):
@@ -48,8 +72,11 @@ def run(arguments):
     log = LaunchLog(options.debug, options.show_all_subprocesses_output)
     try:
         log.note('INFO', 'launch', f'All log files can be found below {log.folder}')
-        log.note('INFO', 'launch', 'Default logging verbosity is set to '
-                 f'{"DEBUG" if options.debug else "INFO"}')
+        log.note(
+            'INFO',
+            'launch',
+            f'Default logging verbosity is set to {"DEBUG" if options.debug else "INFO"}',
+        )
         for message in plan.messages:
             log.note('INFO', 'launch.user', message)
         return Runner(plan.processes, log).run()
@@ -60,18 +87,22 @@ def run(arguments):
 def _leading_options(arguments):
     """Options may also stand behind the file, where argparse passes everything on."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for names, name in ((('-s', '--show-args', '--show-arguments'), 'show_args'),
-                        (('-p', '--print', '--print-description'), 'outline'),
-                        (('-d', '--debug'), 'debug'), (('-n', '--noninteractive'), 'ignored'),
-                        (('-a', '--show-all-subprocesses-output'),
-                         'show_all_subprocesses_output')):
-        parser.add_argument(*names, action='store_true', dest=name,
-                            default=getattr(arguments, name, False))
+    for names, name in (
+        (('-s', '--show-args', '--show-arguments'), 'show_args'),
+        (('-p', '--print', '--print-description'), 'outline'),
+        (('-d', '--debug'), 'debug'),
+        (('-n', '--noninteractive'), 'ignored'),
+        (('-a', '--show-all-subprocesses-output'), 'show_all_subprocesses_output'),
+    ):
+        parser.add_argument(
+            *names, action='store_true', dest=name, default=getattr(arguments, name, False)
+        )
     options, words = parser.parse_known_args(arguments.rest)
     unknown = [word for word in words if word.startswith('-') and ':=' not in word]
     if unknown:
-        raise CliError(f'option {unknown[0]!r} is not covered by this ros2; see ros2 launch --help',
-                       2)
+        raise CliError(
+            f'option {unknown[0]!r} is not covered by this ros2; see ros2 launch --help', 2
+        )
     return options, words
 
 

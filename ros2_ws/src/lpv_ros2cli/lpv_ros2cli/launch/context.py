@@ -37,8 +37,13 @@ class Scope:
 
     def copy(self):
         """An independent scope with the same content."""
-        return Scope(dict(self.configurations), dict(self.environment), self.namespace,
-                     list(self.parameters), list(self.remaps))
+        return Scope(
+            dict(self.configurations),
+            dict(self.environment),
+            self.namespace,
+            list(self.parameters),
+            list(self.remaps),
+        )
 
 
 class Context:
@@ -53,8 +58,9 @@ class Context:
     """
 
     def __init__(self, arguments, environment=None):
-        self.scope = Scope(dict(arguments),
-                           dict(os.environ if environment is None else environment))
+        self.scope = Scope(
+            dict(arguments), dict(os.environ if environment is None else environment)
+        )
         self.file = None
         self.depth = 0
         self._anonymous = {}
@@ -102,8 +108,7 @@ class Context:
         return self._join(parse(text))
 
     def _join(self, parts):
-        return ''.join(part if isinstance(part, str) else self.perform_one(part)
-                       for part in parts)
+        return ''.join(part if isinstance(part, str) else self.perform_one(part) for part in parts)
 
     def perform_one(self, substitution):
         """The text that one substitution stands for.
@@ -125,14 +130,18 @@ class Context:
         """
         function = _FUNCTIONS.get(substitution.name)
         if function is None:
-            raise CliError(f"substitution '$({substitution.name} ...)' is not covered by this "
-                           f'ros2; covered here: {", ".join(_FUNCTIONS)}')
+            raise CliError(
+                f"substitution '$({substitution.name} ...)' is not covered by this "
+                f'ros2; covered here: {", ".join(_FUNCTIONS)}'
+            )
         action, least, most = function
         arguments = [self._join(argument) for argument in substitution.arguments]
         if not least <= len(arguments) <= most:
-            raise CliError(f"substitution '$({substitution.name} ...)' takes "
-                           f'{least if least == most else f"{least} to {most}"} arguments, got '
-                           f'{len(arguments)}')
+            raise CliError(
+                f"substitution '$({substitution.name} ...)' takes "
+                f'{least if least == most else f"{least} to {most}"} arguments, got '
+                f'{len(arguments)}'
+            )
         return action(self, *arguments)
 
     def _var(self, name, default=None):
@@ -152,6 +161,7 @@ class Context:
 
     def _find_exec(self, name):
         import shutil
+
         path = shutil.which(name, path=self.scope.environment.get('PATH'))
         if path is None:
             raise CliError(f"program '{name}' is not on the PATH")

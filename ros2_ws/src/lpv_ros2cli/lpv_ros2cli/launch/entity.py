@@ -82,7 +82,10 @@ class Entity:
 
     def finish(self):
         """Refuse what nobody read."""
-        unknown = [name for name in (*self._attributes, *(e.tag for e in self._nested))
-                   if name not in self._read]
+        unknown = [
+            name
+            for name in (*self._attributes, *(e.tag for e in self._nested))
+            if name not in self._read
+        ]
         if unknown:
             raise self.error(f"'{unknown[0]}' is unknown here, or not covered by this ros2")

@@ -8,18 +8,57 @@ from lpv_ros2cli.errors import CliError
 
 _LONGEST = 10000
 _BINARY = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
-    ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Mod: operator.mod}
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+}
 _UNARY = {ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: operator.not_}
 _COMPARE = {
-    ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le,
-    ast.Gt: operator.gt, ast.GtE: operator.ge, ast.In: lambda a, b: a in b,
-    ast.NotIn: lambda a, b: a not in b}
-_FUNCTIONS = {name: getattr(math, name) for name in
-              ('sqrt', 'sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'atan2', 'exp', 'log',
-               'floor', 'ceil', 'radians', 'degrees', 'hypot')}
-_FUNCTIONS.update({'abs': abs, 'min': min, 'max': max, 'round': round, 'int': int,
-                   'float': float, 'str': str, 'bool': bool, 'len': len})
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.In: lambda a, b: a in b,
+    ast.NotIn: lambda a, b: a not in b,
+}
+_FUNCTIONS = {
+    name: getattr(math, name)
+    for name in (
+        'sqrt',
+        'sin',
+        'cos',
+        'tan',
+        'asin',
+        'acos',
+        'atan',
+        'atan2',
+        'exp',
+        'log',
+        'floor',
+        'ceil',
+        'radians',
+        'degrees',
+        'hypot',
+    )
+}
+_FUNCTIONS.update(
+    {
+        'abs': abs,
+        'min': min,
+        'max': max,
+        'round': round,
+        'int': int,
+        'float': float,
+        'str': str,
+        'bool': bool,
+        'len': len,
+    }
+)
 _CONSTANTS = {'pi': math.pi, 'e': math.e, 'inf': math.inf, 'true': True, 'false': False}
 
 
@@ -48,8 +87,16 @@ def evaluate(text):
         return _value(ast.parse(text.strip(), mode='eval').body)
     except CliError:
         raise
-    except (SyntaxError, ArithmeticError, TypeError, ValueError, IndexError, KeyError,
-            RecursionError, MemoryError) as error:
+    except (
+        SyntaxError,
+        ArithmeticError,
+        TypeError,
+        ValueError,
+        IndexError,
+        KeyError,
+        RecursionError,
+        MemoryError,
+    ) as error:
         raise CliError(f'$(eval {text}): {error}') from error
 
 
@@ -87,13 +134,18 @@ def _operation(node):
         name = node.func.attr if _is_math(node.func) else getattr(node.func, 'id', None)
         if name in _FUNCTIONS:
             return _FUNCTIONS[name](*map(_value, node.args))
-    raise CliError(f'$(eval ...): {ast.unparse(node)!r} is not covered; covered are arithmetic, '
-                   'comparisons, and, or, not, in, if-else and functions of math')
+    raise CliError(
+        f'$(eval ...): {ast.unparse(node)!r} is not covered; covered are arithmetic, '
+        'comparisons, and, or, not, in, if-else and functions of math'
+    )
 
 
 def _is_math(node):
-    return (isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
-            and node.value.id == 'math')
+    return (
+        isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == 'math'
+    )
 
 
 def _binary(operation, left, right):

@@ -24,8 +24,11 @@ def launch_files_of(package):
         Sorted.
     """
     share = share_of(package)
-    return sorted(path for pattern in ('*launch.xml', '*launch.yaml', '*launch.yml')
-                  for path in share.rglob(pattern))
+    return sorted(
+        path
+        for pattern in ('*launch.xml', '*launch.yaml', '*launch.yml')
+        for path in share.rglob(pattern)
+    )
 
 
 def find_launch_file(package, name):
@@ -50,11 +53,15 @@ def find_launch_file(package, name):
     found = sorted(path for path in share.rglob('*') if path.name == name and path.is_file())
     if not found:
         known = ', '.join(path.name for path in launch_files_of(package)) or 'none'
-        raise CliError(f"file '{name}' was not found in the share directory of package "
-                       f"'{package}' which is at '{share}'; its launch files: {known}")
+        raise CliError(
+            f"file '{name}' was not found in the share directory of package "
+            f"'{package}' which is at '{share}'; its launch files: {known}"
+        )
     if len(found) > 1:
-        raise CliError(f"file '{name}' was found more than once in package '{package}': "
-                       + ', '.join(map(str, found)))
+        raise CliError(
+            f"file '{name}' was found more than once in package '{package}': "
+            + ', '.join(map(str, found))
+        )
     return found[0]
 
 
@@ -79,6 +86,8 @@ def read_launch_file(path):
     path = Path(path)
     reader = _READERS.get(path.suffix)
     if reader is None:
-        raise CliError(f'{path}: launch files in {path.suffix or "this form"} are not covered by '
-                       'this ros2; covered are XML and YAML')
+        raise CliError(
+            f'{path}: launch files in {path.suffix or "this form"} are not covered by '
+            'this ros2; covered are XML and YAML'
+        )
     return reader(path)

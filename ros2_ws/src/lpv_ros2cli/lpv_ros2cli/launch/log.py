@@ -63,8 +63,9 @@ class LaunchLog:
         is_error : bool
             On stderr: also shown where stdout goes to the log only, as upstream does.
         """
-        shown = (output in ('screen', 'both', 'full') or self._show_all
-                 or (output == 'log' and is_error))
+        shown = (
+            output in ('screen', 'both', 'full') or self._show_all or (output == 'log' and is_error)
+        )
         self._write(f'[{name}] {line}', 'INFO', name, line, shown)
 
     def _write(self, shown_text, level, name, text, shown):
@@ -83,7 +84,9 @@ def _new_folder():
     home = Path(os.environ.get('ROS_HOME') or Path.home() / '.ros')
     parent = Path(os.environ.get('ROS_LOG_DIR') or home / 'log')
     stamp = time.strftime('%Y-%m-%d-%H-%M-%S')
-    folder = parent / f'{stamp}-{time.time_ns() % 10**9 // 1000:06d}-{socket.gethostname()}-' \
-                      f'{os.getpid()}'
+    folder = (
+        parent / f'{stamp}-{time.time_ns() % 10**9 // 1000:06d}-{socket.gethostname()}-'
+        f'{os.getpid()}'
+    )
     folder.mkdir(parents=True)
     return folder

@@ -79,8 +79,12 @@ def node_process(context, entity):
     package = context.perform(entity.required('pkg'))
     program = context.perform(entity.required('exec'))
     name, namespace = entity.text('name'), entity.text('namespace')
-    command = [str(executable(package, program)), *_words(context, entity, 'args'), '--ros-args',
-               *_words(context, entity, 'ros_args')]
+    command = [
+        str(executable(package, program)),
+        *_words(context, entity, 'args'),
+        '--ros-args',
+        *_words(context, entity, 'ros_args'),
+    ]
     if name is not None:
         command += ['-r', f'__node:={context.perform(name)}']
     if namespace is not None or context.scope.namespace:
@@ -88,9 +92,13 @@ def node_process(context, entity):
         command += ['-r', f'__ns:={full or "/"}']
     for source in parameter_sources(context, entity):
         command += ['--params-file', source]
-    remaps = [*context.scope.remaps, *(
-        (context.perform(r.required('from')), context.perform(r.required('to')))
-        for r in entity.all('remap'))]
+    remaps = [
+        *context.scope.remaps,
+        *(
+            (context.perform(r.required('from')), context.perform(r.required('to')))
+            for r in entity.all('remap')
+        ),
+    ]
     for old, new in remaps:
         command += ['-r', f'{old}:={new}']
     label = context.perform(entity.text('exec_name') or program)
@@ -152,8 +160,9 @@ def _process(context, entity, name, command, outline):
         key = context.perform(variable.required('name'))
         environment[key] = context.perform(variable.required('value'))
         variable.finish()
-    output = context.perform(entity.text('output', environment.get(
-        'OVERRIDE_LAUNCH_PROCESS_OUTPUT', 'log')))
+    output = context.perform(
+        entity.text('output', environment.get('OVERRIDE_LAUNCH_PROCESS_OUTPUT', 'log'))
+    )
     if output not in _OUTPUTS:
         raise entity.error(f"'output' must be one of {', '.join(_OUTPUTS)}; got {output!r}")
     on_exit = entity.text('on_exit')
@@ -163,14 +172,19 @@ def _process(context, entity, name, command, outline):
     cwd = entity.text('cwd')
     configurations = context.scope.configurations
     return ProcessSpec(
-        name, [*_words(context, entity, 'launch-prefix'), *command], environment, outline, output,
+        name,
+        [*_words(context, entity, 'launch-prefix'), *command],
+        environment,
+        outline,
+        output,
         cwd if cwd is None else context.perform(cwd),
         entity.boolean('respawn', context.perform(entity.text('respawn', 'false'))),
         _number(context, entity, 'respawn_delay', '0'),
         int(_number(context, entity, 'respawn_max_retries', '-1')),
         on_exit is not None,
         _number(context, entity, 'sigterm_timeout', configurations.get('sigterm_timeout', '5')),
-        _number(context, entity, 'sigkill_timeout', configurations.get('sigkill_timeout', '5')))
+        _number(context, entity, 'sigkill_timeout', configurations.get('sigkill_timeout', '5')),
+    )
 
 
 def _number(context, entity, attribute, default):

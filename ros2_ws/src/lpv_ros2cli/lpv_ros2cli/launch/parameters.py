@@ -31,8 +31,7 @@ def parameter_sources(context, entity):
     """
     sources = []
     if context.scope.parameters:
-        sources.append({name: _from_text(value, name)
-                        for name, value in context.scope.parameters})
+        sources.append({name: _from_text(value, name) for name, value in context.scope.parameters})
     for element in entity.all('param'):
         file = element.text('from')
         if file is not None:
@@ -106,8 +105,9 @@ def _checked(value, name):
     if isinstance(value, list):
         kinds = {type(item) for item in value}
         if len(kinds) != 1 or not kinds <= set(_SCALARS):
-            raise CliError(f"parameter '{name}' must be a list of values of one type, not empty; "
-                           f'got {value!r}')
+            raise CliError(
+                f"parameter '{name}' must be a list of values of one type, not empty; got {value!r}"
+            )
     elif not isinstance(value, _SCALARS):
         raise CliError(f"parameter '{name}' cannot be {value!r}")
     return value

@@ -33,8 +33,10 @@ class _Process:
     def send(self, number):
         """A signal to the process and its children."""
         self.signal_sent = number
-        patience = {signal.SIGINT: self.spec.sigterm_timeout,
-                    signal.SIGTERM: self.spec.sigkill_timeout}.get(number)
+        patience = {
+            signal.SIGINT: self.spec.sigterm_timeout,
+            signal.SIGTERM: self.spec.sigkill_timeout,
+        }.get(number)
         self.escalate_at = None if patience is None else time.monotonic() + patience
         try:
             os.killpg(self.popen.pid, number)
@@ -120,9 +122,16 @@ class Runner:
         command = self._write_parameters(process)
         try:
             process.popen = subprocess.Popen(
-                command, env=process.spec.environment, cwd=process.spec.cwd, text=True,
-                errors='replace', stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE, start_new_session=True)
+                command,
+                env=process.spec.environment,
+                cwd=process.spec.cwd,
+                text=True,
+                errors='replace',
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
         except OSError as error:
             self._log.note('ERROR', process.name, f'cannot be started: {error}')
             self._failed = True
@@ -146,8 +155,10 @@ class Runner:
 
     def _follow(self, process, popen):
         """Thread: hand on the lines of a process, then that it ended."""
-        pumps = [threading.Thread(target=self._pump, args=(process, stream, is_error), daemon=True)
-                 for stream, is_error in ((popen.stdout, False), (popen.stderr, True))]
+        pumps = [
+            threading.Thread(target=self._pump, args=(process, stream, is_error), daemon=True)
+            for stream, is_error in ((popen.stdout, False), (popen.stderr, True))
+        ]
         for pump in pumps:
             pump.start()
         code = popen.wait()
@@ -165,8 +176,11 @@ class Runner:
             self._log.note('INFO', process.name, f'process has finished cleanly [pid {pid}]')
         else:
             words = [w if isinstance(w, str) else '(parameters)' for w in process.spec.command]
-            self._log.note('ERROR', process.name, f'process has died [pid {pid}, exit code {code}, '
-                           f"cmd '{' '.join(words)}'].")
+            self._log.note(
+                'ERROR',
+                process.name,
+                f"process has died [pid {pid}, exit code {code}, cmd '{' '.join(words)}'].",
+            )
         if self._stopping:
             return
         self._failed |= code != 0
@@ -178,7 +192,7 @@ class Runner:
             self._shut_down(f'{process.name} has ended')
 
     def _interrupted(self, number):
-        name = ('ctrl-c (SIGINT)' if number == signal.SIGINT else number.name)
+        name = 'ctrl-c (SIGINT)' if number == signal.SIGINT else number.name
         again = ' again, ignoring...' if self._stopping else ''
         self._log.note('WARNING', 'launch', f'user interrupted with {name}{again}')
         self._shut_down()
@@ -197,9 +211,13 @@ class Runner:
     def _escalate(self, process):
         last = process.signal_sent
         following = _ESCALATION[last]
-        patience = (process.spec.sigterm_timeout if last == signal.SIGINT
-                    else process.spec.sigkill_timeout)
-        self._log.note('ERROR', process.name,
-                       f"process[{process.name}] failed to terminate '{patience:g}' seconds after "
-                       f"receiving '{last.name}', escalating to '{following.name}'")
+        patience = (
+            process.spec.sigterm_timeout if last == signal.SIGINT else process.spec.sigkill_timeout
+        )
+        self._log.note(
+            'ERROR',
+            process.name,
+            f"process[{process.name}] failed to terminate '{patience:g}' seconds after "
+            f"receiving '{last.name}', escalating to '{following.name}'",
+        )
         process.send(following)

@@ -70,7 +70,7 @@ def _substitution(text, start):
         raise CliError(f"{text!r}: a name must follow '$('")
     position, arguments = found.end(), []
     while True:
-        while text[position:position + 1] == ' ':
+        while text[position : position + 1] == ' ':
             position += 1
         if position >= len(text):
             raise CliError(f"{text!r}: '$(' is not closed")
@@ -90,9 +90,15 @@ def _argument(text, position):
     return parts, end + 1
 
 
-_DESCRIPTIONS = {'var': 'LaunchConfig', 'env': 'EnvVar', 'find-pkg-share': 'FindPackageShare',
-                 'find-pkg-prefix': 'FindPackagePrefix', 'eval': 'PythonExpr',
-                 'dirname': 'ThisLaunchFileDir', 'filename': 'ThisLaunchFile'}
+_DESCRIPTIONS = {
+    'var': 'LaunchConfig',
+    'env': 'EnvVar',
+    'find-pkg-share': 'FindPackageShare',
+    'find-pkg-prefix': 'FindPackagePrefix',
+    'eval': 'PythonExpr',
+    'dirname': 'ThisLaunchFileDir',
+    'filename': 'ThisLaunchFile',
+}
 
 
 def describe(parts):

@@ -46,5 +46,6 @@ def _entity(element, source):
     text = ''.join([element.text or '', *(child.tail or '' for child in element)]).strip()
     if text:
         raise CliError(f'{source}: <{element.tag}>: text {text[:40]!r} is not expected')
-    return Entity(element.tag, dict(element.attrib),
-                  [_entity(child, source) for child in element], source)
+    return Entity(
+        element.tag, dict(element.attrib), [_entity(child, source) for child in element], source
+    )

@@ -52,8 +52,9 @@ def _holds_elements(value):
 
 def _child(tag, item, source):
     if not isinstance(item, dict) or len(item) != 1:
-        raise CliError(f'{source}: {tag}: each item must be a mapping with one key, the action; '
-                       f'got {item!r}')
+        raise CliError(
+            f'{source}: {tag}: each item must be a mapping with one key, the action; got {item!r}'
+        )
     ((name, value),) = item.items()
     return _entity(str(name), value, source)
 

@@ -23,8 +23,11 @@ def managed_nodes(node, hidden=False):
         Absolute names, sorted.
     """
     services = dict(node.get_service_names_and_types())
-    return [name for name in dict.fromkeys(node_names(node, hidden))
-            if _STATE_TYPE in services.get(f'{name}/get_state', ())]
+    return [
+        name
+        for name in dict.fromkeys(node_names(node, hidden))
+        if _STATE_TYPE in services.get(f'{name}/get_state', ())
+    ]
 
 
 class Lifecycle:
@@ -59,15 +62,18 @@ class Lifecycle:
     def state(self):
         """Present state (lifecycle_msgs/State)."""
         from lifecycle_msgs.srv import GetState
+
         return self._call(GetState, 'get_state', 5.0).current_state
 
     def transitions(self):
         """Transitions (lifecycle_msgs/Transition) that are possible now."""
         from lifecycle_msgs.srv import GetAvailableTransitions
+
         found = self._call(GetAvailableTransitions, 'get_available_transitions', 5.0)
         return [description.transition for description in found.available_transitions]
 
     def change(self, transition):
         """Trigger a transition; whether it succeeded. Nodes may take long to configure."""
         from lifecycle_msgs.srv import ChangeState
+
         return self._call(ChangeState, 'change_state', 120.0, transition=transition).success

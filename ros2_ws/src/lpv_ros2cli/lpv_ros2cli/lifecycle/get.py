@@ -8,8 +8,9 @@ from lpv_ros2cli.lifecycle.client import Lifecycle, managed_nodes
 def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', nargs='?', help='node; otherwise all managed ones'
-                        ).completer = completion.nodes
+    parser.add_argument(
+        'node_name', nargs='?', help='node; otherwise all managed ones'
+    ).completer = completion.nodes
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 

@@ -7,10 +7,12 @@ from lpv_ros2cli.lifecycle.client import managed_nodes
 def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('-a', '--all', action='store_true',
-                        help='also nodes whose name begins with an underscore')
-    parser.add_argument('-c', '--count-nodes', action='store_true',
-                        help='only show the number of nodes')
+    parser.add_argument(
+        '-a', '--all', action='store_true', help='also nodes whose name begins with an underscore'
+    )
+    parser.add_argument(
+        '-c', '--count-nodes', action='store_true', help='only show the number of nodes'
+    )
 
 
 def run(arguments):

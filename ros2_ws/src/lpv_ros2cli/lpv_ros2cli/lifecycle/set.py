@@ -10,7 +10,8 @@ def add_arguments(parser):
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes
     parser.add_argument('transition', help='name or number of the transition').completer = (
-        lambda **_: ['configure', 'activate', 'deactivate', 'cleanup', 'shutdown'])
+        lambda **_: ['configure', 'activate', 'deactivate', 'cleanup', 'shutdown']
+    )
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
@@ -21,8 +22,10 @@ def run(arguments):
         available = lifecycle.transitions()
         chosen = [t for t in available if arguments.transition in (t.label, str(t.id))]
         if not chosen:
-            raise CliError('Unknown transition requested, available ones are: ' + (
-                ', '.join(f'{t.label} [{t.id}]' for t in available) or 'none'))
+            raise CliError(
+                'Unknown transition requested, available ones are: '
+                + (', '.join(f'{t.label} [{t.id}]' for t in available) or 'none')
+            )
         if not lifecycle.change(chosen[0]):
             raise CliError('Transitioning failed')
     print('Transitioning successful')

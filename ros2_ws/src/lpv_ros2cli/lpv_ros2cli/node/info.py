@@ -8,8 +8,9 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes
-    parser.add_argument('--include-hidden', action='store_true',
-                        help='also hidden topics and services')
+    parser.add_argument(
+        '--include-hidden', action='store_true', help='also hidden topics and services'
+    )
 
 
 def run(arguments):
@@ -20,13 +21,15 @@ def run(arguments):
         namespace, _, name = absolute_node(full).rpartition('/')
         print(full)
         for heading, ask in (
-                ('Subscribers', node.get_subscriber_names_and_types_by_node),
-                ('Publishers', node.get_publisher_names_and_types_by_node),
-                ('Service Servers', node.get_service_names_and_types_by_node),
-                ('Service Clients', node.get_client_names_and_types_by_node)):
+            ('Subscribers', node.get_subscriber_names_and_types_by_node),
+            ('Publishers', node.get_publisher_names_and_types_by_node),
+            ('Service Servers', node.get_service_names_and_types_by_node),
+            ('Service Clients', node.get_client_names_and_types_by_node),
+        ):
             print(f'  {heading}:')
-            for topic, types in without_hidden(ask(name, namespace or '/'),
-                                               arguments.include_hidden):
+            for topic, types in without_hidden(
+                ask(name, namespace or '/'), arguments.include_hidden
+            ):
                 print(f'    {topic}: {", ".join(types)}')
         # Actions are hidden topics and services; this software has none.
         print('\n  Action Servers:\n\n  Action Clients:\n')

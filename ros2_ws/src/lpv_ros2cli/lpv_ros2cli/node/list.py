@@ -9,10 +9,12 @@ from lpv_ros2cli.names import node_names
 def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('-a', '--all', action='store_true',
-                        help='also nodes whose name begins with an underscore')
-    parser.add_argument('-c', '--count-nodes', action='store_true',
-                        help='only show the number of nodes')
+    parser.add_argument(
+        '-a', '--all', action='store_true', help='also nodes whose name begins with an underscore'
+    )
+    parser.add_argument(
+        '-c', '--count-nodes', action='store_true', help='only show the number of nodes'
+    )
 
 
 def run(arguments):
@@ -24,7 +26,10 @@ def run(arguments):
         print(len(names))
         return
     if len(set(names)) < len(names):
-        print('WARNING: Be aware that there are nodes in the graph that share an exact name, '
-              'which can have unintended side effects.', file=sys.stderr)
+        print(
+            'WARNING: Be aware that there are nodes in the graph that share an exact name, '
+            'which can have unintended side effects.',
+            file=sys.stderr,
+        )
     for name in names:
         print(name)

@@ -4,8 +4,18 @@ from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.names import find_node
 from lpv_ros2cli.service.calling import call, ready_client
 
-_TYPE_NAMES = ('not set', 'boolean', 'integer', 'double', 'string', 'byte array',
-               'boolean array', 'integer array', 'double array', 'string array')
+_TYPE_NAMES = (
+    'not set',
+    'boolean',
+    'integer',
+    'double',
+    'string',
+    'byte array',
+    'boolean array',
+    'integer array',
+    'double array',
+    'string array',
+)
 """Names by rcl_interfaces/ParameterType."""
 
 
@@ -46,11 +56,13 @@ class ParameterAccess:
     def names(self):
         """Names of the declared parameters, sorted."""
         from rcl_interfaces.srv import ListParameters
+
         return sorted(self._call(ListParameters, 'list_parameters').result.names)
 
     def values(self, names):
         """Values (rcl_interfaces/ParameterValue) of parameters, in the order of the names."""
         from rcl_interfaces.srv import GetParameters
+
         values = self._call(GetParameters, 'get_parameters', names=list(names)).values
         # A node that lacks one of the parameters answers with fewer values, or none.
         return values if len(values) == len(names) else [self._value(name) for name in names]
@@ -58,6 +70,7 @@ class ParameterAccess:
     def _value(self, name):
         from rcl_interfaces.msg import ParameterValue
         from rcl_interfaces.srv import GetParameters
+
         found = self._call(GetParameters, 'get_parameters', names=[name]).values
         return found[0] if found else ParameterValue()
 
@@ -80,15 +93,19 @@ class ParameterAccess:
             If the node does not declare it.
         """
         from rcl_interfaces.msg import ParameterType
+
         found = self._value(name)
         if found.type == ParameterType.PARAMETER_NOT_SET and name not in self.names():
-            raise CliError(f"Parameter not set: node {self.name} declares no '{name}'; "
-                           f'ros2 param list {self.name} shows what it has')
+            raise CliError(
+                f"Parameter not set: node {self.name} declares no '{name}'; "
+                f'ros2 param list {self.name} shows what it has'
+            )
         return found
 
     def describe(self, names):
         """Descriptors (rcl_interfaces/ParameterDescriptor) of declared parameters."""
         from rcl_interfaces.srv import DescribeParameters
+
         return self._call(DescribeParameters, 'describe_parameters', names=list(names)).descriptors
 
     def set(self, values):
@@ -106,6 +123,7 @@ class ParameterAccess:
         """
         from rcl_interfaces.msg import Parameter
         from rcl_interfaces.srv import SetParameters
+
         wanted = [Parameter(name=name, value=value) for name, value in values.items()]
         results = self._call(SetParameters, 'set_parameters', parameters=wanted).results
         if len(results) != len(wanted):
@@ -145,10 +163,14 @@ def fitted(value, kind):
         Value of that type where nothing is lost by it.
     """
     from rcl_interfaces.msg import ParameterType, ParameterValue
+
     if (value.type, kind) == (ParameterType.PARAMETER_INTEGER, ParameterType.PARAMETER_DOUBLE):
         return ParameterValue(type=kind, double_value=float(value.integer_value))
-    if (value.type, kind) == (ParameterType.PARAMETER_INTEGER_ARRAY,
-                              ParameterType.PARAMETER_DOUBLE_ARRAY):
-        return ParameterValue(type=kind,
-                              double_array_value=[float(v) for v in value.integer_array_value])
+    if (value.type, kind) == (
+        ParameterType.PARAMETER_INTEGER_ARRAY,
+        ParameterType.PARAMETER_DOUBLE_ARRAY,
+    ):
+        return ParameterValue(
+            type=kind, double_array_value=[float(v) for v in value.integer_array_value]
+        )
     return value

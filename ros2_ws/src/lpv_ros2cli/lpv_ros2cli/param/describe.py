@@ -9,8 +9,9 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes
-    parser.add_argument('parameter_names', nargs='+', help='parameters'
-                        ).completer = completion.parameters
+    parser.add_argument(
+        'parameter_names', nargs='+', help='parameters'
+    ).completer = completion.parameters
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
@@ -21,8 +22,10 @@ def run(arguments):
         declared = set(access.names())
         missing = [name for name in arguments.parameter_names if name not in declared]
         if missing:
-            raise CliError(f"node {access.name} declares no parameter '{missing[0]}'; "
-                           f'ros2 param list {access.name} shows what it has')
+            raise CliError(
+                f"node {access.name} declares no parameter '{missing[0]}'; "
+                f'ros2 param list {access.name} shows what it has'
+            )
         descriptors = access.describe(arguments.parameter_names)
     for descriptor in descriptors:
         print('\n'.join(_lines(descriptor)))

@@ -16,6 +16,7 @@ def add_arguments(parser):
 def run(arguments):
     """Print a node's parameters in the form of a parameter file."""
     from rclpy.parameter import parameter_value_to_python
+
     with discovery.command_node() as node:
         access = ParameterAccess(node, arguments.node_name, arguments.spin_time)
         names = access.names()
@@ -29,7 +30,9 @@ def run(arguments):
         for parent in parents:
             level = level.setdefault(parent, {})
         plain = parameter_value_to_python(value)
-        level[leaf] = list(plain) if isinstance(plain, (tuple, list)) or hasattr(
-            plain, 'tolist') else plain
-    print(yaml.safe_dump({access.name: {'ros__parameters': nested}}, default_flow_style=False),
-          end='')
+        level[leaf] = (
+            list(plain) if isinstance(plain, (tuple, list)) or hasattr(plain, 'tolist') else plain
+        )
+    print(
+        yaml.safe_dump({access.name: {'ros__parameters': nested}}, default_flow_style=False), end=''
+    )

@@ -3,9 +3,18 @@
 from lpv_ros2cli import completion, discovery
 from lpv_ros2cli.param.client import ParameterAccess
 
-_LABELS = ('', 'Boolean value is:', 'Integer value is:', 'Double value is:', 'String value is:',
-           'Byte values are:', 'Boolean values are:', 'Integer values are:', 'Double values are:',
-           'String values are:')
+_LABELS = (
+    '',
+    'Boolean value is:',
+    'Integer value is:',
+    'Double value is:',
+    'String value is:',
+    'Byte values are:',
+    'Boolean values are:',
+    'Integer values are:',
+    'Double values are:',
+    'String values are:',
+)
 
 
 def add_arguments(parser):
@@ -20,6 +29,7 @@ def add_arguments(parser):
 def run(arguments):
     """Print the value of a parameter."""
     from rclpy.parameter import parameter_value_to_python
+
     with discovery.command_node() as node:
         access = ParameterAccess(node, arguments.node_name, arguments.spin_time)
         found = access.value(arguments.parameter_name)

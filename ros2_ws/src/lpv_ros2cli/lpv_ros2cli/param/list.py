@@ -9,11 +9,17 @@ from lpv_ros2cli.param.client import ParameterAccess, type_name
 def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', nargs='?', help='node; otherwise all'
-                        ).completer = completion.nodes
+    parser.add_argument(
+        'node_name', nargs='?', help='node; otherwise all'
+    ).completer = completion.nodes
     parser.add_argument('--include-hidden-nodes', action='store_true')
-    parser.add_argument('--param-prefixes', nargs='+', default=[], metavar='PREFIX',
-                        help='only parameters below these prefixes')
+    parser.add_argument(
+        '--param-prefixes',
+        nargs='+',
+        default=[],
+        metavar='PREFIX',
+        help='only parameters below these prefixes',
+    )
     parser.add_argument('--param-type', action='store_true', help='show the types')
 
 
@@ -37,9 +43,15 @@ def run(arguments):
 
 def _print(node, arguments, name, indent):
     access = ParameterAccess(node, name, arguments.spin_time)
-    names = [parameter for parameter in access.names() if not arguments.param_prefixes or any(
-        f'{parameter}.'.startswith(f'{prefix.rstrip(".")}.')
-        for prefix in arguments.param_prefixes)]
+    names = [
+        parameter
+        for parameter in access.names()
+        if not arguments.param_prefixes
+        or any(
+            f'{parameter}.'.startswith(f'{prefix.rstrip(".")}.')
+            for prefix in arguments.param_prefixes
+        )
+    ]
     types = {d.name: d.type for d in access.describe(names)} if arguments.param_type else {}
     for parameter in names:
         kind = f' (type: {type_name(types[parameter])})' if parameter in types else ''

@@ -12,26 +12,34 @@ def add_arguments(parser):
     parser.add_argument('node_name', help='node').completer = completion.nodes
     parser.add_argument('parameter_file', help='parameter file (YAML)')
     parser.add_argument('--include-hidden-nodes', action='store_true')
-    parser.add_argument('--no-use-wildcard', action='store_true',
-                        help='leave out what the file sets for all nodes (/**)')
+    parser.add_argument(
+        '--no-use-wildcard',
+        action='store_true',
+        help='leave out what the file sets for all nodes (/**)',
+    )
 
 
 def run(arguments):
     """Set what a parameter file says of a node; 1 where the node refused any of it."""
     from rclpy.parameter import get_parameter_value
+
     data = read_yaml(arguments.parameter_file, 'the parameter file')
     with discovery.command_node() as node:
         access = ParameterAccess(node, arguments.node_name, arguments.spin_time)
         values = _values_for(access.name, data, not arguments.no_use_wildcard)
-        kinds = {d.name: d.type for d in access.describe(
-            [name for name in access.names() if name in values])}
-        results = access.set({
-            name: fitted(get_parameter_value(_text(value)), kinds.get(name))
-            for name, value in values.items()})
+        kinds = {
+            d.name: d.type
+            for d in access.describe([name for name in access.names() if name in values])
+        }
+        results = access.set(
+            {
+                name: fitted(get_parameter_value(_text(value)), kinds.get(name))
+                for name, value in values.items()
+            }
+        )
     for name, result in results.items():
         reason = f': {result.reason}' if result.reason else ''
-        print(f'Set parameter {name} '
-              f'{"successful" if result.successful else "failed"}{reason}')
+        print(f'Set parameter {name} {"successful" if result.successful else "failed"}{reason}')
     return 0 if all(result.successful for result in results.values()) else 1
 
 
@@ -63,4 +71,5 @@ def _flat(level, prefix):
 def _text(value):
     """YAML of a value, from which rclpy makes a parameter of the right type."""
     import yaml
+
     return yaml.safe_dump(value, default_flow_style=True).removesuffix('\n...\n').strip()

@@ -18,6 +18,7 @@ def add_arguments(parser):
 def run(arguments):
     """Set a parameter; the node may refuse, with a reason."""
     from rclpy.parameter import get_parameter_value
+
     parse_yaml(arguments.value, 'the value')
     value = get_parameter_value(arguments.value)
     name = arguments.parameter_name

@@ -5,8 +5,9 @@ from lpv_ros2cli import completion, packages
 
 def add_arguments(parser):
     """Declare the verb's arguments."""
-    parser.add_argument('package_name', nargs='?', help='package; otherwise all'
-                        ).completer = completion.packages
+    parser.add_argument(
+        'package_name', nargs='?', help='package; otherwise all'
+    ).completer = completion.packages
     parser.add_argument('--full-path', action='store_true', help='show the paths')
 
 

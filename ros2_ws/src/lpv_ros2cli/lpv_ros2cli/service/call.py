@@ -14,8 +14,9 @@ from lpv_ros2cli.service.calling import call, ready_client
 def add_arguments(parser):
     """Declare the verb's arguments."""
     parser.add_argument('service_name', help='service').completer = completion.services
-    parser.add_argument('service_type', help='its type, e.g. std_srvs/srv/Trigger'
-                        ).completer = completion.interface_types('srv')
+    parser.add_argument(
+        'service_type', help='its type, e.g. std_srvs/srv/Trigger'
+    ).completer = completion.interface_types('srv')
     group = parser.add_mutually_exclusive_group()
     group.add_argument('values', nargs='?', default='{}', help='fields of the request in YAML')
     group.add_argument('--stdin', action='store_true', help='read the fields from stdin')
@@ -44,6 +45,7 @@ def run(arguments):
 
 def _check_type(node, name, expected):
     """A client of another type would wait for ever."""
+
     def types_there():
         return dict(node.get_service_names_and_types()).get(name)
 

@@ -34,6 +34,7 @@ def call(node, client, request, timeout=_PATIENCE):
         If no answer comes.
     """
     import rclpy
+
     future = client.call_async(request)
     deadline = None if timeout is None else time.monotonic() + timeout
     while not future.done():

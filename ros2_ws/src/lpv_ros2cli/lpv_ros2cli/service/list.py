@@ -8,18 +8,23 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
-    parser.add_argument('-c', '--count-services', action='store_true',
-                        help='only show the number of services')
-    parser.add_argument('--include-hidden-services', action='store_true',
-                        help='also names with a part that begins with an underscore')
+    parser.add_argument(
+        '-c', '--count-services', action='store_true', help='only show the number of services'
+    )
+    parser.add_argument(
+        '--include-hidden-services',
+        action='store_true',
+        help='also names with a part that begins with an underscore',
+    )
 
 
 def run(arguments):
     """Print the services of the graph."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)
-        services = without_hidden(node.get_service_names_and_types(),
-                                  arguments.include_hidden_services)
+        services = without_hidden(
+            node.get_service_names_and_types(), arguments.include_hidden_services
+        )
     if arguments.count_services:
         print(len(services))
         return

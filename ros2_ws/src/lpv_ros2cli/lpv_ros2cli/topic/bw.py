@@ -14,8 +14,14 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
-    parser.add_argument('-w', '--window', type=int, default=_WINDOW, metavar='N',
-                        help=f'messages over which the bandwidth is averaged ({_WINDOW})')
+    parser.add_argument(
+        '-w',
+        '--window',
+        type=int,
+        default=_WINDOW,
+        metavar='N',
+        help=f'messages over which the bandwidth is averaged ({_WINDOW})',
+    )
 
 
 def run(arguments):
@@ -26,8 +32,12 @@ def run(arguments):
     with discovery.command_node() as node:
         name, message_class = topic_and_class(node, arguments)
         node.create_subscription(
-            message_class, name, lambda data: bandwidth.take(time.monotonic(), len(data)),
-            qos.fitting(node, name, depth=1000), raw=True)
+            message_class,
+            name,
+            lambda data: bandwidth.take(time.monotonic(), len(data)),
+            qos.fitting(node, name, depth=1000),
+            raw=True,
+        )
         print(f'Subscribed to [{name}]', flush=True)
         node.create_timer(1.0, lambda: _report(bandwidth))
         receive(node)
@@ -62,9 +72,15 @@ class Bandwidth:
             return ''
         number, total = len(self._sizes), sum(self._sizes)
         span = now - self._times[0]
-        sizes = ' '.join(f'{name}: {_bytes(value)}' for name, value in (
-            ('mean', total / number), ('min', min(self._sizes)), ('max', max(self._sizes))))
-        return (f'{_bytes(total / span)}/s from {number} messages\n\tMessage size {sizes}')
+        sizes = ' '.join(
+            f'{name}: {_bytes(value)}'
+            for name, value in (
+                ('mean', total / number),
+                ('min', min(self._sizes)),
+                ('max', max(self._sizes)),
+            )
+        )
+        return f'{_bytes(total / span)}/s from {number} messages\n\tMessage size {sizes}'
 
 
 def _bytes(number):

@@ -10,38 +10,51 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
-    parser.add_argument('message_type', nargs='?', help='its type; the topic need not be there '
-                        'yet then').completer = completion.interface_types('msg')
+    parser.add_argument(
+        'message_type', nargs='?', help='its type; the topic need not be there yet then'
+    ).completer = completion.interface_types('msg')
     qos.add_arguments(parser, 'what fits the publishers')
     parser.add_argument('--csv', action='store_true', help='one line a message, comma-separated')
     parser.add_argument('--field', metavar='NAME', help='only this field, e.g. header.stamp')
-    parser.add_argument('-f', '--full-length', action='store_true',
-                        help='do not shorten long arrays and texts')
-    parser.add_argument('-l', '--truncate-length', type=int, default=DEFAULT_LENGTH, metavar='N',
-                        help=f'length to which they are shortened ({DEFAULT_LENGTH})')
+    parser.add_argument(
+        '-f', '--full-length', action='store_true', help='do not shorten long arrays and texts'
+    )
+    parser.add_argument(
+        '-l',
+        '--truncate-length',
+        type=int,
+        default=DEFAULT_LENGTH,
+        metavar='N',
+        help=f'length to which they are shortened ({DEFAULT_LENGTH})',
+    )
     parser.add_argument('--no-arr', action='store_true', help='do not show arrays')
     parser.add_argument('--no-str', action='store_true', help='do not show texts')
     parser.add_argument('--flow-style', action='store_true', help='one line a message')
     parser.add_argument('--once', action='store_true', help='leave after the first message')
-    parser.add_argument('--timeout', type=float, metavar='SECONDS',
-                        help='leave after this time')
+    parser.add_argument('--timeout', type=float, metavar='SECONDS', help='leave after this time')
 
 
 def run(arguments):
     """Print messages until interrupted."""
     if arguments.truncate_length < 0:
         raise CliError('--truncate-length must not be negative')
-    style = Style(None if arguments.full_length else arguments.truncate_length,
-                  arguments.no_arr, arguments.no_str, arguments.flow_style)
+    style = Style(
+        None if arguments.full_length else arguments.truncate_length,
+        arguments.no_arr,
+        arguments.no_str,
+        arguments.flow_style,
+    )
     with discovery.command_node() as node:
         name, message_class = topic_and_class(node, arguments)
         if arguments.field:
             field_of(message_class(), arguments.field.partition('[')[0])
         echo = _Echo(arguments, style)
-        node.create_subscription(message_class, name, echo.show,
-                                 qos.chosen_profile(arguments, qos.fitting(node, name)))
-        in_time = receive(node, lambda: echo.error or (arguments.once and echo.shown),
-                          arguments.timeout)
+        node.create_subscription(
+            message_class, name, echo.show, qos.chosen_profile(arguments, qos.fitting(node, name))
+        )
+        in_time = receive(
+            node, lambda: echo.error or (arguments.once and echo.shown), arguments.timeout
+        )
     if echo.error:
         raise echo.error
     if not in_time and not echo.shown:

@@ -15,10 +15,19 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
-    parser.add_argument('-w', '--window', type=int, default=_WINDOW, metavar='N',
-                        help=f'messages over which the rate is averaged ({_WINDOW})')
-    parser.add_argument('--wall-time', action='store_true',
-                        help='accepted for compatibility: rates are of the wall clock')
+    parser.add_argument(
+        '-w',
+        '--window',
+        type=int,
+        default=_WINDOW,
+        metavar='N',
+        help=f'messages over which the rate is averaged ({_WINDOW})',
+    )
+    parser.add_argument(
+        '--wall-time',
+        action='store_true',
+        help='accepted for compatibility: rates are of the wall clock',
+    )
 
 
 def run(arguments):
@@ -28,8 +37,13 @@ def run(arguments):
     rate = Rate(arguments.window)
     with discovery.command_node() as node:
         name, message_class = topic_and_class(node, arguments)
-        node.create_subscription(message_class, name, lambda _: rate.take(time.monotonic()),
-                                 qos.fitting(node, name, depth=1000), raw=True)
+        node.create_subscription(
+            message_class,
+            name,
+            lambda _: rate.take(time.monotonic()),
+            qos.fitting(node, name, depth=1000),
+            raw=True,
+        )
         node.create_timer(1.0, lambda: _report(rate))
         receive(node)
 
@@ -72,5 +86,7 @@ class Rate:
         mean = sum(self._intervals) / number
         spread = math.sqrt(sum((x - mean) ** 2 for x in self._intervals) / number)
         rate = 1.0 / mean if mean > 0.0 else 0.0
-        return (f'average rate: {rate:.3f}\n\tmin: {min(self._intervals):.3f}s '
-                f'max: {max(self._intervals):.3f}s std dev: {spread:.5f}s window: {number + 1}')
+        return (
+            f'average rate: {rate:.3f}\n\tmin: {min(self._intervals):.3f}s '
+            f'max: {max(self._intervals):.3f}s std dev: {spread:.5f}s window: {number + 1}'
+        )

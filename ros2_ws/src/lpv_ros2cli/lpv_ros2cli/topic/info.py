@@ -8,8 +8,12 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
-    parser.add_argument('-v', '--verbose', action='store_true',
-                        help='show nodes and QoS of publishers and subscriptions')
+    parser.add_argument(
+        '-v',
+        '--verbose',
+        action='store_true',
+        help='show nodes and QoS of publishers and subscriptions',
+    )
 
 
 def run(arguments):
@@ -21,8 +25,9 @@ def run(arguments):
         subscriptions = node.get_subscriptions_info_by_topic(name)
     print(f'Type: {types[0] if len(types) == 1 else types}')
     for what, infos in (('Publisher', publishers), ('Subscription', subscriptions)):
-        print(f'\n{what} count: {len(infos)}' if arguments.verbose
-              else f'{what} count: {len(infos)}')
+        print(
+            f'\n{what} count: {len(infos)}' if arguments.verbose else f'{what} count: {len(infos)}'
+        )
         if arguments.verbose:
             for info in infos:
                 print(f'\n{info}')

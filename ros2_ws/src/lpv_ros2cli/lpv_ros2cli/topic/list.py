@@ -8,12 +8,17 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
-    parser.add_argument('-c', '--count-topics', action='store_true',
-                        help='only show the number of topics')
-    parser.add_argument('-v', '--verbose', action='store_true',
-                        help='show publishers and subscribers')
-    parser.add_argument('--include-hidden-topics', action='store_true',
-                        help='also names with a part that begins with an underscore')
+    parser.add_argument(
+        '-c', '--count-topics', action='store_true', help='only show the number of topics'
+    )
+    parser.add_argument(
+        '-v', '--verbose', action='store_true', help='show publishers and subscribers'
+    )
+    parser.add_argument(
+        '--include-hidden-topics',
+        action='store_true',
+        help='also names with a part that begins with an underscore',
+    )
 
 
 def run(arguments):

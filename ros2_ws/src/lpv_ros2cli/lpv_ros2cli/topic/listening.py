@@ -56,6 +56,7 @@ def receive(node, done=lambda: False, timeout=None):
         False after the timeout.
     """
     from rclpy.executors import SingleThreadedExecutor
+
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     deadline = None if timeout is None else time.monotonic() + timeout

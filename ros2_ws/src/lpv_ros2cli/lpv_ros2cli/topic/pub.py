@@ -14,24 +14,46 @@ def add_arguments(parser):
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
-    parser.add_argument('message_type', help='its type'
-                        ).completer = completion.interface_types('msg')
+    parser.add_argument('message_type', help='its type').completer = completion.interface_types(
+        'msg'
+    )
     group = parser.add_mutually_exclusive_group()
-    group.add_argument('values', nargs='?', default='{}',
-                       help='fields in YAML; "header: auto" and "stamp: now" take the present time')
+    group.add_argument(
+        'values',
+        nargs='?',
+        default='{}',
+        help='fields in YAML; "header: auto" and "stamp: now" take the present time',
+    )
     group.add_argument('--stdin', action='store_true', help='read the fields from stdin')
     parser.add_argument('-r', '--rate', type=float, default=1.0, metavar='N', help='rate [Hz] (1)')
-    parser.add_argument('-p', '--print', type=int, default=1, metavar='N',
-                        help='print only every N-th message')
+    parser.add_argument(
+        '-p', '--print', type=int, default=1, metavar='N', help='print only every N-th message'
+    )
     times = parser.add_mutually_exclusive_group()
     times.add_argument('-1', '--once', action='store_true', help='publish one message')
     times.add_argument('-t', '--times', type=int, default=0, metavar='N', help='publish N messages')
-    parser.add_argument('-w', '--wait-matching-subscriptions', type=int, default=None, metavar='N',
-                        help='wait for N subscriptions first (1 with --once and --times, else 0)')
-    parser.add_argument('--max-wait-time-secs', type=float, default=None, metavar='SECONDS',
-                        help='longest wait for them (none)')
-    parser.add_argument('--keep-alive', type=float, default=0.1, metavar='SECONDS',
-                        help='stay so long after the last message (0.1)')
+    parser.add_argument(
+        '-w',
+        '--wait-matching-subscriptions',
+        type=int,
+        default=None,
+        metavar='N',
+        help='wait for N subscriptions first (1 with --once and --times, else 0)',
+    )
+    parser.add_argument(
+        '--max-wait-time-secs',
+        type=float,
+        default=None,
+        metavar='SECONDS',
+        help='longest wait for them (none)',
+    )
+    parser.add_argument(
+        '--keep-alive',
+        type=float,
+        default=0.1,
+        metavar='SECONDS',
+        help='stay so long after the last message (0.1)',
+    )
     parser.add_argument('-n', '--node-name', help='name of the publishing node')
     qos.add_arguments(parser, 'default')
 
@@ -39,6 +61,7 @@ def add_arguments(parser):
 def run(arguments):
     """Publish until enough or interrupted."""
     from rclpy.qos import QoSProfile
+
     if not arguments.rate > 0.0:
         raise CliError('--rate must be greater than zero')
     if arguments.times < 0 or arguments.print < 1:
@@ -49,8 +72,10 @@ def run(arguments):
     count = 1 if arguments.once else arguments.times
     with discovery.command_node(arguments.node_name) as node:
         publisher = node.create_publisher(
-            message_class, absolute(arguments.topic_name),
-            qos.chosen_profile(arguments, QoSProfile(depth=10)))
+            message_class,
+            absolute(arguments.topic_name),
+            qos.chosen_profile(arguments, QoSProfile(depth=10)),
+        )
         _await_subscriptions(publisher, arguments, count)
         print('publisher: beginning loop', flush=True)
         _loop(node, publisher, message_class, text, arguments, count)
@@ -64,8 +89,10 @@ def _await_subscriptions(publisher, arguments, count):
     while publisher.get_subscription_count() < wanted:
         now = time.monotonic()
         if arguments.max_wait_time_secs is not None and now > start + arguments.max_wait_time_secs:
-            raise CliError(f'Timed out waiting for {wanted} matching subscription(s) after '
-                           f'{arguments.max_wait_time_secs:g} s')
+            raise CliError(
+                f'Timed out waiting for {wanted} matching subscription(s) after '
+                f'{arguments.max_wait_time_secs:g} s'
+            )
         if now > told:
             print(f'Waiting for at least {wanted} matching subscription(s)...', flush=True)
             told = now + 1.0

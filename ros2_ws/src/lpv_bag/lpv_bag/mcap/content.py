@@ -1,0 +1,165 @@
+"""Contents of chunks: decompression in bounds, and the records in them."""
+
+import zlib
+from typing import NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.opcode import Opcode
+
+from lpv_bag.mcap.records import HEADER, MAX_CHUNK, MESSAGE, parse_channel, parse_schema
+from lpv_bag.rosbag.errors import DamageError
+
+_PIECE = 1 << 22
+
+
+class Message(NamedTuple):
+    """A message as it is stored."""
+
+    log_time: int
+    channel: int
+    sequence: int
+    publish_time: int
+    data: bytes
+
+
+def _pieces(stream, limit):
+    """What a decompressing stream gives until it ends or fails, at most ``limit`` bytes."""
+    found, error = [], None
+    while limit > 0:
+        try:
+            piece = stream.read(min(limit, _PIECE))
+        except (zstandard.ZstdError, RuntimeError, OSError, EOFError) as failure:
+            error = failure
+            break
+        if not piece:
+            break
+        found.append(piece)
+        limit -= len(piece)
+    return b''.join(found), error
+
+
+def _stream(data, compression):
+    if compression == 'zstd':
+        return zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(bytes(data))
+    if compression == 'lz4':
+        return _Lz4Stream(data)
+    raise DamageError(f'a chunk is compressed with {compression[:20]!r}, which is unknown')
+
+
+class _Lz4Stream:
+    def __init__(self, data):
+        self._decompressor, self._data = lz4.frame.LZ4FrameDecompressor(), bytes(data)
+
+    def read(self, limit):
+        if self._decompressor.eof:
+            return b''
+        data, self._data = self._data, b''
+        return self._decompressor.decompress(data, limit)
+
+
+def inflate(data, compression, size, crc):
+    """Content of a whole chunk, checked.
+
+    Parameters
+    ----------
+    data : bytes or memoryview
+        As stored.
+    compression : str
+        '', 'zstd' or 'lz4'.
+    size, crc : int
+        Of the content; a checksum of 0 is none.
+
+    Returns
+    -------
+    bytes
+        Content.
+
+    Raises
+    ------
+    DamageError
+        If it cannot be decompressed, or size or checksum differ.
+    """
+    if size > MAX_CHUNK:
+        raise DamageError(f'a chunk claims to hold {size} bytes')
+    if compression:
+        content, error = _pieces(_stream(data, compression), size + 1)
+        if error is not None:
+            raise DamageError(f'a chunk cannot be decompressed ({error})')
+    else:
+        content = bytes(data)
+    if len(content) != size:
+        raise DamageError('a chunk does not have the size that it claims')
+    if crc and zlib.crc32(content) != crc:
+        raise DamageError('the checksum of a chunk is wrong')
+    return content
+
+
+def inflate_part(data, compression, size):
+    """The beginning of a chunk's content, as far as it can be had.
+
+    Parameters
+    ----------
+    data : bytes or memoryview
+        As stored, cut off somewhere.
+    compression : str
+        '', 'zstd' or 'lz4'.
+    size : int
+        Claimed size of the content.
+
+    Returns
+    -------
+    bytes
+        At most ``size`` of them.
+    """
+    if not compression:
+        return bytes(data[:size])
+    try:
+        return _pieces(_stream(data, compression), min(size, MAX_CHUNK))[0]
+    except DamageError:
+        return b''
+
+
+def records(content, wanted=None):
+    """Messages, schemas and channels of a chunk's content.
+
+    Parameters
+    ----------
+    content : bytes
+        Decompressed.
+    wanted : set of int, optional
+        Channels whose messages are wanted; all if not given.
+
+    Returns
+    -------
+    tuple
+        List of `Message` in the order of the content, list of `Schema` and `Channel` as they
+        came, and None or the text of what is wrong behind them.
+    """
+    messages, definitions, at, size = [], [], 0, len(content)
+    unpack_header, unpack_message = HEADER.unpack_from, MESSAGE.unpack_from
+    try:
+        while at < size:
+            if size - at < 9:
+                raise DamageError('a chunk ends within a record')
+            opcode, length = unpack_header(content, at)
+            start, at = at + 9, at + 9 + length
+            if at > size:
+                raise DamageError('a chunk ends within a record')
+            if opcode == Opcode.MESSAGE:
+                if length < 22:
+                    raise DamageError('a message is shorter than its head')
+                channel, sequence, log_time, publish_time = unpack_message(content, start)
+                if wanted is None or channel in wanted:
+                    messages.append(
+                        Message(log_time, channel, sequence, publish_time, content[start + 22 : at])
+                    )
+            elif opcode == Opcode.SCHEMA:
+                definitions.append(parse_schema(content[start:at]))
+            elif opcode == Opcode.CHANNEL:
+                definitions.append(parse_channel(content[start:at]))
+            elif opcode < 0x80:
+                raise DamageError(f'a chunk holds a record of kind {opcode}')
+    except DamageError as error:
+        return messages, definitions, str(error)
+    return messages, definitions, None

@@ -1,0 +1,285 @@
+"""Records of the MCAP format, parsed from bytes that nobody vouches for.
+
+Every length is held against the bytes that are there before anything is taken, and a record must
+be used up exactly: a flipped bit in a length is then seen in the record that has it.
+"""
+
+import struct
+from typing import NamedTuple
+
+from mcap.opcode import Opcode
+
+from lpv_bag.rosbag.errors import DamageError
+
+MAGIC = b'\x89MCAP0\r\n'
+HEADER = struct.Struct('<BQ')
+"""Opcode and length of the content that follows."""
+MESSAGE = struct.Struct('<HIQQ')
+"""Channel, sequence number, log time, publish time; the data follow."""
+MAX_CHUNK = 1 << 27
+"""Largest chunk that is read, decompressed [bytes]."""
+MAX_RECORD = 1 << 30
+"""Largest record that is read [bytes]."""
+_CHUNK = struct.Struct('<QQQI')
+
+
+class Schema(NamedTuple):
+    """A message definition."""
+
+    id: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+class Channel(NamedTuple):
+    """A topic of one publisher, or of several with the same QoS."""
+
+    id: int
+    schema_id: int
+    topic: str
+    encoding: str
+    metadata: tuple  # of pairs; hashable, two equal channels are one
+
+
+class Chunk(NamedTuple):
+    """Head of a chunk record; times are of the messages in it."""
+
+    start: int
+    end: int
+    size: int
+    crc: int
+    compression: str
+    data_offset: int  # in the content
+    data_size: int
+
+
+class ChunkIndex(NamedTuple):
+    """Where a chunk is."""
+
+    start: int
+    end: int
+    offset: int
+    length: int
+    message_indexes: dict
+    index_length: int
+    compression: str
+    data_size: int
+    size: int
+
+    def counts(self):
+        """Messages by channel, from the lengths of the message indexes behind the chunk."""
+        ends = sorted(self.message_indexes.values())[1:]
+        ends.append(self.offset + self.length + self.index_length)
+        order = sorted(self.message_indexes, key=self.message_indexes.get)
+        return {
+            channel: max(0, end - self.message_indexes[channel] - 15) // 16
+            for channel, end in zip(order, ends)
+        }
+
+
+class Cursor:
+    """Reads a record's content from its beginning to its end.
+
+    Parameters
+    ----------
+    content : bytes or memoryview
+        Of one record.
+    """
+
+    def __init__(self, content):
+        self._content, self.at = memoryview(content), 0
+
+    def take(self, count):
+        """The next bytes."""
+        if count > len(self._content) - self.at:
+            raise DamageError('a length points behind the end of its record')
+        self.at += count
+        return self._content[self.at - count : self.at]
+
+    def numbers(self, layout):
+        """The next numbers, by a layout of `struct`."""
+        return struct.unpack('<' + layout, self.take(struct.calcsize('<' + layout)))
+
+    def number(self, layout):
+        """The next number."""
+        return self.numbers(layout)[0]
+
+    def text(self):
+        """A string behind its length."""
+        try:
+            return str(self.take(self.number('I')), 'utf-8')
+        except UnicodeDecodeError:
+            raise DamageError('a string is not UTF-8') from None
+
+    def block(self):
+        """A cursor over what a length of 4 bytes announces."""
+        return Cursor(self.take(self.number('I')))
+
+    @property
+    def left(self):
+        """Bytes that are left."""
+        return len(self._content) - self.at
+
+    def finish(self):
+        """Check that the content is used up."""
+        if self.left:
+            raise DamageError('a record is longer than its content')
+
+
+def _pairs(cursor):
+    found = []
+    while cursor.left:
+        found.append((cursor.text(), cursor.text()))
+    return tuple(found)
+
+
+def parse_schema(content):
+    """`Schema` from a record's content; DamageError if it is none."""
+    cursor = Cursor(content)
+    result = Schema(
+        cursor.number('H'), cursor.text(), cursor.text(), bytes(cursor.take(cursor.number('I')))
+    )
+    cursor.finish()
+    if result.id == 0:
+        raise DamageError('a schema has the number 0')
+    return result
+
+
+def parse_channel(content):
+    """`Channel` from a record's content; DamageError if it is none."""
+    cursor = Cursor(content)
+    result = Channel(*cursor.numbers('HH'), cursor.text(), cursor.text(), _pairs(cursor.block()))
+    cursor.finish()
+    return result
+
+
+def parse_chunk(content, whole=True):
+    """`Chunk` from a record's content; DamageError if it is none.
+
+    Parameters
+    ----------
+    content : bytes or memoryview
+        Of the record, or the beginning of it.
+    whole : bool, optional
+        Whether the data must be there completely, and end with the content.
+    """
+    cursor = Cursor(content)
+    times_size_crc, compression = cursor.numbers('QQQI'), cursor.text()
+    result = Chunk(*times_size_crc, compression, cursor.at + 8, cursor.number('Q'))
+    if whole and result.data_size != cursor.left:
+        raise DamageError('a chunk is not as long as its record')
+    if result.size > MAX_CHUNK:
+        raise DamageError(f'a chunk claims to hold {result.size} bytes')
+    return result
+
+
+def parse_chunk_index(content):
+    """`ChunkIndex` from a record's content; DamageError if it is none."""
+    cursor = Cursor(content)
+    numbers, offsets = cursor.numbers('QQQQ'), cursor.block()
+    if offsets.left % 10:
+        raise DamageError('a chunk index has half an entry')
+    offsets = dict(struct.iter_unpack('<HQ', offsets.take(offsets.left)))
+    result = ChunkIndex(*numbers, offsets, cursor.number('Q'), cursor.text(), *cursor.numbers('QQ'))
+    cursor.finish()
+    return result
+
+
+def parse_message_index(content):
+    """Channel and number of its messages, of a message index; DamageError if it is none."""
+    cursor = Cursor(content)
+    channel, entries = cursor.number('H'), cursor.block()
+    cursor.finish()
+    if entries.left % 16:
+        raise DamageError('a message index has half an entry')
+    return channel, entries.left // 16
+
+
+def parse_metadata(content):
+    """Name and dict of a metadata record; DamageError if it is none."""
+    cursor = Cursor(content)
+    result = cursor.text(), dict(_pairs(cursor.block()))
+    cursor.finish()
+    return result
+
+
+def parse_statistics(content):
+    """Number of messages by channel; DamageError if it is no statistics record."""
+    cursor = Cursor(content)
+    total = cursor.numbers('QHIIIIQQ')[0]
+    entries = cursor.block()
+    cursor.finish()
+    if entries.left % 10:
+        raise DamageError('the statistics have half an entry')
+    counts = dict(struct.iter_unpack('<HQ', entries.take(entries.left)))
+    if sum(counts.values()) != total:
+        raise DamageError('the statistics do not add up')
+    return counts
+
+
+def _fixed(layout):
+    def parse(content):
+        cursor = Cursor(content)
+        result = cursor.numbers(layout)
+        cursor.finish()
+        return result
+
+    return parse
+
+
+def _texts(content):
+    cursor = Cursor(content)
+    result = cursor.text(), cursor.text()
+    cursor.finish()
+    return result
+
+
+def _metadata_index(content):
+    cursor = Cursor(content)
+    result = (*cursor.numbers('QQ'), cursor.text())
+    cursor.finish()
+    return result
+
+
+def _attachment(content):
+    cursor = Cursor(content)
+    cursor.numbers('QQ')
+    result = cursor.text(), cursor.text()
+    cursor.take(cursor.number('Q') + 4)
+    cursor.finish()
+    return result
+
+
+def _attachment_index(content):
+    cursor = Cursor(content)
+    cursor.numbers('QQQQQ')
+    result = cursor.text(), cursor.text()
+    cursor.finish()
+    return result
+
+
+def _message(content):
+    if len(content) < MESSAGE.size:
+        raise DamageError('a message is shorter than its head')
+    return MESSAGE.unpack_from(content)
+
+
+PARSERS = {
+    Opcode.HEADER: _texts,
+    Opcode.FOOTER: _fixed('QQI'),
+    Opcode.SCHEMA: parse_schema,
+    Opcode.CHANNEL: parse_channel,
+    Opcode.MESSAGE: _message,
+    Opcode.CHUNK: parse_chunk,
+    Opcode.MESSAGE_INDEX: parse_message_index,
+    Opcode.CHUNK_INDEX: parse_chunk_index,
+    Opcode.ATTACHMENT: _attachment,
+    Opcode.ATTACHMENT_INDEX: _attachment_index,
+    Opcode.STATISTICS: parse_statistics,
+    Opcode.METADATA: parse_metadata,
+    Opcode.METADATA_INDEX: _metadata_index,
+    Opcode.SUMMARY_OFFSET: _fixed('BQQ'),
+    Opcode.DATA_END: _fixed('I'),
+}
+"""Parsers of contents by opcode."""

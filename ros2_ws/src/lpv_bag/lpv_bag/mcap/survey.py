@@ -1,0 +1,89 @@
+"""What an MCAP file holds, and where: from its summary, or, if that is damaged, from the data."""
+
+from collections import Counter
+
+from mcap.opcode import Opcode
+
+from lpv_bag.mcap.records import HEADER, PARSERS, parse_metadata
+from lpv_bag.mcap.scan import scan
+from lpv_bag.mcap.summary import Unindexed, from_summary
+from lpv_bag.rosbag.errors import DamageError
+
+
+def survey(file):
+    """What a file holds: by its summary if that is whole, else by all its data.
+
+    Parameters
+    ----------
+    file : McapFile
+        The file.
+
+    Returns
+    -------
+    Survey
+        What was found; ``damages`` says what is wrong.
+
+    Raises
+    ------
+    BagError
+        If this is no MCAP file, or nothing of it can be used.
+    """
+    try:
+        result = from_summary(file.data)
+    except DamageError as error:
+        result = scan(file, str(error))
+        if isinstance(error, Unindexed) and result.complete and len(result.damages) == 1:
+            result.damages = []
+            result.counts = result.counts or _met(result)
+    result.library = _library(file.data)
+    return result
+
+
+def _met(result):
+    """Messages by channel as they were met."""
+    counts = Counter()
+    for block in result.blocks:
+        counts.update(block.counts)
+    return counts
+
+
+def _library(data):
+    """What wrote the file; '' where its header is damaged."""
+    if len(data) < 17:
+        return ''
+    length = HEADER.unpack_from(data, 8)[1]
+    try:
+        return PARSERS[Opcode.HEADER](data[17 : 17 + min(length, 1000)])[1]
+    except DamageError:
+        return ''
+
+
+def read_metadata(file, found):
+    """Metadata records of a survey, by name; those that are damaged are left out.
+
+    Parameters
+    ----------
+    file : McapFile
+        The file.
+    found : Survey
+        Of it.
+
+    Returns
+    -------
+    list of tuple
+        Name and dict.
+    """
+    result = []
+    for offset, name, content in found.metadata:
+        try:
+            if content is None:
+                if not 8 <= offset <= len(file.data) - 9:
+                    continue
+                opcode, length = HEADER.unpack_from(file.data, offset)
+                if opcode != Opcode.METADATA or length > len(file.data) - offset - 9:
+                    continue
+                name, content = parse_metadata(file.data[offset + 9 : offset + 9 + length])
+        except DamageError:
+            continue
+        result.append((name, content))
+    return result

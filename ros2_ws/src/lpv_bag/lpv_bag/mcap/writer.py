@@ -1,0 +1,379 @@
+"""Writing of one MCAP file so that at any moment what is written can be read.
+
+The records are those of the mcap package.  Chunks are cut by whoever writes: `McapWriter.cut`
+hands everything to the operating system, and nothing that is written later changes it.  The
+package's own writer has one level of compression, keeps what it could not write in a state that
+nobody can go on from, and defines topics in the first chunk alone.
+"""
+
+import os
+import struct
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from lpv_bag.mcap.records import HEADER, MAGIC
+
+_MESSAGE = struct.Struct('<BQHIQQ')
+_INDEX = struct.Struct('<BQHI')
+_CHUNK = struct.Struct('<BQQQQII')
+LIBRARY = 'lpv_bag numbered'
+"""In the header of a file: its messages are numbered as `McapWriter.write` says."""
+_REPEAT = 64
+
+
+class Preset(NamedTuple):
+    """How chunks are compressed.
+
+    Attributes
+    ----------
+    level : int or None
+        Of zstd; None stores as is.
+    chunk_size : int
+        Content after which a chunk is cut [bytes].
+    """
+
+    level: int
+    chunk_size: int
+
+
+PRESETS = {
+    'none': Preset(None, 1 << 20),
+    'zstd_fast': Preset(1, 1 << 20),
+    'zstd_small': Preset(12, 1 << 22),
+}
+"""Compression by name, after the presets of rosbag2."""
+
+
+class McapWriter:
+    """One file of a bag.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File to create.
+    preset : str, optional
+        Key of `PRESETS`.
+    fsync : bool, optional
+        Wait, after each chunk, until it is on the disk: a power failure then loses no more than a
+        crash.
+
+    Attributes
+    ----------
+    size : int
+        Bytes handed to the operating system.
+    start, end : int
+        Least and greatest log time [ns]; 0 without messages.
+    counts : dict of int to int
+        Messages by channel.
+    pending : int
+        Bytes of the chunk that is not yet cut.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be made.
+    """
+
+    def __init__(self, path, preset='none', fsync=False):
+        self.path, self._preset, self._fsync = path, PRESETS[preset], fsync
+        self._compress = None
+        if self._preset.level is not None:
+            self._compress = zstandard.ZstdCompressor(self._preset.level).compress
+        self.size = self.start = self.end = 0
+        self.counts = {}
+        self._schemas, self._channels, self._new = [], [], []
+        self._indexes, self._metadata = [], []
+        self._begin_chunk()
+        self._file = open(path, 'xb', buffering=0)  # noqa: SIM115
+        self._put(MAGIC + _bytes(Header('ros2', LIBRARY)))
+
+    def _begin_chunk(self):
+        self._content, self._chunk_start, self._chunk_end = bytearray(), None, 0
+        self._entries = {}
+
+    @property
+    def pending(self):
+        """Bytes of the chunk that is not yet cut."""
+        return len(self._content)
+
+    # -------------------------------------------------------------- definitions
+
+    def add_schema(self, name, encoding, data):
+        """Define a message type; its number."""
+        schema = Schema(len(self._schemas) + 1, data, encoding, name)
+        self._schemas.append(schema)
+        self._new.append(schema)
+        return schema.id
+
+    def add_channel(self, topic, schema, metadata):
+        """Define a topic; its number."""
+        channel = Channel(len(self._channels) + 1, topic, 'cdr', metadata, schema)
+        self._channels.append(channel)
+        self._new.append(channel)
+        self.counts[channel.id] = 0
+        return channel.id
+
+    # -------------------------------------------------------------- messages
+
+    def write(self, channel, log_time, data, publish_time, sequence):
+        """Take a message; a chunk that is full is cut.
+
+        Parameters
+        ----------
+        channel : int
+            As of `add_channel`.
+        log_time, publish_time : int
+            [ns].
+        data : bytes
+            CDR.
+        sequence : int
+            Number of the message on its topic, from 1 on: gaps show what was lost.
+
+        Raises
+        ------
+        OSError
+            If a chunk cannot be written.
+        """
+        content = self._content
+        if self._new:
+            self._define()
+        if self._chunk_start is None:
+            self._chunk_start = self._chunk_end = log_time
+        elif log_time < self._chunk_start:
+            self._chunk_start = log_time
+        elif log_time > self._chunk_end:
+            self._chunk_end = log_time
+        entry = self._entries.get(channel)
+        if entry is None:
+            entry = self._entries[channel] = []
+        entry += (log_time, len(content))
+        content += _MESSAGE.pack(
+            Opcode.MESSAGE, 22 + len(data), channel, sequence, log_time, publish_time
+        )
+        content += data
+        if len(content) >= self._preset.chunk_size:
+            self.cut()
+
+    def _define(self):
+        builder = RecordBuilder()
+        for record in self._new:
+            record.write(builder)
+        self._content += builder.end()
+        self._new = []
+
+    def cut(self):
+        """End the chunk, if it has messages, and hand it to the operating system.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written; the file then ends with the chunk before it.
+        """
+        if not self._entries:
+            return
+        content, entries = bytes(self._content), self._entries
+        self._begin_chunk()
+        self._put_chunk(
+            content, {channel: np.array(values, '<u8') for channel, values in entries.items()}
+        )
+
+    def put_chunk(self, content, entries):
+        """Write a chunk that is ready.
+
+        Parameters
+        ----------
+        content : bytes-like
+            Records of messages.
+        entries : dict of int to ndarray
+            By channel, log time [ns] and offset into ``content`` of each message in turn.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        self.cut()
+        if self._new:
+            self._put(b''.join(map(_bytes, self._new)))
+            self._new = []
+        self._put_chunk(content, entries)
+
+    def _put_chunk(self, content, entries):
+        if _is_repeated(len(self._indexes) + 1):
+            self._new = [*self._schemas, *self._channels]
+        start = min(int(values[::2].min()) for values in entries.values())
+        end = max(int(values[::2].max()) for values in entries.values())
+        data = content if self._compress is None else self._compress(content)
+        compression = '' if self._compress is None else 'zstd'
+        head = _CHUNK.pack(
+            Opcode.CHUNK,
+            40 + len(compression) + len(data),
+            start,
+            end,
+            len(content),
+            zlib.crc32(content),
+            len(compression),
+        )
+        head += compression.encode() + struct.pack('<Q', len(data))
+        length = len(head) + len(data)
+        offsets, tail = {}, bytearray()
+        for channel, values in sorted(entries.items()):
+            offsets[channel] = self.size + length + len(tail)
+            tail += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + 8 * len(values), channel, 8 * len(values))
+            tail += values.astype('<u8').tobytes()
+        index = ChunkIndex(
+            length, self.size, compression, len(data), end, len(tail), offsets, start, len(content)
+        )
+        self._put(head, data, tail)
+        self._indexes.append(index)
+        first = not any(self.counts.values())
+        self.start = start if first else min(start, self.start)
+        self.end = end if first else max(end, self.end)
+        for channel, values in entries.items():
+            self.counts[channel] += len(values) // 2
+
+    def _put(self, *parts):
+        """Write all of it or nothing: half a record would hide what comes behind it."""
+        try:
+            for part in parts:
+                view = memoryview(part)
+                while view:
+                    view = view[self._file.write(view) :]
+            if self._fsync:
+                os.fsync(self._file.fileno())
+        except OSError:
+            self._file.truncate(self.size)
+            self._file.seek(self.size)
+            raise
+        self.size += sum(map(len, parts))
+
+    # -------------------------------------------------------------- end
+
+    def add_metadata(self, name, values):
+        """Write a metadata record.
+
+        Parameters
+        ----------
+        name : str
+            Of the record.
+        values : dict of str to str
+            Content.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        record = _bytes(Metadata(name=name, metadata=values))
+        index = MetadataIndex(self.size, len(record), name)
+        self._put(record)
+        self._metadata.append(index)
+
+    @property
+    def tail_size(self):
+        """Bytes that `finish` will need, about."""
+        return (
+            sum(200 + len(s.data) for s in self._schemas)
+            + 1000 * len(self._channels)
+            + sum(80 + 10 * len(i.message_index_offsets) for i in self._indexes)
+            + 1000
+        )
+
+    def finish(self):
+        """Write the summary and close the file.
+
+        Where there is no room for it, the file is ended without a summary, so that it can be read
+        from the front; where there is not even room for that, it is left as it is.
+
+        Returns
+        -------
+        str
+            '', or what is missing at the end.
+        """
+        try:
+            return self._finish()
+        finally:
+            self._file.close()
+
+    def _finish(self):
+        error = None
+        try:
+            self.cut()
+        except OSError as failure:
+            error = failure
+        for make in (self._summary, self._bare_end):
+            try:
+                self._put(make())
+            except OSError as failure:
+                error = error or failure
+            else:
+                break
+        else:
+            return f'the end ({error.strerror})'
+        return f'the last messages or the summary ({error.strerror})' if error else ''
+
+    def _bare_end(self):
+        return _bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MAGIC
+
+    def _summary(self):
+        end = _bytes(DataEnd(0))
+        start = self.size + len(end)
+        groups = (
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, self._indexes),
+            (Opcode.METADATA_INDEX, self._metadata),
+        )
+        summary, offsets = bytearray(), bytearray()
+        for opcode, members in groups:
+            data = b''.join(map(_bytes, members))
+            if data:
+                offsets += _bytes(SummaryOffset(opcode, start + len(summary), len(data)))
+            summary += data
+        offset_start = start + len(summary)
+        summary += offsets
+        footer = _bytes(Footer(start, offset_start, 0))
+        crc = zlib.crc32(summary + footer[: HEADER.size + 16])
+        return bytes(end + summary + _bytes(Footer(start, offset_start, crc)) + MAGIC)
+
+    def _statistics(self):
+        return Statistics(
+            0,
+            len(self._channels),
+            dict(self.counts),
+            len(self._indexes),
+            sum(self.counts.values()),
+            self.end,
+            self.start,
+            len(self._metadata),
+            len(self._schemas),
+        )
+
+
+def _is_repeated(chunk):
+    """Whether a chunk repeats all definitions: no damaged one then costs the others theirs."""
+    return chunk % _REPEAT == 0 or chunk & (chunk - 1) == 0
+
+
+def _bytes(record):
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()

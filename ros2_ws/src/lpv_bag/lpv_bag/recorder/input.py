@@ -1,0 +1,277 @@
+"""What a recorder hears: raw messages of topics that come and go."""
+
+import fnmatch
+import importlib
+import struct
+from operator import itemgetter
+from typing import NamedTuple
+
+import rclpy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from lpv_bag.rosbag.writing import qos_profile
+
+_DEPTH = 20000
+_MOST = 2000
+"""Messages taken from one topic before the others have their turn."""
+_RECHECK = 20
+"""Searches after which publishers of known topics are looked at again."""
+# Stamped with the system's time even where everything else follows /clock.
+_SYSTEM_TIME = ('/rosout', '/parameter_events')
+
+
+class Heard(NamedTuple):
+    """A message as it came.
+
+    Attributes
+    ----------
+    received : int
+        System time at which it arrived in this process [ns].
+    topic : str
+        Its topic.
+    data : bytes
+        CDR.
+    sent : int
+        System time at which it was published [ns]; 0 where unknown.
+    publisher : bytes
+        Who sent it; None where unknown.
+    sequence : int
+        The publisher's number of it; None where unknown.
+    stamp : int
+        Stamp at its beginning [ns]; None for types without.
+    """
+
+    received: int
+    topic: str
+    data: bytes
+    sent: int
+    publisher: bytes
+    sequence: int
+    stamp: int
+
+
+class Selection(NamedTuple):
+    """Which topics are wanted.
+
+    Attributes
+    ----------
+    names : frozenset of str
+        Full names; empty for all.
+    excluded : tuple of str
+        Patterns of shells, against full names; they hold for all topics, not for named ones.
+    """
+
+    names: frozenset
+    excluded: tuple = ()
+
+    def chosen(self, topics):
+        """Those of some topics that are wanted, sorted."""
+        if self.names:
+            return sorted(self.names.intersection(topics))
+        return sorted(
+            t
+            for t in topics
+            if not any(part.startswith('_') for part in t.split('/'))
+            and not any(fnmatch.fnmatchcase(t, p) for p in self.excluded)
+        )
+
+
+class RecorderInput:
+    """Subscriptions that are emptied when asked, not by an executor.
+
+    An executor hands over one message at a time, and without the numbers that its publisher gave
+    it, by which lost ones are known.  Hence a node of its own, that no executor has.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The recorder, for the graph, the names and the context.
+    selection : Selection
+        Wanted topics.
+    check_type : callable
+        Takes a type's name; raises ValueError where its definition is not installed.
+    """
+
+    def __init__(self, node, selection, check_type):
+        self._node, self._selection, self._check_type = node, selection, check_type
+        self._own = rclpy.create_node(
+            f'{node.get_name()}_input',
+            namespace=node.get_namespace(),
+            context=node.context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._subscriptions, self._refused = {}, set()
+        self._complained = set()
+        self._searches = 0
+
+    @property
+    def topics(self):
+        """Names of the topics that are listened to."""
+        return list(self._subscriptions)
+
+    def close(self):
+        """Stop listening."""
+        self._subscriptions = {}
+        self._own.destroy_node()
+
+    # -------------------------------------------------------------- subscribing
+
+    def search(self):
+        """Subscribe to wanted topics that have a publisher now.
+
+        Returns
+        -------
+        list of tuple
+            Topic, type and offered QoS of each new one.
+        """
+        types = dict(self._node.get_topic_names_and_types())
+        found, self._searches = [], self._searches + 1
+        for topic in self._selection.chosen(types):
+            known = topic in self._refused or topic in self._subscriptions
+            if known and (topic in self._refused or self._searches % _RECHECK):
+                continue
+            publishers = [
+                p
+                for p in self._node.get_publishers_info_by_topic(topic)
+                if not self._is_recorder(p)
+            ]
+            if topic in self._subscriptions:
+                self._check_match(topic, publishers)
+            elif publishers:
+                entry = self._subscribe(topic, publishers)
+                found += [entry] if entry else []
+        return found
+
+    def _is_recorder(self, publisher):
+        return (
+            publisher.node_name == self._node.get_name()
+            and publisher.node_namespace == self._node.get_namespace()
+        )
+
+    def _subscribe(self, topic, publishers):
+        msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
+        reliable = all(_reliable(p) for p in publishers)
+        latched = all(_latched(p) for p in publishers)
+        try:
+            self._check_type(msgtype)
+            message_class = _message_class(msgtype)
+        except (ValueError, AttributeError, ImportError) as error:
+            self._node.get_logger().error(f'{topic} is not recorded: {error}')
+            self._refused.add(topic)
+            return None
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=_DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+        )
+        subscription = self._own.create_subscription(message_class, topic, _nobody, qos, raw=True)
+        stamped = _starts_with_time(message_class) and topic not in _SYSTEM_TIME
+        self._subscriptions[topic] = (subscription, stamped, msgtype, reliable, latched)
+        return topic, msgtype, qos_profile(reliable, latched, depth)
+
+    def _check_match(self, topic, publishers):
+        """A publisher that came later may offer less than was asked for, or another type."""
+        _, _, msgtype, reliable, latched = self._subscriptions[topic]
+        for publisher in publishers:
+            if publisher.topic_type != msgtype:
+                why = f'has type {publisher.topic_type}, not {msgtype}'
+            elif (reliable and not _reliable(publisher)) or (latched and not _latched(publisher)):
+                why = 'offers a lower quality of service than those before it'
+            else:
+                continue
+            who = f'{publisher.node_namespace}/{publisher.node_name}'.replace('//', '/')
+            if (topic, who) not in self._complained:
+                self._complained.add((topic, who))
+                self._node.get_logger().warning(
+                    f'{topic}: what {who} publishes is not recorded, it {why}'
+                )
+
+    @property
+    def complaints(self):
+        """Number of topics and publishers that are not recorded though they are wanted."""
+        return len(self._refused) + len(self._complained)
+
+    # -------------------------------------------------------------- taking
+
+    def poll(self):
+        """Everything that has come since the last time.
+
+        Returns
+        -------
+        list of Heard
+            In the order of arrival.
+        """
+        found = []  # with the time by which to sort: a topic keeps its order if the clock is set
+        for topic, (subscription, stamped, *_) in self._subscriptions.items():
+            with subscription.handle:
+                take, msgtype = subscription.handle.take_message, subscription.msg_type
+                newest = 0
+                for _ in range(_MOST):
+                    taken = take(msgtype, True)
+                    if taken is None:
+                        break
+                    data, info = taken
+                    heard = Heard(
+                        info['received_timestamp'],
+                        topic,
+                        data,
+                        info['source_timestamp'],
+                        _publisher(info),
+                        info.get('publication_sequence_number'),
+                        leading_stamp(data) if stamped else None,
+                    )
+                    newest = max(newest, heard.received)
+                    found.append((newest, heard))
+        found.sort(key=itemgetter(0))
+        return [heard for _, heard in found]
+
+
+def _nobody(_):
+    """Callback that is never called."""
+
+
+def _publisher(info):
+    """The publisher's identity; distributions before Kilted do not tell it."""
+    gid = info.get('publisher_gid')
+    return gid.get('data') if isinstance(gid, dict) else gid
+
+
+def _reliable(publisher):
+    return publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+
+
+def _latched(publisher):
+    return publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def _message_class(msgtype):
+    package, kind, name = msgtype.split('/')
+    return getattr(importlib.import_module(f'{package}.{kind}'), name)
+
+
+def _starts_with_time(message_class):
+    first = next(iter(message_class.get_fields_and_field_types().values()), '')
+    return first in ('std_msgs/Header', 'builtin_interfaces/Time')
+
+
+def leading_stamp(data):
+    """Stamp of a CDR message whose first field is a Header or a Time.
+
+    Parameters
+    ----------
+    data : bytes
+        CDR.
+
+    Returns
+    -------
+    int or None
+        [ns]; None if the message is too short to have one.
+    """
+    if len(data) < 12:
+        return None
+    order = '<' if data[1] & 1 else '>'
+    seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
+    return seconds * 1_000_000_000 + nanoseconds

@@ -1,0 +1,123 @@
+"""What a recorder knows of its topics: messages lost on the way, late ones, gaps."""
+
+import json
+import zlib
+from collections import deque
+from dataclasses import dataclass, field
+
+RECORD_NAME = 'lpv_recorder'
+"""Name of the metadata record of a file, and key of the custom data of a bag."""
+_WINDOW = 64
+_REGULAR = 0.9
+
+
+@dataclass
+class TopicCount:
+    """Counts of one topic.
+
+    Attributes
+    ----------
+    messages : int
+        Messages taken.
+    lost : int
+        Messages that were published and did not arrive, by the publishers' sequence numbers.
+    late : int
+        Messages whose stamp is older than one that came before.
+    gaps : int
+        Stamps that are missing, where stamps come at a regular period.
+    """
+
+    messages: int = 0
+    lost: int = 0
+    late: int = 0
+    gaps: int = 0
+    _newest: int = None
+    _sequences: dict = field(default_factory=dict)
+    _steps: deque = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    _period: int = 0
+
+    def take(self, publisher=None, sequence=None):
+        """Count a message.
+
+        Parameters
+        ----------
+        publisher : bytes, optional
+            Who sent it.
+        sequence : int, optional
+            The publisher's number of it; a publisher's first one is where counting begins.
+        """
+        self.messages += 1
+        if sequence is None:
+            return
+        last = self._sequences.get(publisher)
+        if last is None or sequence > last:
+            self._sequences[publisher] = sequence
+            if last is not None:
+                self.lost += sequence - last - 1
+        else:  # it was counted as lost when the next one came
+            self.lost = max(0, self.lost - 1)
+
+    def stamp(self, stamp):
+        """Take note of a message's stamp [ns]."""
+        if self._newest is None:
+            self._newest = stamp
+            return
+        step = stamp - self._newest
+        if step < 0:
+            self.late += 1
+            self.gaps = max(0, self.gaps - 1)
+            return
+        self._newest = stamp
+        if self._period and step > 1.5 * self._period:
+            self.gaps += round(step / self._period) - 1
+        self._steps.append(step)
+        if len(self._steps) == _WINDOW and self.messages % (_WINDOW // 2) == 0:
+            self._judge()
+
+    def _judge(self):
+        """The period, if nine steps of ten are within a quarter of it."""
+        steps = sorted(self._steps)
+        period = steps[_WINDOW // 2]
+        near = sum(abs(step - period) <= period / 4 for step in steps)
+        self._period = period if period > 0 and near >= _REGULAR * _WINDOW else 0
+
+    def known(self):
+        """Counts by name."""
+        return {'messages': self.messages, 'lost': self.lost, 'late': self.late, 'gaps': self.gaps}
+
+
+def as_text(known):
+    """JSON of the counts of all topics."""
+    return json.dumps(known, sort_keys=True, separators=(',', ':'))
+
+
+def as_metadata(known):
+    """Counts as a metadata record, which has no checksum of its own."""
+    text = as_text(known)
+    return {'topics': text, 'crc32': f'{zlib.crc32(text.encode()):08x}'}
+
+
+def from_metadata(values):
+    """Counts by topic from a metadata record.
+
+    Parameters
+    ----------
+    values : dict of str to str
+        Of the record.
+
+    Returns
+    -------
+    dict of str to dict of str to int
+        Counts by topic; empty if the record is damaged.
+    """
+    text = values.get('topics', '')
+    if values.get('crc32') != f'{zlib.crc32(text.encode()):08x}':
+        return {}
+    try:
+        known = json.loads(text)
+        return {
+            str(topic): {str(name): int(value) for name, value in counts.items()}
+            for topic, counts in known.items()
+        }
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return {}

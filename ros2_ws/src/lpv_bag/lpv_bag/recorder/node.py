@@ -1,0 +1,311 @@
+"""Recorder node: topics into a rosbag2 directory, exact bytes as they came."""
+
+import sys
+import time
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from lpv_bag.mcap.writer import PRESETS
+from lpv_bag.recorder.input import RecorderInput, Selection
+from lpv_bag.recorder.message_loss import TopicCount
+from lpv_bag.recorder.output_folder import copy_gains, free_path, read_gains_file
+from lpv_bag.recorder.stamp_sorter import StampOrder
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_core.support.errors import ConfigError
+from lpv_node.managed import ManagedNode, run_node
+from lpv_node.parameters import Spec, required_text
+
+SPECS = (
+    Spec(
+        'output',
+        '',
+        'bag directory to create; if it exists, one with a number behind its name is made',
+        read_only=True,
+    ),
+    Spec(
+        'topics',
+        [
+            'joint_states',
+            'torque_command',
+            'state_estimate',
+            'fault_estimate',
+            'fault_alarm',
+            'reference',
+            'ground_truth',
+            '/diagnostics',
+        ],
+        "topics to record; relative names are resolved in the node's namespace",
+        read_only=True,
+    ),
+    Spec(
+        'all',
+        False,
+        'record all topics but hidden and excluded ones, not those of "topics"',
+        read_only=True,
+    ),
+    Spec(
+        'exclude',
+        ['/rosout', '/parameter_events'],
+        'patterns of topics that "all" leaves out, as of a shell, against full names',
+        read_only=True,
+    ),
+    Spec('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS), read_only=True),
+    Spec(
+        'split_size',
+        0,
+        'a new file is begun at so many MiB; 0 for never',
+        0,
+        1 << 20,
+        read_only=True,
+    ),
+    Spec(
+        'split_duration',
+        0.0,
+        'a new file is begun after so many seconds of log time; 0 for never [s]',
+        0.0,
+        1e6,
+        read_only=True,
+    ),
+    Spec(
+        'flush_period',
+        0.25,
+        'longest time that a message stays in this process; in lockstep '
+        'chunks are cut by stamps instead [s]',
+        0.02,
+        0.5,
+        read_only=True,
+    ),
+    Spec(
+        'fsync',
+        False,
+        'wait after each chunk until it is on the disk: a power failure then '
+        'loses no more than a crash',
+        read_only=True,
+    ),
+    Spec(
+        'gains_file',
+        '',
+        'gains file of this run, copied into the bag as gains.yaml; may be empty',
+        read_only=True,
+    ),
+)
+_POLL = 0.01
+_CHUNK_TIME = 250_000_000
+_SPARE = 1 << 20
+"""Free space that is left alone: what is to be written when all is over needs some [bytes]."""
+
+
+class RecorderNode(ManagedNode):
+    """Records topics as soon as they have a publisher, with its QoS.
+
+    Messages are stored as they came, and the log time is the time of reception.  In lockstep it is
+    the message's own stamp, messages are sorted, and what lies between their fields is zeroed, so
+    that runs with the same seed give the same bag byte by byte.
+    """
+
+    drain_time = 0.5
+
+    def __init__(self):
+        super().__init__('recorder', SPECS)
+        self._writer = self._input = None
+        self._clockwork = []
+        self._announced, self._types, self._counts = {}, {}, {}
+        self._order = StampOrder(self._write)
+        self._taken, self._flushed = 0, 0.0
+        self._stopping, self._failure = None, ''
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._label = f'{self.get_fully_qualified_name()}: recording'
+        # Nobody wants to read in a bag how it was written; and it would differ between runs.
+        self._own_mark = self._label.encode() + b'\0'
+
+    def setup(self):
+        """Open the bag."""
+        value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
+        names = frozenset(self.resolve_topic_name(name) for name in value['topics'])
+        if not names and not value['all']:
+            raise ConfigError('topics', 'names no topic, and "all" is not set', self.get_name())
+        self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
+        self._flush_period = value['flush_period']
+        gains = read_gains_file(value['gains_file']) if value['gains_file'] else None
+        output = required_text(self, 'output')
+        path = free_path(output)
+        if str(path) != str(Path(output)):
+            self.get_logger().warning(f'{output} exists already: recording into {path}')
+        self._writer = BagWriter(
+            path,
+            value['preset'],
+            value['split_size'] << 20,
+            round(value['split_duration'] * 1e9),
+            _CHUNK_TIME if self.lockstep else 0,
+            value['fsync'],
+        )
+        if gains is not None:
+            copy_gains(gains, self._writer.path)
+
+    def begin(self):
+        """Listen to the wanted topics."""
+        if self._writer is None:
+            self.get_logger().error('the bag is closed: a new recording needs a new node')
+            return
+        self._input = RecorderInput(self, self._selection, self._writer.check_type)
+        self._clockwork = [
+            self.steady_timer(period, callback)
+            for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report))
+        ]
+        what = f'{len(self._selection.names)} topics' if self._selection.names else 'all topics'
+        self.get_logger().info(f'recording {what} into {self._writer.path}')
+
+    def stopping(self):
+        """What was published until now is to be recorded."""
+        self._stopping = time.time_ns()
+
+    def progress(self):
+        """Messages taken so far that were published before the node was told to stop."""
+        return self._taken
+
+    def end(self):
+        """Take what is left, and close the bag."""
+        for timer in self._clockwork:
+            self.destroy_timer(timer)
+        self._clockwork = []
+        if self._input is not None:
+            self._poll()
+        if self._writer is not None:
+            self._order.flush()
+        if self._writer is not None:
+            self._close()
+            self._report()
+
+    def teardown(self):
+        """Close the bag of a recording that never began."""
+        self.end()
+
+    # -------------------------------------------------------------- messages
+
+    def _search(self):
+        if self._input is None:
+            return
+        for topic, msgtype, offered in self._input.search():
+            self._announced[topic] = (msgtype, offered)
+            self._types[topic] = msgtype
+            self._counts[topic] = TopicCount()
+
+    def _poll(self):
+        for heard in self._input.poll() if self._input is not None else ():
+            if self._stopping is None or heard.sent < self._stopping:
+                self._taken += 1
+            if (
+                heard.topic != '/diagnostics' or self._own_mark not in heard.data
+            ) and self._writer is not None:
+                self._take(heard)
+        if self._writer is not None and time.monotonic() - self._flushed >= self._flush_period:
+            self._flush()
+
+    def _take(self, heard):
+        count = self._counts[heard.topic]
+        count.take(heard.publisher, heard.sequence)
+        if heard.stamp is not None:
+            count.stamp(heard.stamp)
+        if not self.lockstep:
+            use_clock = self.get_parameter('use_sim_time').value or not heard.received
+            now = self.get_clock().now().nanoseconds if use_clock else heard.received
+            self._write(heard.topic, now, heard.data, heard.sent or now)
+        elif heard.stamp is not None:
+            # Runs with one seed are to give the same bytes, garbage between fields included.
+            data = self._writer.without_garbage(self._types[heard.topic], heard.data)
+            self._order.add(heard.topic, heard.stamp, data)
+        else:
+            self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
+
+    def _write(self, topic, stamp, data, sent=None):
+        if self._writer is None:
+            return
+        try:
+            if self._announced:
+                self._announce_all()
+            # A driver that does not know the time may stamp with anything; a bag cannot.
+            self._writer.write_raw(
+                topic, max(0, stamp), data, None if sent is None else max(0, sent)
+            )
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+
+    def _announce_all(self):
+        """Topics in the order of their names, however they were found."""
+        for topic in sorted(self._announced):
+            msgtype, offered = self._announced.pop(topic)
+            self._writer.add_topic(topic, msgtype, [offered])
+
+    def _flush(self):
+        self._flushed = time.monotonic()
+        try:
+            if self._writer.room() < _SPARE:
+                self._fail('no space left on device')
+            elif not self.lockstep:
+                self._writer.flush()
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+
+    # -------------------------------------------------------------- end
+
+    def _fail(self, reason):
+        """Stop recording; the node lives on to say so."""
+        if self._failure:
+            return
+        self._failure, self.exit_code = reason, 1
+        self._close()
+        self.get_logger().fatal(f'recording stopped: {reason}; {self._kept}')
+        self._report()
+
+    def _close(self):
+        writer, self._writer = self._writer, None
+        if self._input is not None:
+            self._input.close()
+            self._input = None
+        total = sum(writer.counts.values())
+        missing = writer.close(
+            {topic: count.known() for topic, count in sorted(self._counts.items())}
+        )
+        self._kept = f'bag closed with {total} messages, {writer.size} bytes'
+        if missing:
+            self._kept += f', without {missing}: lpv recover repairs it'
+        self.get_logger().info(self._kept)
+
+    def _report(self):
+        """State of the recording on /diagnostics."""
+        status = DiagnosticStatus(
+            name=self._label,
+            hardware_id='',
+            values=[KeyValue(key=key, value=str(value)) for key, value in self._values()],
+        )
+        lost = sum(count.lost for count in self._counts.values())
+        if self._failure:
+            status.level = DiagnosticStatus.ERROR
+            status.message = f'recording stopped: {self._failure}'
+        elif lost or (self._input is not None and self._input.complaints):
+            status.level = DiagnosticStatus.WARN
+            status.message = f'{lost} messages lost' if lost else 'some topics are not recorded'
+        else:
+            status.level = DiagnosticStatus.OK
+            status.message = 'recording' if self._writer is not None else 'bag closed'
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _values(self):
+        if self._writer is not None:
+            yield 'bytes', self._writer.size
+            yield 'files', self._writer.files
+        for topic, count in sorted(self._counts.items()):
+            for name, value in count.known().items():
+                yield f'{topic} {name}', value
+
+
+def main(argv=None):
+    """Entry point of ``ros2 run lpv_bag recorder``."""
+    sys.exit(run_node(RecorderNode, argv))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,77 @@
+"""Where a recorder puts its bag, and what it lays beside the recorded files."""
+
+import os
+from itertools import count
+from pathlib import Path
+
+from lpv_core.certificate.gains import load_gains
+from lpv_core.support.errors import ConfigError
+
+GAINS_NAME = 'gains.yaml'
+"""Of the copy of the gains that a run was answered with."""
+
+
+def free_path(path):
+    """The path itself, or the first of ``path_1``, ``path_2``, ... that nothing is at.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Wanted directory.
+
+    Returns
+    -------
+    pathlib.Path
+        Where nothing is; not even a broken link.
+    """
+    path = Path(path)
+    if not os.path.lexists(path):
+        return path
+    names = (path.with_name(f'{path.resolve().name}_{number}') for number in count(1))
+    return next(name for name in names if not os.path.lexists(name))
+
+
+def read_gains_file(path):
+    """Text of a gains file, for `copy_gains`.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Gains file; at most `lpv_core.support.config.MAX_BYTES` long.
+
+    Returns
+    -------
+    bytes
+        Its content.
+
+    Raises
+    ------
+    ConfigError
+        If it is no gains file.
+    """
+    load_gains(path)
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
+
+
+def copy_gains(data, folder):
+    """Lay a gains file beside the files of a bag.
+
+    Parameters
+    ----------
+    data : bytes
+        Of `read_gains_file`.
+    folder : pathlib.Path
+        The bag.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be written.
+    """
+    try:
+        (folder / GAINS_NAME).write_bytes(data)
+    except OSError as error:
+        raise ConfigError('gains_file', f'cannot be copied: {error}', str(folder)) from error

@@ -1,0 +1,1 @@
+"""Replaying bags: offline through the diagnosis, or into a live graph."""

@@ -1,0 +1,183 @@
+"""Answers as records of messages, thousands at once, byte for byte as one by one."""
+
+import numpy as np
+
+from lpv_bag.mcap.blocks import RECORD_HEADER
+from lpv_bag.rosbag.cdr_layout import find_layout
+from lpv_bag.rosbag.chunk_writing import RECORD, record_head
+from lpv_core.monitoring.monitor import ANSWER
+from lpv_core.observer.sampled_observer import NANOSECONDS
+
+STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
+ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
+DIAGNOSTICS_TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
+
+
+def padded_cdr(typestore, message, msgtype):
+    """CDR of a message, padded to four bytes.
+
+    Parameters
+    ----------
+    typestore : rosbags.typesys.store.Typestore
+        Knows the type.
+    message : object
+        Of the typestore.
+    msgtype : str
+        Its type.
+
+    Returns
+    -------
+    bytes
+        DDS pads samples, and so does a recorder: bags can then be compared.
+    """
+    data = bytes(typestore.serialize_cdr(message, msgtype))
+    return data + bytes(-len(data) % 4)
+
+
+class RecordTemplate:
+    """Records of one message type of which only header stamp and numbers change.
+
+    All numbers have to be given in every call, or in none: memory is used again.
+
+    Parameters
+    ----------
+    typestore : rosbags.typesys.store.Typestore
+        Knows the type.
+    message : object
+        An example.
+    msgtype : str
+        Its type.
+    channel : int
+        Id of the channel.
+    """
+
+    def __init__(self, typestore, message, msgtype, channel):
+        data = padded_cdr(typestore, message, msgtype)
+        layout = find_layout(data, msgtype, typestore)
+        self._record = record_head(channel, 0, len(data)) + data
+        fields = {name: (RECORD[name], RECORD.fields[name][1]) for name in RECORD.names}
+        for name, field in layout.fields.items():
+            # Vectors as one piece: one copy in place of one for every element.
+            size = np.dtype(field.dtype).itemsize * field.count
+            fields[name] = (np.dtype(f'V{size}'), RECORD_HEADER + field.offset)
+        self._dtype = np.dtype(
+            {
+                'names': list(fields),
+                'formats': [f[0] for f in fields.values()],
+                'offsets': [f[1] for f in fields.values()],
+                'itemsize': len(self._record),
+            }
+        )
+        self._fields, self._records = layout.fields, np.empty(0, self._dtype)
+
+    def fill(self, time, stamp, values):
+        """Records of messages.
+
+        Parameters
+        ----------
+        time, stamp : ndarray of int64, shape (n,)
+            Log times and header stamps [ns].
+        values : dict of str to ndarray, or structured ndarray of shape (n,)
+            Numbers by field.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Records, of a structured type; they are lost with the next call.
+        """
+        if len(self._records) < len(time):
+            size = len(self._record)
+            self._records = np.full(
+                len(time), np.frombuffer(self._record, f'V{size}')[0], f'V{size}'
+            ).view(self._dtype)
+        records = self._records[: len(time)]
+        records['log_time'] = records['publish_time'] = time
+        seconds = stamp // NANOSECONDS
+        self._set(records, 'header.stamp.sec', seconds)
+        self._set(records, 'header.stamp.nanosec', stamp - seconds * NANOSECONDS)
+        if isinstance(values, dict):
+            for name, array in values.items():
+                self._set(records, name, array)
+        else:
+            self._copy(np.asarray(values), records)
+        return records
+
+    def _set(self, records, name, array):
+        values = np.ascontiguousarray(array, self._fields[name].dtype)
+        records[name] = np.frombuffer(values, self._dtype[name]) if len(values) else ()
+
+    def _copy(self, values, records):
+        """Fields that follow each other here and there are one piece."""
+        runs = []
+        for name in values.dtype.names:
+            kind, start = values.dtype.fields[name][:2]
+            field = self._fields[name]
+            to = RECORD_HEADER + field.offset
+            if kind.itemsize != np.dtype(field.dtype).itemsize * field.count:
+                raise ValueError(f'{name} has another size in the message')
+            if runs and (runs[-1][0] + runs[-1][2], runs[-1][1] + runs[-1][2]) == (start, to):
+                runs[-1][2] += kind.itemsize
+            else:
+                runs.append([start, to, kind.itemsize])
+        for start, to, size in runs:
+            _piece(records, to, size)['piece'] = _piece(values, start, size)['piece']
+
+
+def _piece(array, offset, size):
+    """View of some bytes of each element of a structured array."""
+    return array.view(
+        np.dtype(
+            {
+                'names': ['piece'],
+                'formats': [f'V{size}'],
+                'offsets': [offset],
+                'itemsize': array.dtype.itemsize,
+            }
+        )
+    )
+
+
+class AnswerEncoder:
+    """Encodes the answers of one monitor.
+
+    Parameters
+    ----------
+    messages : BagMessages
+        Message factory.
+    typestore : rosbags.typesys.store.Typestore
+        Of the new bag.
+    sensor_names : sequence of str
+        Sensors of the arm.
+    channels : dict of str to int
+        Channel ids of ``state``, ``fault``, ``alarm`` and ``diagnostics``.
+    """
+
+    def __init__(self, messages, typestore, sensor_names, channels):
+        self._messages, self._typestore, self.channels = messages, typestore, channels
+        self._state = self._template(STATE_TYPE, 'state', {})
+        self._fault = self._template(FAULT_TYPE, 'fault', {'sensor_names': list(sensor_names)})
+
+    def _template(self, msgtype, kind, fields):
+        zero = np.zeros(1, ANSWER[kind])[0]
+        fields = {**fields, **{name: zero[name].tolist() for name in zero.dtype.names}}
+        return RecordTemplate(
+            self._typestore, self._messages.make(msgtype, 0, fields), msgtype, self.channels[kind]
+        )
+
+    def state(self, time, stamp, answers, chosen):
+        """Records of lpv_msgs/StateEstimate for some rows of the answers."""
+        return self._state.fill(time[chosen], stamp[chosen], answers.state[chosen])
+
+    def fault(self, time, stamp, answers, chosen):
+        """Records of lpv_msgs/FaultEstimate for some rows of the answers."""
+        return self._fault.fill(time[chosen], stamp[chosen], answers.fault[chosen])
+
+    def alarm(self, stamp, fields):
+        """CDR of an lpv_msgs/FaultAlarm."""
+        message = self._messages.make(ALARM_TYPE, stamp, fields)
+        return padded_cdr(self._typestore, message, ALARM_TYPE)
+
+    def diagnostics(self, stamp, status):
+        """CDR of a diagnostic_msgs/DiagnosticArray."""
+        message = self._messages.diagnostics(stamp, status)
+        return padded_cdr(self._typestore, message, DIAGNOSTICS_TYPE)

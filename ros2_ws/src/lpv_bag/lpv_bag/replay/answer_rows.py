@@ -1,0 +1,93 @@
+"""Answers of a monitor to all measurements of a block, regular and odd ones."""
+
+import numpy as np
+
+from lpv_core.monitoring.monitor import ANSWER, Answers
+from lpv_core.support.errors import SampleError
+
+_ARRAYS = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault')
+
+
+def take_all(monitor, measured, torque, rejected):
+    """Answers to the measurements of a block.
+
+    Parameters
+    ----------
+    monitor : SensorMonitor
+        Its state goes on from block to block.
+    measured : Measurements
+        n measurements.
+    torque : ndarray, shape (n, 2), or None
+        In place of the measured efforts [N m].
+    rejected : collections.Counter
+        Receives the reasons of measurements that could not be used.
+
+    Returns
+    -------
+    lpv_core.monitoring.monitor.Answers
+        One row a measurement.
+    """
+    effort = measured.effort if torque is None else torque
+
+    def regular(a, b):
+        return monitor.take_many(
+            measured.stamp[a:b], measured.position[a:b], measured.velocity[a:b], effort[a:b]
+        )
+
+    if not measured.odd:
+        return regular(0, len(effort))
+    parts, done = [], 0
+    for row in sorted(measured.odd):
+        parts += [regular(done, row)] if row > done else []
+        parts.append(
+            _take_one(
+                monitor,
+                int(measured.stamp[row]),
+                measured.odd[row],
+                None if torque is None else torque[row],
+                rejected,
+            )
+        )
+        done = row + 1
+    if done < len(effort):
+        parts.append(regular(done, len(effort)))
+    return _join(parts)
+
+
+def _take_one(monitor, stamp, message, torque, rejected):
+    try:
+        return _as_row(monitor.take(stamp, message, torque))
+    except SampleError as error:
+        rejected[str(error)] += 1
+        return _as_row(None)
+
+
+def _as_row(answer):
+    """One answer, or None, as arrays of one row."""
+    row = np.zeros(1, ANSWER).view(np.recarray)
+    result = Answers(*(row[name] for name in _ARRAYS), [], [])
+    if answer is None:
+        return result
+    row.answered, row.has_fault = True, answer.fault is not None
+    row.restarted, row.inconsistent = answer.restarted, answer.inconsistent
+    for part, fields in ((row.state, answer.state), (row.fault, answer.fault)):
+        for name in part.dtype.names if fields is not None else ():
+            part[name][0] = fields[name]
+    result.events = [(0, event) for event in answer.events]
+    result.reports = [(0, answer.status)] if answer.status is not None else []
+    return result
+
+
+def _join(parts):
+    starts = np.cumsum([0] + [len(p.answered) for p in parts])
+    arrays = [np.concatenate([np.asarray(getattr(p, name)) for p in parts]) for name in _ARRAYS]
+    arrays = [a.view(np.recarray) if a.dtype.names else a for a in arrays]
+    lists = [
+        [
+            (int(start) + row, what)
+            for start, p in zip(starts, parts)
+            for row, what in getattr(p, name)
+        ]
+        for name in ('events', 'reports')
+    ]
+    return Answers(*arrays, *lists)

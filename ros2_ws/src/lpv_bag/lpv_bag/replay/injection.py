@@ -1,0 +1,104 @@
+"""Faults added to recorded measurements."""
+
+import numpy as np
+
+from lpv_bag.rosbag.cdr_layout import rows
+from lpv_core.model.joints import JointMap
+from lpv_core.simulation.faults import rate_bias
+
+CHANGED = ('position', 'velocity')
+"""Fields of a measurement that faults act on."""
+
+
+class BlockInjector:
+    """Adds faults to the measurements of block after block.
+
+    Parameters
+    ----------
+    injector : FaultInjector
+        The faults; their times count from the first measurement.
+    monitor : SensorMonitor
+        Knows the arm.
+    """
+
+    def __init__(self, injector, monitor):
+        self._injector = injector
+        self._arm, self._joints = monitor.arm, JointMap(monitor.arm)
+        self._start, self._active = None, False
+
+    def apply(self, block, positions, measured, places):
+        """Change measurements, in their arrays and in the bytes that will be copied.
+
+        Parameters
+        ----------
+        block : Block
+            Its data are replaced by changed ones.
+        positions : ndarray of int, shape (n,)
+            Measurements in the block.
+        measured : Measurements
+            They, decoded.
+        places : dict of str to ndarray of int, shape (n, 2)
+            Where their values are in the block's data, by the names in `CHANGED`.
+
+        Returns
+        -------
+        dict of int to object
+            Odd messages by row that were changed.
+        """
+        if not len(positions):
+            return {}
+        if self._start is None:
+            self._start = int(measured.stamp[0])
+        times = (measured.stamp - self._start) / 1e9
+        active = np.zeros(len(times), bool)
+        for fault in self._injector.faults:
+            active |= (times >= fault.onset) & (
+                (times < fault.onset + fault.duration) | (fault.duration <= 0.0)
+            )
+        # One sample after a fault: what has frozen must thaw.
+        after = active | np.concatenate([[self._active], active[:-1]])
+        self._active = bool(active[-1])
+        changed = {}
+        for row in np.flatnonzero(after):
+            if row in measured.odd:
+                if self._odd(measured.odd[row], times[row]):
+                    changed[int(row)] = measured.odd[row]
+            else:
+                vectors = [getattr(measured, name)[row] for name in CHANGED]
+                faulty = self._faulty(*vectors, times[row])
+                if active[row]:
+                    for vector, values in zip(vectors, faulty):
+                        vector[:] = values
+        self._write(block, measured, places, active)
+        return changed
+
+    @staticmethod
+    def _write(block, measured, places, active):
+        regular = np.flatnonzero(active & (places['position'][:, 0] >= 0))
+        if len(regular):
+            block.data = block.data.copy()
+            for name in CHANGED:
+                rows(block.data, '<f8')[places[name][regular]] = getattr(measured, name)[regular]
+
+    def _faulty(self, position, velocity, time):
+        """Position and rate with what the faults make of them."""
+        reading = self._joints.sensor_position(position)
+        faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
+        bias = [rate_bias(self._injector.records, i, float(time)) for i in range(2)]
+        if any(bias):
+            velocity = self._joints.joint_velocity_from_sensor(
+                self._joints.sensor_velocity(velocity) + bias
+            )
+        return self._joints.joint_from_sensor(faulty), velocity
+
+    def _odd(self, message, time):
+        try:
+            columns = [list(message.name).index(name) for name in self._arm.joint_names]
+            faulty = self._faulty(message.position[columns], message.velocity[columns], time)
+        except (ValueError, IndexError):
+            return False  # the monitor will say what is wrong with this message
+        for name, values in zip(CHANGED, faulty):
+            whole = getattr(message, name).copy()  # what is read from a bag is read-only
+            whole[columns] = values
+            setattr(message, name, whole)
+        return True

@@ -1,0 +1,178 @@
+"""Plays a bag into a live graph, with its clock."""
+
+import importlib
+import time
+from itertools import count
+
+import rclpy
+from rclpy.context import Context
+from rosgraph_msgs.msg import Clock
+
+from lpv_bag.replay.playback import Playback, await_acknowledgement, recorded_qos
+from lpv_bag.replay.writer import DIAGNOSTICS, OUTPUTS
+from lpv_bag.run.measurements import MEASUREMENT_TYPE
+from lpv_bag.run.record import BagError, find_topic, open_bag
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.errors import ConfigError
+
+_CLOCK = '/clock'
+_SETTLING = 1.0
+"""Subscribers find publishers one after the other: so long after the latest one [s]."""
+
+_LAST_CALL = 5.0
+"""How long slow subscribers may take for the last messages [s]."""
+
+
+class Player:
+    """Publishes the messages of a bag, byte for byte, in their rhythm.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        The bag.
+    topics : sequence of str, optional
+        Topics to play; all but the answers of the diagnosis, which a live one gives itself, if
+        not given.
+    measured : str, optional
+        Topic of the measurements, where there are several.
+    rate : float, optional
+        Speed; 2 is twice as fast as recorded.
+    loop : bool, optional
+        Start again at the end, until interrupted.
+    clock_rate : float, optional
+        Messages on /clock per second of the bag [Hz]; 0 for none.
+    wait : float, optional
+        Longest time to wait for a subscriber before the first message [s].
+    interval : tuple of float or None, optional
+        Start and end, counted from the first message [s].
+
+    Raises
+    ------
+    ConfigError
+        If a number is not usable.
+    """
+
+    def __init__(
+        self,
+        bag,
+        topics=None,
+        measured=None,
+        rate=1.0,
+        loop=False,
+        clock_rate=100.0,
+        wait=5.0,
+        interval=(None, None),
+    ):
+        for name, value, low, high in (
+            ('--rate', rate, 1e-3, 1e3),
+            ('--wait', wait, 0.0, 1e6),
+            ('--clock-rate', clock_rate, 0.0, 1e4),
+        ):
+            if not low <= value <= high:
+                raise ConfigError(name, f'must be a number from {low:g} to {high:g}, got {value}')
+        for value in interval:
+            if value is not None and not 0.0 <= value < 1e9:
+                raise ConfigError('--from, --to', f'must be seconds from 0, got {value}')
+        self._bag, self._topics, self._measured = bag, topics, measured
+        self._rate, self._loop, self._wait = rate, loop, wait
+        self._tick = round(NANOSECONDS / clock_rate) if clock_rate else None
+        self._interval = interval
+
+    def run(self, say=lambda text: None, rounds=None):
+        """Play until the end, or until the context is shut down.
+
+        Parameters
+        ----------
+        say : callable, optional
+            Receives lines for the user.
+        rounds : int, optional
+            End a loop after so many.
+
+        Returns
+        -------
+        int
+            Messages published.
+
+        Raises
+        ------
+        BagError
+            If the bag cannot be read or holds nothing that can be played.
+        """
+        with open_bag(self._bag) as reader:
+            chosen = self._choose(reader)
+            context = Context()
+            rclpy.init(context=context)
+            node = rclpy.create_node('lpv_player', context=context)
+            try:
+                publishers = _publishers(node, chosen, say)
+                if not publishers:
+                    raise BagError(f'{self._bag}: no type of its topics is installed here')
+                clock = node.create_publisher(Clock, _CLOCK, 10) if self._tick else None
+                chosen = [c for c in chosen if c.topic in publishers]
+                self._await([*publishers.values(), *([clock] if clock else [])], say)
+                playback = Playback(
+                    reader, chosen, publishers, self._rate, clock, self._tick, context.ok
+                )
+                published = 0
+                for turn in count():
+                    published += playback.run(*self._limits(reader))
+                    if not self._loop or turn + 1 == rounds or not context.ok():
+                        await_acknowledgement(publishers.values(), _LAST_CALL)
+                        return published
+            finally:
+                node.destroy_node()
+                rclpy.try_shutdown(context=context)
+
+    def _choose(self, reader):
+        if self._topics is not None:
+            there = {c.topic for c in reader.connections}
+            missing = [t for t in self._topics if t not in there]
+            if missing:
+                raise BagError(
+                    f'{self._bag}: the bag has no topic {missing[0]!r}; it has '
+                    + ', '.join(sorted(there))
+                )
+            return [c for c in reader.connections if c.topic in self._topics]
+        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', self._measured).topic
+        prefix = measured.rsplit('/', 1)[0]
+        answers = {f'{prefix}/{name}' for name, _ in OUTPUTS.values()} | {DIAGNOSTICS, _CLOCK}
+        return [c for c in reader.connections if c.topic not in answers]
+
+    def _await(self, publishers, say):
+        """Wait for somebody who listens, and until no more come."""
+        counts, since = [0] * len(publishers), time.monotonic()
+        deadline = since + self._wait
+        while (now := time.monotonic()) < deadline:
+            before, counts = counts, [p.get_subscription_count() for p in publishers]
+            if counts != before:
+                since = now
+            if any(counts) and now - since >= _SETTLING:
+                return
+            time.sleep(0.02)
+        if self._wait and not any(counts):
+            say('nobody listens; playing all the same')
+
+    def _limits(self, reader):
+        return tuple(
+            None if value is None else reader.start_time + round(value * NANOSECONDS)
+            for value in self._interval
+        )
+
+
+def _publishers(node, connections, say):
+    found, topics = {}, {}
+    for connection in connections:
+        topics.setdefault(connection.topic, []).append(connection)
+    for connection in connections:
+        if connection.topic in found:
+            continue
+        try:
+            package, _, name = connection.msgtype.split('/')
+            message = getattr(importlib.import_module(f'{package}.msg'), name)
+        except (ImportError, AttributeError, ValueError):
+            say(f'{connection.topic} is left out: {connection.msgtype} is not installed')
+            continue
+        found[connection.topic] = node.create_publisher(
+            message, connection.topic, recorded_qos(topics[connection.topic])
+        )
+    return found

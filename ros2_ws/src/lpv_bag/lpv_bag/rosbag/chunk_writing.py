@@ -1,0 +1,106 @@
+"""Bags that are written a chunk at a time."""
+
+import struct
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from lpv_bag.rosbag.cdr_layout import rows
+from lpv_bag.rosbag.writing import BagWriter
+
+RECORD = np.dtype(
+    [
+        ('kind', 'u1'),
+        ('length', '<u8'),
+        ('channel', '<u2'),
+        ('sequence', '<u4'),
+        ('log_time', '<u8'),
+        ('publish_time', '<u8'),
+    ]
+)
+"""Head of a message's record."""
+_SEQUENCE = RECORD.fields['sequence'][1]
+
+
+def record_head(channel, time, size):
+    """Head of a message's record.
+
+    Parameters
+    ----------
+    channel : int
+        Id of the channel.
+    time : int
+        Log time [ns].
+    size : int
+        Of the message [bytes].
+
+    Returns
+    -------
+    bytes
+        To be followed by the message.
+    """
+    return struct.pack('<BQHIQQ', Opcode.MESSAGE, size + 22, channel, 0, time, time)
+
+
+class ChunkBagWriter(BagWriter):
+    """A bag writer that also takes chunks which are ready.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Directory to create.
+    preset : str, optional
+        Compression, key of `lpv_bag.mcap.writer.PRESETS`.
+    custom_data : dict of str to str, optional
+        To be stored in metadata.yaml.
+
+    Raises
+    ------
+    ConfigError
+        If it exists already or cannot be made.
+    """
+
+    def __init__(self, path, preset='none', custom_data=None):
+        self._custom_data = custom_data or {}
+        super().__init__(path, preset)
+
+    def channel(self, topic):
+        """Channel id of an announced topic."""
+        return self._channels[topic]
+
+    def write_chunk(self, data, index):
+        """Write a chunk.
+
+        Parameters
+        ----------
+        data : ndarray of uint8
+            Records of messages; their sequence numbers are set here.
+        index : dict of int to tuple of two ndarray of int64
+            Log times [ns] and offsets into ``data`` of the messages of each channel, in the order
+            of their offsets.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        self.flush()
+        for topic, channel in self._channels.items():
+            if channel in index:
+                places = index[channel][1]
+                numbers = np.arange(1, len(places) + 1) + self.counts[topic]
+                rows(data, '<u4')[places + _SEQUENCE] = numbers & 0xFFFFFFFF
+                self.counts[topic] += len(places)
+        # Signed and unsigned numbers together would become floats, and lose nanoseconds.
+        self._file.put_chunk(
+            data,
+            {
+                channel: np.column_stack([c.astype('<u8') for c in columns]).ravel()
+                for channel, columns in index.items()
+            },
+        )
+
+    def _information(self, files, known):
+        found = super()._information(files, known)
+        found['custom_data'] = {**(found.get('custom_data') or {}), **self._custom_data}
+        return found

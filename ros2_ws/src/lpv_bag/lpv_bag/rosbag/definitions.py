@@ -1,0 +1,45 @@
+"""Whether a bag means by a message type what this software means."""
+
+import functools
+
+from lpv_bag.rosbag.errors import BagError
+from lpv_bag.rosbag.interfaces import make_typestore
+
+_STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
+
+
+def check_definition(reader, msgtype, fields):
+    """Check that fields of a message type are there, and are what they are expected to be.
+
+    A definition may have more fields: bags outlive the version that wrote them.
+
+    Parameters
+    ----------
+    reader : BagReader
+        Open bag.
+    msgtype : str
+        Message type.
+    fields : iterable of str
+        Fields that are needed.
+
+    Raises
+    ------
+    BagError
+        If the bag defines them differently.
+    """
+    bag, own = reader.typestore_of(msgtype).fielddefs, _own_types()
+    wanted = {msgtype: tuple(fields), **(_STAMP if 'header' in fields else {})}
+    for name, needed in wanted.items():
+        there, expected = (dict(types[name][1]) if name in types else {} for types in (bag, own))
+        for field in needed:
+            if there.get(field) != expected[field]:
+                what = 'has another type there' if field in there else 'is not in it'
+                raise BagError(
+                    f"{reader.paths[0]}: the bag's definition of {msgtype} is not the "
+                    f'expected one: {field} of {name} {what}'
+                )
+
+
+@functools.lru_cache(maxsize=1)
+def _own_types():
+    return make_typestore().fielddefs

@@ -1,0 +1,121 @@
+"""Message definitions for reading and writing bags without ROS."""
+
+import os
+import sys
+from pathlib import Path
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from lpv_core.support.errors import ConfigError
+
+
+def share_folders(package):
+    """Folders that may hold a package's interface files, in order of preference.
+
+    Parameters
+    ----------
+    package : str
+        ROS package.
+
+    Returns
+    -------
+    list of pathlib.Path
+        ``<prefix>/share/<package>`` of sourced prefixes, of this Python's prefix, and the source
+        tree's own folder.
+    """
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix)]
+    folders.append(Path(__file__).resolve().parents[3] / package)
+    return folders
+
+
+def message_text(msgtype):
+    """Definition of a message type from its ``.msg`` file.
+
+    Parameters
+    ----------
+    msgtype : str
+        For instance ``lpv_msgs/msg/FaultEstimate``.
+
+    Returns
+    -------
+    str
+        Content of the file.
+
+    Raises
+    ------
+    ConfigError
+        If no installed package has it.
+    """
+    package, _, name = msgtype.split('/')
+    for folder in share_folders(package):
+        path = folder / 'msg' / f'{name}.msg'
+        if path.is_file():
+            return path.read_text(encoding='utf-8')
+    raise ConfigError(
+        'message type',
+        f'{msgtype} is not installed: no {package}/msg/{name}.msg below any sourced prefix',
+    )
+
+
+def add_type(typestore, msgtype):
+    """Make a type known to a typestore, with the types that it uses.
+
+    Parameters
+    ----------
+    typestore : rosbags.typesys.store.Typestore
+        Extended in place.
+    msgtype : str
+        Message type.
+
+    Raises
+    ------
+    ConfigError
+        If a definition is not installed.
+    """
+    missing = [msgtype]
+    while missing:
+        name = missing.pop()
+        if name in typestore.fielddefs:
+            continue
+        found = get_types_from_msg(message_text(name), name)
+        typestore.register(found)
+        missing += [used for used in _used_types(found[name]) if used not in typestore.fielddefs]
+
+
+def _used_types(definition):
+    """Names of nested message types; a field is (name, (kind, what)) and arrays nest one level."""
+
+    def names(kind):
+        node, what = kind
+        if int(node) == 2:  # Nodetype.NAME
+            return [what]
+        if int(node) in (3, 4):  # Nodetype.ARRAY, Nodetype.SEQUENCE
+            return names(what[0])
+        return []
+
+    return [name for _, kind in definition[1] for name in names(kind)]
+
+
+LPV_TYPES = (
+    'FaultAlarm',
+    'FaultEstimate',
+    'GroundTruth',
+    'JointReference',
+    'StateEstimate',
+    'TorqueCommand',
+)
+
+
+def make_typestore():
+    """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs.
+
+    Returns
+    -------
+    rosbags.typesys.store.Typestore
+        Ready to (de)serialise.
+    """
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    for name in LPV_TYPES:
+        add_type(typestore, f'lpv_msgs/msg/{name}')
+    return typestore

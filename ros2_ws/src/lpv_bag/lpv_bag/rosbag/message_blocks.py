@@ -1,0 +1,113 @@
+"""Messages of a bag in blocks of some megabytes, so that NumPy can work on thousands at once."""
+
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from lpv_bag.mcap.bag import McapBag
+from lpv_bag.mcap.blocks import RECORD_HEADER, Unsuitable, bag_blocks
+
+BLOCK_SIZE = 2 << 20
+"""Of about one block [bytes]: it fits into the caches, and overheads do not count."""
+
+
+@dataclass
+class Block:
+    """Consecutive messages.
+
+    Attributes
+    ----------
+    data : ndarray of uint8
+        Bytes that hold all messages; before each are at least `RECORD_HEADER` other bytes.
+    connection : ndarray of int, shape (n,)
+        Index of each message's connection in the list that was asked for.
+    time : ndarray of int64, shape (n,)
+        Log times [ns], in order.
+    start, size : ndarray of int64, shape (n,)
+        Where in ``data`` each message begins, and its length [bytes].
+    """
+
+    data: np.ndarray
+    connection: np.ndarray
+    time: np.ndarray
+    start: np.ndarray
+    size: np.ndarray
+
+    def __len__(self):
+        return len(self.time)
+
+    def message(self, index):
+        """Bytes of one message."""
+        start = self.start[index]
+        return self.data[start : start + self.size[index]].tobytes()
+
+
+def read_blocks(reader, connections, start=None, stop=None, fast=True):
+    """Messages of some connections in the order of ``reader.messages``.
+
+    MCAP files in good order are read a chunk at a time.  Everything else, and every file in which
+    something unexpected turns up, is read by the reader itself, which gives the same messages.
+
+    Parameters
+    ----------
+    reader : lpv_bag.rosbag.reading.BagReader
+        Open bag.
+    connections : list of rosbags connections
+        Wanted ones.
+    start, stop : int, optional
+        First log time, and first one after the end [ns].
+    fast : bool, optional
+        False reads message by message whatever the file is like.
+
+    Yields
+    ------
+    Block
+        Not empty.
+
+    Raises
+    ------
+    BagError
+        If the bag is damaged.
+    """
+    done = 0
+    if fast:
+        try:
+            for block in _fast_blocks(reader, connections, start, stop):
+                yield block
+                done += len(block)
+            return
+        except Unsuitable:
+            pass
+    messages = reader.messages(connections, start=start, stop=stop)
+    yield from _collect(islice(messages, done, None), connections)
+
+
+def _fast_blocks(reader, connections, start, stop):
+    if not isinstance(reader.source, McapBag):
+        raise Unsuitable
+    for parts in bag_blocks(reader.source, connections, start, stop, BLOCK_SIZE):
+        yield Block(*parts)
+
+
+def _collect(messages, connections):
+    """Blocks of messages that come one by one."""
+    index = {id(c): i for i, c in enumerate(connections)}
+    rows, data = [], bytearray()
+    for connection, time, content in messages:
+        data += bytes(RECORD_HEADER)
+        number = index.get(id(connection))
+        if number is None:
+            number = index[id(connection)] = connections.index(connection)
+        rows.append((number, time, len(data), len(content)))
+        data += content
+        if len(data) >= BLOCK_SIZE:
+            yield _block(rows, data)
+            rows, data = [], bytearray()
+    if rows:
+        yield _block(rows, data)
+
+
+def _block(rows, data):
+    columns = np.array(rows, dtype=np.int64).T
+    return Block(np.frombuffer(data, np.uint8), *columns)

@@ -1,0 +1,79 @@
+"""Puts the fields of lpv_core.monitoring.message_fields into messages of a bag's typestore."""
+
+import numpy as np
+
+from lpv_core.observer.sampled_observer import NANOSECONDS
+
+_DTYPES = {'state': np.uint8, 'alarm': np.bool_}
+
+
+class BagMessages:
+    """Message factory of one typestore.
+
+    Parameters
+    ----------
+    typestore : rosbags.typesys.store.Typestore
+        As of `lpv_bag.rosbag.interfaces.make_typestore`.
+    frame_id : str
+        Of every header.
+    """
+
+    def __init__(self, typestore, frame_id):
+        self._types, self._frame_id = typestore.types, frame_id
+
+    def time(self, nanoseconds):
+        """builtin_interfaces/Time of a stamp [ns]."""
+        return self._types['builtin_interfaces/msg/Time'](*divmod(nanoseconds, NANOSECONDS))
+
+    def header(self, stamp, frame_id=None):
+        """std_msgs/Header of a stamp [ns]."""
+        frame_id = self._frame_id if frame_id is None else frame_id
+        return self._types['std_msgs/msg/Header'](self.time(stamp), frame_id)
+
+    def make(self, msgtype, stamp, fields):
+        """A message of lpv_msgs.
+
+        Parameters
+        ----------
+        msgtype : str
+            Message type whose first field is a header.
+        stamp : int
+            [ns].
+        fields : dict
+            Other fields; arrays as any sequence, ``onset`` and ``detected`` in nanoseconds.
+
+        Returns
+        -------
+        object
+            Message.
+        """
+        values = {}
+        for name, value in fields.items():
+            if name in ('onset', 'detected'):
+                value = self.time(value)
+            elif not np.isscalar(value) and name != 'sensor_names':
+                value = np.array(value, dtype=_DTYPES.get(name, float))
+            values[name] = value
+        return self._types[msgtype](header=self.header(stamp), **values)
+
+    def diagnostics(self, stamp, status):
+        """diagnostic_msgs/DiagnosticArray of statuses as of `lpv_core.monitoring.message_fields`."""
+        status_type = self._types['diagnostic_msgs/msg/DiagnosticStatus']
+        pair = self._types['diagnostic_msgs/msg/KeyValue']
+        return self._types['diagnostic_msgs/msg/DiagnosticArray'](
+            self.header(stamp, ''),
+            [
+                status_type(
+                    **{**fields, 'values': [pair(k, v) for k, v in fields['values'].items()]}
+                )
+                for fields in status
+            ],
+        )
+
+    def joint_state(self, stamp, names, position, velocity, effort):
+        """sensor_msgs/JointState."""
+        return self._types['sensor_msgs/msg/JointState'](
+            self.header(stamp),
+            list(names),
+            *(np.array(v, float) for v in (position, velocity, effort)),
+        )

@@ -1,0 +1,203 @@
+"""metadata.yaml of rosbag2 bags."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from rosbags.rosbag2.metadata import dump_qos_v9
+
+from lpv_bag.rosbag.errors import DamageError
+
+FILE_NAME = 'metadata.yaml'
+VERSION = 9
+"""Of the format that is written, that of rosbag2 since Jazzy."""
+_MAX_BYTES = 1 << 26
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+
+
+@dataclass(frozen=True)
+class BagMetadata:
+    """What a metadata.yaml says that is not in the files themselves.
+
+    Attributes
+    ----------
+    storage : str
+        ``mcap`` or ``sqlite3``.
+    files : tuple of str
+        Names of the files in the bag's directory, in order.
+    compressed : bool
+        Whether files or messages are compressed by rosbag2 itself, beside what a storage does.
+    counts : dict of str to int
+        Messages by topic.
+    topics : tuple of str
+        In their order.
+    hashes : dict of str to str
+        Type description hash by message type.
+    custom : dict of str to str
+        Custom data.
+    """
+
+    storage: str
+    files: tuple
+    compressed: bool
+    counts: dict
+    topics: tuple
+    hashes: dict
+    custom: dict
+
+
+def read_metadata(folder):
+    """Read the metadata of a bag.
+
+    Parameters
+    ----------
+    folder : str or pathlib.Path
+        Bag.
+
+    Returns
+    -------
+    BagMetadata
+        What it says.
+
+    Raises
+    ------
+    DamageError
+        If it cannot be read or is not metadata.
+    """
+    path = Path(folder) / FILE_NAME
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise DamageError(f'{FILE_NAME} is larger than {_MAX_BYTES} bytes')
+        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_LOADER)  # noqa: S506
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
+        if isinstance(error, DamageError):
+            raise
+        text = ' '.join(str(error).split())
+        raise DamageError(f'{FILE_NAME} cannot be read ({text})') from None
+    try:
+        return _parse(data['rosbag2_bagfile_information'])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DamageError(
+            f'{FILE_NAME} is not that of a bag ({type(error).__name__}: {error})'
+        ) from None
+
+
+def _parse(data):
+    if int(data['version']) > VERSION:
+        raise ValueError(f'version {data["version"]} is not known')
+    topics = data['topics_with_message_count'] or []
+    counts = {}
+    for entry in topics:
+        name = entry['topic_metadata']['name']
+        counts[name] = counts.get(name, 0) + int(entry['message_count'])
+    # A file outside of the bag's directory is never meant.
+    files = tuple(Path(str(name)).name for name in data['relative_file_paths'])
+    return BagMetadata(
+        str(data['storage_identifier']),
+        files,
+        str(data.get('compression_mode') or 'none').lower() not in ('none', 'storage'),
+        counts,
+        tuple(counts),
+        {
+            e['topic_metadata']['type']: str(e['topic_metadata'].get('type_description_hash') or '')
+            for e in topics
+        },
+        {str(k): str(v) for k, v in (data.get('custom_data') or {}).items()},
+    )
+
+
+def qos_data(profiles):
+    """Offered QoS as metadata.yaml has them.
+
+    Parameters
+    ----------
+    profiles : sequence of rosbags.interfaces.Qos
+        Profiles.
+
+    Returns
+    -------
+    list of dict
+        To be dumped.
+    """
+    return dump_qos_v9(list(profiles))
+
+
+def dump(data):
+    """YAML text.
+
+    Parameters
+    ----------
+    data : object
+        Lists, dicts, numbers, strings.
+
+    Returns
+    -------
+    str
+        Block style, keys in their order.
+    """
+    return yaml.dump(
+        data,
+        Dumper=_DUMPER,
+        sort_keys=False,
+        default_flow_style=False,
+        width=1000,
+        allow_unicode=True,
+    )
+
+
+def bag_information(files, topics, custom):
+    """Content of metadata.yaml.
+
+    Parameters
+    ----------
+    files : list of tuple
+        Name, first and last log time [ns] and number of messages of each file.
+    topics : list of tuple
+        Name, type, offered QoS profiles, type hash and number of messages of each topic.
+    custom : dict of str to str
+        Custom data.
+
+    Returns
+    -------
+    dict
+        Below ``rosbag2_bagfile_information``.
+    """
+    spans = [span for span in files if span[3]]
+    start = min((span[1] for span in spans), default=0)
+    end = max((span[2] for span in spans), default=0)
+    return {
+        'version': VERSION,
+        'storage_identifier': 'mcap',
+        'duration': {'nanoseconds': end - start},
+        'starting_time': {'nanoseconds_since_epoch': start},
+        'message_count': sum(span[3] for span in files),
+        'topics_with_message_count': [
+            {
+                'topic_metadata': {
+                    'name': name,
+                    'type': msgtype,
+                    'serialization_format': 'cdr',
+                    'offered_qos_profiles': qos_data(profiles),
+                    'type_description_hash': digest,
+                },
+                'message_count': count,
+            }
+            for name, msgtype, profiles, digest, count in topics
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [span[0] for span in files],
+        'files': [
+            {
+                'path': name,
+                'starting_time': {'nanoseconds_since_epoch': first},
+                'duration': {'nanoseconds': last - first},
+                'message_count': count,
+            }
+            for name, first, last, count in files
+        ],
+        'custom_data': dict(custom) or None,
+        'ros_distro': os.environ.get('ROS_DISTRO', 'unknown'),
+    }

@@ -1,0 +1,40 @@
+"""Quality of service as it is stored beside a topic."""
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+_FOREVER = QosTime(2147483647, 4294967295)
+
+
+def qos_profile(reliable, transient_local, depth):
+    """Offered QoS as stored beside a topic.
+
+    Parameters
+    ----------
+    reliable, transient_local : bool
+        Policies; best effort and volatile otherwise.
+    depth : int
+        History depth.
+
+    Returns
+    -------
+    rosbags.interfaces.Qos
+        The profile.
+    """
+    return Qos(
+        QosHistory.KEEP_LAST,
+        depth,
+        QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
+        _FOREVER,
+        _FOREVER,
+        QosLiveliness.AUTOMATIC,
+        _FOREVER,
+        False,
+    )

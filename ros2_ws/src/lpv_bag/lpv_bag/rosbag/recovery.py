@@ -1,0 +1,235 @@
+"""Recovery of MCAP bags: everything that can be had into a new bag, and what was lost."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from lpv_bag.mcap.content import records
+from lpv_bag.mcap.survey import read_metadata
+from lpv_bag.mcap.writer import LIBRARY
+from lpv_bag.recorder.message_loss import RECORD_NAME
+from lpv_bag.recorder.output_folder import GAINS_NAME, copy_gains, read_gains_file
+from lpv_bag.rosbag.errors import BagError, DamageError
+from lpv_bag.rosbag.reading import open_bag
+from lpv_bag.rosbag.writing import BagWriter
+from lpv_core.support.errors import ConfigError
+
+_ORDER = 1 << 31
+
+
+@dataclass
+class TopicRecovery:
+    """What became of one topic.
+
+    Attributes
+    ----------
+    recovered : int
+        Messages in the new bag.
+    lost : int
+        Messages that were recorded and are not; at least, where the end is missing.
+    """
+
+    recovered: int = 0
+    lost: int = 0
+
+
+@dataclass
+class Recovery:
+    """Outcome of a recovery.
+
+    Attributes
+    ----------
+    topics : dict of str to TopicRecovery
+        By topic.
+    damages : list of str
+        What was wrong.
+    end_missing : bool
+        Whether the recording was not finished: how much came after the last message is not known.
+    end : int
+        Log time of the last message that was recovered [ns]; 0 without messages.
+    attachments : int
+        Attachments that were left out.
+    """
+
+    topics: dict = field(default_factory=dict)
+    damages: list = field(default_factory=list)
+    end_missing: bool = False
+    end: int = 0
+    attachments: int = 0
+
+    @property
+    def lost(self):
+        """Messages that are known to be lost."""
+        return sum(topic.lost for topic in self.topics.values())
+
+    @property
+    def nothing_lost(self):
+        """Whether every message that was ever recorded is in the new bag."""
+        return not (self.lost or self.end_missing or self.attachments)
+
+
+def recover(path, out=None, preset='zstd_fast'):
+    """Write what can be read of a bag into a new one.
+
+    Messages keep their times and their order.  A chunk whose checksum is wrong is left out as a
+    whole: one of its messages is wrong, and nobody can say which one.  Of a chunk in which the
+    file ends, the messages before the end are kept.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        rosbag2 directory with MCAP files, or one MCAP file.
+    out : str or pathlib.Path, optional
+        Bag to create; without, the bag is examined only.
+    preset : str, optional
+        Compression of the new bag, a key of `lpv_bag.mcap.writer.PRESETS`.
+
+    Returns
+    -------
+    Recovery
+        What was recovered and what was lost.
+
+    Raises
+    ------
+    BagError
+        If nothing can be read, or it is no MCAP bag.
+    ConfigError
+        If the new bag cannot be made.
+    OSError
+        If it cannot be written.
+    """
+    with open_bag(path) as reader:
+        bag = reader.source
+        if not hasattr(bag, 'parts'):
+            raise BagError(f'{path}: only MCAP bags can be recovered')
+        tally = _Tally(bag)
+        if out is None:
+            for _ in tally.messages():
+                pass
+            return tally.finish()
+        place = _write(bag, tally, out, preset)
+        result = tally.finish()
+        result.damages += _copy_gains(bag.path, place)
+        return result
+
+
+def _write(bag, tally, out, preset):
+    with BagWriter(out, preset, split_size=1 << 62 if len(bag.parts) > 1 else 0) as writer:
+        for connection in bag.connections:
+            writer.copy_topic(connection)
+        part = 0
+        for number, connection, message in tally.messages():
+            if number != part:
+                _copy_metadata(bag.parts[part], writer)
+                writer.split()
+                part = number
+            writer.write_raw(connection.topic, message.log_time, message.data, message.publish_time)
+        _copy_metadata(bag.parts[part], writer)
+        writer.close(bag.known)
+    return writer.path
+
+
+def _copy_gains(bag, out):
+    """Copy the gains that a run was answered with, if they lie in the bag; what is wrong."""
+    file = bag / GAINS_NAME
+    if not file.is_file():
+        return []
+    try:
+        copy_gains(read_gains_file(file), out)
+    except ConfigError as error:
+        return [f'{GAINS_NAME} is left out: {error}']
+    return []
+
+
+def _copy_metadata(part, writer):
+    """Other people's metadata records."""
+    for name, values in read_metadata(*part):
+        if name not in ('rosbag2', RECORD_NAME):
+            writer.add_metadata(name, values)
+
+
+class _Tally:
+    """Goes through the messages of a bag in the order of its files, and counts."""
+
+    def __init__(self, bag):
+        self._bag, self._result = bag, Recovery()
+        # Numbers go through all files of a bag; a single file may be any one of them.
+        self._sequences = {c.topic: 0 for c in bag.connections} if bag.path.is_dir() else {}
+        self._bad = 0
+        self._gaps = Counter()
+        self._dropped = Counter()
+        self._found = Counter()
+        self._expected = {}
+
+    def messages(self):
+        for part, (file, found) in enumerate(self._bag.parts):
+            connections, there = self._bag.connections_of(part), Counter()
+            for block in sorted(found.blocks, key=lambda b: b.offset):
+                try:
+                    messages, _, wrong = records(file.content(block))
+                    if wrong and not block.cut:
+                        raise DamageError(wrong)
+                except DamageError as error:
+                    self._bad += 1
+                    self._drop(connections, block)
+                    self._result.damages.append(
+                        f'{file.path.name}: the chunk at byte {block.offset} is damaged ({error})'
+                    )
+                    continue
+                for message in messages:
+                    connection = connections.get(message.channel)
+                    if connection is None:
+                        continue  # a topic whose definition is lost; said when the bag was opened
+                    there[connection.topic] += 1
+                    self._result.end = max(self._result.end, message.log_time)
+                    if found.library == LIBRARY:
+                        self._follow(connection.topic, message.sequence)
+                    yield part, connection, message
+            for block in found.lost_blocks:
+                self._drop(connections, block)
+            self._expect(connections, found, there)
+            self._found += there
+
+    def _drop(self, connections, block):
+        for number, count in block.counts.items():
+            if number in connections:
+                self._dropped[connections[number].topic] += count
+
+    def _follow(self, topic, sequence):
+        """Our recordings number the messages of a topic: what is missing is then known."""
+        step = (sequence - self._sequences.get(topic, sequence - 1)) & 0xFFFFFFFF
+        if 0 < step < _ORDER:
+            self._gaps[topic] += step - 1
+            self._sequences[topic] = sequence
+
+    def _expect(self, connections, found, there):
+        """What the file's own statistics say is missing."""
+        if found.counts is None:
+            return
+        said = Counter()
+        for number, count in found.counts.items():
+            if number in connections:
+                said[connections[number].topic] += count
+        for topic, count in said.items():
+            self._expected[topic] = self._expected.get(topic, 0) + max(0, count - there[topic])
+
+    def finish(self):
+        """The outcome, when all messages have been gone through."""
+        if not self._found and self._bad:
+            raise BagError(
+                f'{self._bag.path}: cannot be read, the bag is damaged: no chunk of it is whole'
+            )
+        result, metadata = self._result, self._bag.metadata
+        result.damages = [*self._bag.warnings, *result.damages]
+        for connection in self._bag.connections:
+            topic = connection.topic
+            lost = max(self._expected.get(topic, 0), self._gaps[topic], self._dropped[topic])
+            if metadata is not None and topic in metadata.counts:
+                lost = max(lost, metadata.counts[topic] - self._found[topic])
+            result.topics[topic] = TopicRecovery(self._found[topic], lost)
+        for topic, count in (metadata.counts if metadata is not None else {}).items():
+            result.topics.setdefault(topic, TopicRecovery(0, count))
+        result.end_missing = metadata is None and not all(
+            found.complete for _, found in self._bag.parts
+        )
+        result.attachments = sum(found.attachments for _, found in self._bag.parts)
+        return result

@@ -1,0 +1,154 @@
+"""Measurements of an arm from blocks of sensor_msgs/JointState."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lpv_bag.rosbag.cdr_layout import find_layout
+from lpv_bag.run.record import stamp_of
+from lpv_core.model.joint_order import JointOrder
+from lpv_core.support.errors import SampleError
+
+MEASUREMENT_TYPE = 'sensor_msgs/msg/JointState'
+_VECTORS = ('position', 'velocity', 'effort')
+_MOST_LAYOUTS = 8
+
+
+@dataclass
+class Measurements:
+    """Measurements of a block; n of them, joints in the order of the arm file.
+
+    Attributes
+    ----------
+    stamp : ndarray of int64, shape (n,)
+        Header stamps [ns].
+    position, velocity, effort : ndarray, shape (n, 2)
+        [rad], [rad/s], [N m]; zero for the odd ones.
+    odd : dict of int to object
+        Deserialised messages by row, where joints are not those of the arm, sizes are wrong, or
+        the message is not like those before.
+    """
+
+    stamp: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    odd: dict = field(default_factory=dict)
+
+
+class MeasurementReader:
+    """Reads measurements of one arm.
+
+    Parameters
+    ----------
+    reader : BagReader
+        Open bag.
+    joint_names : sequence of str
+        Joints of the arm.
+    """
+
+    def __init__(self, reader, joint_names):
+        self._reader = reader
+        self._order = JointOrder(joint_names)
+        self._layouts = []
+
+    def read(self, block, positions):
+        """Measurements at some positions of a block.
+
+        Parameters
+        ----------
+        block : Block
+            Messages.
+        positions : ndarray of int, shape (n,)
+            Which of them are measurements.
+
+        Returns
+        -------
+        Measurements
+            One row a position.
+
+        Raises
+        ------
+        BagError
+            If a message is damaged.
+        """
+        count = len(positions)
+        result = Measurements(np.zeros(count, np.int64), *(np.zeros((count, 2)) for _ in _VECTORS))
+        left = np.arange(count)
+        for layout, index in self._layouts:
+            left = self._fill(result, block, positions, left, layout, index)
+        while len(left):
+            row = int(left[0])
+            data = block.message(positions[row])
+            message = self._reader.deserialize(data, MEASUREMENT_TYPE)
+            if self._learn(data, message):
+                left = self._fill(result, block, positions, left, *self._layouts[-1])
+            else:
+                result.stamp[row] = stamp_of(message.header.stamp)
+                result.odd[row] = message
+                left = left[1:]
+        return result
+
+    def places(self, block, positions, name):
+        """Where values of the arm's joints are, for those who change them.
+
+        Parameters
+        ----------
+        block : Block
+            Messages.
+        positions : ndarray of int, shape (n,)
+            Which of them are measurements.
+        name : {'position', 'velocity', 'effort'}
+            Which values.
+
+        Returns
+        -------
+        ndarray of int, shape (n, 2)
+            Offsets into the block's data; -1 for odd ones.
+        """
+        found = np.full((len(positions), 2), -1)
+        starts, sizes = block.start[positions], block.size[positions]
+        for layout, index in self._layouts:
+            rows = np.flatnonzero(layout.match(block.data, starts, sizes))
+            first = starts[rows] + layout.fields[name].offset
+            found[rows] = first[:, None] + 8 * np.array(index)
+        return found
+
+    def _fill(self, result, block, positions, rows, layout, index):
+        """Fill in those rows that have a layout; the rows that have not."""
+        if not len(rows):
+            return rows
+        starts = block.start[positions[rows]]
+        same = layout.match(block.data, starts, block.size[positions[rows]])
+        every = len(rows) == len(positions) and same.all()
+        if not every:
+            starts = starts[same]
+        chosen = slice(None) if every else rows[same]
+        result.stamp[chosen] = layout.stamps(block.data, starts)
+        for name in _VECTORS:
+            values = layout.read(block.data, starts, name)
+            getattr(result, name)[chosen] = values[:, index] if values.shape[1] else np.nan
+        return rows[~same]
+
+    def _learn(self, data, message):
+        """Add the layout of a message, if it has one; whether it has."""
+        if len(self._layouts) == _MOST_LAYOUTS:
+            return False
+        try:
+            expected = self._order.pick(message)
+        except SampleError:
+            return False
+        layout = find_layout(data, MEASUREMENT_TYPE, self._reader.typestore_of(MEASUREMENT_TYPE))
+        if layout is None:
+            return False
+        index = list(self._order.indices(message.name))
+        bytes_ = np.frombuffer(data, np.uint8)
+        # The general reader has the last word on what the bytes mean.
+        same = layout.stamps(bytes_, np.zeros(1, int))[0] == stamp_of(message.header.stamp)
+        for name, values in zip(_VECTORS, expected):
+            found = layout.read(bytes_, np.zeros(1, int), name)[0]
+            found = found[index] if found.size else np.full(2, np.nan)
+            same = same and np.array_equal(found, values, equal_nan=True)
+        if same:
+            self._layouts.append((layout, index))
+        return bool(same)

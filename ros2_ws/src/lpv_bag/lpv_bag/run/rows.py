@@ -1,0 +1,203 @@
+"""Rows of a run's streams as they are read, and the arrays that are made of them."""
+
+import numpy as np
+
+from lpv_bag.rosbag.errors import BagError
+from lpv_bag.run.streams import ALARMS, STREAMS, RecordedAlarm, stamp_of
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.observer.sampled_observer import Mode
+
+
+class RunRows:
+    """Gathers messages one by one or many at a time, then fills the arrays of a record.
+
+    Parameters
+    ----------
+    record : RunRecord
+        Receives arrays, alarms and names.
+    joint_names : sequence of str, optional
+        Joints to take from joint_states, in this order; those of the first message if not given.
+
+    Attributes
+    ----------
+    warnings : list of str
+        What is wrong with the messages.
+    """
+
+    def __init__(self, record, joint_names=None):
+        self._record = record
+        self._parts = {}
+        self._alarms = {}
+        record.joint_names = tuple(joint_names or ())
+        self._names, self._index, self._missing = None, None, None
+        self.warnings = []
+
+    def add(self, name, number, message):
+        """Take one message.
+
+        Parameters
+        ----------
+        name : str
+            Stream.
+        number : int
+            Its number among all messages: of equal stamps the last message counts.
+        message : object
+            Deserialised.
+
+        Raises
+        ------
+        BagError
+            If an alarm event is unknown.
+        """
+        if name == ALARMS:
+            alarm = _alarm(message)
+            # Latched events are delivered again to late subscribers.
+            self._alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
+            return
+        values = self.values(name, message)
+        if values is not None:
+            self.add_many(
+                name,
+                [number],
+                [stamp_of(message.header.stamp)],
+                [np.asarray(value, float)[None] for value in values],
+            )
+
+    def values(self, name, message):
+        """Fields of a message in the order of its stream; None if it is not to be taken."""
+        if name == 'state_estimate' and message.mode == Mode.NO_ESTIMATE:
+            return None  # its values mean nothing
+        if name == 'fault_estimate' and not self._record.sensor_names:
+            self._record.sensor_names = tuple(message.sensor_names)
+        if name == 'joint_states':
+            index = self.pick(message.name)
+            return None if index is None else _columns(message, index)
+        return [getattr(message, field) for field in STREAMS[name][1]]
+
+    def add_many(self, name, numbers, stamps, columns):
+        """Take the values of many messages of one stream.
+
+        Parameters
+        ----------
+        name : str
+            Stream.
+        numbers : sequence of int, shape (n,)
+            As in `add`.
+        stamps : sequence of int, shape (n,)
+            Header stamps [ns].
+        columns : list of ndarray, shapes (n, ...)
+            Its fields.
+        """
+        if name == 'state_estimate':
+            known = columns[STREAMS[name][1].index('mode')] != Mode.NO_ESTIMATE
+            if not known.all():
+                numbers, stamps = np.asarray(numbers)[known], np.asarray(stamps)[known]
+                columns = [column[known] for column in columns]
+        if len(stamps):
+            self._parts.setdefault(name, []).append((numbers, stamps, columns))
+
+    def pick(self, names):
+        """Columns of the wanted joints in a message with these joints, or None.
+
+        Drivers sort joints as they like, and have more.  A message of other joints only (a
+        gripper's, on the same topic) is not about this arm.
+        """
+        if names != self._names:
+            wanted = self._record.joint_names = self._record.joint_names or tuple(names)
+            self._names = list(names)
+            missing = [n for n in wanted if n not in names]
+            self._index = None
+            if missing:
+                self._missing = (missing[0], ', '.join(names) or 'no joint')
+            else:
+                self._index = [self._names.index(n) for n in wanted]
+        return self._index
+
+    def finish(self, answers_only):
+        """Fill the record.
+
+        Parameters
+        ----------
+        answers_only : bool
+            Whether measurements may be missing.
+
+        Raises
+        ------
+        BagError
+            If there are none, or a joint is missing.
+        """
+        for name in STREAMS:
+            parts = self._parts.get(name)
+            if not parts:
+                continue
+            order = np.argsort(np.concatenate([part[0] for part in parts]), kind='stable')
+            stamps = np.concatenate([np.asarray(part[1], np.int64) for part in parts])[order]
+            self._judge(name, stamps)
+            # np.unique gives the first of equal ones: reversed, that is the last message.
+            stamps, last = np.unique(stamps[::-1], return_index=True)
+            rows = order[len(order) - 1 - last]
+            columns = [np.concatenate(column)[rows] for column in zip(*(part[2] for part in parts))]
+            self._record.stamps[name] = stamps
+            self._record.streams[name] = dict(zip(STREAMS[name][1], columns))
+        self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
+        self._check_measurements(answers_only)
+
+    def _check_measurements(self, answers_only):
+        count = len(self._record.stamps.get('joint_states', ()))
+        if count == 0 and answers_only:
+            return
+        if count == 0 and self._missing:
+            raise BagError(
+                f'joint {self._missing[0]!r} is not in joint_states, which has {self._missing[1]}'
+            )
+        if count == 0:
+            raise BagError(f'{self._record.topics["joint_states"]} holds no message')
+        if count == 1:
+            raise BagError(
+                f'all messages of {self._record.topics["joint_states"]} have the same '
+                'stamp, or there is one only'
+            )
+
+    def _judge(self, name, stamps):
+        """Say where stamps run backwards or stand still."""
+        backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
+        same = len(stamps) - len(np.unique(stamps))
+        topic = self._record.topics[name]
+        if backwards:
+            self.warnings.append(
+                f'{topic}: time goes backwards {backwards} times, messages are '
+                'sorted by their stamps'
+            )
+        if same:
+            self.warnings.append(
+                f'{topic}: {same} messages have the stamp of another one, the '
+                'last one of each stamp counts'
+            )
+
+
+def _columns(message, index):
+    """Values of chosen joints; NaN where a message has none of a kind."""
+    nothing = np.full(len(index), np.nan)
+    return [
+        values[index] if len(values) == len(message.name) else nothing
+        for values in (message.position, message.velocity, message.effort)
+    ]
+
+
+def _alarm(message):
+    try:
+        event = AlarmEvent(message.event)
+    except ValueError as error:
+        raise BagError(f'fault_alarm: unknown event {message.event}') from error
+    return RecordedAlarm(
+        event,
+        int(message.sensor_index),
+        message.sensor,
+        stamp_of(message.onset),
+        stamp_of(message.detected),
+        float(message.size),
+        float(message.bound),
+        message.kind,
+        float(message.confidence),
+        stamp_of(message.header.stamp),
+    )

@@ -1,0 +1,101 @@
+"""Other streams of a bag beside its measurements, for those who replay without writing."""
+
+import numpy as np
+
+from lpv_bag.rosbag.cdr_layout import find_layout
+from lpv_bag.run.record import STREAMS, find_connections, stamp_of
+
+_NONE = np.empty(0, np.int64)
+
+
+class Bystander:
+    """Reads streams from the blocks that a replay reads; takes the place of its writer.
+
+    Parameters
+    ----------
+    reader : BagReader
+        Open bag.
+    prefix : str
+        Namespace of the measurements; streams of others do not count.
+    streams : sequence of str
+        Wanted ones, names of `lpv_bag.run.record.STREAMS`.
+
+    Attributes
+    ----------
+    present : set of str
+        Those that the bag has.
+    """
+
+    def __init__(self, reader, prefix, streams):
+        self._readers, self._connections = {}, ()
+        for name in streams:
+            found = find_connections(
+                reader, STREAMS[name][0], name, required=False, namespace=prefix
+            )
+            if found:
+                self._readers[name] = _StreamReader(reader, name, found[0].topic)
+        self.present = set(self._readers)
+        self._topics = {stream.topic for stream in self._readers.values()}
+
+    def is_copied(self, connection):
+        """Whether messages of a connection are wanted."""
+        return connection.topic in self._topics
+
+    def choose(self, reader, connections, block):
+        """Nothing is copied; remember what a block's numbers of connections mean."""
+        self._connections = connections
+        return _NONE, _NONE
+
+    def read(self, block):
+        """Messages of the streams in a block.
+
+        Parameters
+        ----------
+        block : Block
+            Messages.
+
+        Returns
+        -------
+        dict of str to tuple or None
+            By stream that the bag has: header stamps [ns], shape (n,), and arrays by field, n rows
+            each; None where the block has no message of it.
+
+        Raises
+        ------
+        BagError
+            If a message is damaged.
+        """
+        found = dict.fromkeys(self._readers)
+        for name, stream in self._readers.items():
+            mine = np.array([c.topic == stream.topic for c in self._connections])
+            positions = np.flatnonzero(mine[block.connection])
+            if len(positions):
+                found[name] = stream.read(block, positions)
+        return found
+
+
+class _StreamReader:
+    """Messages of one topic whose fields have a fixed size."""
+
+    def __init__(self, reader, name, topic):
+        self.topic, self._reader = topic, reader
+        self._msgtype, self._fields = STREAMS[name]
+        self._layout = None
+
+    def read(self, block, positions):
+        starts, sizes = block.start[positions], block.size[positions]
+        if self._layout is None:
+            self._layout = find_layout(
+                block.message(positions[0]), self._msgtype, self._reader.typestore_of(self._msgtype)
+            )
+        if self._layout is not None and self._layout.match(block.data, starts, sizes).all():
+            values = {name: self._layout.read(block.data, starts, name) for name in self._fields}
+            return self._layout.stamps(block.data, starts), values
+        messages = [self._reader.deserialize(block.message(k), self._msgtype) for k in positions]
+        return (
+            np.array([stamp_of(m.header.stamp) for m in messages], np.int64),
+            {
+                name: np.array([np.atleast_1d(getattr(m, name)) for m in messages])
+                for name in self._fields
+            },
+        )

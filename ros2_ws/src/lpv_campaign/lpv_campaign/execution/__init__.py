@@ -1,0 +1,1 @@
+"""Running a campaign and storing its results."""

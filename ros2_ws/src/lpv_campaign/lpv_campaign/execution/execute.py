@@ -1,0 +1,171 @@
+"""Runs a campaign: here, on all cores, or on a cluster; the results are the same."""
+
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+import lpv_campaign
+import lpv_core
+from lpv_campaign.execution.cluster import WorkerError, connect, map_chunks
+from lpv_campaign.execution.run_metrics import figures
+from lpv_campaign.execution.runs import plan_run
+from lpv_campaign.limit.accuracy import limit_figures
+from lpv_campaign.plan.campaign import campaign_of
+from lpv_core.support.errors import LpvError
+from lpv_core.support.jit import source_digest
+
+__all__ = [
+    'CHUNK',
+    'WorkerError',
+    'worker_pool',
+    'execute',
+    'has_limit',
+    'run_chunk',
+    'run_one',
+    'software',
+]
+CHUNK = 20
+"""Runs that are sent to a worker, and written, together."""
+
+
+def software():
+    """Hash of everything that makes the numbers.
+
+    Returns
+    -------
+    str
+        Of the sources of lpv_core and lpv_campaign.
+    """
+    return '-'.join(
+        source_digest(Path(module).parent) for module in (lpv_core.__file__, lpv_campaign.__file__)
+    )
+
+
+def run_one(campaign, number):
+    """Simulate a run and measure it.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    number : int
+        Number of the run.
+
+    Returns
+    -------
+    dict
+        A row of the results.
+    """
+    try:
+        plan = plan_run(campaign, number)
+        run = plan.simulate()
+        twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
+    except LpvError as error:
+        raise LpvError(f'run {number}: {error}') from error
+    row = {'number': number, **plan.values, **figures(plan, run, twin)}
+    if has_limit(campaign.spec, number) and np.isfinite(run.position).all():
+        found = limit_figures(plan.arm, plan.scenario, run, substeps=plan.substeps)
+        row.update((f'limit_{name}', value) for name, value in found.items())
+    return row
+
+
+def has_limit(spec, number):
+    """Whether the estimates of a run are compared with the best possible ones.
+
+    Parameters
+    ----------
+    spec : CampaignSpec
+        ``limit`` of its ``runs`` are, spread evenly.
+    number : int
+        Number of the run.
+
+    Returns
+    -------
+    bool
+        The answer.
+    """
+    return (number + 1) * spec.limit // spec.runs > number * spec.limit // spec.runs
+
+
+def run_chunk(text, numbers):
+    """Some runs of a campaign, as a worker does them.
+
+    Parameters
+    ----------
+    text : str
+        `Campaign.text`.
+    numbers : list of int
+        Runs.
+
+    Returns
+    -------
+    tuple
+        Hash of the worker's software, and a list of rows.
+    """
+    campaign = campaign_of(text)
+    return software(), [run_one(campaign, number) for number in numbers]
+
+
+def execute(campaign, numbers, workers=None, scheduler=None, chunk=CHUNK):
+    """Run a part of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The campaign.
+    numbers : sequence of int
+        Runs to do.
+    workers : int, optional
+        Processes of a cluster on this machine; 0: none, all in this process; by default as many as
+        there are cores.
+    scheduler : str, optional
+        Address of a Dask scheduler to use instead.
+    chunk : int, optional
+        Runs a task.
+
+    Yields
+    ------
+    list of dict
+        Rows, as chunks are done, in any order.
+
+    Raises
+    ------
+    WorkerError
+        If a worker runs other software, or workers die of the same chunk again and again.
+    """
+    with worker_pool(workers, scheduler) as do:
+        yield from do(campaign, numbers, chunk)
+
+
+@contextmanager
+def worker_pool(workers=None, scheduler=None):
+    """Workers that stay for more than one campaign.
+
+    Parameters
+    ----------
+    workers, scheduler
+        As in `execute`.
+
+    Yields
+    ------
+    callable
+        Called with a campaign, numbers of runs and, if wanted, the size of a chunk; yields what
+        `execute` does.
+    """
+    if scheduler is None and workers == 0:
+        yield _here
+        return
+    with connect(workers, scheduler) as client:
+        yield lambda campaign, numbers, chunk=CHUNK: map_chunks(
+            client, run_chunk, campaign.text, _chunks(numbers, chunk), software()
+        )
+
+
+def _here(campaign, numbers, chunk=CHUNK):
+    for part in _chunks(numbers, chunk):
+        yield run_chunk(campaign.text, part)[1]
+
+
+def _chunks(numbers, chunk):
+    return [list(numbers[k : k + chunk]) for k in range(0, len(numbers), chunk)]

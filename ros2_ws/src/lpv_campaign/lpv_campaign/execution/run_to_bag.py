@@ -1,0 +1,266 @@
+"""One run of a campaign as a bag: what the graph would have recorded."""
+
+import math
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from lpv_bag.replay.answer_records import RecordTemplate
+from lpv_bag.replay.replay import Replay
+from lpv_bag.rosbag.chunk_assembly import ChunkAssembly
+from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.run.measurements import MEASUREMENT_TYPE
+from lpv_bag.run.record import load_run
+from lpv_campaign.plan.run_files import write_run_files
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.errors import ConfigError, LpvError
+
+NAMESPACE = '/lpv'
+START = NANOSECONDS
+"""Stamp of the first sample [ns], as in the lockstep graph: zero means "not set" in ROS."""
+_TRUTH, _MEASURED, _COMMAND, _REFERENCE = range(4)
+_SLOTS = 4
+_ROWS = 2000
+"""Samples in a chunk."""
+_TYPES = {
+    _TRUTH: ('ground_truth', 'lpv_msgs/msg/GroundTruth'),
+    _MEASURED: ('joint_states', MEASUREMENT_TYPE),
+    _COMMAND: ('torque_command', 'lpv_msgs/msg/TorqueCommand'),
+    _REFERENCE: ('reference', 'lpv_msgs/msg/JointReference'),
+}
+_ANSWERS = {
+    'estimate': ('state_estimate', 'position'),
+    'estimated_velocity': ('state_estimate', 'velocity'),
+    'fault_estimate': ('fault_estimate', 'estimate'),
+    'threshold': ('fault_estimate', 'threshold'),
+    'alarm': ('fault_estimate', 'alarm'),
+}
+"""Signals of a run that must be those of its bag, bit by bit."""
+
+
+def stamps_of(run):
+    """Header stamps of a run's samples in its bag.
+
+    Parameters
+    ----------
+    run : lpv_core.simulation.closed_loop.Run
+        The run.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        [ns].
+    """
+    return START + np.array([round(t * 1e9) for t in run.time.tolist()], np.int64)
+
+
+def write_run_bag(plan, run, out):
+    """Write a run as a bag, with the files that repeat it.
+
+    Measurements, commands, references and truth come from the run; the answers of observer and
+    diagnosis from a replay of these measurements, which must give what the run had.
+
+    Parameters
+    ----------
+    plan : RunPlan
+        What was simulated.
+    run : lpv_core.simulation.closed_loop.Run
+        What came out.
+    out : str or pathlib.Path
+        Bag to create.
+
+    Raises
+    ------
+    ConfigError
+        If it exists already or cannot be made.
+    LpvError
+        If the replay does not answer as the run did.
+    """
+    out = Path(out)
+    if out.exists():
+        raise ConfigError('--bag', 'exists already: name a new folder', str(out))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        folder = tempfile.TemporaryDirectory(prefix='.', dir=out.parent)
+    except OSError as error:
+        raise ConfigError('--bag', f'cannot be written: {error}', str(out)) from error
+    with folder as name:
+        measured, whole = Path(name) / 'measured', Path(name) / out.name
+        _write_signals(plan, run, measured)
+        monitor = SensorMonitor(f'{NAMESPACE}/uio', plan.arm, plan.gains, plan.parameters)
+        Replay(monitor, preset='zstd_fast').run(measured, whole)
+        check_answers(run, whole)
+        write_run_files(plan, whole)
+        shutil.move(whole, out)
+
+
+def check_answers(run, bag):
+    """Compare the answers in the bag of a run with those that the run had.
+
+    Parameters
+    ----------
+    run : lpv_core.simulation.closed_loop.Run
+        The run.
+    bag : str or pathlib.Path
+        Its bag.
+
+    Raises
+    ------
+    LpvError
+        Naming the first signal that differs.
+    """
+    record, stamps = load_run(bag), stamps_of(run)
+    kept = ~run.lost
+    expected = {stream: stamps[kept] for stream in ('state_estimate', 'fault_estimate')}
+    for name, (stream, field) in _ANSWERS.items():
+        found = record.stamps.get(stream, np.empty(0, np.int64))
+        # Nothing is estimated before the first usable measurement.
+        first = np.searchsorted(stamps[kept], found[0]) if len(found) else len(stamps[kept])
+        if not np.array_equal(found, expected[stream][first:]):
+            raise LpvError(f'{bag}: {stream} has other samples than the run')
+        if len(found) and not np.array_equal(
+            record.get(stream, field), getattr(run, name)[kept][first:], equal_nan=True
+        ):
+            raise LpvError(f'{bag}: the replay gives another {name} than the run')
+    if [_alarm(a, 0) for a in record.alarms] != [_alarm(a, START) for a in run.alarms]:
+        raise LpvError(f'{bag}: the replay gives other alarms than the run')
+
+
+def _alarm(alarm, shift):
+    return (
+        int(alarm.event),
+        alarm.sensor,
+        alarm.onset + shift,
+        alarm.detected + shift,
+        alarm.size,
+        alarm.bound,
+        alarm.kind,
+        alarm.confidence,
+    )
+
+
+def differences(stored, found):
+    """Figures that are not what the results of the campaign say.
+
+    Parameters
+    ----------
+    stored, found : dict
+        Figures by name; only names that both have are compared.
+
+    Returns
+    -------
+    list of str
+        Names; machines may differ in the last bits, and nothing more.
+    """
+    return [name for name in found if name in stored and not _same(stored[name], found[name])]
+
+
+def _same(one, two):
+    if isinstance(one, (list, tuple)) and isinstance(two, (list, tuple)):
+        return len(one) == len(two) and all(map(_same, one, two))
+    if isinstance(one, float) and isinstance(two, float):
+        return (
+            one == two
+            or math.isnan(one)
+            and math.isnan(two)
+            or math.isclose(one, two, rel_tol=1e-9, abs_tol=1e-12)
+        )
+    return one == two
+
+
+class _Signals:
+    """Vectors of the messages of a run."""
+
+    def __init__(self, run):
+        self.stamps = stamps_of(run)
+        effort = np.vstack([np.zeros((1, 2)), run.torque[:-1]])
+        reference = run.path[:, run.place]
+        self.values = {
+            _TRUTH: {
+                'position': run.position,
+                'velocity': run.velocity,
+                'torque': effort,
+                'fault': run.fault,
+                'disturbance': run.disturbance,
+            },
+            _MEASURED: {
+                'position': run.measured,
+                'velocity': run.measured_velocity,
+                'effort': effort,
+            },
+            _COMMAND: {
+                'torque': np.where(run.safe_stop[:, None], 0.0, run.command),
+                'safe_stop': run.safe_stop,
+            },
+            _REFERENCE: dict(
+                zip(('position', 'velocity', 'acceleration', 'tip_position'), reference)
+            ),
+        }
+        self.chosen = {
+            _TRUTH: np.ones(len(run.time), bool),
+            _MEASURED: ~run.lost,
+            _COMMAND: ~run.lost,
+            _REFERENCE: ~run.lost & ~run.safe_stop,
+        }
+
+
+def _write_signals(plan, run, path):
+    signals = _Signals(run)
+    bag = ChunkBagWriter(path)
+    try:
+        templates = _templates(bag, plan.arm)
+        for first in range(0, len(run.time), _ROWS):
+            assembly = ChunkAssembly(_SLOTS * _ROWS)
+            for kind, template in templates.items():
+                rows = first + np.flatnonzero(signals.chosen[kind][first : first + _ROWS])
+                stamps = signals.stamps[rows]
+                records = template.fill(
+                    stamps,
+                    stamps,
+                    {name: values[rows] for name, values in signals.values[kind].items()},
+                )
+                assembly.add_rows(_SLOTS * (rows - first) + kind, records)
+            data, index = assembly.finish()
+            if index:
+                bag.write_chunk(data, index)
+    finally:
+        missing = bag.close()
+    if missing:
+        raise ConfigError('--bag', f'cannot be written as a whole: {missing} is missing', str(path))
+
+
+def _templates(bag, arm):
+    zero, messages = np.zeros(2), BagMessages(bag.typestore, arm.name)
+    examples = {
+        _TRUTH: {
+            'position': zero,
+            'velocity': zero,
+            'torque': zero,
+            'fault': zero,
+            'disturbance': 0.0,
+        },
+        _COMMAND: {'torque': zero, 'safe_stop': False},
+        _REFERENCE: {
+            'position': zero,
+            'velocity': zero,
+            'acceleration': zero,
+            'tip_position': zero,
+        },
+    }
+    templates = {}
+    for kind, (name, msgtype) in _TYPES.items():
+        topic = f'{NAMESPACE}/{name}'
+        bag.add_topic(topic, msgtype, [qos_profile(True, False, 50)])
+        if kind == _MEASURED:
+            message = BagMessages(bag.typestore, 'base_link').joint_state(
+                0, arm.joint_names, zero, zero, zero
+            )
+        else:
+            message = messages.make(msgtype, 0, examples[kind])
+        templates[kind] = RecordTemplate(bag.typestore, message, msgtype, bag.channel(topic))
+    return templates

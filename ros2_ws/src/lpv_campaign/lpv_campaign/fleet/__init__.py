@@ -1,0 +1,1 @@
+"""Archives of bags: replay, statistics, report."""

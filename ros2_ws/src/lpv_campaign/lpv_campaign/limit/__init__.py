@@ -1,0 +1,1 @@
+"""The best that any estimator could do, and estimators that come close."""

@@ -1,0 +1,112 @@
+"""What an estimator knows of the arm: everything, or what the arm file states.
+
+All entries of the flat constants (`lpv_core.model.arm`) are linear in the masses, the inertias, an extra
+point mass at the tip and a common factor of friction.  An arm that is known within priors is
+therefore ``constants + parameters @ sensitivity`` exactly, with constant unknown parameters.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv_core.model.arm import COUL_1, VISC_1
+
+FRICTION_UNCERTAINTY = 0.3
+"""Largest relative error of friction, as `lpv_core.decision.diagnosis.DiagnosisParameters` has it."""
+_UNIFORM = 1.0 / np.sqrt(3.0)
+"""Standard deviation of what is uniform in +-1."""
+
+
+@dataclass(frozen=True)
+class ArmKnowledge:
+    """An arm with constant unknown parameters.
+
+    Attributes
+    ----------
+    constants : ndarray, shape (12,)
+        Constants of the arm where all parameters are zero.
+    sensitivity : ndarray, shape (p, 12)
+        Change of the constants with each parameter.
+    deviation : ndarray, shape (p,)
+        Standard deviation of each parameter before any data.
+    truth : ndarray, shape (p,)
+        Parameters of the true arm.
+    names : tuple of str
+        Names of the parameters.
+    """
+
+    constants: np.ndarray
+    sensitivity: np.ndarray
+    deviation: np.ndarray
+    truth: np.ndarray
+    names: tuple
+
+
+def known_exactly(arm, scenario):
+    """Know the true arm.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm.
+    scenario : Scenario
+        Makes the true one.
+
+    Returns
+    -------
+    ArmKnowledge
+        Without parameters.
+    """
+    constants = scenario.true_arm(arm).constants(_has_coriolis(scenario))
+    return ArmKnowledge(constants, np.zeros((0, 12)), np.zeros(0), np.zeros(0), ())
+
+
+def known_within_priors(arm, scenario):
+    """Know what the arm file states: model error, payload, friction; each uniform, independent.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm, with ``model_error`` and ``payload``.
+    scenario : Scenario
+        For the true values.
+
+    Returns
+    -------
+    ArmKnowledge
+        With those parameters that can differ: factors of masses and inertias less one, payload
+        [kg], factor of friction less one.
+    """
+    coriolis = _has_coriolis(scenario)
+    nominal = arm.constants(coriolis)
+    masses, inertias = scenario.mass_factors, scenario.inertia_factors
+    error = arm.model_error
+    rows = []
+    for i in range(2):
+        factors = tuple(2.0 if j == i else 1.0 for j in range(2))
+        rows.append((f'mass {i + 1}', arm.scaled(mass_factors=factors), error, masses[i] - 1.0))
+        rows.append(
+            (f'inertia {i + 1}', arm.scaled(inertia_factors=factors), error, inertias[i] - 1.0)
+        )
+    rows.append(('payload', arm.with_payload(1.0), arm.payload, scenario.payload))
+    rubbing = replace(
+        arm,
+        viscous=tuple(2.0 * v for v in arm.viscous),
+        coulomb=tuple(2.0 * v for v in arm.coulomb),
+    )
+    rough = FRICTION_UNCERTAINTY if nominal[VISC_1 : COUL_1 + 2].any() else 0.0
+    rows.append(('friction', rubbing, rough, scenario.friction_factor - 1.0))
+    rows = [row for row in rows if row[2] > 0.0]
+    return ArmKnowledge(
+        nominal,
+        np.array([other.constants(coriolis) - nominal for _, other, _, _ in rows]).reshape(
+            -1, len(nominal)
+        ),
+        _UNIFORM * np.array([most for _, _, most, _ in rows]),
+        np.array([true for _, _, _, true in rows]),
+        tuple(name for name, _, _, _ in rows),
+    )
+
+
+def _has_coriolis(scenario):
+    return scenario.plant in ('nonlinear', 'mujoco')

@@ -1,0 +1,67 @@
+"""The best that any estimator could do on one run: posterior Cramer-Rao bounds.
+
+The Fisher information of states given readings obeys, for a system with Gaussian noise, the
+recursion of a Kalman filter's inverse covariance with the Jacobians of the true sampled dynamics
+and sensors.  It is evaluated along the run's true trajectory and kept in covariance form, because
+the disturbance drives one direction only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_campaign.limit.kalman_smoother import both_passes
+from lpv_campaign.limit.linearisation import linearise, true_states
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Least standard deviations of errors, one row a sample.
+
+    Attributes
+    ----------
+    fault, angle : ndarray, shape (n, 2)
+        Of an estimator that knows the data up to each sample: faults of the position sensors,
+        absolute angles [rad].
+    smoothed_fault, smoothed_angle : ndarray, shape (n, 2)
+        Of one that knows all data of the run [rad].
+    """
+
+    fault: np.ndarray
+    angle: np.ndarray
+    smoothed_fault: np.ndarray
+    smoothed_angle: np.ndarray
+
+
+def accuracy_limit(arm, scenario, run, knowledge, faults, substeps=2):
+    """Posterior Cramer-Rao bounds of faults and angles along a run.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm.
+    scenario : Scenario
+        What happened: plant, noise, disturbance, faults.
+    run : Run
+        Its signals.
+    knowledge : ArmKnowledge
+        `lpv_campaign.limit.arm_prior.known_exactly` or ``known_within_priors``.
+    faults : list of FaultModel
+        What is known of the faults, see `lpv_campaign.limit.fault_prior`.
+    substeps : int, optional
+        Runge-Kutta steps a sample, as in the run.
+
+    Returns
+    -------
+    Limit
+        Standard deviations.
+
+    Raises
+    ------
+    ConfigError
+        If the plant is no rigid-body arm.
+    """
+    states = true_states(arm, run, knowledge, faults)
+    passes = both_passes(linearise(arm, scenario, run, knowledge, faults, states, substeps))
+    now, later = np.sqrt(passes.filtered_variances), np.sqrt(passes.smoothed_variances)
+    return Limit(now[:, :2], now[:, 2:], later[:, :2], later[:, 2:])

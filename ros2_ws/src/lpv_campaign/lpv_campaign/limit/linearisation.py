@@ -1,0 +1,272 @@
+"""A run as a time-varying linear Gaussian system: sampled dynamics and sensors along a trajectory.
+
+State: absolute angles (2), rates (2), parameters of the arm (p), numbers of the fault models (K).
+Along the true trajectory its Kalman covariance is the posterior Cramer-Rao bound; along an
+estimate it is one Gauss-Newton step of a smoother.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_campaign.limit.fault_prior import RATE, SCALE, acting
+from lpv_campaign.limit.kalman_kernels import move_and_derive
+from lpv_core.model.arm import G_1, G_2
+from lpv_core.model.joints import JointMap
+from lpv_core.support.errors import ConfigError
+
+READINGS = 6
+"""Two positions, two rates, and two generalised torques that hold a braked arm."""
+_LEAST_NOISE = 1e-9
+"""Noise of a sensor without noise [rad], [rad/s]: variances must stay numerically positive."""
+_HOLDING_NOISE = 1e-3
+"""The same of the torque that holds a braked arm [N m]."""
+_REST = 1e-6
+"""Standard deviation of the rates of an arm at rest [rad/s]."""
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """One run, linearised; n samples, N states.
+
+    Attributes
+    ----------
+    moved : ndarray, shape (n, 4)
+        Mechanical state one sample after the trajectory's.
+    f : ndarray, shape (n, 4, N)
+        Jacobian of that.
+    g : ndarray, shape (n, 4)
+        Its derivative by the disturbance d [rad], [rad/s].
+    mean : float
+        Mean of d.
+    push : ndarray, shape (n,)
+        Variance of d.
+    memory, growth : ndarray, shape (N,)
+        Of the other states; the first four entries are not used.
+    h : ndarray, shape (n, 6, N)
+        Jacobian of the readings.
+    readings : ndarray, shape (n, 6)
+        What the trajectory would read without noise.
+    r : ndarray, shape (n, 6)
+        Variance of the readings; infinite for what is not there.
+    fault : ndarray, shape (n, 2, N)
+        Jacobian of the position sensors' faults.
+    start, deviation : ndarray, shape (N,)
+        State before any data and its standard deviation.
+    """
+
+    moved: np.ndarray
+    f: np.ndarray
+    g: np.ndarray
+    mean: float
+    push: np.ndarray
+    memory: np.ndarray
+    growth: np.ndarray
+    h: np.ndarray
+    readings: np.ndarray
+    r: np.ndarray
+    fault: np.ndarray
+    start: np.ndarray
+    deviation: np.ndarray
+
+
+def true_states(arm, run, knowledge, faults):
+    """Trajectory of the run's true state.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm.
+    run : Run
+        The run.
+    knowledge : ArmKnowledge
+        Parameters of the arm.
+    faults : list of FaultModel
+        Fault models.
+
+    Returns
+    -------
+    ndarray, shape (n, N)
+        States.
+    """
+    joints, p = JointMap(arm), len(knowledge.truth)
+    states = np.zeros((len(run.time), 4 + p + len(faults)))
+    states[:, :2] = joints.absolute_position(run.position)
+    states[:, 2:4] = joints.absolute_velocity(run.velocity)
+    states[:, 4 : 4 + p] = knowledge.truth
+    states[:, 4 + p :] = [model.truth for model in faults]
+    return states
+
+
+def linearise(arm, scenario, run, knowledge, faults, states, substeps=2):
+    """Linearise a run along a trajectory.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm, with sensors and disturbance.
+    scenario : Scenario
+        What happened.
+    run : Run
+        What was measured, torques, brakes, lost samples.
+    knowledge : ArmKnowledge
+        What is known of the arm.
+    faults : list of FaultModel
+        What is known of the faults.
+    states : ndarray, shape (n, N)
+        Trajectory.
+    substeps : int, optional
+        Runge-Kutta steps a sample, as in the run.
+
+    Returns
+    -------
+    LinearSystem
+        The system.
+
+    Raises
+    ------
+    ConfigError
+        If the plant is no rigid-body arm.
+    """
+    if scenario.plant == 'lpv':
+        raise ConfigError(
+            'plant.model', "must be a rigid-body arm for a limit of accuracy, got 'lpv'"
+        )
+    n, size = states.shape
+    torques = JointMap(arm).absolute_torque(run.torque)
+    mean = scenario.disturbance_factor * arm.disturbance_mean if scenario.disturbance else 0.0
+    moved, f, g = np.empty((n, 4)), np.empty((n, 4, size)), np.empty((n, 4))
+    move_and_derive(
+        np.ascontiguousarray(states),
+        torques,
+        np.ascontiguousarray(run.braked),
+        knowledge.constants,
+        knowledge.sensitivity,
+        np.asarray(arm.disturbance_direction, float),
+        mean,
+        arm.sample_time,
+        substeps,
+        moved,
+        f,
+        g,
+    )
+    push = disturbance_variance(arm, scenario) * ~run.braked
+    p = len(knowledge.deviation)
+    memory, growth = np.ones(size), np.zeros(size)
+    memory[4 + p :] = [model.memory for model in faults]
+    growth[4 + p :] = [model.growth for model in faults]
+    h, readings, fault = _sensors(arm, run, knowledge, faults, states)
+    start = np.zeros(size)
+    start[:2] = JointMap(arm).absolute_position(run.measured[0])
+    deviation = np.concatenate(
+        [[1.0, 1.0, _REST, _REST], knowledge.deviation, [model.deviation for model in faults]]
+    )
+    return LinearSystem(
+        moved,
+        f,
+        g,
+        mean,
+        push,
+        memory,
+        growth,
+        h,
+        readings,
+        _variances(arm, scenario, run),
+        fault,
+        start,
+        deviation,
+    )
+
+
+def disturbance_variance(arm, scenario):
+    """Variance of d in a scenario."""
+    return (
+        arm.disturbance_variance * scenario.disturbance_factor**2 if scenario.disturbance else 0.0
+    )
+
+
+def noise_deviations(arm, scenario):
+    """Standard deviations of the noise of positions [rad] and rates [rad/s] in a scenario."""
+    factor = scenario.noise_factor if scenario.noise else 0.0
+    return (
+        max(factor * arm.position_noise, _LEAST_NOISE),
+        max(factor * arm.velocity_noise, _LEAST_NOISE),
+    )
+
+
+def _sensors(arm, run, knowledge, faults, states):
+    """Jacobians and values of the readings, Jacobians of the faults."""
+    n, size = states.shape
+    s, p = JointMap(arm).sensor_matrix, len(knowledge.deviation)
+    angles, rates = states[:, :2] @ s.T, states[:, 2:4] @ s.T
+    h, fault = np.zeros((n, READINGS, size)), np.zeros((n, 2, size))
+    readings = np.concatenate([angles, rates, np.zeros((n, 2))], axis=1)
+    h[:, :2, :2] = s
+    h[:, 2:4, 2:4] = s
+    for j, model in enumerate(faults):
+        column, i, number = 4 + p + j, model.sensor, states[:, 4 + p + j]
+        if model.kind == RATE:
+            h[:, 2 + i, column] = model.shape
+            readings[:, 2 + i] += model.shape * number
+            continue
+        effect = model.shape * (angles[:, i] if model.kind == SCALE else 1.0)
+        fault[:, i, column] = effect
+        readings[:, i] += effect * number
+        if model.kind == SCALE:
+            fault[:, i, :2] += (model.shape * number)[:, None] * s[i]
+    h[:, :2] += fault
+    _holding(knowledge, states, p, h, readings)
+    return h, readings, fault
+
+
+def _holding(knowledge, states, p, h, readings):
+    """Torques that hold a braked arm against gravity: Q_i = -G_i sin theta_i."""
+    constants = knowledge.constants + states[:, 4 : 4 + p] @ knowledge.sensitivity
+    for i, entry in enumerate((G_1, G_2)):
+        sine = np.sin(states[:, i])
+        h[:, 4 + i, i] = -constants[:, entry] * np.cos(states[:, i])
+        h[:, 4 + i, 4 : 4 + p] = -sine[:, None] * knowledge.sensitivity[:, entry]
+        readings[:, 4 + i] = -constants[:, entry] * sine
+
+
+def measurements(arm, run):
+    """What was read: positions and rates of the physical sensors, torques that held the arm.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Arrangement of the sensors.
+    run : Run
+        The run.
+
+    Returns
+    -------
+    ndarray, shape (n, 6)
+        [rad], [rad/s], [N m]; NaN for a dropout.
+    """
+    joints = JointMap(arm)
+    torques = joints.absolute_torque(run.torque)
+    return np.concatenate(
+        [
+            joints.sensor_position(run.measured),
+            joints.sensor_velocity(run.measured_velocity),
+            np.vstack([np.zeros(2), torques[:-1]]),
+        ],
+        axis=1,
+    )
+
+
+def _variances(arm, scenario, run):
+    position, rate = noise_deviations(arm, scenario)
+    r = np.empty((len(run.time), READINGS))
+    r[:, :2], r[:, 2:4], r[:, 4:] = position**2, rate**2, math.inf
+    for fault in scenario.faults:
+        if fault.kind == 'stuck':  # the frozen value carries no noise
+            sensor = arm.sensor_names.index(fault.sensor)
+            r[acting(fault, run.time), sensor] = _LEAST_NOISE**2
+    # The message after a braked step carries the torque that held the arm.
+    r[1:, 4:][run.braked[:-1]] = _HOLDING_NOISE**2
+    r[~np.isfinite(measurements(arm, run))] = math.inf
+    r[run.lost] = math.inf
+    return r

@@ -1,0 +1,165 @@
+"""Estimators that reach the limit: a causal extended Kalman filter and a full-information smoother.
+
+Both take what is known of arm and faults as the limit does; parameters of the arm are states.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_campaign.limit.kalman_kernels import filter_extended
+from lpv_campaign.limit.kalman_smoother import both_passes
+from lpv_campaign.limit.linearisation import linearise, measurements
+from lpv_core.model.joints import JointMap
+from lpv_core.support.errors import LpvError
+
+_ITERATIONS = 25
+_ARM_HELD = 2
+_HELD = 1e-3
+"""In the first iterations the arm is nearly the nominal one: while angles are far off, its
+parameters would explain them and run away."""
+_CONVERGED = 1e-6
+_ARM_CONVERGED = 1e-3
+"""Largest steps at which iteration ends: of angles and faults [rad], of the arm's parameters over
+their standard deviation before any data."""
+_SHRINKING = 0.5
+"""A step that is not shorter than the last one by so much is halved: Coulomb friction turns over
+within a small fraction of a rad/s, about which full steps may swing."""
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Full-information estimate of one run.
+
+    Attributes
+    ----------
+    angle, fault : ndarray, shape (n, 2)
+        Absolute angles and faults of the position sensors [rad].
+    states : ndarray, shape (n, N)
+        All states, see `lpv_campaign.limit.linearisation`.
+    iterations : int
+        Gauss-Newton steps.
+    converged : bool
+        Whether the last one was small.
+    """
+
+    angle: np.ndarray
+    fault: np.ndarray
+    states: np.ndarray
+    iterations: int
+    converged: bool
+
+
+def smooth(arm, scenario, run, knowledge, faults, substeps=2, iterations=_ITERATIONS):
+    """Most probable course of a run given all its data (iterated extended Kalman smoother).
+
+    Each iteration linearises along the last result and solves for all samples at once: Gauss-Newton
+    on the posterior, started from the observer's estimate.
+
+    Parameters
+    ----------
+    arm, scenario, run, knowledge, faults, substeps
+        As `lpv_campaign.limit.linearisation.linearise`.
+    iterations : int, optional
+        At most so many.
+
+    Returns
+    -------
+    Smoothed
+        The estimate.
+
+    Raises
+    ------
+    LpvError
+        If iteration diverged.
+    """
+    states, readings = _first_guess(arm, run, knowledge, faults), measurements(arm, run)
+    before = np.inf
+    for count in range(1, iterations + 1):
+        system = linearise(arm, scenario, run, knowledge, faults, states, substeps)
+        if count <= _ARM_HELD:
+            system.deviation[4 : 4 + len(knowledge.deviation)] *= _HELD
+        defect = np.zeros_like(states)
+        defect[:-1] = system.memory * states[:-1] - states[1:]
+        defect[:-1, :4] = system.moved[:-1] - states[1:, :4]
+        step = both_passes(
+            system, readings - system.readings, defect, system.start - states[0]
+        ).smoothed
+        if not np.isfinite(step).all():
+            raise LpvError(f'the smoother diverged in iteration {count}')
+        length = _length(step, knowledge)
+        if count > _ARM_HELD + 1 and length > _SHRINKING * before:
+            step *= 0.5
+        states, before = states + step, length
+        if count > _ARM_HELD and length < 1.0:
+            break
+    fault = np.einsum('kqj,kj->kq', system.fault[:, :, 4:], states[:, 4:])
+    return Smoothed(states[:, :2], fault, states, count, bool(length < 1.0))
+
+
+def _length(step, knowledge):
+    """Largest element of a step over what is small."""
+    p = 4 + len(knowledge.deviation)
+    moved = np.abs(step).max(axis=0)
+    small = np.full(len(moved), _CONVERGED)
+    small[4:p] = _ARM_CONVERGED * knowledge.deviation
+    return float(np.delete(moved / small, (2, 3)).max())
+
+
+def _first_guess(arm, run, knowledge, faults):
+    joints = JointMap(arm)
+    states = np.zeros((len(run.time), 4 + len(knowledge.deviation) + len(faults)))
+    states[:, :2] = joints.absolute_position(run.estimate)
+    states[:, 2:4] = joints.absolute_velocity(run.estimated_velocity)
+    return states
+
+
+def filter_adaptively(arm, scenario, run, knowledge, faults, substeps=2):
+    """Causal extended Kalman filter that learns the arm's parameters.
+
+    Given `lpv_campaign.limit.fault_prior.anything`, position sensors serve it for the first sample
+    only: like our observer, no fault of theirs reaches its angles.
+
+    Parameters
+    ----------
+    arm, scenario, run, knowledge, substeps
+        As `smooth`.
+    faults : list of FaultModel
+        Additive ones and those of rates.
+
+    Returns
+    -------
+    tuple of ndarray
+        Faults of the position sensors and absolute angles, each (n, 2) [rad].
+
+    Raises
+    ------
+    LpvError
+        If the filter diverged.
+    """
+    nominal = np.zeros((len(run.time), 4 + len(knowledge.deviation) + len(faults)))
+    system = linearise(arm, scenario, run, knowledge, faults, nominal, substeps)
+    system.r[:, 4:] = np.inf  # not linear in the angles
+    states = np.empty_like(nominal)
+    filter_extended(
+        JointMap(arm).absolute_torque(run.torque),
+        np.ascontiguousarray(run.braked),
+        knowledge.constants,
+        knowledge.sensitivity,
+        np.asarray(arm.disturbance_direction, float),
+        system.mean,
+        arm.sample_time,
+        substeps,
+        system.push,
+        system.memory,
+        system.growth,
+        system.h,
+        system.r,
+        measurements(arm, run),
+        system.start,
+        system.deviation,
+        states,
+    )
+    if not np.isfinite(states).all():
+        raise LpvError('the adaptive filter diverged')
+    return np.einsum('kqj,kj->kq', system.fault, states), states[:, :2]

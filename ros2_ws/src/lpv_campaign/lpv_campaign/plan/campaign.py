@@ -1,0 +1,220 @@
+"""A campaign with all its files inlined: what every worker needs, as one text."""
+
+import json
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from lpv_campaign.plan.factors import ByKind, Choice
+from lpv_campaign.plan.sampling import Plan
+from lpv_campaign.plan.spec import BOTH, DEFAULTS, PATHS, flat_factors, parse_spec
+from lpv_core.certificate.conditions import require
+from lpv_core.certificate.gains import gains_to_dict, load_gains, parse_gains
+from lpv_core.model.arm import arm_from_json, load_arm
+from lpv_core.simulation.scenario import parse_scenario
+from lpv_core.support.config import read_yaml, sha256_of
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
+
+
+def resolve(data, source, folder, designed=True):
+    """Inline all files that a campaign names, and design its gains.
+
+    Parameters
+    ----------
+    data : dict
+        Content of the campaign file.
+    source : str
+        Its name.
+    folder : str or pathlib.Path
+        Where relative names of files count from.
+    designed : bool, optional
+        Whether gains are found, too; if not, `Campaign.with_gains` gives them.
+
+    Returns
+    -------
+    Campaign
+        Ready to be run.
+
+    Raises
+    ------
+    LpvError
+        If anything is missing, wrong, or cannot be designed.
+    """
+    spec = parse_spec(data, source, str(folder))
+    arm = load_arm(_file('arms', spec.arm, folder))
+    names = {spec.scenario, *_path_scenarios(spec)}
+    content = {
+        'spec': data,
+        'arm': arm.to_json(),
+        'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
+        'gains': {},
+    }
+    for name in _values(spec, 'path', 'scenario'):
+        if name != 'random':
+            name = spec.scenario if name == 'scenario' else name
+            parse_scenario(content['scenarios'][name], name).path(arm)
+    for time in _sample_times(spec, arm):
+        for design in spec.designs if designed else ():
+            gains = _gains(design, replace(arm, sample_time=time), folder)
+            content['gains'][f'{design}@{time!r}'] = gains_to_dict(gains)
+    campaign = Campaign(json.dumps(content, sort_keys=True))
+    campaign.check()
+    return campaign
+
+
+def _file(kind, name, folder):
+    path = Path(folder) / name
+    return bringup_file(kind, str(path) if path.is_file() else name)
+
+
+def _values(spec, name, default):
+    factor = spec.factors.get(name)
+    return factor.values if isinstance(factor, Choice) else (default,)
+
+
+def _path_scenarios(spec):
+    return [name for name in _values(spec, 'path', 'scenario') if name not in PATHS]
+
+
+def _sample_times(spec, arm):
+    return _values(spec, 'sample_time', arm.sample_time)
+
+
+def _gains(name, arm, folder):
+    path = Path(folder) / name
+    if path.is_file() and 'ros__parameters' in path.read_text(encoding='utf-8', errors='ignore'):
+        gains = load_gains(path)
+        require(arm, gains, name)
+        return gains
+    # Only here: workers never design, and need no solver.
+    from lpv_design.design_flow import design
+    from lpv_design.requirement import load_requirement
+
+    return design(arm, load_requirement(path if path.is_file() else name)).gains
+
+
+class Campaign:
+    """What is run, from one text.
+
+    Parameters
+    ----------
+    text : str
+        JSON, as `resolve` makes it.
+
+    Attributes
+    ----------
+    text : str
+        The same.
+    spec : CampaignSpec
+        What varies.
+    arm : ArmParameters
+        Nominal arm of the arm file.
+    """
+
+    def __init__(self, text):
+        self.text = text
+        self._content = content = json.loads(text)
+        self.spec = parse_spec(content['spec'])
+        self.arm = arm_from_json(content['arm'])
+        self._gains = {name: parse_gains(gains, name) for name, gains in content['gains'].items()}
+        self._scenarios = {
+            name: parse_scenario(data, name) for name, data in content['scenarios'].items()
+        }
+        flat = flat_factors(self.spec.factors)
+        self._plan = Plan(self.spec.method, flat, self.spec.runs, self.spec.seed)
+
+    @property
+    def key(self):
+        """Hash of everything that can change a result but the software itself.
+
+        Gains count by what they were designed from: a solver of another version finds others, and
+        a campaign that goes on keeps those that it began with.
+        """
+        fixed = {name: self._content[name] for name in ('spec', 'arm', 'scenarios')}
+        return sha256_of({**fixed, 'gains': sorted(self._content['gains'])})
+
+    def scenario(self, name):
+        """Scenario by the name that the campaign file gives it."""
+        return self._scenarios[name]
+
+    def gains(self, design, sample_time):
+        """Gains of a design at a sample time [s]."""
+        return self._gains[f'{design}@{sample_time!r}']
+
+    def with_gains(self, gains, factors):
+        """The same runs with other gains.
+
+        Parameters
+        ----------
+        gains : Gains
+            Used for every design and sample time.
+        factors : dict of str to float
+            New values of factors that are fixed.
+
+        Returns
+        -------
+        Campaign
+            Ready to be run.
+        """
+        content, data = json.loads(self.text), gains_to_dict(gains)
+        content['spec']['factors'] = {**content['spec'].get('factors', {}), **factors}
+        content['gains'] = {
+            f'{design}@{time!r}': data
+            for design in self.spec.designs
+            for time in _sample_times(self.spec, self.arm)
+        }
+        return Campaign(json.dumps(content, sort_keys=True))
+
+    def values(self, number):
+        """Value of every factor in one run.
+
+        Parameters
+        ----------
+        number : int
+            Number of the run.
+
+        Returns
+        -------
+        dict of str to float or str or None
+            By name; None: what scenario and arm say.
+        """
+        units = dict(zip(self.spec.factors, self._plan.point(number).tolist()))
+        values = dict(DEFAULTS, design=self.spec.designs[0])
+        kind_first = sorted(units, key=lambda name: name != 'fault.kind')
+        for name in kind_first:
+            factor = self.spec.factors[name]
+            if isinstance(factor, ByKind):
+                factor = factor.of(values['fault.kind'])
+            values[name] = factor.value(units[name])
+        return values
+
+    def check(self):
+        """Refuse what needs the arm to be seen as wrong.
+
+        Raises
+        ------
+        ConfigError
+            Naming the factor.
+        """
+        known = (*self.arm.sensor_names, BOTH)
+        for name in _values(self.spec, 'fault.sensor', BOTH):
+            if name not in known:
+                raise ConfigError(
+                    'factors.fault.sensor', f'{name!r} is none of ' + ', '.join(known)
+                )
+        plants = _values(self.spec, 'plant', self.scenario(self.spec.scenario).plant)
+        if self.spec.limit and 'lpv' in plants:
+            raise ConfigError('limit', 'there is none for the plant lpv, which is no rigid arm')
+        for name in _values(self.spec, 'design', self.spec.designs[0]):
+            if name not in self.spec.designs:
+                raise ConfigError(
+                    'factors.design',
+                    f'{name!r} is none of the designs ' + ', '.join(self.spec.designs),
+                )
+
+
+@lru_cache(maxsize=2)
+def campaign_of(text):
+    """`Campaign` of a text; a worker parses it once."""
+    return Campaign(text)

@@ -1,0 +1,157 @@
+"""What varies from run to run: fixed values, choices, ranges, each as a map from [0, 1)."""
+
+import math
+from dataclasses import dataclass
+
+from lpv_core.support.errors import ConfigError
+
+_KEYS = {'low', 'high', 'spacing', 'levels'}
+_MOST_CHOICES = 1000
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of several values; a fixed value is a choice of one.
+
+    Attributes
+    ----------
+    values : tuple
+        Numbers or texts.
+    """
+
+    values: tuple
+
+    def value(self, unit):
+        """Value for a number of [0, 1)."""
+        return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
+
+    @property
+    def units(self):
+        """Numbers of [0, 1) that give each value once, for a factorial plan."""
+        return tuple((k + 0.5) / len(self.values) for k in range(len(self.values)))
+
+
+@dataclass(frozen=True)
+class Range:
+    """A number between two ends, uniform in its value or in its logarithm.
+
+    Attributes
+    ----------
+    low, high : float
+        Ends.
+    logarithmic : bool
+        Whether the logarithm is uniform.
+    levels : int
+        Values in a factorial plan, both ends among them.
+    """
+
+    low: float
+    high: float
+    logarithmic: bool = False
+    levels: int = 2
+
+    def value(self, unit):
+        """Value for a number of [0, 1]."""
+        if self.logarithmic:
+            return self.low * (self.high / self.low) ** unit
+        return self.low + unit * (self.high - self.low)
+
+    @property
+    def units(self):
+        """Numbers of [0, 1] that give the levels of a factorial plan."""
+        return tuple(k / (self.levels - 1) for k in range(self.levels))
+
+
+@dataclass(frozen=True)
+class ByKind:
+    """Another choice or range for each kind of fault.
+
+    Attributes
+    ----------
+    kinds : dict of str to Choice or Range
+        Kinds that are left out give 0.
+    """
+
+    kinds: dict
+
+    def of(self, kind):
+        """Choice or range of a kind."""
+        return self.kinds.get(kind, Choice((0.0,)))
+
+
+def parse_factor(data, name, source, kinds=None):
+    """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind.
+
+    Parameters
+    ----------
+    data : object
+        From YAML.
+    name, source : str
+        For error messages.
+    kinds : sequence of str, optional
+        Kinds of faults that may be told apart; none: they may not.
+
+    Returns
+    -------
+    Choice or Range or ByKind
+        The factor.
+
+    Raises
+    ------
+    ConfigError
+        Naming what is wrong.
+    """
+    if not isinstance(data, dict):
+        return _choice(data, name, source)
+    if kinds is not None and data and not _KEYS & set(data):
+        unknown = sorted(set(map(str, data)) - set(kinds))
+        if unknown:
+            raise ConfigError(
+                name, f'has no kind of fault {unknown[0]!r}; known are ' + ', '.join(kinds), source
+            )
+        return ByKind(
+            {kind: parse_factor(value, f'{name}.{kind}', source) for kind, value in data.items()}
+        )
+    return _range(data, name, source)
+
+
+def _choice(data, name, source):
+    values = tuple(data) if isinstance(data, list) else (data,)
+    if not 1 <= len(values) <= _MOST_CHOICES:
+        raise ConfigError(name, f'must list 1 to {_MOST_CHOICES} values', source)
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+            raise ConfigError(name, f'must be numbers or texts, got {value!r}', source)
+        if not isinstance(value, str) and not math.isfinite(value):
+            raise ConfigError(name, 'must be finite', source)
+    if len({isinstance(v, str) for v in values}) > 1:
+        raise ConfigError(name, 'must not mix numbers and texts', source)
+    if len(set(values)) < len(values):
+        raise ConfigError(name, 'lists a value twice', source)
+    return Choice(tuple(v if isinstance(v, str) else float(v) for v in values))
+
+
+def _range(data, name, source):
+    unknown = sorted(set(map(str, data)) - _KEYS)
+    if unknown or 'low' not in data or 'high' not in data:
+        raise ConfigError(
+            name,
+            'must be a value, a list of values, or a mapping of low and high, '
+            'with spacing (linear, log) and levels',
+            source,
+        )
+    ends = []
+    for key in ('low', 'high'):
+        if isinstance(data[key], bool) or not isinstance(data[key], (int, float)):
+            raise ConfigError(f'{name}.{key}', 'must be a number', source)
+        ends.append(float(data[key]))
+    spacing, levels = data.get('spacing', 'linear'), data.get('levels', 2)
+    if spacing not in ('linear', 'log'):
+        raise ConfigError(f'{name}.spacing', 'must be linear or log', source)
+    if isinstance(levels, bool) or not isinstance(levels, int) or not 2 <= levels <= _MOST_CHOICES:
+        raise ConfigError(f'{name}.levels', f'must be an integer, 2 to {_MOST_CHOICES}', source)
+    if not (all(map(math.isfinite, ends)) and ends[0] < ends[1]):
+        raise ConfigError(name, 'must have a finite low below a finite high', source)
+    if spacing == 'log' and ends[0] <= 0.0:
+        raise ConfigError(f'{name}.low', 'must be positive for logarithmic spacing', source)
+    return Range(*ends, spacing == 'log', levels)

@@ -1,0 +1,111 @@
+"""Maps of where the loop stays stable."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.patches import Rectangle
+
+from lpv_campaign.report.sections.stability import size_of
+from lpv_report.style import INK, SENSOR, SETTINGS
+
+_COLUMNS = 3
+_FEW = 6
+_COLOURS = LinearSegmentedColormap.from_list(
+    'stable', [(0.0, SENSOR[1]), (0.5, '#f7ecd9'), (1.0, SENSOR[0])]
+)
+
+
+def draw_stability(data):
+    """Rate of stable runs, a map a pair of factors.
+
+    Parameters
+    ----------
+    data : dict
+        From `lpv_campaign.report.sections.stability.stability`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        None with fewer than two factors.
+    """
+    return _draw(data['maps'], 'cells', 'stable runs')
+
+
+def draw_going(data):
+    """Rate of stable runs without a safe stop, likewise.
+
+    Parameters
+    ----------
+    data : dict
+        From `lpv_campaign.report.sections.stability.stability`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        None with fewer than two factors, or without any safe stop.
+    """
+    if not data['stopped']:
+        return None
+    return _draw(data['maps'], 'going', 'stable, without a safe stop')
+
+
+def _draw(maps, key, label):
+    if not maps:
+        return None
+    columns = min(_COLUMNS, len(maps))
+    rows = -(-len(maps) // columns)
+    with plt.rc_context({**SETTINGS, 'axes.grid': False}):
+        figure, axes = plt.subplots(
+            rows, columns, squeeze=False, figsize=(max(3.1 * columns + 0.5, 5.0), 2.75 * rows)
+        )
+        for axis, entry in zip(axes.flat, maps):
+            image = _draw_map(axis, entry, entry[key])
+        for axis in axes.flat[len(maps) :]:
+            axis.set_visible(False)
+        bar = figure.colorbar(image, ax=axes, shrink=min(1.0, 1.6 / rows), aspect=25, pad=0.02)
+        bar.set_label(label)
+        bar.outline.set_visible(False)
+        bar.set_ticks([0.0, 0.5, 1.0], labels=['0%', '50%', '100%'])
+    return figure
+
+
+def _draw_map(axis, entry, cells):
+    rates = np.array([[np.nan if c['rate'] is None else c['rate'] for c in line] for line in cells])
+    image = axis.imshow(rates, origin='lower', aspect='auto', cmap=_COLOURS, vmin=0.0, vmax=1.0)
+    for (row, column), rate in np.ndenumerate(rates):
+        cell = cells[row][column]
+        if np.isnan(rate):
+            axis.add_patch(
+                Rectangle(
+                    (column - 0.5, row - 0.5),
+                    1.0,
+                    1.0,
+                    fill=False,
+                    hatch='////',
+                    linewidth=0.0,
+                    edgecolor='#9aa5b4',
+                )
+            )
+            continue
+        colour = 'white' if rate > 0.85 or rate < 0.12 else INK
+        text = f'{100.0 * rate:.0f}'
+        if max(rates.shape) <= _FEW:
+            text += f'\nof {cell["cases"]}'
+        axis.text(column, row, text, ha='center', va='center', color=colour, fontsize=7)
+    _ticks(axis.xaxis, entry['x'])
+    _ticks(axis.yaxis, entry['y'])
+    axis.set(xlabel=entry['x']['name'], ylabel=entry['y']['name'])
+    axis.tick_params(length=0)
+    for side in ('left', 'bottom'):
+        axis.spines[side].set_visible(False)
+    return image
+
+
+def _ticks(axis, factor):
+    """Levels in the middle of cells, edges between them."""
+    if factor['levels'] is not None:
+        axis.set_ticks(range(size_of(factor)), [f'{v:.3g}' for v in factor['levels']])
+        return
+    edges = factor['edges']
+    places = range(0, len(edges), 2)
+    axis.set_ticks([k - 0.5 for k in places], [f'{edges[k]:.3g}' for k in places])

@@ -1,0 +1,1 @@
+"""Statistics that the sections share."""

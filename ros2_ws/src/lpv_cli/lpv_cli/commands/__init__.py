@@ -1,0 +1,1 @@
+"""The commands of ``lpv``, one module each."""

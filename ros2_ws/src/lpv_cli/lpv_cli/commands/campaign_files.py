@@ -1,0 +1,63 @@
+"""Campaigns by the names that a user gives them."""
+
+from pathlib import Path
+
+from lpv_campaign.execution.store import CampaignFolder
+from lpv_campaign.plan.campaign import resolve
+from lpv_core.support.config import read_yaml
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
+
+
+def open_folder(path):
+    """Campaign of a results folder.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The folder.
+
+    Returns
+    -------
+    tuple
+        `Campaign` and `CampaignFolder`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no campaign.
+    """
+    folder = CampaignFolder(path)
+    campaign = folder.load()
+    if campaign is None:
+        raise ConfigError('spec', 'holds no results of a campaign', str(path))
+    return campaign, folder
+
+
+def open_file(name, out=None):
+    """Campaign of a campaign file, with the gains that were used if it has begun already.
+
+    Parameters
+    ----------
+    name : str
+        File, or name of a shipped one.
+    out : str, optional
+        Folder of its results, if it is not the usual one.
+
+    Returns
+    -------
+    tuple
+        `Campaign` and `CampaignFolder`, which may hold nothing, or another campaign.
+
+    Raises
+    ------
+    LpvError
+        If the file or what it names is wrong.
+    """
+    path = Path(name)
+    if not path.is_file():
+        path = bringup_file('campaigns', name)
+    campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
+    folder = CampaignFolder(out or Path('out') / 'campaign' / path.stem)
+    begun = folder.load()
+    return (begun if begun is not None and begun.key == campaign.key else campaign), folder

@@ -1,0 +1,48 @@
+"""``lpv import-csv``: a CSV recording of an arm becomes a bag."""
+
+import sys
+from pathlib import Path
+
+from lpv_bag.run.csv_import import import_csv, load_column_map
+from lpv_core.support.resources import bringup_file
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('csv', help='file with a header line and one sample a line')
+    parser.add_argument(
+        '--columns',
+        required=True,
+        help='column map: a YAML file, or the name of a shipped one (real_arm)',
+    )
+    parser.add_argument('--out', required=True, help='bag to create')
+    parser.add_argument('--topic', default='/joint_states', help='topic (/joint_states)')
+    parser.add_argument('--delimiter', default=',', help='between cells (comma)')
+
+
+def run(arguments):
+    """Import.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    columns = load_column_map(bringup_file('columns', arguments.columns))
+    out = Path(arguments.out)
+    count, warnings = import_csv(arguments.csv, columns, out, arguments.topic, arguments.delimiter)
+    for text in warnings:
+        print(f'warning: {text}', file=sys.stderr)
+    print(f'{count} samples of {", ".join(columns.joints)} written to {out}')
+    return 0

@@ -1,0 +1,100 @@
+"""``lpv recover``: repair a bag that is cut off or damaged, and say what was lost."""
+
+import logging
+import shutil
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from lpv_bag.mcap.writer import PRESETS
+from lpv_bag.rosbag.errors import BagError
+from lpv_bag.rosbag.recovery import recover
+
+NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('bag', help='rosbag2 directory with MCAP files, or one MCAP file')
+    parser.add_argument(
+        '--out',
+        help='bag to create; without, BAG_recovered if BAG is damaged, and nothing if it is not',
+    )
+    parser.add_argument(
+        '--preset',
+        choices=tuple(PRESETS),
+        default='zstd_fast',
+        help='compression of the new bag (zstd_fast)',
+    )
+    parser.epilog = (
+        'Exit codes: 0 every message was recovered, 3 something was lost, 1 nothing '
+        'can be read, 2 wrong arguments. BAG itself is never changed.'
+    )
+
+
+def run(arguments):
+    """Recover, and show what was lost.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0 if nothing was lost, 3 if something was, 1 if the bag is unreadable.
+    """
+    logging.getLogger('lpv_bag').setLevel(logging.ERROR)  # all of it is in the result
+    bag = Path(arguments.bag)
+    out = Path(arguments.out) if arguments.out else None
+    try:
+        if out is None:
+            result = recover(bag)
+            if result.damages:
+                out = bag.with_name(f'{bag.name.removesuffix(".mcap")}_recovered')
+        if out is not None:
+            result = _recover_into(bag, out, arguments.preset)
+    except BagError as error:
+        print(f'lpv recover: {error}', file=sys.stderr)
+        return UNREADABLE
+    _show(result, out)
+    return NOTHING_LOST if result.nothing_lost else SOMETHING_LOST
+
+
+def _recover_into(bag, out, preset):
+    new = not out.exists()
+    try:
+        return recover(bag, out, preset)
+    except BaseException:
+        if new:  # half a bag looks like a whole one
+            shutil.rmtree(out, ignore_errors=True)
+        raise
+
+
+def _show(result, out):
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    for text in result.damages:
+        console.print(f'  {text}')
+    table = Table('topic', 'recovered', 'lost', box=None, header_style='')
+    for name, topic in sorted(result.topics.items()):
+        lost = f'at least {topic.lost}' if result.end_missing and topic.lost else str(topic.lost)
+        table.add_row(name, str(topic.recovered), lost)
+    console.print(table)
+    if result.attachments:
+        console.print(f'{result.attachments} attachments were left out')
+    if result.end_missing:
+        console.print(
+            f'the recording was not finished: what came after {result.end / 1e9:.3f} s is lost'
+        )
+    elif result.nothing_lost:
+        console.print('nothing was lost' if result.damages else 'the bag is whole')
+    console.print(f'bag  {out}' if out is not None else 'nothing was written')

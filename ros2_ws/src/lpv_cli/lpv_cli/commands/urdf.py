@@ -1,0 +1,40 @@
+"""``lpv urdf``: the arm of an arm file as a URDF."""
+
+from pathlib import Path
+
+from lpv_core.export.urdf import arm_urdf
+from lpv_core.model.arm import load_arm
+from lpv_core.support.resources import bringup_file
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
+    parser.add_argument('--out', help='file to write instead of the terminal')
+
+
+def run(arguments):
+    """Print or write the URDF.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    text = arm_urdf(load_arm(bringup_file('arms', arguments.arm)))
+    if arguments.out:
+        Path(arguments.out).write_text(text, encoding='utf-8')
+    else:
+        print(text, end='')
+    return 0

@@ -1,0 +1,69 @@
+"""``lpv verify``: check the certificate of a gains file, without any solver."""
+
+from lpv_cli.completion import shipped
+from lpv_core.certificate.conditions import verify
+from lpv_core.certificate.gains import load_gains
+from lpv_core.model.arm import arm_from_json, load_arm
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('gains', help='gains file as written by lpv design')
+    parser.add_argument(
+        '--arm',
+        help='arm that the gains are to be used with: file or name of a '
+        'shipped one; without, the arm that the file itself describes',
+    ).completer = shipped('arms')
+    parser.add_argument(
+        '--proof',
+        action='store_true',
+        help='also prove the inequalities in exact rational arithmetic',
+    )
+
+
+def run(arguments):
+    """Rebuild and judge every inequality.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0; 1 if an inequality does not hold.
+    """
+    gains = load_gains(arguments.gains)
+    arm = _arm(arguments, gains)
+    holds = True
+    print(f'gains for arm {arm.name!r}, method {gains.observer.method!r}')
+    for check in verify(arm, gains):
+        holds &= check.holds
+        print(f'  {"holds" if check.holds else "FAILS"}  {check.margin:+.3g}  {check.name}')
+    if arguments.proof:
+        from lpv_core.certificate.exact_proof import prove
+
+        for name, proved in prove(arm, gains).items():
+            holds &= proved
+            print(f'  {"proved" if proved else "REFUTED"}  {name}')
+    print('the certificate holds' if holds else 'the certificate does NOT hold')
+    return 0 if holds else 1
+
+
+def _arm(arguments, gains):
+    if arguments.arm:
+        return load_arm(bringup_file('arms', arguments.arm))
+    if 'arm_json' not in gains.certificate:
+        raise ConfigError(
+            'gains.certificate.arm_json', 'is missing: give the arm with --arm', arguments.gains
+        )
+    return arm_from_json(gains.certificate['arm_json'])

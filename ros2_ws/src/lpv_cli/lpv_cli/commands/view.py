@@ -1,0 +1,69 @@
+"""``lpv view``: start the live view beside a running graph."""
+
+import os
+
+from lpv_core.support.resources import bringup_file, executable
+
+
+def add_arguments(parser):
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
+    parser.add_argument(
+        '--scenario', help='shipped scenario or scenario file whose path and obstacle are drawn'
+    )
+    parser.add_argument('--namespace', default='/lpv', help='namespace of the graph (/lpv)')
+    parser.add_argument(
+        '--address',
+        default='127.0.0.1',
+        help='where to listen (127.0.0.1); '
+        '0.0.0.0: everywhere, the buttons then need the token that is printed, '
+        'or the one in the environment variable LPV_VIEW_TOKEN',
+    )
+    parser.add_argument('--port', type=int, default=8090, help='port of the page (8090)')
+    parser.add_argument(
+        '--foxglove-port',
+        type=int,
+        default=8765,
+        help='port of the Foxglove WebSocket protocol; 0: off (8765)',
+    )
+    parser.add_argument(
+        '--domain-id', type=int, help="ROS_DOMAIN_ID of the graph; otherwise the environment's"
+    )
+
+
+def run(arguments):
+    """Become the view node; returns only where it cannot be started.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        Never.
+    """
+    program = executable('lpv_view', 'view')
+    parameters = {
+        'arm_file': bringup_file('arms', arguments.arm),
+        'address': arguments.address,
+        'port': arguments.port,
+        'foxglove_port': arguments.foxglove_port,
+    }
+    if arguments.scenario:
+        parameters['scenario_file'] = bringup_file('scenarios', arguments.scenario)
+    line = [str(program), '--ros-args', '-r', f'__ns:={arguments.namespace}']
+    for name, value in parameters.items():
+        line += ['-p', f'{name}:={value}']
+    if arguments.domain_id is not None:
+        os.environ['ROS_DOMAIN_ID'] = str(arguments.domain_id)
+    # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.execv(program, line)

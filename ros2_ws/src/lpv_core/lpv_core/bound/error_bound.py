@@ -1,0 +1,342 @@
+"""Bounds on the error of the fault estimates, by configuration and past.
+
+Gravity is the only absolute reference of an angle: what the model does not know of the torques is
+explained as an angle error, and in time an error q/(G cos theta) builds up.
+
+For method ``exact`` the bound is a reachable set plus a multiple of noise: all errors that the
+unknown torques of a healthy arm (model error, payload, friction, mean disturbance) can have caused
+since the start, whatever their course in time.  The model errors of method ``paper`` have no exact
+form; its bound is the static error of the configuration, which rises at once and falls at the
+certified decay rate.
+"""
+
+import math
+
+import numpy as np
+
+from lpv_core.bound.unknown_torque import UNKNOWN_TORQUE, healthy_arm, unknown_torque
+from lpv_core.bound.zonotope import COLUMNS, SIZE, extent, map_columns, reduce_columns
+from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2
+from lpv_core.model.joints import JointMap, row_dot
+from lpv_core.residual.dead_reckoning import RATE_BIAS
+from lpv_core.support.jit import njit
+from lpv_core.support.records import new_record, record_type
+
+_LARGEST = 10.0
+"""A larger set says nothing more [rad]."""
+_LONGEST = 60.0
+"""After so long a gap the set has come to rest; a clock that jumps by years must not take hours
+[s]."""
+
+BOUND_CONSTANTS = record_type(
+    ('exact', '?'),
+    ('sign', 'f8'),
+    ('kappa', 'f8', (2,)),
+    ('mu', 'f8', (2,)),
+    ('fastest', 'f8'),
+    ('slowest_recovery', 'f8'),
+    ('decay', 'f8'),
+    ('spread', 'f8', (2, 2)),
+    ('noise', 'f8', (2,)),
+    ('angle_noise', 'f8', (2,)),
+    ('start', 'f8', (2,)),
+    ('drift', 'f8', (2,)),
+    ('bias', 'f8', (2,)),
+    ('to_angle', 'f8', (2, 2)),
+    ('gravity', 'f8', (2,)),
+    ('inertia', 'f8', (2,)),
+    ('cos_min', 'f8', (2,)),
+    ('unknown', UNKNOWN_TORQUE),
+)
+"""Method; s; gains; largest mu and slowest recovery [1/s]; decay rate of method paper [1/s];
+abs(S); noise part of the bound, per sensor and per angle [rad]; error at the start [rad]; growth by
+noise of the rates [rad/sqrt(s)] and by their bias [rad/s]; abs(S^-1); G_i, Xi_ii, region; healthy
+arm."""
+
+BOUND_STATE = record_type(
+    ('count', 'i8'),
+    ('columns', 'f8', (SIZE, COLUMNS)),
+    ('extent', 'f8', (SIZE,)),
+    ('held_for', 'f8', (2,)),
+    ('bound', 'f8', (2,)),
+    ('momentum', 'f8', (2,)),
+    ('torque', 'f8', (2,)),
+    ('margin', 'f8', (2,)),
+    ('map', 'f8', (SIZE, SIZE)),
+    ('n', 'f8', (SIZE, SIZE)),
+)
+"""The set of the errors (e_1, e_2, r_1, r_2), r_i = s m_i/Xi_ii the momentum error in units of a
+rate (method paper: ``extent`` alone); how long links have been held, less what was unlearnt [s];
+results: bounds on the error per sensor [rad], on r of a healthy arm [rad/s]; work space."""
+
+
+def error_bound(arm, gains, sigmas, friction_uncertainty):
+    """Constants of the bound for one arm and its gains.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        What a healthy arm may do.
+    gains : Gains
+        Its gains.
+    sigmas : float
+        Standard deviations of noise in the bound.
+    friction_uncertainty : float
+        Relative uncertainty of Coulomb friction.
+
+    Returns
+    -------
+    numpy.record
+        Of type `BOUND_CONSTANTS`.
+    """
+    observer, constants = gains.observer, arm.constants()
+    sensor_matrix = JointMap(arm).sensor_matrix
+    spread, noise = np.abs(sensor_matrix), sigmas * np.asarray(observer.fault_sigma)
+    gravity, inertia = constants[[G_1, G_2]], constants[[A_11, C_22]]
+    to_angle = np.abs(np.linalg.inv(sensor_matrix))
+    params = new_record(
+        BOUND_CONSTANTS,
+        sign=arm.sign,
+        spread=spread,
+        noise=noise,
+        angle_noise=np.linalg.solve(spread, noise),
+        start=sigmas * arm.position_noise * to_angle.sum(axis=1),
+        drift=(sigmas * arm.velocity_noise * math.sqrt(arm.sample_time) * np.hypot(*to_angle.T)),
+        bias=RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1),
+        to_angle=to_angle,
+        gravity=gravity,
+        inertia=inertia,
+        cos_min=arm.cos_min,
+        decay=observer.decay,
+        unknown=healthy_arm(arm, friction_uncertainty),
+    )
+    if observer.method == 'exact':
+        kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
+        params.exact, params.kappa, params.mu, params.fastest = True, kappa, mu, mu.max()
+        params.slowest_recovery = np.min(kappa * gravity * np.asarray(arm.cos_min) / mu)
+    return params
+
+
+@njit
+def reset_bound(state):
+    """Forget the past: the next estimate is a first one."""
+    state.columns[:] = 0.0
+    state.extent[:] = 0.0
+    state.held_for[:] = 0.0
+    state.count = 0
+
+
+@njit
+def update_bound(params, state, estimate, lost):
+    """Follow the configuration; fills ``bound`` and ``momentum`` of the state.
+
+    Parameters
+    ----------
+    params, state : numpy.record
+        Constants and state.
+    estimate : numpy.record
+        Latest estimate.
+    lost : ndarray, shape (2,)
+        What samples that were lost just before leave unknown of each sensor's angle [rad].
+    """
+    for i in range(2):
+        gap = row_dot(params.to_angle, i, lost[0], lost[1])
+        if gap > 0.0 and state.count > 0:
+            _widen(params, state, i, gap)
+    if params.exact:
+        _follow_set(params, state, estimate)
+    else:
+        _follow_static(params, state, estimate)
+
+
+@njit
+def _widen(params, state, i, gap):
+    """Add an unknown part of an angle to the errors."""
+    if not params.exact:
+        state.extent[i] += gap
+        return
+    state.columns[:, state.count] = 0.0
+    state.columns[i, state.count] = gap
+    state.count += 1
+    if state.count + SIZE > COLUMNS:
+        state.count = reduce_columns(state.columns, state.count)
+
+
+@njit
+def _follow_set(params, state, estimate):
+    if state.count == 0:
+        state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
+        state.count = 2
+    elif max(state.extent[0], state.extent[1]) <= _LARGEST:
+        _advance(params, state, estimate)
+    extent(state.columns, state.count, state.extent)
+    _update_held_time(params, state, estimate)
+    error_1 = min(state.extent[0] + params.drift[0] * math.sqrt(state.held_for[0]), _LARGEST)
+    error_2 = min(state.extent[1] + params.drift[1] * math.sqrt(state.held_for[1]), _LARGEST)
+    for i in range(2):
+        state.bound[i] = row_dot(params.spread, i, error_1, error_2) + params.noise[i]
+        state.momentum[i] = state.extent[2 + i]
+
+
+@njit
+def _advance(params, state, estimate):
+    theta, rate, acc = (
+        estimate.absolute_position,
+        estimate.absolute_velocity,
+        estimate.absolute_acceleration,
+    )
+    error_matrix(params, theta, rate, acc, estimate.held, state.n)
+    for i in range(2):
+        state.margin[i] = state.extent[i] + params.angle_noise[i]
+    unknown_torque(params.unknown, theta, rate, acc, state.margin, state.torque)
+    interval = min(estimate.interval, _LONGEST)
+    steps = max(1, math.ceil(interval * params.fastest / 0.5))
+    dt = interval / steps
+    for _ in range(steps):
+        advance_set(params, state, dt)
+
+
+@njit
+def error_matrix(params, theta, rate, acc, held, n):
+    """N of the error at the estimate.
+
+    The coupling of inertia and Coriolis terms enters with its known sign; what its linearisation
+    leaves out is quadratic in the error.
+
+    Parameters
+    ----------
+    params : numpy.record
+        Constants.
+    theta, rate, acc : ndarray, shape (2,)
+        Absolute angles, rates, accelerations at the estimate.
+    held : ndarray of bool, shape (2,)
+        Links without correction.
+    n : ndarray, shape (4, 4)
+        Receives N; entries that are always zero are left alone.
+    """
+    arm = params.unknown.arm
+    cosine, sine = math.cos(theta[0] - theta[1]), math.sin(theta[0] - theta[1])
+    b = params.sign * arm[B_12]
+    couple_1 = -b * (cosine * rate[1] * rate[1] - sine * acc[1]) / arm[A_11]
+    couple_2 = b * (cosine * rate[0] * rate[0] + sine * acc[0]) / arm[C_22]
+    n[0, 2] = 0.0 if held[0] else -params.kappa[0] * arm[A_11]
+    n[1, 3] = 0.0 if held[1] else -params.kappa[1] * arm[C_22]
+    n[2, 0] = params.sign * arm[G_1] * math.cos(theta[0]) / arm[A_11] + couple_1
+    n[2, 1] = -couple_1
+    n[3, 0] = couple_2
+    n[3, 1] = params.sign * arm[G_2] * math.cos(theta[1]) / arm[C_22] - couple_2
+    n[2, 2], n[3, 3] = -params.mu[0], -params.mu[1]
+
+
+@njit
+def advance_set(params, state, dt):
+    """Map the set by exp(N dt) to second order and add a box of inputs.
+
+    Parameters
+    ----------
+    params, state : numpy.record
+        Constants and state, with N in ``n`` and the unknown torques in ``torque``.
+    dt : float
+        Interval [s].
+    """
+    n, step, columns = state.n, state.map, state.columns
+    half = 0.5 * dt * dt
+    for r in range(SIZE):
+        for q in range(SIZE):
+            square = 0.0
+            for k in range(SIZE):
+                square += n[r, k] * n[k, q]
+            step[r, q] = dt * n[r, q] + half * square
+        step[r, r] += 1.0
+    map_columns(columns, state.count, step)
+    for i in range(2):
+        push = state.torque[i] / params.inertia[i]
+        for r in range(SIZE):
+            columns[r, state.count] = columns[r, state.count + 1] = 0.0
+        columns[2 + i, state.count] = dt * push
+        # Half a step's travel of the input, for its effect within the interval.
+        columns[i, state.count] = half * n[i, 2 + i] * push
+        columns[i, state.count + 1] = dt * params.bias[i]
+        state.count += 2
+    if state.count + SIZE > COLUMNS:
+        state.count = reduce_columns(columns, state.count)
+
+
+@njit
+def _update_held_time(params, state, estimate):
+    """Count how long noise of the rates was integrated while a link was held; it is unlearnt as
+    slowly as the observer recovers."""
+    fall = math.exp(-estimate.interval * params.slowest_recovery)
+    for i in range(2):
+        if estimate.held[i]:
+            state.held_for[i] += estimate.interval
+        else:
+            state.held_for[i] *= fall
+
+
+@njit
+def _follow_static(params, state, estimate):
+    state.margin[:] = 0.0
+    unknown_torque(
+        params.unknown,
+        estimate.absolute_position,
+        state.margin,
+        state.margin,
+        state.margin,
+        state.torque,
+    )
+    fall = math.exp(-params.decay * estimate.interval)
+    for i in range(2):
+        slope = params.gravity[i] * max(
+            abs(math.cos(estimate.absolute_position[i])), params.cos_min[i]
+        )
+        target = state.torque[i] / slope
+        left = state.extent[i] - target if state.count else 0.0
+        state.extent[i] = target + max(0.0, fall * left)
+        # Nothing is known of the momentum.
+        state.momentum[i] = math.inf
+    state.count = 1
+    for i in range(2):
+        state.bound[i] = (
+            row_dot(params.spread, i, state.extent[0], state.extent[1]) + params.noise[i]
+        )
+
+
+def static_bound(params, theta):
+    """Bound at rest in one configuration, after all transients.
+
+    For method ``exact`` from the comparison system of the error, whose poles are real at every
+    slope; for method ``paper`` the slope is clipped to the region.
+
+    Parameters
+    ----------
+    params : numpy.record
+        `error_bound`.
+    theta : ndarray, shape (2,)
+        Absolute angles [rad].
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        Per physical sensor [rad]; infinite where gravity cannot bound it.
+    """
+    theta, still, torque = np.asarray(theta, float), np.zeros(2), np.zeros(2)
+    unknown_torque(params.unknown, theta, still, still, still, torque)
+    if not params.exact:
+        slope = params.gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)
+        return params.spread @ (torque / slope) + params.noise
+    # A bias of the rates is held up by a momentum, and that by a torque.
+    torque = torque + params.bias * params.mu / params.kappa
+    # Distance from the vertical; the slope falls with it.
+    away = np.arccos(np.clip(params.sign * np.cos(theta), -1.0, 1.0))
+    error = np.zeros(2)
+    for _ in range(100):
+        slope = params.gravity * np.cos(np.minimum(away + error + params.angle_noise, math.pi))
+        error = np.where(slope > 0.0, torque / np.maximum(slope, 1e-12), math.pi)
+        error = np.minimum(error, math.pi)
+    error[error >= math.pi] = math.inf
+    # Not 0*inf: a sensor that does not see a link does not see its error.
+    return (
+        np.array([sum(w * e for w, e in zip(row, error) if w) for row in params.spread])
+        + params.noise
+    )

@@ -1,0 +1,1 @@
+"""Gains and the conditions that prove them."""

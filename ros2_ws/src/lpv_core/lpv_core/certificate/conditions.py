@@ -1,0 +1,383 @@
+"""The proof that gains carry: every inequality rebuilt from the gains and the arm alone.
+
+No solver is needed, and none is trusted: what counts are the numbers in the gains file.  Nodes
+refuse gains that do not verify.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from lpv_core.certificate.error_system import link_errors
+from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
+from lpv_core.model.polytope import exact_state_space, exact_vertices, sinc_box
+from lpv_core.model.state_space import Descriptor, vertex_matrices
+from lpv_core.support.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Check:
+    """One inequality.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    margin : float
+        Largest eigenvalue, or another figure that must be negative.
+    """
+
+    name: str
+    margin: float
+
+    @property
+    def holds(self):
+        """Whether it is satisfied; NaN is not."""
+        return self.margin < 0.0
+
+
+def verify(arm, gains):
+    """Rebuild every inequality that the gains claim to satisfy.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Gains with their Lyapunov matrices.
+
+    Returns
+    -------
+    list of Check
+        All checks.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+    gains.check_arm(arm)
+    observer = {'exact': exact_observer_checks, 'paper': paper_observer_checks}
+    return [
+        *observer[gains.observer.method](arm, gains.observer),
+        *controller_checks(arm, gains.controller),
+        *_together(arm, gains),
+    ]
+
+
+def require(arm, gains, source='gains'):
+    """Refuse gains whose certificate does not hold.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Its gains.
+    source : str, optional
+        Name for the error message.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first inequality that fails.
+    """
+    for check in verify(arm, gains):
+        if not check.holds:
+            raise ConfigError(
+                'gains',
+                f'the certificate does not hold: {check.name}, '
+                f'{check.margin:.3g} is not negative; design the gains again',
+                source,
+            )
+
+
+def _symmetric(matrix):
+    """A Lyapunov matrix that is not symmetric proves nothing; NaN fails every check."""
+    scale = np.abs(matrix).max(initial=0.0)
+    return np.abs(matrix - matrix.T).max() <= 1e-9 * scale
+
+
+def _lyapunov_check(name, p):
+    return Check(
+        f'{name}: P > 0 and symmetric', largest_eigenvalue(-p) if _symmetric(p) else np.nan
+    )
+
+
+def exact_observer_checks(arm, observer):
+    """Checks of method ``exact``, link by link.
+
+    The inequalities are affine in the slope, so that its two ends prove them for every slope in
+    between, constant or changing: disc for the error's poles, a common quadratic function for the
+    sampled Heun recursion (whose matrix is affine in the slope, too), and real poles, which the
+    comparison system of the error bound needs.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    observer : ExactObserverGains
+        Its gains.
+
+    Returns
+    -------
+    list of Check
+        Four for each link.
+    """
+    q, r = (0.5 * (observer.fastest + sign * observer.decay) for sign in (1.0, -1.0))
+    checks = []
+    for link in link_errors(arm):
+        kappa, mu = observer.kappa[link.index], observer.mu[link.index]
+        p, name = observer.lyapunov[link.index], f'observer, link {link.index + 1}'
+        closed = [link.closed(slope, kappa, mu) for slope in link.slopes]
+        sampled = [heun(n, arm.sample_time) for n in closed]
+        checks += [
+            _lyapunov_check(name, p),
+            Check(
+                f'{name}: poles between {observer.decay:g} and {observer.fastest:g}/s',
+                max(largest_eigenvalue(disc(p, p @ n, q, r)) for n in closed),
+            ),
+            Check(
+                f'{name}: sampled recursion contracts',
+                max(largest_eigenvalue(a.T @ p @ a - p) for a in sampled),
+            ),
+            Check(f'{name}: real poles at every slope', 4.0 * kappa * link.slopes[1] / mu**2 - 1.0),
+        ]
+    return checks
+
+
+def heun(n, dt):
+    """Matrix of one Heun step of x' = N x."""
+    return np.eye(len(n)) + dt * n + 0.5 * dt**2 * (n @ n)
+
+
+def paper_observer_checks(arm, observer):
+    """Checks of method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41).
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    observer : PaperObserverGains
+        Its gains.
+
+    Returns
+    -------
+    list of Check
+        Positivity, decoupling, inequality.
+    """
+    a, b = vertex_matrices(observer.box, arm.constants(coriolis=False))
+    d, p = Descriptor(a, b, arm), observer.lyapunov
+    decoupled = np.abs(observer.t1 @ d.e + observer.t2 @ d.c - np.eye(6)).max()
+    bd, bf, level = observer.t1 @ d.bd, observer.t1 @ d.bf, observer.gamma**2
+    worst = -np.inf
+    for a_i, k_i in zip(d.a, observer.k):
+        pn = p @ (observer.t1 @ a_i + k_i @ d.c)
+        if observer.lmi == '55':
+            matrices = [bounded_real_disc(p, pn, p @ bd, p @ bf, level, observer.q, observer.r)]
+        else:
+            matrices = [
+                bounded_real(p, pn, p @ bd, p @ bf, level),
+                disc(p, pn, observer.q, observer.r),
+            ]
+        worst = max(worst, *(largest_eigenvalue(m) for m in matrices))
+    return [
+        _lyapunov_check('observer', p),
+        Check('observer: decoupling (41)', float(decoupled) - 1e-9),
+        Check(f'observer: LMI ({observer.lmi}) at 8 vertices', worst),
+    ]
+
+
+def controller_loop(arm, method, sinc_min=-0.2):
+    """Augmented vertices A_c, B_c of eq. (64).
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    method : {'paper', 'exact'}
+        Polytope: the paper's box, or the exact one.
+    sinc_min : float, optional
+        Lower end of the paper's box.
+
+    Returns
+    -------
+    tuple of ndarray
+        A_c (h, 6, 6) and B_c (h, 6, 2).
+    """
+    if method == 'paper':
+        return augment(*vertex_matrices(sinc_box(sinc_min), arm.constants(coriolis=False)))
+    pairs = [exact_state_space(v, arm.constants()) for v in exact_vertices(arm)]
+    return augment(np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]))
+
+
+def augment(a, b):
+    """Augmented vertices of eq. (64) with eps' = w - theta.
+
+    Parameters
+    ----------
+    a, b : ndarray, shapes (h, 4, 4) and (h, 4, 2)
+        Vertices.
+
+    Returns
+    -------
+    tuple of ndarray
+        A_c (h, 6, 6) and B_c (h, 6, 2).
+    """
+    h = len(a)
+    a_c, b_c = np.zeros((h, 6, 6)), np.zeros((h, 6, 2))
+    a_c[:, :4, :4] = a
+    a_c[:, 4:, :2] = -np.eye(2)
+    b_c[:, :4] = b
+    return a_c, b_c
+
+
+def controller_checks(arm, controller):
+    """Checks of the tracking loop: LMI (67), and poles that the sample time can carry.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    controller : ControllerGains
+        Its gains.
+
+    Returns
+    -------
+    list of Check
+        Positivity, LMI (67) with the stored P, sampled loop with one sample of delay.
+    """
+    loop = controller_loop(arm, controller.method, controller.sinc_min)
+    m, p = np.hstack([controller.m1, controller.m2]), controller.lyapunov
+    closed = [a + b @ m for a, b in zip(*loop)]
+    # P spans many decades; a congruence with its own factor makes margins comparable.
+    positive = _lyapunov_check('controller', p)
+    factor = np.linalg.inv(np.linalg.cholesky(p)) if positive.holds else np.eye(6)
+    worst = max(
+        largest_eigenvalue(factor @ (p @ n + n.T @ p + 2.0 * controller.decay * p) @ factor.T)
+        for n in closed
+    )
+    radius = max(delayed_radius(a, b, m, arm.sample_time) for a, b in zip(*loop))
+    return [
+        positive,
+        Check(f'controller: LMI (67), alpha {controller.decay:g}/s, {len(closed)} vertices', worst),
+        Check('controller: sampled loop with one sample of delay', radius - 1.0),
+        *_robustness(arm, controller, m, p, factor),
+    ]
+
+
+def _robustness(arm, controller, m, p, factor):
+    """The same P and half the decay for arms with other masses, inertias and payloads.
+
+    The corners of the stated ranges are checked; between them Xi^-1 is not affine, so that this is
+    evidence and no proof.
+    """
+    if controller.method != 'exact' or not (arm.model_error or arm.payload):
+        return []
+    alpha, worst, radius = 0.5 * controller.decay, -np.inf, 0.0
+    arms = corner_arms(arm)
+    for other in arms:
+        for a, b in zip(*controller_loop(other, 'exact')):
+            n = a + b @ m
+            worst = max(
+                worst, largest_eigenvalue(factor @ (p @ n + n.T @ p + 2.0 * alpha * p) @ factor.T)
+            )
+            radius = max(radius, delayed_radius(a, b, m, arm.sample_time))
+    text = f'{len(arms)} arms at the corners of model error and payload'
+    return [
+        Check(f'controller: {text}, alpha {alpha:g}/s', worst),
+        Check(f'controller: {text}, sampled with delay', radius - 1.0),
+    ]
+
+
+def corner_arms(arm):
+    """Arms at the corners of the stated model error and payload.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm.
+
+    Returns
+    -------
+    list of ArmParameters
+        Those whose inertia is positive definite.
+    """
+    ends = (1.0 - arm.model_error, 1.0 + arm.model_error)
+    arms = []
+    for factors in product(ends, repeat=4):
+        for payload in sorted({0.0, arm.payload}):
+            other = arm.scaled(factors[:2], factors[2:]).with_payload(payload)
+            if other.is_physical():
+                arms.append(other)
+    return arms
+
+
+def _together(arm, gains):
+    """Sampled loop of arm, controller and observer, closed on estimates and on measurements."""
+    if gains.observer.method != 'exact' or gains.controller.method != 'exact':
+        return []
+    m = np.hstack([gains.controller.m1, gains.controller.m2])
+    links, checks = link_errors(arm), []
+    for compensated, name in ((1.0, 'with'), (0.0, 'without')):
+        radius = 0.0
+        for (a, b), vertex in zip(zip(*controller_loop(arm, 'exact')), exact_vertices(arm)):
+            slopes = np.abs(vertex[2:])
+            error = np.zeros((4, 4))
+            for link, slope in zip(links, slopes):
+                i = link.index
+                error[np.ix_([i, 2 + i], [i, 2 + i])] = link.closed(
+                    link.gravity * slope, gains.observer.kappa[i], gains.observer.mu[i]
+                )
+            # Rates are fed back as estimated: e' = Xi^-1 diag(Xi_ii) r, and B holds Xi^-1.
+            rates = b[2:4] @ np.diag([link.inertia for link in links]) * arm.sign
+            seen = np.block(
+                [
+                    [compensated * np.eye(2), np.zeros((2, 2))],
+                    [np.zeros((2, 2)), rates],
+                    [np.zeros((2, 4))],
+                ]
+            )
+            whole = np.block([[a, np.zeros((6, 4))], [np.zeros((4, 6)), error]])
+            whole[4:6, 6:8] = -compensated * np.eye(2)
+            inputs = np.vstack([b, np.zeros((4, 2))])
+            radius = max(
+                radius, delayed_radius(whole, inputs, np.hstack([m, m @ seen]), arm.sample_time)
+            )
+        checks.append(
+            Check(
+                f'observer and controller together, {name} compensation, sampled with delay',
+                radius - 1.0,
+            )
+        )
+    return checks
+
+
+def delayed_radius(a, b, m, dt):
+    """Spectral radius of a sampled loop whose torque acts one sample late.
+
+    Parameters
+    ----------
+    a, b : ndarray, shapes (6, 6) and (6, 2)
+        Augmented vertex.
+    m : ndarray, shape (2, 6)
+        [M1 M2].
+    dt : float
+        Sample time [s].
+
+    Returns
+    -------
+    float
+        Below one: stable.
+    """
+    n, k = b.shape
+    # Zero-order hold by the series of the exponential of [[A, B], [0, 0]] dt: dt*A is small.
+    block = np.zeros((n + k, n + k))
+    block[:n] = dt * np.hstack([a, b])
+    term = total = np.eye(n + k)
+    for order in range(1, 12):
+        term = term @ block / order
+        total = total + term
+    loop = np.block([[total[:n, :n], total[:n, n:]], [m, np.zeros((k, k))]])
+    return float(np.abs(np.linalg.eigvals(loop)).max())

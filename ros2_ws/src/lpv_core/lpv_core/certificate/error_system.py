@@ -1,0 +1,126 @@
+"""The error system of method ``exact``, link by link, with its noise: data of LMIs and checks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.model.joints import JointMap
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White inputs of one link's error.
+
+    Attributes
+    ----------
+    direct, measured : ndarray, shapes (2, n) and (1, n)
+        Columns of unit-intensity inputs: ``direct`` enters the error as it is, ``measured`` through
+        the output injection L.
+    """
+
+    direct: np.ndarray
+    measured: np.ndarray
+
+
+@dataclass(frozen=True)
+class LinkError:
+    """Error of one link in the state (e, m/Xi_ii): angle [rad] and weighted rate [rad/s].
+
+    Attributes
+    ----------
+    index : int
+        0 or 1.
+    inertia : float
+        Xi_ii [kg m2].
+    gravity : float
+        G_i [N m/rad].
+    slopes : tuple of float
+        Smallest and largest slope Gamma_i in the region [N m/rad].
+    rows : ndarray, shape (2, 2)
+        Row i of Xi at both ends of Xi12, times s = +1 (upright) or -1 (hanging): for a hanging arm
+        the momentum error is counted with the other sign, which makes both cases one.
+    rate_noise : ndarray, shape (2, 2)
+        Square root of the covariance of the measured absolute rates, per root of time.
+    unit : float
+        Size of errors [rad], for scaling.
+    """
+
+    index: int
+    inertia: float
+    gravity: float
+    slopes: tuple
+    rows: np.ndarray
+    rate_noise: np.ndarray
+    unit: float = 0.05
+
+    output = np.array([[0.0, 1.0]])
+
+    def drift(self, slope):
+        """A of the error without injection, for one slope."""
+        return np.array([[0.0, 0.0], [slope / self.inertia, 0.0]])
+
+    def closed(self, slope, kappa, mu):
+        """N of the error e' = -kappa m, m' = Gamma e - mu m, for one slope."""
+        return np.array([[0.0, -kappa * self.inertia], [slope / self.inertia, -mu]])
+
+    def noises(self, acceleration_noise, rate_noise):
+        """Noise at both ends of Xi12; everything between them is a convex combination.
+
+        Parameters
+        ----------
+        acceleration_noise : sequence of two floats
+            White accelerations of both absolute axes [rad/s2/sqrt(Hz)].
+        rate_noise : float
+            White noise on theta' [rad/s/sqrt(Hz)].
+
+        Returns
+        -------
+        list of Noise
+            For each end.
+        """
+        own = np.eye(2)[[self.index]] @ self.rate_noise
+        found = []
+        for row in self.rows:
+            push = np.abs(row * np.asarray(acceleration_noise)) / self.inertia
+            momentum = row[None] @ self.rate_noise / self.inertia
+            # e' takes the rates' noise as it is, and both rows through the injection.
+            direct = np.block(
+                [[own, np.array([[rate_noise, 0.0, 0.0]])], [np.zeros((1, 3)), push[None]]]
+            )
+            measured = np.hstack([-momentum, np.zeros((1, 3))])
+            found.append(Noise(direct, measured))
+        return found
+
+
+def link_errors(arm):
+    """Error systems of both links.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm with its region and noise.
+
+    Returns
+    -------
+    list of LinkError
+        Two.
+    """
+    c = arm.constants()
+    s_inverse = np.linalg.inv(JointMap(arm).sensor_matrix)
+    noise = s_inverse * arm.velocity_noise * np.sqrt(arm.sample_time)
+    ends = (c[O_12] - c[B_12], c[O_12] + c[B_12])
+    links = []
+    for i, (inertia, gravity) in enumerate(((c[A_11], c[G_1]), (c[C_22], c[G_2]))):
+        rows = arm.sign * np.array([[inertia, end] if i == 0 else [end, inertia] for end in ends])
+        links.append(
+            LinkError(
+                i,
+                float(inertia),
+                float(gravity),
+                (float(gravity * arm.cos_min[i]), float(gravity)),
+                rows,
+                noise,
+            )
+        )
+    return links

@@ -1,0 +1,325 @@
+"""Gains of observer and controller, and the YAML parameter file that carries them."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.errors import ConfigError
+
+FORMAT = 2
+METHODS = ('paper', 'exact')
+
+
+@dataclass(frozen=True)
+class PaperObserverGains:
+    """Observer of method ``paper``, with what its certificate claims.
+
+    Attributes
+    ----------
+    t1, t2 : ndarray, shapes (6, 6) and (6, 4)
+        Decoupling matrices, eq. (41).
+    k : ndarray, shape (8, 6, 4)
+        K_i, eq. (56).
+    lyapunov : ndarray, shape (6, 6)
+        P.
+    box : ndarray, shape (3, 2)
+        Ranges of phi1, phi2, phi3.
+    lmi : {'55', '54+disc'}
+        Which inequalities hold.
+    gamma, q, r : float
+        Attenuation level, and disc [1/s].
+    fault_sigma : ndarray, shape (2,)
+        Standard deviation of the fault estimates [rad].
+    """
+
+    t1: np.ndarray
+    t2: np.ndarray
+    k: np.ndarray
+    lyapunov: np.ndarray
+    box: np.ndarray
+    lmi: str
+    gamma: float
+    q: float
+    r: float
+    fault_sigma: np.ndarray
+    method = 'paper'
+
+    @property
+    def decay(self):
+        """Certified decay rate [1/s]."""
+        return self.q - self.r
+
+
+@dataclass(frozen=True)
+class ExactObserverGains:
+    """Observer of method ``exact``: one second-order error system for each link.
+
+    Attributes
+    ----------
+    kappa : ndarray, shape (2,)
+        kappa_i [1/(kg m2)].
+    mu : ndarray, shape (2,)
+        mu_i [1/s].
+    lyapunov : ndarray, shape (2, 2, 2)
+        P of each link, for the state (e_i, m_i / Xi_ii).
+    decay, fastest : float
+        Certified range of the error's poles [1/s].
+    fault_sigma : ndarray, shape (2,)
+        Bound on the standard deviation of the fault estimates [rad].
+    """
+
+    kappa: np.ndarray
+    mu: np.ndarray
+    lyapunov: np.ndarray
+    decay: float
+    fastest: float
+    fault_sigma: np.ndarray
+    method = 'exact'
+
+
+@dataclass(frozen=True)
+class ControllerGains:
+    """State feedback with integral action, eq. (65).
+
+    Attributes
+    ----------
+    method : {'paper', 'exact'}
+        ``paper`` is u = M1 x + M2 eps; ``exact`` adds reference feed-forward.
+    m1, m2 : ndarray, shapes (2, 4) and (2, 2)
+        M1 and M2, absolute coordinates.
+    lyapunov : ndarray, shape (6, 6)
+        P = Q^-1 of the certificate, eq. (68).
+    decay : float
+        Certified alpha of eq. (67) [1/s].
+    sinc_min : float
+        Lower end of the paper's box (method ``paper``).
+    """
+
+    method: str
+    m1: np.ndarray
+    m2: np.ndarray
+    lyapunov: np.ndarray
+    decay: float
+    sinc_min: float = -0.2
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Everything that a design hands to the nodes.
+
+    Attributes
+    ----------
+    arm_name, arm_sha256 : str
+        The arm that the gains belong to.
+    observer : PaperObserverGains or ExactObserverGains
+        Observer part.
+    controller : ControllerGains
+        Controller part.
+    certificate : dict
+        Margins, solver and versions, as text and numbers.
+    """
+
+    arm_name: str
+    arm_sha256: str
+    observer: object
+    controller: ControllerGains
+    certificate: dict = field(default_factory=dict)
+
+    def check_arm(self, arm, source='gains'):
+        """Refuse gains of another arm.
+
+        Parameters
+        ----------
+        arm : ArmParameters
+            The arm in use.
+        source : str, optional
+            Name for the error message.
+
+        Raises
+        ------
+        ConfigError
+            If the hash of the arm's parameters differs from the one the gains were made for.
+        """
+        if self.arm_sha256 != arm.sha256():
+            raise ConfigError(
+                'gains.arm_sha256',
+                f'these gains were designed for another arm ({self.arm_name!r}, '
+                f'{self.arm_sha256[:12]}) than the one in use ({arm.name!r}, '
+                f'{arm.sha256()[:12]}); run the design again for this arm file',
+                source,
+            )
+
+
+def gains_to_dict(gains):
+    """Nest gains as plain YAML data, arrays flattened row-major.
+
+    Parameters
+    ----------
+    gains : Gains
+        The gains.
+
+    Returns
+    -------
+    dict
+        The mapping below ``gains`` in the parameter file.
+    """
+    o, c = gains.observer, gains.controller
+
+    def flat(array):
+        return [float(v) for v in np.asarray(array).ravel()]
+
+    return {
+        'format': FORMAT,
+        'arm_name': gains.arm_name,
+        'arm_sha256': gains.arm_sha256,
+        'observer': {
+            'method': o.method,
+            **{
+                name: flat(value) if isinstance(value, np.ndarray) else value
+                for name, value in vars(o).items()
+            },
+        },
+        'controller': {
+            'method': c.method,
+            'm1': flat(c.m1),
+            'm2': flat(c.m2),
+            'lyapunov': flat(c.lyapunov),
+            'decay': float(c.decay),
+            'sinc_min': float(c.sinc_min),
+        },
+        'certificate': dict(gains.certificate),
+    }
+
+
+def parse_gains(data, source='gains'):
+    """Rebuild gains from nested data, checking sizes and finiteness.
+
+    Parameters
+    ----------
+    data : dict
+        The mapping below ``gains``.
+    source : str, optional
+        Name for error messages.
+
+    Returns
+    -------
+    Gains
+        Validated gains.
+
+    Raises
+    ------
+    ConfigError
+        If anything is missing, of the wrong size, or not finite.
+    """
+    top = Section(data, source, 'gains')
+    if top.integer('format') != FORMAT:
+        raise top.error('format', f'must be {FORMAT}; design the gains again')
+    obs, con = top.section('observer'), top.section('controller')
+    read = {'paper': _paper_observer, 'exact': _exact_observer}
+    observer = read[obs.text('method', choices=METHODS)](obs)
+    if np.any(observer.fault_sigma < 0.0):
+        raise obs.error('fault_sigma', 'must not be negative')
+    controller = ControllerGains(
+        method=con.text('method', choices=METHODS),
+        m1=con.matrix('m1', (2, 4)),
+        m2=con.matrix('m2', (2, 2)),
+        lyapunov=con.matrix('lyapunov', (6, 6)),
+        decay=con.number('decay', above=0.0),
+        sinc_min=con.number('sinc_min', -0.2, -0.3, 0.99),
+    )
+    gains = Gains(
+        top.text('arm_name'), top.text('arm_sha256'), observer, controller, top.plain('certificate')
+    )
+    for section in (obs, con, top):
+        section.finish()
+    return gains
+
+
+def _paper_observer(section):
+    box = section.matrix('box', (3, 2))
+    if np.any(box[:, 0] >= box[:, 1]):
+        raise section.error('box', 'must have lower ends below upper ends')
+    gains = PaperObserverGains(
+        t1=section.matrix('t1', (6, 6)),
+        t2=section.matrix('t2', (6, 4)),
+        k=section.matrix('k', (8, 6, 4)),
+        lyapunov=section.matrix('lyapunov', (6, 6)),
+        box=box,
+        lmi=section.text('lmi', choices=('55', '54+disc')),
+        gamma=section.number('gamma', above=0.0),
+        q=section.number('q', above=0.0),
+        r=section.number('r', above=0.0),
+        fault_sigma=section.matrix('fault_sigma', (2,)),
+    )
+    if not gains.r < gains.q:
+        raise section.error('r', 'must be below q')
+    return gains
+
+
+def _exact_observer(section):
+    gains = ExactObserverGains(
+        kappa=section.matrix('kappa', (2,)),
+        mu=section.matrix('mu', (2,)),
+        lyapunov=section.matrix('lyapunov', (2, 2, 2)),
+        decay=section.number('decay', above=0.0),
+        fastest=section.number('fastest', above=0.0),
+        fault_sigma=section.matrix('fault_sigma', (2,)),
+    )
+    for name in ('kappa', 'mu'):
+        if np.any(getattr(gains, name) <= 0.0):
+            raise section.error(name, 'must be positive')
+    return gains
+
+
+def save_gains(gains, path, comment=''):
+    """Write gains as a ROS 2 parameter file (``/**: ros__parameters: gains: ...``).
+
+    Parameters
+    ----------
+    gains : Gains
+        The gains.
+    path : str or pathlib.Path
+        File to write; parent directories are made.
+    comment : str, optional
+        Text for the head of the file.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    head = ''.join(f'# {line}\n' for line in comment.splitlines())
+    data = {'/**': {'ros__parameters': {'gains': gains_to_dict(gains)}}}
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    # A half-written gains file must never be found by a node: write aside, then rename.
+    part = path.with_name(path.name + '.part')
+    part.write_text(head + text, encoding='utf-8')
+    part.replace(path)
+
+
+def load_gains(path):
+    """Read a gains file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        As written by `save_gains`.
+
+    Returns
+    -------
+    Gains
+        Validated gains.
+
+    Raises
+    ------
+    ConfigError
+        If the file is not a gains file.
+    """
+    data = read_yaml(path)
+    try:
+        nested = data['/**']['ros__parameters']['gains']
+    except (KeyError, TypeError):
+        raise ConfigError(
+            '/**.ros__parameters.gains', 'is missing: not a gains file', str(path)
+        ) from None
+    return parse_gains(nested, str(path))

@@ -1,0 +1,1 @@
+"""Paths, references and the tracking controller."""

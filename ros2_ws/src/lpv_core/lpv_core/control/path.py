@@ -1,0 +1,132 @@
+"""Smooth Cartesian paths, and the joint references that inverse kinematics makes of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from lpv_core.model.kinematics import ELBOWS, inverse, joint_motion
+from lpv_core.support.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Reference of the tracking loop at one or more times.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : ndarray, shape (..., 2)
+        Joint references [rad], [rad/s], [rad/s2], ROS joint coordinates.
+    tip : ndarray, shape (..., 2)
+        The point of the path [m].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    tip: np.ndarray
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A round obstacle in the plane of the arm.
+
+    Attributes
+    ----------
+    center : tuple of float
+        x, y [m].
+    radius : float
+        [m].
+    """
+
+    center: tuple
+    radius: float
+
+
+class CartesianPath:
+    """Quintic spline through timed points, at rest at both ends.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its lengths and joint zero.
+    times : sequence of float
+        Strictly increasing [s]; before the first and after the last the tip rests.
+    points : array_like, shape (n, 2)
+        x, y [m].
+    elbow : {'positive', 'negative'}, optional
+        Branch of the inverse kinematics.
+    obstacle : Obstacle, optional
+        For pictures, and for the check that the path keeps clear of it.
+
+    Raises
+    ------
+    ConfigError
+        If times do not increase, there are fewer than two points, or the tip hits the obstacle.
+    UnreachableError
+        If any part of the path is out of reach or singular.
+    """
+
+    def __init__(self, arm, times, points, elbow='positive', obstacle=None):
+        times, points = np.asarray(times, float), np.asarray(points, float)
+        if len(times) < 2 or points.shape != (len(times), 2):
+            raise ConfigError('path.waypoints', 'needs two or more points with t, x and y')
+        if not np.isfinite(points).all():
+            raise ConfigError('path.waypoints', 'x and y must be finite')
+        if not (np.isfinite(times).all() and np.all(np.diff(times) > 0)):
+            raise ConfigError('path.waypoints', 'times must increase')
+        if elbow not in ELBOWS:
+            raise ConfigError('path.elbow', f'must be one of {", ".join(ELBOWS)}')
+        self._arm, self._elbow, self.obstacle = arm, elbow, obstacle
+        self.start, self.end = float(times[0]), float(times[-1])
+        # Velocity and acceleration vanish at both ends; jerk is continuous inside.
+        rest = [(1, np.zeros(2)), (2, np.zeros(2))]
+        self._spline = make_interp_spline(times, points, k=5, bc_type=(rest, rest))
+        self._rate, self._curvature = self._spline.derivative(1), self._spline.derivative(2)
+        # q1 of eqs. (32)-(34) counts from the x-axis, which is -pi/2 from the upper vertical.
+        self._offset = np.array([-np.pi / 2 - arm.zero_angle, 0.0])
+        self._grid = np.linspace(self.start, self.end, 1001)
+        self._turning = self._first_joint(self._grid)
+        self._check(self._grid)
+
+    def _first_joint(self, times):
+        """Continuous q1 along the path, started within (-pi, pi]."""
+        q_1 = inverse(self._spline(times), self._arm.lengths, self._elbow)[:, 0] + self._offset[0]
+        q_1[0] = (q_1[0] + np.pi) % (2.0 * np.pi) - np.pi
+        return np.unwrap(q_1)
+
+    def _check(self, times):
+        tip = self.sample(times).tip
+        if self.obstacle is not None:
+            distance = np.hypot(*(tip - np.asarray(self.obstacle.center)).T)
+            if distance.min() < self.obstacle.radius:
+                raise ConfigError(
+                    'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
+                )
+
+    def sample(self, times):
+        """References at the given times.
+
+        Parameters
+        ----------
+        times : array_like, shape (...)
+            Times on the path's clock [s].
+
+        Returns
+        -------
+        Reference
+            Arrays of shape (..., 2).
+        """
+        times = np.clip(np.asarray(times, float), self.start, self.end)
+        tip = self._spline(times)
+        q = inverse(tip, self._arm.lengths, self._elbow)
+        rate, acceleration = joint_motion(
+            q, self._rate(times), self._curvature(times), self._arm.lengths
+        )
+        return Reference(self._continuous(q + self._offset, times), rate, acceleration, tip)
+
+    def _continuous(self, q, times):
+        """q with the turn of q1 that the path is in: atan2 jumps on the negative x-axis."""
+        near = np.interp(times, self._grid, self._turning)
+        turns = np.round((near - q[..., 0]) / (2.0 * np.pi))
+        return np.stack([q[..., 0] + 2.0 * np.pi * turns, q[..., 1]], axis=-1)

@@ -1,0 +1,251 @@
+"""Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_core.model.dynamics import inverse_dynamics
+from lpv_core.model.joints import JOINT_MAP, JointMap
+from lpv_core.support.jit import njit
+from lpv_core.support.records import new_record, record_type
+
+COMPENSATION = ('off', 'confirmed', 'always')
+"""Which position the loop closes on: measured, with confirmed faults removed, or estimated."""
+
+TRACKING_CONSTANTS = record_type(
+    ('joints', JOINT_MAP),
+    ('arm', 'f8', (12,)),
+    ('limit', 'f8', (2,)),
+    ('m1', 'f8', (2, 4)),
+    ('m2', 'f8', (2, 2)),
+    ('feed_forward', '?'),
+)
+"""Conversions; constants of the arm; torque limits [N m]; gains; whether to feed forward."""
+
+TRACKING_STATE = record_type(
+    ('integral', 'f8', (2,)),
+    ('torque', 'f8', (2,)),
+    ('saturated', '?'),
+    ('x', 'f8', (4,)),
+    ('w', 'f8', (2,)),
+    ('step', 'f8', (2,)),
+)
+"""eps [rad s]; joint torques of the last command [N m], and whether they met a limit; work space:
+deviation of the state, absolute reference, step of eps."""
+
+
+def tracking_constants(arm, gains):
+    """Constants of `track`.
+
+    Parameters
+    ----------
+    arm, gains
+        As `TrackingController`.
+
+    Returns
+    -------
+    numpy.record
+        Of type `TRACKING_CONSTANTS`.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+    gains.check_arm(arm)
+    controller = gains.controller
+    return new_record(
+        TRACKING_CONSTANTS,
+        joints=JointMap(arm).record(),
+        arm=arm.constants(),
+        limit=arm.torque_limit,
+        m1=controller.m1,
+        m2=controller.m2,
+        feed_forward=controller.method == 'exact',
+    )
+
+
+@njit
+def _absolute(position, i):
+    """Absolute angle of link i without the zero angle, or its rate: J^-1 q."""
+    return position[0] if i == 0 else position[0] + position[1]
+
+
+@njit
+def track(
+    params,
+    state,
+    position_ref,
+    velocity_ref,
+    acceleration_ref,
+    position,
+    velocity,
+    integrated,
+    interval,
+):
+    """One torque command, see `TrackingController`; it is in ``state.torque``.
+
+    Parameters
+    ----------
+    params, state : numpy.record
+        Constants and state.
+    position_ref, velocity_ref, acceleration_ref : ndarray, shape (2,)
+        References, joint coordinates [rad], [rad/s], [rad/s2].
+    position, velocity, integrated : ndarray, shape (2,)
+        State to feed back, and the position y of eq. (59), joint coordinates [rad], [rad/s].
+    interval : float
+        Time since the previous command [s]; 0 at the first.
+    """
+    x, zero = state.x, params.joints.zero
+    for i in range(2):
+        state.w[i] = _absolute(position_ref, i) + zero
+        state.step[i] = interval * (state.w[i] - (_absolute(integrated, i) + zero))
+        x[i], x[2 + i] = _absolute(position, i) + zero, _absolute(velocity, i)
+    forward_1 = forward_2 = 0.0
+    if params.feed_forward:
+        rate_1, rate_2 = _absolute(velocity_ref, 0), _absolute(velocity_ref, 1)
+        forward_1, forward_2 = inverse_dynamics(
+            state.w[0],
+            state.w[1],
+            rate_1,
+            rate_2,
+            _absolute(acceleration_ref, 0),
+            _absolute(acceleration_ref, 1),
+            params.arm,
+        )
+        x[0], x[1], x[2], x[3] = x[0] - state.w[0], x[1] - state.w[1], x[2] - rate_1, x[3] - rate_2
+    q_1 = forward_1 + _feedback(params, state, 0)
+    q_2 = forward_2 + _feedback(params, state, 1)
+    state.saturated = False
+    for i in range(2):
+        wanted = q_1 + q_2 if i == 0 else q_2  # tau = J^-T Q
+        state.torque[i] = min(max(wanted, -params.limit[i]), params.limit[i])
+        if state.torque[i] != wanted:
+            state.saturated = True
+    if not state.saturated:
+        # Conditional integration: no wind-up at the limit.
+        state.integral[0] += state.step[0]
+        state.integral[1] += state.step[1]
+
+
+@njit
+def _feedback(params, state, i):
+    total = 0.0
+    for j in range(4):
+        total += params.m1[i, j] * state.x[j]
+    for j in range(2):
+        total += params.m2[i, j] * (state.integral[j] + state.step[j])
+    return total
+
+
+@dataclass(frozen=True)
+class Command:
+    """One torque command.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (2,)
+        Joint torques within limits [N m].
+    saturated : bool
+        Whether a limit was met.
+    """
+
+    torque: np.ndarray
+    saturated: bool
+
+
+class TrackingController:
+    """State feedback u = M1 x + M2 eps (65), eps' = w - y (59).
+
+    Method ``exact`` closes the loop on the deviation from the reference and adds the torque that
+    the arm needs along it (inverse dynamics with Coriolis terms and friction):
+    u = u_ref(w, w', w'') + M1 (x - x_ref) + M2 eps.  Method ``paper`` is (65) literally.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Designed gains of this arm.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+
+    def __init__(self, arm, gains):
+        self._constants = tracking_constants(arm, gains)
+        self._state = new_record(TRACKING_STATE)
+
+    @property
+    def integral(self):
+        """eps of eq. (59), shape (2,) [rad s]."""
+        return self._state.integral
+
+    def reset(self):
+        """Empty the integrator."""
+        self._state.integral[:] = 0.0
+
+    def update(self, reference, position, velocity, integrated_position, interval):
+        """Torque for the present sample.
+
+        Parameters
+        ----------
+        reference : Reference
+            References at the sample's time, shape (2,) each.
+        position, velocity : ndarray, shape (2,)
+            State to feed back, joint coordinates [rad], [rad/s].
+        integrated_position : ndarray, shape (2,)
+            Position y of eq. (59), joint coordinates [rad].
+        interval : float
+            Time since the previous command [s]; 0 at the first.
+
+        Returns
+        -------
+        Command
+            Joint torques.
+        """
+        track(
+            self._constants,
+            self._state,
+            *(
+                np.ascontiguousarray(v, dtype=float)
+                for v in (
+                    reference.position,
+                    reference.velocity,
+                    reference.acceleration,
+                    position,
+                    velocity,
+                    integrated_position,
+                )
+            ),
+            float(interval),
+        )
+        return Command(self._state.torque.copy(), bool(self._state.saturated))
+
+
+def feedback_position(compensation, estimate, confirmed_fault, joints):
+    """Joint position to close the loop on.
+
+    Parameters
+    ----------
+    compensation : {'off', 'confirmed', 'always'}
+        Which one.
+    estimate : Estimate
+        Latest estimate.
+    confirmed_fault : ndarray, shape (2,)
+        Fault estimates of confirmed sensors, zero elsewhere [rad].
+    joints : JointMap
+        Conversions of the arm.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        [rad].
+    """
+    if compensation == 'always':
+        return estimate.position
+    if compensation == 'off':
+        return estimate.measured_position
+    return joints.joint_from_sensor(estimate.sensor_position - confirmed_fault)

@@ -1,0 +1,1 @@
+"""Decisions on faults: alarm, kind, magnitude."""

@@ -1,0 +1,288 @@
+"""Which kind of fault a confirmed one is, from its course since the onset."""
+
+import numpy as np
+
+from lpv_core.residual.sample_buffer import ALLOWANCE, READING, RESIDUAL
+from lpv_core.support.jit import njit
+
+KINDS = (
+    'bias',
+    'drift',
+    'scale',
+    'stuck',
+    'noise',
+    'spike',
+    'dropout',
+    'inconsistent',
+    'unclassified',
+)
+"""What an alarm may be called; ``inconsistent``: the cause is unknown, as rates, torques and model
+contradict each other, or because it may be the rate sensor's fault."""
+
+BIAS, DRIFT, SCALE, STUCK, NOISE, SPIKE, DROPOUT, INCONSISTENT, UNCLASSIFIED = range(len(KINDS))
+
+_SETTLED = 0.1
+"""Shortest time since the onset for a judgement of the course [s]."""
+_STUCK_SAMPLES, _STILL = 20, 0.2
+"""A reading stands still if so many samples stay within that part of its standard deviation."""
+_MOVED = 6.0
+"""Motion that a reading must show, over its standard deviation; that of an encoder's steps is less
+than a third of one."""
+_TELLING = 10.0
+"""Drifts and scale errors show in a change of so many standard deviations of a reading: the
+residual of a healthy sensor changes, too; and beyond what stated errors of the rates may add."""
+_EXPLAINED = 0.1
+"""Part of the change that a scale error may leave unexplained."""
+_CLEARLY = 4.0
+"""Ratio of residuals at which one course fits clearly better than another."""
+
+
+@njit
+def span(values):
+    """Largest minus smallest value.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        [rad].
+
+    Returns
+    -------
+    float
+        [rad].
+    """
+    low = high = values[0]
+    for k in range(1, len(values)):
+        low, high = min(low, values[k]), max(high, values[k])
+    return high - low
+
+
+@njit
+def is_stuck(values, end, position_noise):
+    """Whether a reading has stood still while the arm moved.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 4)
+        Samples of a history.
+    end : int
+        Rows in use.
+    position_noise : float
+        Standard deviation of a healthy reading [rad].
+
+    Returns
+    -------
+    bool
+        False without enough motion to tell.
+    """
+    # Noise alone moves a healthy reading from sample to sample.
+    first = end - _STUCK_SAMPLES
+    if first < 0 or span(values[first:end, READING]) >= _STILL * position_noise:
+        return False
+    row = standstill(values, end, position_noise)
+    moved = (
+        values[end - 1, READING]
+        - values[end - 1, RESIDUAL]
+        - values[row, READING]
+        + values[row, RESIDUAL]
+    )
+    return abs(moved) > _MOVED * position_noise
+
+
+@njit
+def standstill(values, end, position_noise):
+    """First row of those up to the end over which a reading has stood still.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 4)
+        Samples of a history.
+    end : int
+        Rows in use.
+    position_noise : float
+        Standard deviation of a healthy reading [rad].
+
+    Returns
+    -------
+    int
+        ``end - 1`` or less.
+    """
+    row, last = end - 1, values[end - 1, READING]
+    while row > 0 and abs(values[row - 1, READING] - last) < _STILL * position_noise:
+        row -= 1
+    return row
+
+
+@njit
+def noise_level(values):
+    """Standard deviation of white noise in a residual, by second differences.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 4)
+        At least 10 samples.
+
+    Returns
+    -------
+    float
+        [rad]; the median ignores single spikes and steps.
+    """
+    count = len(values) - 2
+    second = np.empty(count)
+    for k in range(count):
+        second[k] = abs(
+            values[k + 2, RESIDUAL] - 2.0 * values[k + 1, RESIDUAL] + values[k, RESIDUAL]
+        )
+    second.sort()
+    median = 0.5 * (second[count // 2] + second[(count - 1) // 2])
+    return median / (0.6745 * np.sqrt(6.0))
+
+
+@njit
+def classify(stamps, values, first, end, onset, baseline, position_noise):
+    """Name the kind of a fault that still acts.
+
+    Parameters
+    ----------
+    stamps, values : ndarray
+        A history, see `lpv_core.residual.sample_buffer`.
+    first, end : int
+        First row since the onset, and rows in use.
+    onset : int
+        [ns].
+    baseline : float
+        r before the onset [rad].
+    position_noise : float
+        Standard deviation of a healthy reading [rad].
+
+    Returns
+    -------
+    int
+        Index into `KINDS`; ``UNCLASSIFIED`` while there is too little to tell.
+    """
+    count = end - first
+    if is_stuck(values, end, position_noise):
+        return STUCK
+    if count >= 25 and noise_level(values[max(first, end - 50) : end]) > 3.0 * position_noise:
+        return NOISE
+    if count < 10 or (stamps[end - 1] - onset) / 1e9 < _SETTLED:
+        return UNCLASSIFIED
+    time = (stamps[first:end] - onset) / 1e9
+    return _course(time, values[first:end], baseline, position_noise)
+
+
+@njit
+def fits_better(kind, than, time, values, baseline):
+    """Whether one course of a fault is to replace another one that was named before.
+
+    Parameters
+    ----------
+    kind, than : int
+        ``BIAS``, ``DRIFT`` or ``SCALE``; what `classify` says now, and what was said.
+    time : ndarray, shape (n,)
+        Since the onset [s].
+    values : ndarray, shape (n, 4)
+        See `lpv_core.residual.sample_buffer`.
+    baseline : float
+        r before the onset [rad].
+
+    Returns
+    -------
+    bool
+        A scale error shows late, in motion; it does not turn into a bias by standing still.
+    """
+    fault = values[:, RESIDUAL] - baseline
+    angle = values[:, READING] - fault  # as dead reckoning has it
+    if kind == SCALE:
+        return than == BIAS or _CLEARLY * _residual(angle, fault) < _residual(time, fault)
+    if kind != BIAS or than != SCALE:
+        return False
+    return _CLEARLY * _residual(np.ones(len(fault)), fault) < _residual(angle, fault)
+
+
+@njit
+def _course(time, values, baseline, position_noise):
+    """Bias, drift or scale: the model that leaves the smallest residual, simplest first."""
+    fault = values[:, RESIDUAL] - baseline
+    angle = values[:, READING] - fault
+    allowed = values[-1, ALLOWANCE] - values[0, ALLOWANCE]
+    floor = len(time) * (position_noise**2 + 0.25 * allowed**2)
+    bias = _residual(np.ones(len(time)), fault)
+    drift, scale = _residual(time, fault), _residual(angle, fault)
+    # Has the arm moved so far that a scale error would have shown itself, also where it is none?
+    shown = abs(_weight(angle, fault)) * span(angle)
+    if shown > _TELLING * position_noise + allowed and scale < _EXPLAINED * bias and scale < drift:
+        return SCALE
+    best, left = BIAS, bias
+    if drift < left and bias >= drift + 2.0 * floor:
+        best, left = DRIFT, drift
+    middle = time - _mean(time, 0, len(time))
+    growth = _weight(middle, fault) * (time[-1] - time[0])
+    if abs(growth) > _TELLING * position_noise + allowed and left > 4.0 * (
+        _residual(middle, fault - _mean(fault, 0, len(fault))) + floor
+    ):
+        # Neither fits alone, a ramp from an offset does: it grows, whatever it started from.
+        return DRIFT
+    return best
+
+
+@njit
+def _mean(values, first, last):
+    # In one fixed order of additions, which NumPy's own does not promise.
+    total = 0.0
+    for k in range(first, last):
+        total += values[k]
+    return total / (last - first)
+
+
+@njit
+def step_of(stamps, values, row):
+    """Height of a step: two levels with one common slope, by least squares.
+
+    The slope is that of the residual's healthy error, which goes on beside the fault.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (n,)
+        Samples before and after the step [ns].
+    values : ndarray, shape (n, 4)
+        See `lpv_core.residual.sample_buffer`.
+    row : int
+        First sample after the step, with some on either side.
+
+    Returns
+    -------
+    float
+        [rad].
+    """
+    time, fault = (stamps - stamps[row]) / 1e9, values[:, RESIDUAL]
+    square = cross = height = middle = 0.0
+    for first, last, sign in ((0, row, -1.0), (row, len(time), 1.0)):
+        mean_time, mean = _mean(time, first, last), _mean(fault, first, last)
+        for k in range(first, last):
+            square += (time[k] - mean_time) * (time[k] - mean_time)
+            cross += (time[k] - mean_time) * (fault[k] - mean)
+        height += sign * mean
+        middle += sign * mean_time
+    return height - middle * cross / square
+
+
+@njit
+def _weight(basis, values):
+    """Multiple of ``basis`` that comes closest to ``values``."""
+    power = cross = 0.0
+    for k in range(len(basis)):
+        power += basis[k] * basis[k]
+        cross += basis[k] * values[k]
+    return cross / power if power > 0.0 else 0.0
+
+
+@njit
+def _residual(basis, values):
+    """Sum of squares that a multiple of ``basis`` leaves of ``values``."""
+    weight = _weight(basis, values)
+    total = 0.0
+    for k in range(len(basis)):
+        rest = values[k] - weight * basis[k]
+        total += rest * rest
+    return total

@@ -1,0 +1,1 @@
+"""The arm in the formats of other software."""

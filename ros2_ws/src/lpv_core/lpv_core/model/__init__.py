@@ -1,0 +1,1 @@
+"""The arm: parameters, coordinates, dynamics, kinematics, polytopic and state-space models."""

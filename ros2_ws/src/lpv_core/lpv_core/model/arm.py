@@ -1,0 +1,400 @@
+"""Description of a two-link arm: what its file says, and the constants that follow."""
+
+import json
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lpv_core.support.config import Section, read_yaml, sha256_of
+from lpv_core.support.errors import ConfigError
+
+# Layout of the flat parameter vector that the compiled functions take.
+A_11, B_12, C_22, O_12, G_1, G_2, VISC_1, VISC_2, COUL_1, COUL_2, COUL_SLOPE, CORIOLIS = range(12)
+N_CONSTANTS = 12
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link.
+
+    Attributes
+    ----------
+    mass : float
+        m_i [kg].
+    length : float
+        L_i, joint to joint (or to the tip) [m].
+    center_of_mass : float
+        L_ci, joint to centre of mass [m].
+    inertia : float
+        I_i [kg m2], about the centre of mass or the joint (``ArmParameters.inertia_reference``).
+    """
+
+    mass: float
+    length: float
+    center_of_mass: float
+    inertia: float
+
+
+@dataclass(frozen=True)
+class ArmParameters:
+    """A planar two-link arm in a vertical plane, its sensors and its operating region.
+
+    Angles of the model are ABSOLUTE link angles from the upper vertical (paper, Fig. 1);
+    ``lpv_core.model.joints`` holds the only conversion to ROS joint coordinates.
+
+    Attributes
+    ----------
+    name : str
+        Name of the arm.
+    links : tuple of Link
+        Two links.
+    inertia_reference : {'center_of_mass', 'joint'}
+        The point that each ``Link.inertia`` refers to.
+    gravity : float
+        g [m/s2].
+    rotor_inertia, gear_ratio : float
+        Motor inertia [kg m2] and ratio; 0 and 1 without motors.
+    viscous, coulomb : tuple of float
+        Joint friction, tau = viscous*v + coulomb*(2/pi)*atan(coulomb_slope*v) [N m s], [N m].
+    coulomb_slope : float
+        Steepness of the Coulomb term [s/rad].
+    joint_names : tuple of str
+        Names in ``sensor_msgs/JointState``.
+    zero_angle : float
+        Absolute angle of link 1 at joint position q1 = 0 [rad].
+    sensor_names : tuple of str
+        Names of the two physical position sensors; faults are reported under them.
+    arrangement : {'absolute', 'relative'}
+        Whether a position sensor measures a link's absolute angle or a joint's relative one.
+    position_noise, velocity_noise : float
+        Standard deviations of white sensor noise [rad], [rad/s].
+    velocity_error : float
+        Relative error of the rates (scale, delay); limits of changes grow with it.
+    disturbance_direction : tuple of float
+        Last two rows of Bd, eq. (31): accelerations of the absolute angles per unit of d.
+    disturbance_mean, disturbance_variance : float
+        The white disturbance d that the design must live with.
+    model_error : float
+        Relative error of masses and inertias that thresholds must tolerate.
+    payload : float
+        Largest unknown point mass at the tip that thresholds must tolerate [kg].
+    torque_tolerance : tuple of float
+        Generalised torques that the model may miss for moments (transmission, ripple) [N m]; only
+        the test of consistency needs them, what lasts belongs to the entries above.
+    torque_limit : tuple of float
+        Largest joint torques [N m].
+    velocity_limit : tuple of float
+        Largest plausible joint rates [rad/s]; a sample with a larger one is not used.
+    orientation : {'upright', 'hanging'}
+        Operating region: cos(theta) > 0 or cos(theta) < 0 for both links.
+    cos_min : tuple of float
+        Smallest abs(cos(theta_i)) of the region in which gains are certified.
+    sample_time : float
+        Ts [s].
+    """
+
+    name: str
+    links: tuple
+    inertia_reference: str = 'center_of_mass'
+    gravity: float = 9.81
+    rotor_inertia: float = 0.0
+    gear_ratio: float = 1.0
+    viscous: tuple = (0.0, 0.0)
+    coulomb: tuple = (0.0, 0.0)
+    coulomb_slope: float = 100.0
+    joint_names: tuple = ('joint1', 'joint2')
+    zero_angle: float = -math.pi / 2
+    sensor_names: tuple = ('joint1_encoder', 'joint2_encoder')
+    arrangement: str = 'relative'
+    position_noise: float = 1e-3
+    velocity_noise: float = 1e-2
+    velocity_error: float = 0.0
+    disturbance_direction: tuple = (0.7, 0.0)
+    disturbance_mean: float = 0.2
+    disturbance_variance: float = 0.9
+    model_error: float = 0.0
+    payload: float = 0.0
+    torque_tolerance: tuple = (0.0, 0.0)
+    torque_limit: tuple = (1e9, 1e9)
+    velocity_limit: tuple = (100.0, 100.0)
+    orientation: str = 'upright'
+    cos_min: tuple = (0.3, 0.3)
+    sample_time: float = 0.002
+
+    @property
+    def lengths(self):
+        """Link lengths (L1, L2) [m]."""
+        return self.links[0].length, self.links[1].length
+
+    @property
+    def sign(self):
+        """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
+        return 1.0 if self.orientation == 'upright' else -1.0
+
+    def constants(self, coriolis=True):
+        """Constants of eqs. (2)-(3) in the layout that the compiled functions take.
+
+        The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
+        eq. (2), is m2*L1^2, which is used here.  The rotor terms are those of motors on the
+        joint axes, carried over to absolute angles.
+
+        Parameters
+        ----------
+        coriolis : bool, optional
+            Keep the quadratic term O(theta, theta') of eq. (1); the paper drops it in eq. (4).
+
+        Returns
+        -------
+        ndarray, shape (12,)
+            ``[Xi11, m2*L1*Lc2, Xi22, rotor coupling, gravity 1, gravity 2, friction..., flag]``.
+        """
+        one, two = self.links
+        inertia_1, inertia_2 = one.inertia, two.inertia
+        if self.inertia_reference == 'center_of_mass':
+            inertia_1 += one.mass * one.center_of_mass**2
+            inertia_2 += two.mass * two.center_of_mass**2
+        ratio, rotor = self.gear_ratio, self.rotor_inertia
+        values = np.zeros(N_CONSTANTS)
+        values[A_11] = inertia_1 + two.mass * one.length**2
+        values[B_12] = two.mass * one.length * two.center_of_mass
+        values[C_22] = inertia_2
+        values[G_1] = (one.mass * one.center_of_mass + two.mass * one.length) * self.gravity
+        values[G_2] = two.mass * two.center_of_mass * self.gravity
+        # J^T R J for R = Ir*[[gr^2+1, -gr], [-gr, gr^2]] in joint coordinates, q' = J theta'.
+        values[A_11] += rotor * (2 * ratio**2 + 2 * ratio + 1)
+        values[O_12] = -rotor * ratio * (ratio + 1)
+        values[C_22] += rotor * ratio**2
+        values[VISC_1], values[VISC_2] = self.viscous
+        values[COUL_1], values[COUL_2] = self.coulomb
+        values[COUL_SLOPE] = self.coulomb_slope
+        values[CORIOLIS] = 1.0 if coriolis else 0.0
+        return values
+
+    def with_payload(self, mass):
+        """Return this arm with a point mass at its tip.
+
+        Parameters
+        ----------
+        mass : float
+            Payload [kg]; a negative one takes away a payload that the model has.
+
+        Returns
+        -------
+        ArmParameters
+            Link 2 with combined mass, centre of mass and inertia.
+        """
+        if not -self.links[1].mass < mass < math.inf:
+            raise ConfigError('payload', f'must be finite and leave link 2 a mass, got {mass}')
+        link = self.links[1]
+        total = link.mass + mass
+        center = (link.mass * link.center_of_mass + mass * link.length) / total
+        if self.inertia_reference == 'joint':
+            inertia = link.inertia + mass * link.length**2
+        else:
+            inertia = (
+                link.inertia
+                + link.mass * (link.center_of_mass - center) ** 2
+                + mass * (link.length - center) ** 2
+            )
+        return replace(self, links=(self.links[0], Link(total, link.length, center, inertia)))
+
+    def scaled(self, mass_factors=(1.0, 1.0), inertia_factors=(1.0, 1.0)):
+        """Return this arm with masses and inertias multiplied (model error).
+
+        Parameters
+        ----------
+        mass_factors, inertia_factors : sequence of two floats
+            Factor per link.
+
+        Returns
+        -------
+        ArmParameters
+            The other arm.
+        """
+        links = tuple(
+            replace(link, mass=link.mass * m, inertia=link.inertia * i)
+            for link, m, i in zip(self.links, mass_factors, inertia_factors)
+        )
+        return replace(self, links=links)
+
+    def is_physical(self):
+        """Whether Xi is positive definite in every configuration; identified links need not be."""
+        values = self.constants()
+        coupling = abs(values[O_12]) + values[B_12]
+        return bool(values[A_11] * values[C_22] > coupling**2)
+
+    def to_json(self):
+        """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    def sha256(self):
+        """Hash of every parameter: gains carry it, so that they fit one arm only."""
+        return sha256_of(asdict(self))
+
+
+def arm_from_json(text):
+    """Arm from `ArmParameters.to_json`.
+
+    Parameters
+    ----------
+    text : str
+        JSON.
+
+    Returns
+    -------
+    ArmParameters
+        The same arm, bit by bit.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such text.
+    """
+    try:
+        data = json.loads(text)
+        data['links'] = tuple(Link(**link) for link in data['links'])
+        return ArmParameters(
+            **{
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in data.items()
+            }
+        )
+    except (ValueError, TypeError, KeyError) as error:
+        raise ConfigError('arm', f'is not the description of an arm ({error})') from error
+
+
+def load_arm(path):
+    """Read an arm file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        YAML file; see ``docs/arm-file.md`` for its fields.
+
+    Returns
+    -------
+    ArmParameters
+        The validated arm.
+
+    Raises
+    ------
+    ConfigError
+        If a field is missing, unknown, of the wrong type or out of range; it names the field.
+    """
+    return parse_arm(read_yaml(path), str(Path(path)))
+
+
+def parse_arm(data, source='arm'):
+    """Build an arm from the mapping of an arm file.
+
+    Parameters
+    ----------
+    data : dict
+        Content of the file.
+    source : str, optional
+        Name for error messages.
+
+    Returns
+    -------
+    ArmParameters
+        The validated arm.
+
+    Raises
+    ------
+    ConfigError
+        As `load_arm`.
+    """
+    top = Section(data, source)
+    fields = {'name': top.text('name'), 'gravity': top.number('gravity', 9.81, above=0.0)}
+    fields['inertia_reference'] = top.text(
+        'inertia_reference', 'center_of_mass', ('center_of_mass', 'joint')
+    )
+    fields['links'] = _links(top)
+    fields.update(_drive(top))
+    fields.update(_joints_and_sensors(top))
+    fields.update(_disturbance(top))
+    region = top.section('region')
+    fields['orientation'] = region.text('orientation', choices=('upright', 'hanging'))
+    fields['cos_min'] = region.pair('cos_min', low=0.01, high=0.999)
+    region.finish()
+    fields['model_error'] = top.number('model_error', 0.0, 0.0, 0.5)
+    fields['payload'] = top.number('payload', 0.0, 0.0)
+    fields['torque_tolerance'] = top.pair('torque_tolerance', 0.0, low=0.0)
+    fields['sample_time'] = top.number('sample_time', 0.002, 1e-5, 0.1)
+    top.finish()
+    arm = ArmParameters(**fields)
+    _check_inertia(arm, top)
+    return arm
+
+
+def _check_inertia(arm, top):
+    if not arm.is_physical():
+        raise top.error(
+            'links',
+            'give an inertia matrix that is not positive definite in every '
+            'configuration (check inertia and inertia_reference)',
+        )
+
+
+def _links(top):
+    sections = top.sections('links')
+    if len(sections) != 2:
+        raise top.error('links', f'must describe exactly two links, got {len(sections)}')
+    links = []
+    for section in sections:
+        link = Link(
+            mass=section.number('mass', above=0.0),
+            length=section.number('length', above=0.0),
+            center_of_mass=section.number('center_of_mass', above=0.0),
+            inertia=section.number('inertia', low=0.0),
+        )
+        section.finish()
+        links.append(link)
+    return tuple(links)
+
+
+def _drive(top):
+    rotor = top.section('rotor', required=False)
+    friction = top.section('friction', required=False)
+    fields = {
+        'rotor_inertia': rotor.number('inertia', 0.0, low=0.0),
+        'gear_ratio': rotor.number('gear_ratio', 1.0, above=0.0),
+        'viscous': friction.pair('viscous', 0.0, low=0.0),
+        'coulomb': friction.pair('coulomb', 0.0, low=0.0),
+        'coulomb_slope': friction.number('coulomb_slope', 100.0, above=0.0),
+        'torque_limit': top.pair('torque_limit', 1e9, above=0.0),
+    }
+    rotor.finish()
+    friction.finish()
+    return fields
+
+
+def _joints_and_sensors(top):
+    joints = top.section('joints')
+    sensors = top.section('sensors')
+    fields = {
+        'joint_names': joints.names('names', 2),
+        'zero_angle': joints.number('zero_angle', low=-math.pi, high=math.pi),
+        'velocity_limit': joints.pair('velocity_limit', 100.0, above=0.0),
+        'sensor_names': sensors.names('names', 2),
+        'arrangement': sensors.text('arrangement', choices=('absolute', 'relative')),
+        'position_noise': sensors.number('position_noise', above=0.0),
+        'velocity_noise': sensors.number('velocity_noise', above=0.0),
+        'velocity_error': sensors.number('velocity_error', 0.0, 0.0, 0.5),
+    }
+    joints.finish()
+    sensors.finish()
+    return fields
+
+
+def _disturbance(top):
+    section = top.section('disturbance')
+    fields = {
+        'disturbance_direction': section.pair('direction'),
+        'disturbance_mean': section.number('mean'),
+        'disturbance_variance': section.number('variance', low=0.0),
+    }
+    section.finish()
+    return fields

@@ -1,0 +1,211 @@
+"""Rigid-body dynamics of the arm in absolute angles, eqs. (1)-(3), with friction.
+
+``Xi(theta) theta'' + O(theta, theta') theta' + g(theta) + friction = Q + Xi(theta) Bd2 d``
+
+Eq. (3) of the paper lost a factor g in its gravity term; eq. (7) has it, and so has this module.
+All functions take the flat constants of :meth:`lpv_core.model.arm.ArmParameters.constants` as ``c``.
+"""
+
+import math
+
+from lpv_core.model.arm import (
+    A_11,
+    B_12,
+    C_22,
+    CORIOLIS,
+    COUL_1,
+    COUL_2,
+    COUL_SLOPE,
+    G_1,
+    G_2,
+    O_12,
+    VISC_1,
+    VISC_2,
+)
+from lpv_core.support.jit import njit
+
+_TWO_OVER_PI = 2.0 / math.pi
+
+
+@njit
+def coupling(theta_1, theta_2, params):
+    """Off-diagonal inertia Xi12 = o + m2*L1*Lc2*phi1, phi1 = cos(theta1 - theta2), eq. (6)."""
+    return params[O_12] + params[B_12] * math.cos(theta_1 - theta_2)
+
+
+@njit
+def friction(rate_1, rate_2, params):
+    """Joint friction as generalised torques of the absolute angles.
+
+    Parameters
+    ----------
+    rate_1, rate_2 : float
+        Absolute rates theta' [rad/s]; joint rates are (rate_1, rate_2 - rate_1).
+    params : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of float
+        J^T tau_f [N m].
+    """
+    relative = rate_2 - rate_1
+    tau_1 = params[VISC_1] * rate_1 + params[COUL_1] * _TWO_OVER_PI * math.atan(
+        params[COUL_SLOPE] * rate_1
+    )
+    tau_2 = params[VISC_2] * relative + params[COUL_2] * _TWO_OVER_PI * math.atan(
+        params[COUL_SLOPE] * relative
+    )
+    return tau_1 - tau_2, tau_2
+
+
+@njit
+def acceleration(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, params):
+    """Absolute accelerations without disturbance, eq. (1) solved for theta''.
+
+    Parameters
+    ----------
+    theta_1, theta_2 : float
+        Absolute angles [rad].
+    rate_1, rate_2 : float
+        Absolute rates [rad/s].
+    torque_1, torque_2 : float
+        Generalised torques Q [N m].
+    params : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of float
+        theta'' [rad/s2].
+    """
+    off = coupling(theta_1, theta_2, params)
+    friction_1, friction_2 = friction(rate_1, rate_2, params)
+    swirl = params[CORIOLIS] * params[B_12] * math.sin(theta_1 - theta_2)
+    force_1 = torque_1 - friction_1 - swirl * rate_2 * rate_2 + params[G_1] * math.sin(theta_1)
+    force_2 = torque_2 - friction_2 + swirl * rate_1 * rate_1 + params[G_2] * math.sin(theta_2)
+    det = params[A_11] * params[C_22] - off * off
+    return (
+        (params[C_22] * force_1 - off * force_2) / det,
+        (params[A_11] * force_2 - off * force_1) / det,
+    )
+
+
+@njit
+def inverse_dynamics(theta_1, theta_2, rate_1, rate_2, acc_1, acc_2, params):
+    """Generalised torques Q that produce the given motion (feed-forward), eq. (1).
+
+    Parameters
+    ----------
+    theta_1, theta_2, rate_1, rate_2, acc_1, acc_2 : float
+        Absolute angles, rates and accelerations [rad], [rad/s], [rad/s2].
+    params : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of float
+        Q [N m].
+    """
+    off = coupling(theta_1, theta_2, params)
+    friction_1, friction_2 = friction(rate_1, rate_2, params)
+    swirl = params[CORIOLIS] * params[B_12] * math.sin(theta_1 - theta_2)
+    return (
+        params[A_11] * acc_1
+        + off * acc_2
+        + swirl * rate_2 * rate_2
+        - params[G_1] * math.sin(theta_1)
+        + friction_1,
+        off * acc_1
+        + params[C_22] * acc_2
+        - swirl * rate_1 * rate_1
+        - params[G_2] * math.sin(theta_2)
+        + friction_2,
+    )
+
+
+@njit
+def energy(theta_1, theta_2, rate_1, rate_2, params):
+    """Kinetic plus potential energy [J]; conserved without torque, friction and disturbance."""
+    off = coupling(theta_1, theta_2, params)
+    kinetic = 0.5 * (params[A_11] * rate_1 * rate_1 + params[C_22] * rate_2 * rate_2)
+    return (
+        kinetic
+        + off * rate_1 * rate_2
+        + params[G_1] * math.cos(theta_1)
+        + params[G_2] * math.cos(theta_2)
+    )
+
+
+@njit
+def _nonlinear_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, params):
+    acc_1, acc_2 = acceleration(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, params)
+    return rate_1, rate_2, acc_1 + push_1, acc_2 + push_2
+
+
+@njit
+def rk4_step(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, dt, params):
+    """Advance the nonlinear arm by one Runge-Kutta step with torques held.
+
+    Parameters
+    ----------
+    theta_1, theta_2, rate_1, rate_2 : float
+        Absolute state [rad], [rad/s].
+    torque_1, torque_2 : float
+        Generalised torques Q [N m].
+    push_1, push_2 : float
+        Acceleration Bd*d of the disturbance, eq. (31) [rad/s2].
+    dt : float
+        Step [s].
+    params : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of float
+        The absolute state after ``dt``.
+    """
+    a1, a2, a3, a4 = _nonlinear_rates(
+        theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, params
+    )
+    h = 0.5 * dt
+    b1, b2, b3, b4 = _nonlinear_rates(
+        theta_1 + h * a1,
+        theta_2 + h * a2,
+        rate_1 + h * a3,
+        rate_2 + h * a4,
+        torque_1,
+        torque_2,
+        push_1,
+        push_2,
+        params,
+    )
+    d1, d2, d3, d4 = _nonlinear_rates(
+        theta_1 + h * b1,
+        theta_2 + h * b2,
+        rate_1 + h * b3,
+        rate_2 + h * b4,
+        torque_1,
+        torque_2,
+        push_1,
+        push_2,
+        params,
+    )
+    e1, e2, e3, e4 = _nonlinear_rates(
+        theta_1 + dt * d1,
+        theta_2 + dt * d2,
+        rate_1 + dt * d3,
+        rate_2 + dt * d4,
+        torque_1,
+        torque_2,
+        push_1,
+        push_2,
+        params,
+    )
+    s = dt / 6.0
+    return (
+        theta_1 + s * (a1 + 2.0 * b1 + 2.0 * d1 + e1),
+        theta_2 + s * (a2 + 2.0 * b2 + 2.0 * d2 + e2),
+        rate_1 + s * (a3 + 2.0 * b3 + 2.0 * d3 + e3),
+        rate_2 + s * (a4 + 2.0 * b4 + 2.0 * d4 + e4),
+    )

@@ -1,0 +1,230 @@
+"""The paper's polytopic LPV model, eqs. (13)-(31), and its descriptor augmentation, (35)-(37)."""
+
+import numpy as np
+
+from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.model.joints import JointMap
+from lpv_core.model.polytope import paper_scheduling, paper_vertices, paper_weights
+from lpv_core.support.jit import njit
+
+
+def inertia_matrix(phi_1, params):
+    """Xi(phi1) of eq. (5), with m2*L1^2 in its (1, 1) element.
+
+    Parameters
+    ----------
+    phi_1 : float
+        cos(theta1 - theta2).
+    params : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    ndarray, shape (2, 2)
+        Inertia [kg m2].
+    """
+    off = params[O_12] + params[B_12] * phi_1
+    return np.array([[params[A_11], off], [off, params[C_22]]])
+
+
+def gravity_matrix(phi_2, phi_3, params):
+    """G^g of eq. (8), with g(theta) = G^g theta.
+
+    Parameters
+    ----------
+    phi_2, phi_3 : float
+        sinc(theta1), sinc(theta2).
+    params : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    ndarray, shape (2, 2)
+        [N m/rad].
+    """
+    return -np.diag([params[G_1] * phi_2, params[G_2] * phi_3])
+
+
+def vertex_matrices(box, params):
+    """A_i and B_i of eqs. (22)-(24), (27), (28) at the eight vertices.
+
+    Parameters
+    ----------
+    box : array_like, shape (3, 2)
+        Ranges of phi1, phi2, phi3.
+    params : ndarray, shape (12,)
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of ndarray
+        A, shape (8, 4, 4), and B, shape (8, 4, 2).
+    """
+    a, b = np.zeros((8, 4, 4)), np.zeros((8, 4, 2))
+    w_b = np.vstack([np.zeros((2, 2)), np.eye(2)])
+    for i, (phi_1, phi_2, phi_3) in enumerate(paper_vertices(box)):
+        pi = np.eye(4)
+        pi[2:, 2:] = inertia_matrix(phi_1, params)
+        right = np.zeros((4, 4))
+        right[:2, 2:] = np.eye(2)
+        right[2:, :2] = -gravity_matrix(phi_2, phi_3, params)
+        a[i] = np.linalg.solve(pi, right)
+        b[i] = np.linalg.solve(pi, w_b)
+    return a, b
+
+
+def output_matrices(arm):
+    """C and Df of eqs. (29), (30) for the arm's sensor arrangement.
+
+    Outputs are the two physical position sensors and the matching rates,
+    y = [S theta + f; S theta'].  For sensors of absolute angles S = I and these are the paper's.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Supplies the arrangement.
+
+    Returns
+    -------
+    tuple of ndarray
+        C, shape (4, 4), and Df, shape (4, 2).
+    """
+    s = JointMap(arm).sensor_matrix
+    c = np.zeros((4, 4))
+    c[:2, :2] = s
+    c[2:, 2:] = s
+    return c, np.vstack([np.eye(2), np.zeros((2, 2))])
+
+
+def disturbance_matrix(arm):
+    """Bd of eq. (31), shape (4, 1)."""
+    return np.array([[0.0], [0.0], *[[v] for v in arm.disturbance_direction]])
+
+
+class Descriptor:
+    """Augmented singular system (36) with x~ = [x; f], eqs. (35)-(37).
+
+    Parameters
+    ----------
+    a : ndarray, shape (h, 4, 4)
+        A_i at the vertices.
+    b : ndarray, shape (h, 4, 2)
+        B_i at the vertices.
+    arm : ArmParameters
+        Supplies C, Df and Bd.
+
+    Attributes
+    ----------
+    e, a, b, bd, bf, c : ndarray
+        E (6, 6), A~ (h, 6, 6), B~ (h, 6, 2), Bd~ (6, 1), Bf~ (6, 2) and C~ (4, 6).  The paper
+        prints Bf~ = [0; I_n]; its identity has the size of f.
+    """
+
+    def __init__(self, a, b, arm):
+        h = len(a)
+        c, df = output_matrices(arm)
+        self.e = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+        self.a = np.zeros((h, 6, 6))
+        self.a[:, :4, :4] = a
+        self.a[:, 4:, 4:] = -np.eye(2)
+        self.b = np.zeros((h, 6, 2))
+        self.b[:, :4] = b
+        self.bd = np.vstack([disturbance_matrix(arm), np.zeros((2, 1))])
+        self.bf = np.vstack([np.zeros((4, 2)), np.eye(2)])
+        self.c = np.hstack([c, df])
+
+
+@njit
+def lpv_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, a, b, box, rho):
+    """Right side of the paper's own LPV plant, eq. (25) without disturbance.
+
+    Parameters
+    ----------
+    theta_1, theta_2, rate_1, rate_2 : float
+        State x, eq. (21).
+    torque_1, torque_2 : float
+        Input u [N m], absolute coordinates.
+    a, b : ndarray, shapes (8, 4, 4) and (8, 4, 2)
+        Vertices.
+    box : ndarray, shape (3, 2)
+        Ranges of the scheduling variables; phi is clipped to it.
+    rho : ndarray, shape (8,)
+        Scratch for the weights.
+
+    Returns
+    -------
+    tuple of float
+        theta'' [rad/s2]; the upper rows of (25) are theta' itself.
+    """
+    phi_1, phi_2, phi_3 = paper_scheduling(theta_1, theta_2)
+    paper_weights(phi_1, phi_2, phi_3, box, rho)
+    acc_1, acc_2 = 0.0, 0.0
+    for i in range(8):
+        acc_1 += rho[i] * (
+            a[i, 2, 0] * theta_1
+            + a[i, 2, 1] * theta_2
+            + b[i, 2, 0] * torque_1
+            + b[i, 2, 1] * torque_2
+        )
+        acc_2 += rho[i] * (
+            a[i, 3, 0] * theta_1
+            + a[i, 3, 1] * theta_2
+            + b[i, 3, 0] * torque_1
+            + b[i, 3, 1] * torque_2
+        )
+    return acc_1, acc_2
+
+
+@njit
+def lpv_rk4_step(
+    theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, dt, a, b, box, rho
+):
+    """Advance the LPV plant (25) by one Runge-Kutta step with torques held.
+
+    Parameters
+    ----------
+    theta_1, theta_2, rate_1, rate_2 : float
+        State.
+    torque_1, torque_2 : float
+        Input u [N m], absolute coordinates.
+    push_1, push_2 : float
+        Bd*d [rad/s2].
+    dt : float
+        Step [s].
+    a, b, box, rho
+        As `lpv_rates`.
+
+    Returns
+    -------
+    tuple of float
+        The state after ``dt``.
+    """
+    h = 0.5 * dt
+    a3, a4 = lpv_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, a, b, box, rho)
+    a3 += push_1
+    a4 += push_2
+    b1, b2 = rate_1 + h * a3, rate_2 + h * a4
+    b3, b4 = lpv_rates(
+        theta_1 + h * rate_1, theta_2 + h * rate_2, b1, b2, torque_1, torque_2, a, b, box, rho
+    )
+    b3 += push_1
+    b4 += push_2
+    d1, d2 = rate_1 + h * b3, rate_2 + h * b4
+    d3, d4 = lpv_rates(
+        theta_1 + h * b1, theta_2 + h * b2, d1, d2, torque_1, torque_2, a, b, box, rho
+    )
+    d3 += push_1
+    d4 += push_2
+    e1, e2 = rate_1 + dt * d3, rate_2 + dt * d4
+    e3, e4 = lpv_rates(
+        theta_1 + dt * d1, theta_2 + dt * d2, e1, e2, torque_1, torque_2, a, b, box, rho
+    )
+    e3 += push_1
+    e4 += push_2
+    s = dt / 6.0
+    return (
+        theta_1 + s * (rate_1 + 2.0 * b1 + 2.0 * d1 + e1),
+        theta_2 + s * (rate_2 + 2.0 * b2 + 2.0 * d2 + e2),
+        rate_1 + s * (a3 + 2.0 * b3 + 2.0 * d3 + e3),
+        rate_2 + s * (a4 + 2.0 * b4 + 2.0 * d4 + e4),
+    )

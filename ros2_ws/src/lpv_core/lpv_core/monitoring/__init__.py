@@ -1,0 +1,1 @@
+"""Observer and diagnosis behind one interface, and what they publish."""

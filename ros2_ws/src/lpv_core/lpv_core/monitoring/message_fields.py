@@ -1,0 +1,149 @@
+"""What is published about estimates, as plain fields: the same for the node and for a replay.
+
+Each function returns a dict whose keys are the field names of one message type (without its
+header), so that neither ROS nor a bag library is needed here.
+"""
+
+from dataclasses import asdict
+
+from lpv_core.decision.diagnosis import SensorState
+from lpv_core.observer.sampled_observer import Mode
+
+# Levels of diagnostic_msgs/DiagnosticStatus.
+OK, WARN, ERROR, STALE = range(4)
+
+_LEVELS = {
+    SensorState.OK: (OK, 'no fault'),
+    SensorState.WARN: (WARN, 'above the threshold, not confirmed'),
+    SensorState.ERROR: (ERROR, 'fault confirmed'),
+    SensorState.STALE: (STALE, 'no data'),
+    SensorState.NOT_DIAGNOSABLE: (WARN, 'not diagnosable in this configuration'),
+}
+_MODES = {
+    Mode.OBSERVING: (OK, 'observing'),
+    Mode.HOLDING: (WARN, 'holding: a link carries no gravity information'),
+    Mode.INITIALISING: (WARN, 'initialising'),
+    Mode.STALE: (STALE, 'no usable measurements'),
+    Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
+}
+
+
+def state_fields(state):
+    """Fields of lpv_msgs/StateEstimate.
+
+    Parameters
+    ----------
+    state : numpy.record
+        `lpv_core.monitoring.monitor.ANSWER`'s; the values are copied.
+
+    Returns
+    -------
+    dict
+        Field values.
+    """
+    names = (
+        'position',
+        'velocity',
+        'compensated_position',
+        'measured_position',
+        'measured_velocity',
+    )
+    return {
+        **{name: state[name].copy() for name in names},
+        'mode': int(state.mode),
+        'trustworthy': bool(state.trustworthy),
+    }
+
+
+def fault_fields(fault, sensor_names):
+    """Fields of lpv_msgs/FaultEstimate.
+
+    Parameters
+    ----------
+    fault : numpy.record
+        `lpv_core.monitoring.monitor.ANSWER`'s; the values are copied.
+    sensor_names : sequence of str
+        Names of the sensors.
+
+    Returns
+    -------
+    dict
+        Field values.
+    """
+    return {
+        'sensor_names': list(sensor_names),
+        **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
+        'state': fault.state.tolist(),
+        'alarm': [bool(a) for a in fault.alarm],
+    }
+
+
+def alarm_fields(alarm):
+    """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds.
+
+    Parameters
+    ----------
+    alarm : Alarm
+        The event.
+
+    Returns
+    -------
+    dict
+        Field values.
+    """
+    return {**asdict(alarm), 'event': int(alarm.event)}
+
+
+def diagnostic_fields(name, arm, state, fault, inconsistent, values):
+    """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
+
+    Parameters
+    ----------
+    name : str
+        Fully qualified node name.
+    arm : ArmParameters
+        Names of arm and sensors.
+    state, fault : numpy.record
+        `lpv_core.monitoring.monitor.ANSWER`'s; ``fault`` is None without an estimate.
+    inconsistent : bool
+        Rates, torques and model contradict each other.
+    values : dict
+        Key-value pairs of the observer's status.
+
+    Returns
+    -------
+    list of dict
+        Fields of diagnostic_msgs/DiagnosticStatus; ``values`` is a dict of strings.
+    """
+    level, message = _MODES[state.mode]
+    if fault is not None and level < STALE:
+        if not state.trustworthy:
+            level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
+        elif inconsistent:
+            level, message = (
+                WARN,
+                ('inconsistent, cause unknown: rates, torques and model contradict each other'),
+            )
+    result = [_status(level, f'{name}: observer', message, arm.name, values)]
+    for i, sensor in enumerate(arm.sensor_names):
+        state, values = SensorState.STALE, {}
+        if fault is not None:
+            state = fault.state[i]
+            values = {
+                'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
+                'bound [rad]': f'{fault.bound[i]:.6f}',
+                'threshold [rad]': f'{fault.threshold[i]:.6f}',
+            }
+        level, message = _LEVELS[state]
+        result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
+    return result
+
+
+def _status(level, name, message, hardware, values):
+    return {
+        'level': level,
+        'name': name,
+        'message': message,
+        'hardware_id': hardware,
+        'values': {key: str(value) for key, value in values.items()},
+    }

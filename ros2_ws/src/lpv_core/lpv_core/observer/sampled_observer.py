@@ -1,0 +1,487 @@
+"""The observer as nodes and replay use it: joint-space samples in, estimates out.
+
+All bad input ends here, in a stated degraded mode: see :func:`observe`.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from lpv_core.model.dynamics import acceleration
+from lpv_core.model.joints import JointMap, joint_angle, row_dot
+from lpv_core.observer.observer_step import (
+    RECURSION_CONSTANTS,
+    RECURSION_STATE,
+    advance,
+    recursion,
+    set_state,
+)
+from lpv_core.support.errors import SampleError
+from lpv_core.support.jit import njit
+from lpv_core.support.records import NEVER, new_record, record_type
+
+NANOSECONDS = 1_000_000_000
+
+_LARGEST_ANGLE = 1e4
+"""A position sensor that reads more [rad] is taken as silent; floats lose microradians there."""
+_EFFORT_MARGIN = 10.0
+"""A torque so many times above the arm's limit is no torque of this arm."""
+
+
+class Mode(IntEnum):
+    """What the last estimate rests on; values as in lpv_msgs/StateEstimate."""
+
+    OBSERVING = 0
+    HOLDING = 1
+    INITIALISING = 2
+    STALE = 3
+    NO_ESTIMATE = 4
+
+
+_OBSERVING, _HOLDING, _INITIALISING = (int(m) for m in Mode if m <= Mode.INITIALISING)
+
+
+@dataclass
+class Counters:
+    """How many samples were not usable as they came.
+
+    Attributes
+    ----------
+    duplicates, out_of_order, restarts, not_finite, implausible, gaps, late_steps : int
+        Samples with an old stamp; clock set back; NaN or infinite values; values that no arm of
+        this kind can have; intervals longer than the limit; intervals of several sample times
+        (lost samples) that were bridged.
+    """
+
+    duplicates: int = 0
+    out_of_order: int = 0
+    restarts: int = 0
+    not_finite: int = 0
+    implausible: int = 0
+    gaps: int = 0
+    late_steps: int = 0
+
+
+COUNTERS = record_type(*((name, 'i8') for name in Counters.__dataclass_fields__))
+
+OBSERVER_CONSTANTS = record_type(
+    ('recursion', RECURSION_CONSTANTS),
+    ('sample_time', 'f8'),
+    ('max_gap', 'f8'),
+    ('initial_samples', 'i8'),
+    ('velocity_limit', 'f8', (2,)),
+    ('effort_limit', 'f8', (2,)),
+)
+OBSERVER_STATE = record_type(
+    ('recursion', RECURSION_STATE),
+    ('stamp', 'i8'),
+    ('started', 'i8'),
+    ('counters', COUNTERS),
+    ('y', 'f8', (4,)),
+    ('y_new', 'f8', (4,)),
+    ('before', 'f8', (4,)),
+    ('after', 'f8', (4,)),
+    ('torque', 'f8', (2,)),
+)
+
+ESTIMATE = record_type(
+    ('stamp', 'i8'),
+    ('interval', 'f8'),
+    ('mode', 'u1'),
+    ('position', 'f8', (2,)),
+    ('velocity', 'f8', (2,)),
+    ('measured_position', 'f8', (2,)),
+    ('measured_velocity', 'f8', (2,)),
+    ('fault', 'f8', (2,)),
+    ('absolute_position', 'f8', (2,)),
+    ('sensor_position', 'f8', (2,)),
+    ('held', 'u1', (2,)),
+    ('missing', 'u1', (2,)),
+    ('absolute_velocity', 'f8', (2,)),
+    ('absolute_acceleration', 'f8', (2,)),
+    ('innovation', 'f8', (2,)),
+    ('bridged', '?'),
+)
+"""One estimate.
+
+stamp, interval
+    Time of the measurement [ns], and since the previous estimate [s].
+mode
+    Of `Mode`.
+position, velocity, measured_position, measured_velocity
+    Estimated and measured joint positions and rates, ROS joint coordinates [rad], [rad/s].
+fault, sensor_position
+    f^ and readings of the physical position sensors [rad].
+absolute_position
+    Estimated absolute angles theta^ [rad].
+held
+    Links whose configuration carries no gravity information: dead reckoning.
+missing
+    Position sensors that delivered no finite value; their readings are carried on by their rates.
+bridged
+    The interval was too long to be integrated: angles went on by the encoders' increments.
+absolute_velocity, absolute_acceleration
+    Measured theta' and the model's theta'' at the estimate [rad/s], [rad/s2].
+innovation
+    Estimated minus measured theta' [rad/s].
+"""
+
+
+def observer_constants(arm, gains, initial_samples=1, max_gap=0.1):
+    """Constants of `observe` for one arm.
+
+    Parameters
+    ----------
+    arm, gains, initial_samples, max_gap
+        As `UnknownInputObserver`.
+
+    Returns
+    -------
+    numpy.record
+        Of type `OBSERVER_CONSTANTS`.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+    gains.check_arm(arm)
+    return new_record(
+        OBSERVER_CONSTANTS,
+        recursion=recursion(arm, gains.observer),
+        sample_time=arm.sample_time,
+        max_gap=max_gap,
+        initial_samples=max(1, int(initial_samples)),
+        velocity_limit=arm.velocity_limit,
+        effort_limit=_EFFORT_MARGIN * np.asarray(arm.torque_limit),
+    )
+
+
+@njit
+def reset_observer(state):
+    """Forget everything but the counters; the next sample starts anew."""
+    state.stamp, state.started = NEVER, 0
+    state.recursion.held[:] = False
+    state.y[:] = 0.0
+
+
+@njit
+def observe(params, state, estimate, stamp, position, velocity, effort):
+    """Take one measurement; the estimate at its time goes into ``estimate``.
+
+    Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s back
+    means that time restarted, and so does the observer; a position that is not finite, or absurd,
+    is carried on by the rates of that sensor (the state estimate does not need it); a
+    velocity or effort that is not finite, or beyond what the arm can do, drops the sample; an
+    interval above ``max_gap`` re-anchors the estimate.
+
+    Parameters
+    ----------
+    params, state, estimate : numpy.record
+        `observer_constants`, state (`OBSERVER_STATE`) and estimate (`ESTIMATE`).
+    stamp : int
+        Time of measurement [ns].
+    position, velocity : ndarray, shape (2,)
+        Joint positions [rad] and rates [rad/s] as in ``sensor_msgs/JointState``, in the order of
+        the arm file.
+    effort : ndarray, shape (2,)
+        Joint torques that acted over the interval that ends at ``stamp`` [N m].
+
+    Returns
+    -------
+    bool
+        False if the sample was dropped; ``estimate`` then stays as it was.
+    """
+    r = state.recursion
+    if not _usable(params, state, velocity, effort):
+        return False
+    interval = _interval(state, stamp)
+    if interval < 0.0:
+        return False
+    missing_1, missing_2 = _outputs(params, state, position, velocity, interval)
+    missing = missing_1 or missing_2
+    state.torque[0], state.torque[1] = effort[0] - effort[1], effort[1]  # Q = J^T tau
+    if state.stamp == NEVER:
+        if missing:
+            return False  # a start value needs both sensors
+        _start(params, state)
+    elif interval > params.max_gap:
+        _bridge(params, state)
+    else:
+        _advance(params, state, interval)
+    if state.started < params.initial_samples:
+        _average_start(params, state)
+    for i in range(6):
+        if not math.isfinite(r.x[i]):
+            # Can only follow from absurd input (1e300 rad/s); never let it out.
+            state.counters.not_finite += 1
+            reset_observer(state)
+            return False
+    state.stamp = stamp
+    state.y[:] = state.y_new
+    state.started += 1
+    estimate.stamp, estimate.interval, estimate.bridged = stamp, interval, interval > params.max_gap
+    estimate.missing[0], estimate.missing[1] = missing_1, missing_2
+    _fill(params, state, estimate)
+    return True
+
+
+@njit
+def _interval(state, stamp):
+    """Time since the last sample [s]; negative if this one is to be dropped."""
+    if state.stamp == NEVER:
+        return 0.0
+    delta = stamp - state.stamp
+    if delta > 0:
+        return delta / NANOSECONDS
+    if delta < -NANOSECONDS:
+        state.counters.restarts += 1
+        reset_observer(state)
+        return 0.0
+    if delta == 0:
+        state.counters.duplicates += 1
+    else:
+        state.counters.out_of_order += 1
+    return -1.0
+
+
+@njit
+def _usable(params, state, velocity, effort):
+    for i in range(2):
+        if not (math.isfinite(velocity[i]) and math.isfinite(effort[i])):
+            state.counters.not_finite += 1
+            return False
+    for i in range(2):
+        if abs(velocity[i]) > params.velocity_limit[i] or abs(effort[i]) > params.effort_limit[i]:
+            state.counters.implausible += 1
+            return False
+    return True
+
+
+@njit
+def _outputs(params, state, position, velocity, interval):
+    """Readings of the sensors into ``y_new``; whether the first and the second one are silent.
+
+    A silent sensor is taken to read on as its rates say: as if its fault stayed what it was.
+    """
+    y, joints = state.y_new, params.recursion.joints
+    for i in range(2):
+        y[i] = row_dot(joints.from_joint, i, position[0] + joints.zero, position[1])
+        y[2 + i] = row_dot(joints.from_joint, i, velocity[0], velocity[1])
+    missing_1, missing_2 = not abs(y[0]) <= _LARGEST_ANGLE, not abs(y[1]) <= _LARGEST_ANGLE
+    if missing_1 or missing_2:
+        if math.isfinite(y[0]) and math.isfinite(y[1]):
+            state.counters.implausible += 1
+        else:
+            state.counters.not_finite += 1
+        half = 0.5 * interval if interval <= params.max_gap else 0.0
+        for i in range(2):
+            if missing_1 if i == 0 else missing_2:
+                y[i] = state.y[i] + half * (state.y[2 + i] + y[2 + i])
+    return missing_1, missing_2
+
+
+@njit
+def _average_start(params, state):
+    """Move the start value to the mean of the samples so far; their mean fault is zero."""
+    r = state.recursion
+    share_1, share_2 = r.x[4] / (state.started + 1), r.x[5] / (state.started + 1)
+    for i in range(2):
+        r.x[i] += row_dot(params.recursion.joints.angle, i, share_1, share_2)
+    r.x[4] -= share_1
+    r.x[5] -= share_2
+    set_state(params.recursion, r, state.y_new)
+
+
+@njit
+def _anchor(params, state):
+    """Angles from the readings without their fault estimates, rates as measured."""
+    r, y, angle = state.recursion, state.y_new, params.recursion.joints.angle
+    for i in range(2):
+        r.x[i] = row_dot(angle, i, y[0] - r.x[4], y[1] - r.x[5])
+        r.x[2 + i] = row_dot(angle, i, y[2], y[3])
+    set_state(params.recursion, r, y)
+
+
+@njit
+def _start(params, state):
+    state.recursion.x[4:] = 0.0
+    _anchor(params, state)
+    state.y[:] = state.y_new
+    state.started = 0
+
+
+@njit
+def _bridge(params, state):
+    """Re-anchor after a gap: the encoder's increment is all that is known of it."""
+    state.counters.gaps += 1
+    _anchor(params, state)
+
+
+@njit
+def _advance(params, state, interval):
+    steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
+    if steps == 1:
+        advance(params.recursion, state.recursion, state.y, state.y_new, state.torque, interval)
+        return
+    state.counters.late_steps += 1
+    state.before[:] = state.y
+    for k in range(1, steps + 1):
+        for i in range(4):
+            state.after[i] = (
+                state.y_new[i]
+                if k == steps
+                else (state.before[i] + (state.y_new[i] - state.y[i]) / steps)
+            )
+        advance(
+            params.recursion,
+            state.recursion,
+            state.before,
+            state.after,
+            state.torque,
+            interval / steps,
+        )
+        state.before[:] = state.after
+
+
+@njit
+def _fill(params, state, estimate):
+    r, y, joints = state.recursion, state.y_new, params.recursion.joints
+    if state.started <= params.initial_samples:
+        estimate.mode = _INITIALISING
+    else:
+        estimate.mode = _HOLDING if r.held[0] or r.held[1] else _OBSERVING
+    for i in range(2):
+        estimate.position[i] = joint_angle(joints, joints.j, i, r.x[0], r.x[1])
+        estimate.velocity[i] = row_dot(joints.j, i, r.x[2], r.x[3])
+        estimate.measured_position[i] = joint_angle(joints, joints.to_joint, i, y[0], y[1])
+        estimate.measured_velocity[i] = row_dot(joints.to_joint, i, y[2], y[3])
+        estimate.fault[i], estimate.absolute_position[i] = r.x[4 + i], r.x[i]
+        estimate.sensor_position[i], estimate.held[i] = y[i], r.held[i]
+        estimate.absolute_velocity[i] = row_dot(joints.angle, i, y[2], y[3])
+        estimate.innovation[i] = r.x[2 + i] - estimate.absolute_velocity[i]
+    estimate.absolute_acceleration[0], estimate.absolute_acceleration[1] = acceleration(
+        r.x[0],
+        r.x[1],
+        estimate.absolute_velocity[0],
+        estimate.absolute_velocity[1],
+        state.torque[0],
+        state.torque[1],
+        params.recursion.arm,
+    )
+
+
+class UnknownInputObserver:
+    """Sampled unknown-input observer, eqs. (38)-(53).
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm; its hash must match the gains.
+    gains : Gains
+        Designed gains.
+    initial_samples : int, optional
+        Samples over which the start value is averaged.  The observer takes their mean for free of
+        faults: a constant bias at the start is only learnt at the certified decay rate.
+    max_gap : float, optional
+        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
+        encoder's increment and hold the fault estimate.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+
+    def __init__(self, arm, gains, initial_samples=1, max_gap=0.1):
+        self._constants = observer_constants(arm, gains, initial_samples, max_gap)
+        self._state, self._estimate = new_record(OBSERVER_STATE), new_record(ESTIMATE)
+        self.arm, self.joints = arm, JointMap(arm)
+        self.reset()
+
+    def reset(self):
+        """Forget everything but the counters; the next sample starts anew."""
+        reset_observer(self._state)
+
+    @property
+    def counters(self):
+        """What was not usable so far, as `Counters`."""
+        return counters(self._state.counters)
+
+    @property
+    def stamp(self):
+        """Stamp of the last accepted sample [ns], or None."""
+        return None if self._state.stamp == NEVER else int(self._state.stamp)
+
+    def update(self, stamp, position, velocity, effort):
+        """Take one measurement and return the estimate at its time, see :func:`observe`.
+
+        Parameters
+        ----------
+        stamp, position, velocity, effort
+            As `observe`; any sequences of two floats.
+
+        Returns
+        -------
+        numpy.record or None
+            `ESTIMATE`; None if the sample was dropped.
+
+        Raises
+        ------
+        SampleError
+            If a vector has not two elements.
+        """
+        used = observe(
+            self._constants,
+            self._state,
+            self._estimate,
+            stamp,
+            pair(position, 'position'),
+            pair(velocity, 'velocity'),
+            pair(effort, 'effort'),
+        )
+        return self._estimate.copy() if used else None
+
+
+def counters(record):
+    """`Counters` of a record.
+
+    Parameters
+    ----------
+    record : numpy.record
+        Of type `COUNTERS`.
+
+    Returns
+    -------
+    Counters
+        Plain numbers.
+    """
+    return Counters(*record.tolist())
+
+
+def pair(values, name):
+    """Two numbers as an array.
+
+    Parameters
+    ----------
+    values : sequence of two floats
+        The numbers.
+    name : str
+        For the message.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        The same.
+
+    Raises
+    ------
+    SampleError
+        If it has another shape.
+    """
+    array = np.ascontiguousarray(values, dtype=float)
+    if array.shape != (2,):
+        raise SampleError(f'{name} must have 2 values, one a joint, got shape {array.shape}')
+    return array

@@ -1,0 +1,1 @@
+"""Residuals of the sensors and the tests on them."""

@@ -1,0 +1,131 @@
+"""Do rates, torques and model fit together?  If not, a fault estimate may have another cause.
+
+The observer's rate innovation r = theta^' - v is, in momentum coordinates, what unknown torques and
+rate errors leave behind: a position fault does not touch it.  A healthy arm keeps it within the
+reachable set and noise.  Where it leaves them, a rate sensor, a torque sensor or the model is
+wrong, and which one cannot be told from two encoders and two rates.
+
+A rate that goes wrong suddenly shows for as long as the observer takes to follow, 1/mu.  Smaller
+errors of the rates stay unseen.
+"""
+
+import math
+
+import numpy as np
+
+from lpv_core.model.arm import A_11, C_22
+from lpv_core.model.dynamics import coupling
+from lpv_core.support.jit import njit
+from lpv_core.support.records import NEVER, new_record, record_type
+
+_FILTERS = (0.02, 0.2)
+"""Time constants of the averages [s]: a jump of a rate, and a lasting contradiction."""
+_HOLD = 1_000_000_000
+"""An inconsistency is believed to last so long after it was seen [ns]."""
+
+CONSISTENCY_CONSTANTS = record_type(
+    ('used', '?'),
+    ('arm', 'f8', (12,)),
+    ('inertia', 'f8', (2,)),
+    ('noise', 'f8', (len(_FILTERS), 2)),
+    ('tolerance', 'f8', (2,)),
+)
+"""Whether the test is made; constants of the arm; Xi_ii; limits by noise for each average and by
+tolerated torques [rad/s]."""
+CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', 'i8'))
+"""Averages [rad/s]; end of the inconsistency [ns]."""
+
+
+def consistency_test(arm, gains, sigmas):
+    """Healthy bound of the averaged momentum innovation.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its inertia, noise and torque tolerance.
+    gains : Gains
+        The test is only made for method ``exact``.
+    sigmas : float
+        Standard deviations of noise in the limit.
+
+    Returns
+    -------
+    numpy.record
+        Of type `CONSISTENCY_CONSTANTS`.
+    """
+    if gains.observer.method != 'exact':
+        return new_record(CONSISTENCY_CONSTANTS)
+    constants = arm.constants()
+    inertia = constants[[A_11, C_22]]
+    off = abs(coupling(0.0, 0.0, constants))
+    # White rates of both links enter a momentum; relative sensors add theirs up.
+    rows = np.hypot(1.0, off / inertia) * (1.0 if arm.arrangement == 'absolute' else math.sqrt(2.0))
+    noise = [
+        sigmas * rows * arm.velocity_noise * math.sqrt(arm.sample_time / (2.0 * tau))
+        for tau in _FILTERS
+    ]
+    return new_record(
+        CONSISTENCY_CONSTANTS,
+        used=True,
+        arm=constants,
+        inertia=inertia,
+        noise=noise,
+        tolerance=tolerated_rates(arm, gains),
+    )
+
+
+def tolerated_rates(arm, gains):
+    """What tolerated torques make of the momentum innovation of method ``exact``.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its inertia and torque tolerance.
+    gains : Gains
+        Its gains.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        By link [rad/s].
+    """
+    inertia = arm.constants()[[A_11, C_22]]
+    return np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
+
+
+@njit
+def reset_consistency(state):
+    """Forget the past."""
+    state.means[:] = 0.0
+    state.until = NEVER
+
+
+@njit
+def is_inconsistent(params, state, estimate, healthy):
+    """Judge one sample.
+
+    Parameters
+    ----------
+    params, state : numpy.record
+        Constants and state.
+    estimate : numpy.record
+        Latest estimate.
+    healthy : ndarray, shape (2,)
+        Bound on the scaled momentum error of a healthy arm [rad/s].
+
+    Returns
+    -------
+    bool
+        True if rates, torques and model contradict each other, now or shortly before.
+    """
+    if not params.used:
+        return False
+    off = coupling(estimate.absolute_position[0], estimate.absolute_position[1], params.arm)
+    for f in range(len(_FILTERS)):
+        share = min(1.0, estimate.interval / _FILTERS[f])
+        for i in range(2):
+            momentum = estimate.innovation[i] + off * estimate.innovation[1 - i] / params.inertia[i]
+            state.means[f, i] += share * (momentum - state.means[f, i])
+            if abs(state.means[f, i]) > healthy[i] + params.tolerance[i] + params.noise[f, i]:
+                state.until = estimate.stamp + _HOLD
+    return estimate.stamp < state.until

@@ -1,0 +1,200 @@
+"""Whether it may be a rate sensor that moves a residual.
+
+A residual that starts to move at some speed means that either the position sensor drifts, or that
+its rate sensor is wrong by as much.  A rate that goes wrong shows in the observer's rate
+innovation: its changes at once, and then less as exp(-mu t), until the observer has followed.  What
+went wrong gradually shows the less the longer it took, down to nothing.
+
+So how long may the rate have taken, by the residual?  Courses r_0 + b q(t - t_0; T) are fitted to
+it, with q' rising from 0 to 1 within T.  For every one that fits, a matched filter looks for what
+the rate sensor would have left in the innovation.  The rate is innocent if that would have shown,
+for all of them, and is not there.  Errors of torques and model change the innovation slowly, or
+within what the arm file tolerates.
+"""
+
+import math
+
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.residual.model_consistency import tolerated_rates
+from lpv_core.residual.sample_buffer import INNOVATION, RESIDUAL, first_since
+from lpv_core.support.jit import njit
+from lpv_core.support.records import new_record, record_type
+
+_SIGMAS = 3.5
+_WORSE = 9.0
+"""A course fits if it leaves at most so many variances of a reading more than the best one."""
+_NOISE = 3.0
+"""Mean square that the best course may leave, over the variance of a reading."""
+_RISES = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08, 0.12, 0.2, 0.4, 1.0)
+"""Times T that a rate may have taken to go wrong [s]."""
+_STARTS = 13
+"""Onsets that are tried for each."""
+_LENGTH = 3.0
+"""Length of the filter after the rise, over 1/mu."""
+_BEFORE = 4
+"""Length of the mean before the onset, over that."""
+_SHORTEST = 5
+
+RULED_OUT, UNDECIDED, IMPLICATED = range(3)
+"""Verdicts on a rate sensor."""
+
+RATE_TEST = record_type(
+    ('used', '?'),
+    ('fall', 'f8'),
+    ('length', 'i8'),
+    ('noise', 'f8'),
+    ('smallest', 'f8'),
+    ('reading', 'f8'),
+)
+"""Whether the test can be made; decay of the innovation in one sample; samples of the filter;
+standard deviation of a rate [rad/s]; what torques may leave in the innovation [rad/s]; standard
+deviation of a reading [rad]."""
+
+
+def rate_test(arm, gains):
+    """Constants of the test for one arm.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Its noise, inertia and torque tolerance.
+    gains : Gains
+        The test can only be made for method ``exact``.
+
+    Returns
+    -------
+    numpy.record
+        Of type `RATE_TEST`.
+    """
+    if gains.observer.method != 'exact':
+        return new_record(RATE_TEST)
+    share = max(gains.observer.mu) * arm.sample_time
+    return new_record(
+        RATE_TEST,
+        used=True,
+        fall=math.exp(-share),
+        length=math.ceil(_LENGTH / share),
+        noise=arm.velocity_noise,
+        smallest=2.0 * tolerated_rates(arm, gains).max(),
+        reading=arm.position_noise,
+    )
+
+
+@njit
+def rate_verdict(params, stamps, values, end, baseline, onset, speed):
+    """Whether a rate went wrong when a residual began to move.
+
+    Parameters
+    ----------
+    params : numpy.record
+        `rate_test`.
+    stamps, values : ndarray
+        The sensor's past, see `lpv_core.residual.sample_buffer`.
+    end : int
+        Rows in use.
+    baseline : float
+        r_0 [rad].
+    onset : int
+        When the residual began to move, if that was sudden [ns].
+    speed : float
+        Its speed since then [rad/s].
+
+    Returns
+    -------
+    int
+        `RULED_OUT` if the error of the rate would have shown and did not, `IMPLICATED` if it is there,
+        `UNDECIDED` where noise or tolerated torques could hide it.
+    """
+    if not params.used or speed == 0.0:
+        return UNDECIDED
+    fits = [
+        _fit(params, stamps, values, end, baseline, onset, speed, rise, k)
+        for rise in _RISES
+        for k in range(_STARTS)
+    ]
+    best = math.inf
+    for left, _, _ in fits:
+        best = min(best, left)
+    if not _is_explained(params, stamps, values, end, baseline, onset, best):
+        return UNDECIDED
+    verdict = RULED_OUT
+    for i in range(len(_RISES)):
+        for left, fitted, row in fits[i * _STARTS : (i + 1) * _STARTS]:
+            if left > best + _WORSE * params.reading * params.reading:
+                continue
+            one = _look(params, stamps, values, end, row, _RISES[i], fitted)
+            if one == IMPLICATED:
+                return IMPLICATED
+            if one == UNDECIDED:
+                verdict = UNDECIDED
+    return verdict
+
+
+@njit
+def _is_explained(params, stamps, values, end, baseline, onset, best):
+    """Whether the best course leaves no more than noise: others say nothing of the rate."""
+    row = first_since(stamps, end, onset)
+    energy = 0.0
+    for k in range(row, end):
+        away = values[k, RESIDUAL] - baseline
+        energy += away * away
+    return energy + best <= _NOISE * max(end - row, _SHORTEST) * params.reading * params.reading
+
+
+@njit
+def _fit(params, stamps, values, end, baseline, onset, speed, rise, number):
+    """Sum of squares that one course leaves, less that of the residual; its b; first row after its
+    t_0."""
+    reach = 2.0 * params.reading / abs(speed) + 0.5 * rise
+    share = 2.0 * number / (_STARTS - 1) - 1.0
+    begin = onset + round((share * reach - 0.5 * rise) * NANOSECONDS)
+    row = first_since(stamps, end, begin)
+    power = cross = 0.0
+    for k in range(row, end):
+        course = _course((stamps[k] - begin) / NANOSECONDS, rise)
+        power += course * course
+        cross += course * (values[k, RESIDUAL] - baseline)
+    if power == 0.0:
+        return 0.0, 0.0, row
+    return -cross * cross / power, cross / power, row
+
+
+@njit
+def _course(time, rise):
+    """q: the integral of a rate that rises to 1."""
+    return 0.5 * time * time / rise if time < rise else time - 0.5 * rise
+
+
+@njit
+def _look(params, stamps, values, end, row, rise, speed):
+    """Verdict if the rate took so long to go wrong, from a row on."""
+    first = row - _BEFORE * params.length
+    if first < 0 or end - row < _SHORTEST:
+        return UNDECIDED
+    before = 0.0
+    for k in range(first, row):
+        before += values[k, INNOVATION]
+    before /= row - first
+    last = first_since(stamps, end, stamps[row] + round(rise * NANOSECONDS)) + params.length
+    shown = wrong = power = total = cross = most = 0.0
+    for k in range(row, min(last, end)):
+        now = 1.0
+        if rise > 0.0:
+            now = min(1.0, (stamps[k] - stamps[row]) / NANOSECONDS / rise)
+        shown, wrong = params.fall * shown + now - wrong, now
+        power += shown * shown
+        total += shown
+        cross += shown * (values[k, INNOVATION] - before)
+        most = max(most, shown)
+    if power == 0.0:
+        return UNDECIDED
+    error = cross / power
+    deviation = params.noise * math.sqrt(
+        1.0 / power + total * total / (power * power) / (row - first)
+    )
+    share = error / speed if speed != 0.0 else 0.0
+    if share > 0.5 and abs(error) > _SIGMAS * deviation:
+        return IMPLICATED
+    if abs(share) > 0.5 or abs(speed) < 2.0 * _SIGMAS * deviation:
+        return UNDECIDED
+    return RULED_OUT if abs(speed) * most > params.smallest else UNDECIDED

@@ -1,0 +1,1 @@
+"""The simulated arm with its faulty sensors, and the closed loop."""

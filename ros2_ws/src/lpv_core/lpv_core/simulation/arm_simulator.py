@@ -1,0 +1,337 @@
+"""The simulated arm with its sensors: plant, disturbance, noise and faults, step by step.
+
+All functions take the constants ``c`` (`PLANT_CONSTANTS`) and the state ``s`` (`PLANT_STATE`).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_core.model.dynamics import inverse_dynamics, rk4_step
+from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
+from lpv_core.model.polytope import sinc_box
+from lpv_core.model.state_space import lpv_rk4_step, vertex_matrices
+from lpv_core.simulation.faults import FaultInjector, apply_faults, is_frozen, rate_bias
+from lpv_core.simulation.mujoco_plant import MujocoPlant
+from lpv_core.support.jit import njit
+from lpv_core.support.records import new_record, record_type
+
+_LPV = record_type(('box', 'f8', (3, 2)), ('a', 'f8', (8, 4, 4)), ('b', 'f8', (8, 4, 2)))
+PLANT_CONSTANTS = record_type(
+    ('joints', JOINT_MAP),
+    ('arm', 'f8', (12,)),
+    ('is_lpv', '?'),
+    ('lpv', _LPV),
+    ('sample_time', 'f8'),
+    ('substeps', 'i8'),
+    ('torque_limit', 'f8', (2,)),
+    ('direction', 'f8', (2,)),
+    ('push_mean', 'f8'),
+    ('push_deviation', 'f8'),
+    ('disturbed', '?'),
+    ('noisy', '?'),
+    ('position_noise', 'f8'),
+    ('velocity_noise', 'f8'),
+)
+"""Conversions; constants of the true arm; the paper's LPV plant; time step [s]; limits [N m];
+direction, mean and standard deviation of d; standard deviations of noise [rad], [rad/s]."""
+
+PLANT_STATE = record_type(
+    ('state', 'f8', (4,)),
+    ('step_count', 'i8'),
+    ('torque', 'f8', (2,)),
+    ('disturbance', 'f8'),
+    ('position', 'f8', (2,)),
+    ('velocity', 'f8', (2,)),
+    ('measured_position', 'f8', (2,)),
+    ('measured_velocity', 'f8', (2,)),
+    ('fault', 'f8', (2,)),
+    ('reading', 'f8', (2,)),
+    ('rho', 'f8', (8,)),
+)
+"""Absolute angles and rates [rad], [rad/s]; number of the sample; what acted over the step before:
+joint torque [N m] and d; true and measured joint positions and rates; fault of the physical
+sensors, NaN in a dropout [rad]; work space."""
+
+
+@njit
+def take_torque(params, state, first, second, generator):
+    """Take a joint torque for the coming step, within limits, and draw the disturbance.
+
+    Parameters
+    ----------
+    params, state : numpy.record
+        Constants and state.
+    first, second : float
+        Joint torques [N m].
+    generator : numpy.random.Generator
+        Of the disturbance.
+    """
+    state.torque[0] = min(max(first, -params.torque_limit[0]), params.torque_limit[0])
+    state.torque[1] = min(max(second, -params.torque_limit[1]), params.torque_limit[1])
+    state.disturbance = 0.0
+    if params.disturbed:
+        state.disturbance = params.push_mean + params.push_deviation * generator.standard_normal()
+
+
+@njit
+def integrate(params, state):
+    """Advance the plant by one sample time."""
+    q_1, q_2 = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
+    push_1, push_2 = (
+        params.direction[0] * state.disturbance,
+        params.direction[1] * state.disturbance,
+    )
+    dt, x = params.sample_time / params.substeps, state.state
+    for _ in range(params.substeps):
+        if params.is_lpv:
+            x[0], x[1], x[2], x[3] = lpv_rk4_step(
+                x[0],
+                x[1],
+                x[2],
+                x[3],
+                q_1,
+                q_2,
+                push_1,
+                push_2,
+                dt,
+                params.lpv.a,
+                params.lpv.b,
+                params.lpv.box,
+                state.rho,
+            )
+        else:
+            x[0], x[1], x[2], x[3] = rk4_step(
+                x[0], x[1], x[2], x[3], q_1, q_2, push_1, push_2, dt, params.arm
+            )
+    state.step_count += 1
+
+
+@njit
+def brake(params, state):
+    """Let one sample time pass with the brakes engaged: no motion, no disturbance felt.
+
+    The torque sensors then read what holds the arm.
+    """
+    x = state.state
+    x[2] = x[3] = 0.0
+    q_1, q_2 = inverse_dynamics(x[0], x[1], 0.0, 0.0, 0.0, 0.0, params.arm)
+    state.torque[0], state.torque[1] = q_1 + q_2, q_2
+    state.disturbance = 0.0
+    state.step_count += 1
+
+
+@njit
+def read_sensors(params, state, faults, noise, chance):
+    """Read the sensors at the present sample.
+
+    Parameters
+    ----------
+    params, state : numpy.record
+        Constants and state.
+    faults : numpy.recarray
+        Scheduled faults.
+    noise, chance : numpy.random.Generator
+        Of the sensors' noise and of random faults.
+    """
+    x, joints, time = state.state, params.joints, state.step_count * params.sample_time
+    for i in range(2):
+        state.position[i] = joint_angle(joints, joints.j, i, x[0], x[1])
+        state.velocity[i] = row_dot(joints.j, i, x[2], x[3])
+        state.reading[i] = row_dot(joints.sensor, i, x[0], x[1])
+    true_1, true_2 = state.reading[0], state.reading[1]
+    apply_faults(faults, time, state.reading, params.sample_time, chance)
+    state.fault[0], state.fault[1] = state.reading[0] - true_1, state.reading[1] - true_2
+    rate_1 = row_dot(joints.sensor, 0, x[2], x[3]) + rate_bias(faults, 0, time)
+    rate_2 = row_dot(joints.sensor, 1, x[2], x[3]) + rate_bias(faults, 1, time)
+    # Numbers are drawn with or without noise, so that both runs share the later ones.
+    draw_1, draw_2 = noise.standard_normal(), noise.standard_normal()
+    draw_3, draw_4 = noise.standard_normal(), noise.standard_normal()
+    if params.noisy:
+        if not is_frozen(faults, 0, time):
+            state.reading[0] += params.position_noise * draw_1
+        if not is_frozen(faults, 1, time):
+            state.reading[1] += params.position_noise * draw_2
+        rate_1 += params.velocity_noise * draw_3
+        rate_2 += params.velocity_noise * draw_4
+    for i in range(2):
+        state.measured_position[i] = joint_angle(
+            joints, joints.to_joint, i, state.reading[0], state.reading[1]
+        )
+        state.measured_velocity[i] = row_dot(joints.to_joint, i, rate_1, rate_2)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the sensors say, in ROS joint coordinates.
+
+    Attributes
+    ----------
+    position, velocity : ndarray, shape (2,)
+        Faulty, noisy joint positions and noisy rates [rad], [rad/s].
+    effort : ndarray, shape (2,)
+        Joint torque that acted over the step before [N m].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What no observer may know.
+
+    Attributes
+    ----------
+    position, velocity : ndarray, shape (2,)
+        True joint positions and rates [rad], [rad/s].
+    fault : ndarray, shape (2,)
+        Fault of the physical sensors, reading minus truth before noise [rad]; NaN in a dropout.
+    disturbance : float
+        d over the step before.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    fault: np.ndarray
+    disturbance: float
+
+
+class ArmSimulator:
+    """Plant and sensors of one scenario.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Nominal arm (sensors, limits, disturbance).
+    scenario : Scenario
+        What happens.
+    substeps : int, optional
+        Runge-Kutta steps per sample.
+
+    Attributes
+    ----------
+    injector : FaultInjector
+        Faults, scheduled and injected while running.
+    constants, state : numpy.record
+        Of types `PLANT_CONSTANTS` and `PLANT_STATE`.
+    noise, push : numpy.random.Generator
+        Of the sensors' noise and of the disturbance.
+    engine : MujocoPlant or None
+        What integrates the arm instead of `integrate`.
+    """
+
+    def __init__(self, arm, scenario, substeps=2):
+        self.arm, self.scenario = arm, scenario
+        self.sample_time = arm.sample_time
+        self.joints = JointMap(arm)
+        streams = np.random.SeedSequence(scenario.seed).spawn(3)
+        # One stream a purpose: injecting a fault must not change noise and disturbance.
+        self.noise, self.push, fault_stream = (np.random.default_rng(s) for s in streams)
+        self.injector = FaultInjector(arm.sensor_names, scenario.faults, fault_stream)
+        true_arm = scenario.true_arm(arm)
+        self.constants = _plant_constants(arm, true_arm, scenario, self.joints, substeps)
+        self.engine = None
+        if scenario.plant == 'mujoco':
+            self.engine = MujocoPlant(true_arm, scenario.coulomb)
+        self.state = new_record(PLANT_STATE)
+        self.state.state[:2] = self.joints.absolute_position(
+            scenario.path(arm).sample(0.0).position
+        )
+        self._sensed = False
+
+    @property
+    def step_count(self):
+        """Number of the present sample."""
+        return int(self.state.step_count)
+
+    @property
+    def time(self):
+        """Time of the present sample [s]."""
+        return self.step_count * self.sample_time
+
+    def step(self, joint_torque):
+        """Apply a torque over one sample time.
+
+        Parameters
+        ----------
+        joint_torque : sequence of two floats
+            Commanded joint torques [N m]; clipped to the arm's limits.
+
+        Raises
+        ------
+        ValueError
+            If a torque is not finite.
+        """
+        torque = np.asarray(joint_torque, float)
+        if torque.shape != (2,) or not np.isfinite(torque).all():
+            raise ValueError(f'torque must be two finite numbers, got {joint_torque}')
+        take_torque(self.constants, self.state, torque[0], torque[1], self.push)
+        self.advance()
+        self._sensed = False
+
+    def advance(self):
+        """Advance the plant by one sample time under the torque that was taken."""
+        c, s = self.constants, self.state
+        if self.engine is None:
+            integrate(c, s)
+            return
+        torque = self.joints.absolute_torque(s.torque)
+        s.state[:] = self.engine.advance(
+            s.state, torque, c.direction * s.disturbance, self.sample_time, int(c.substeps)
+        )
+        s.step_count += 1
+
+    def hold(self):
+        """Let one sample time pass with the brakes engaged, see `brake`.
+
+        Drives brake until the first command and after a safe stop.
+        """
+        brake(self.constants, self.state)
+        self._sensed = False
+
+    def sense(self):
+        """Readings at the present sample; the same ones when asked again.
+
+        Returns
+        -------
+        tuple
+            ``(Measurement, Truth)``.
+        """
+        s = self.state
+        if not self._sensed:
+            read_sensors(
+                self.constants, s, self.injector.records, self.noise, self.injector.generator
+            )
+            self._sensed = True
+        measurement = Measurement(
+            s.measured_position.copy(), s.measured_velocity.copy(), s.torque.copy()
+        )
+        return measurement, Truth(
+            s.position.copy(), s.velocity.copy(), s.fault.copy(), float(s.disturbance)
+        )
+
+
+def _plant_constants(arm, true_arm, scenario, joints, substeps):
+    params = new_record(
+        PLANT_CONSTANTS,
+        joints=joints.record(),
+        arm=true_arm.constants(scenario.plant in ('nonlinear', 'mujoco')),
+        sample_time=arm.sample_time,
+        substeps=substeps,
+        torque_limit=arm.torque_limit,
+        direction=arm.disturbance_direction,
+        push_mean=scenario.disturbance_factor * arm.disturbance_mean,
+        push_deviation=scenario.disturbance_factor * math.sqrt(arm.disturbance_variance),
+        disturbed=scenario.disturbance,
+        noisy=scenario.noise,
+        position_noise=scenario.noise_factor * arm.position_noise,
+        velocity_noise=scenario.noise_factor * arm.velocity_noise,
+    )
+    if scenario.plant == 'lpv':
+        box = sinc_box(scenario.sinc_min)
+        a, b = vertex_matrices(box, true_arm.constants(False))
+        params.is_lpv, params.lpv = True, new_record(_LPV, box=box, a=a, b=b)
+    return params

@@ -1,0 +1,302 @@
+"""Faults of the physical sensors, as the simulator injects them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.jit import njit
+from lpv_core.support.records import record_type
+
+KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
+
+
+_BIAS, _DRIFT, _SCALE, _STUCK, _NOISE, _SPIKE, _DROPOUT, _RATE_BIAS = range(len(KINDS))
+
+_FAULT = record_type(
+    ('kind', 'i8'),
+    ('sensor', 'i8'),
+    ('onset', 'f8'),
+    ('duration', 'f8'),
+    ('amount', 'f8'),
+    ('rate', 'f8'),
+    ('frozen', 'f8'),
+    ('is_frozen', '?'),
+)
+"""A `Fault` for compiled functions; ``frozen`` is the reading at which a stuck one froze."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of one sensor.
+
+    Attributes
+    ----------
+    sensor : str
+        Name of the physical sensor.
+    kind : str
+        One of `KINDS`: ``bias`` adds ``size`` [rad]; ``drift`` grows with ``rate`` [rad/s] up to
+        ``size`` (without end if 0); ``scale`` multiplies the reading by 1 + ``size``; ``stuck``
+        freezes it; ``noise`` adds white noise of standard deviation ``size`` [rad]; ``spike``
+        adds +-``size`` [rad] to single samples, ``rate`` of them a second; ``dropout`` gives NaN;
+        ``rate_bias`` is no position fault: it adds ``size`` [rad/s] to the rate that belongs to
+        the sensor.
+    onset : float
+        Start [s].
+    duration : float
+        Length [s]; 0 until cleared.
+    size, rate : float
+        As above.
+    """
+
+    sensor: str
+    kind: str
+    onset: float
+    duration: float = 0.0
+    size: float = 0.0
+    rate: float = 0.0
+
+
+@njit
+def _acts(f, time):
+    return time >= f.onset and (f.duration <= 0.0 or time < f.onset + f.duration)
+
+
+@njit
+def apply_faults(faults, time, reading, sample_time, generator):
+    """Add all faults that act to the readings.
+
+    Parameters
+    ----------
+    faults : numpy.recarray
+        Scheduled faults.
+    time : float
+        [s].
+    reading : ndarray, shape (2,)
+        Readings S theta [rad]; changed in place, NaN for a dropout.
+    sample_time : float
+        For the rate of spikes [s].
+    generator : numpy.random.Generator
+        Source of randomness.
+    """
+    for k in range(len(faults)):
+        f = faults[k]
+        if not _acts(f, time):
+            f.is_frozen = False
+            continue
+        i, value = f.sensor, reading[f.sensor]
+        if f.kind == _BIAS:
+            reading[i] = value + f.amount
+        elif f.kind == _DRIFT:
+            grown, limit = f.rate * (time - f.onset), abs(f.amount)
+            reading[i] = value + (min(max(grown, -limit), limit) if limit > 0.0 else grown)
+        elif f.kind == _SCALE:
+            reading[i] = value * (1.0 + f.amount)
+        elif f.kind == _STUCK:
+            if not f.is_frozen:
+                f.is_frozen, f.frozen = True, value
+            reading[i] = f.frozen
+        elif f.kind == _NOISE:
+            reading[i] = value + f.amount * generator.standard_normal()
+        elif f.kind == _SPIKE:
+            hit, sign = generator.random(), generator.random()
+            if hit < f.rate * sample_time:
+                reading[i] = value + (f.amount if sign < 0.5 else -f.amount)
+        elif f.kind == _DROPOUT:
+            reading[i] = math.nan
+
+
+@njit
+def rate_bias(faults, sensor, time):
+    """What faults add to the rate that belongs to a sensor.
+
+    Parameters
+    ----------
+    faults : numpy.recarray
+        Scheduled faults.
+    sensor : int
+        Index.
+    time : float
+        [s].
+
+    Returns
+    -------
+    float
+        [rad/s].
+    """
+    total = 0.0
+    for k in range(len(faults)):
+        f = faults[k]
+        if f.kind == _RATE_BIAS and f.sensor == sensor and _acts(f, time):
+            total += f.amount
+    return total
+
+
+@njit
+def is_frozen(faults, sensor, time):
+    """Whether a sensor is stuck: it carries no noise either.
+
+    Parameters
+    ----------
+    faults : numpy.recarray
+        Scheduled faults.
+    sensor : int
+        Index.
+    time : float
+        [s].
+
+    Returns
+    -------
+    bool
+        True while a fault of kind stuck acts.
+    """
+    for k in range(len(faults)):
+        if faults[k].kind == _STUCK and faults[k].sensor == sensor and _acts(faults[k], time):
+            return True
+    return False
+
+
+def check_fault(fault, sensor_names):
+    """Refuse a fault that the simulator cannot apply.
+
+    Parameters
+    ----------
+    fault : Fault
+        The fault.
+    sensor_names : sequence of str
+        Known sensors.
+
+    Raises
+    ------
+    ConfigError
+        Naming the field.
+    """
+    if fault.sensor not in sensor_names:
+        raise ConfigError(
+            'fault.sensor', f'{fault.sensor!r} is unknown; the arm has ' + ', '.join(sensor_names)
+        )
+    if fault.kind not in KINDS:
+        raise ConfigError('fault.kind', f'{fault.kind!r} must be one of ' + ', '.join(KINDS))
+    for name in ('onset', 'duration', 'size', 'rate'):
+        value = getattr(fault, name)
+        if not math.isfinite(value):
+            raise ConfigError(f'fault.{name}', f'must be finite, got {value}')
+    for name in (
+        ('duration',)
+        + (('size',) if fault.kind == 'noise' else ())
+        + (('rate',) if fault.kind == 'spike' else ())
+    ):
+        if getattr(fault, name) < 0.0:
+            raise ConfigError(f'fault.{name}', 'must not be negative')
+    needed = {
+        'bias': 'size',
+        'scale': 'size',
+        'noise': 'size',
+        'spike': 'size',
+        'drift': 'rate',
+        'rate_bias': 'size',
+    }
+    name = needed.get(fault.kind)
+    if name and getattr(fault, name) == 0.0:
+        raise ConfigError(f'fault.{name}', f'must not be 0 for a {fault.kind} fault')
+
+
+class FaultInjector:
+    """Applies all active faults to the readings of two sensors.
+
+    Parameters
+    ----------
+    sensor_names : sequence of two str
+        The physical sensors.
+    faults : iterable of Fault
+        Scheduled faults.
+    generator : numpy.random.Generator
+        Source of randomness for ``noise`` and ``spike``.
+
+    Attributes
+    ----------
+    faults : list of Fault
+        What is scheduled.
+    records : numpy.recarray
+        The same for compiled functions.
+    generator : numpy.random.Generator
+        As given.
+    """
+
+    def __init__(self, sensor_names, faults, generator):
+        self._names = tuple(sensor_names)
+        self.generator = generator
+        self.faults, self.records = [], np.zeros(0, _FAULT).view(np.recarray)
+        for fault in faults:
+            self.add(fault)
+
+    def add(self, fault):
+        """Schedule a further fault.
+
+        Parameters
+        ----------
+        fault : Fault
+            The fault.
+
+        Raises
+        ------
+        ConfigError
+            If it is not valid.
+        """
+        check_fault(fault, self._names)
+        row = np.zeros(1, _FAULT)
+        row['kind'], row['sensor'] = KINDS.index(fault.kind), self._names.index(fault.sensor)
+        row['onset'], row['duration'] = fault.onset, fault.duration
+        row['amount'], row['rate'] = fault.size, fault.rate
+        self.faults.append(fault)
+        self.records = np.concatenate([self.records, row]).view(np.recarray)
+
+    def clear(self, sensor=''):
+        """Remove faults.
+
+        Parameters
+        ----------
+        sensor : str, optional
+            Name of one sensor; all if empty.
+
+        Returns
+        -------
+        int
+            How many were removed.
+
+        Raises
+        ------
+        ConfigError
+            If the sensor is unknown.
+        """
+        if sensor and sensor not in self._names:
+            raise ConfigError(
+                'fault.sensor', f'{sensor!r} is unknown; the arm has ' + ', '.join(self._names)
+            )
+        kept = [bool(sensor) and f.sensor != sensor for f in self.faults]
+        removed = kept.count(False)
+        self.faults = [f for f, keep in zip(self.faults, kept) if keep]
+        self.records = self.records[np.array(kept, dtype=bool)]
+        return removed
+
+    def apply(self, time, reading, sample_time):
+        """Faulty readings at one time.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+        reading : ndarray, shape (2,)
+            Fault-free readings S theta [rad].
+        sample_time : float
+            For the rate of spikes [s].
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            Readings with faults, NaN for a dropout.
+        """
+        faulty = np.array(reading, float)
+        apply_faults(self.records, float(time), faulty, sample_time, self.generator)
+        return faulty

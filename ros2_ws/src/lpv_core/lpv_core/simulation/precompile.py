@@ -1,0 +1,63 @@
+"""Compiles what would otherwise be compiled when it is first used.
+
+``python -m lpv_core.simulation.precompile`` after an installation lets nodes start in seconds: the machine
+code is kept (see `lpv_core.support.jit`).
+"""
+
+from dataclasses import replace
+
+from lpv_core.certificate.gains import load_gains
+from lpv_core.control.tracking import TrackingController
+from lpv_core.model.arm import load_arm
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.jit import COMPILED
+from lpv_core.support.resources import bringup_file
+
+
+def precompile(arm, gains, scenario):
+    """Run every compiled function once.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Any arm.
+    gains : Gains
+        Its gains.
+    scenario : Scenario
+        Any scenario of it.
+    """
+    short = replace(scenario, duration=3 * arm.sample_time)
+    run = run_closed_loop(arm, gains, short)
+    monitor = SensorMonitor('precompile', arm, gains)
+    monitor.warm_up()
+    stamps = (1e9 * run.time).astype('int64') + 1
+    monitor.take_many(stamps, run.measured, run.velocity, run.torque)
+    plant, controller = ArmSimulator(arm, short), TrackingController(arm, gains)
+    measurement, _ = plant.sense()
+    command = controller.update(
+        short.path(arm).sample(0.0),
+        measurement.position,
+        measurement.velocity,
+        measurement.position,
+        0.0,
+    )
+    plant.step(command.torque)
+    plant.hold()
+
+
+def main():
+    """Entry point."""
+    if COMPILED:
+        arm = load_arm(bringup_file('arms', 'paper'))
+        precompile(
+            arm,
+            load_gains(bringup_file('gains', 'paper')),
+            load_scenario(bringup_file('scenarios', 'two_faults')),
+        )
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,238 @@
+"""What happens in a simulated run: path, faults, noise, disturbance, plant; from one YAML file."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lpv_core.control.path import CartesianPath, Obstacle
+from lpv_core.export.mjcf import COULOMB
+from lpv_core.model.kinematics import ELBOWS
+from lpv_core.simulation.faults import KINDS, Fault
+from lpv_core.support.config import Section, read_yaml
+
+PLANTS = ('nonlinear', 'nonlinear_without_coriolis', 'lpv', 'mujoco')
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A simulated run.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    duration : float
+        Length [s].
+    seed : int
+        Seed of all randomness.
+    plant : str
+        One of `PLANTS`: the true arm, the arm of eq. (4), the paper's LPV plant (25), or the
+        true arm in MuJoCo.
+    sinc_min : float
+        Lower end of the box of phi2, phi3 of the LPV plant.
+    mass_factors, inertia_factors : tuple of float
+        Model error: true over nominal, per link.
+    payload : float
+        Point mass at the tip beside the model's; negative: less than the model has [kg].
+    friction_factor : float
+        True over nominal friction.
+    noise, disturbance : bool
+        Whether sensors are noisy and d acts.
+    noise_factor, disturbance_factor : float
+        True over stated standard deviation of the sensors' noise; true d over stated d.
+    times : tuple of float
+        Waypoint times [s].
+    points : tuple
+        Waypoints (x, y) [m].
+    elbow : str
+        Branch.
+    obstacle : Obstacle or None
+        Obstacle of the path.
+    faults : tuple of Fault
+        Scheduled faults.
+    coulomb : {'smooth', 'dry'}
+        Law of Coulomb friction in MuJoCo.
+    """
+
+    name: str
+    duration: float
+    seed: int
+    plant: str
+    sinc_min: float
+    mass_factors: tuple
+    inertia_factors: tuple
+    payload: float
+    friction_factor: float
+    noise: bool
+    disturbance: bool
+    times: tuple
+    points: tuple
+    elbow: str
+    obstacle: Obstacle
+    faults: tuple
+    coulomb: str = 'smooth'
+    noise_factor: float = 1.0
+    disturbance_factor: float = 1.0
+
+    def path(self, arm):
+        """Build the Cartesian path for an arm.
+
+        Parameters
+        ----------
+        arm : ArmParameters
+            The arm.
+
+        Returns
+        -------
+        CartesianPath
+            The path.
+        """
+        return CartesianPath(arm, self.times, np.array(self.points), self.elbow, self.obstacle)
+
+    def true_arm(self, arm):
+        """The plant's arm: nominal parameters with model error and payload.
+
+        Parameters
+        ----------
+        arm : ArmParameters
+            Nominal arm.
+
+        Returns
+        -------
+        ArmParameters
+            What is simulated.
+        """
+        scaled = arm.scaled(self.mass_factors, self.inertia_factors)
+        scaled = replace(
+            scaled,
+            viscous=tuple(self.friction_factor * v for v in arm.viscous),
+            coulomb=tuple(self.friction_factor * v for v in arm.coulomb),
+        )
+        return scaled.with_payload(self.payload) if self.payload else scaled
+
+
+def load_scenario(path):
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        YAML file; see ``docs/scenario-file.md``.
+
+    Returns
+    -------
+    Scenario
+        Validated.
+
+    Raises
+    ------
+    ConfigError
+        Naming the offending field.
+    """
+    return parse_scenario(read_yaml(path), str(Path(path)))
+
+
+def parse_scenario(data, source='scenario'):
+    """Build a scenario from the mapping of a scenario file.
+
+    Parameters
+    ----------
+    data : dict
+        Content.
+    source : str, optional
+        Name for error messages.
+
+    Returns
+    -------
+    Scenario
+        Validated.
+
+    Raises
+    ------
+    ConfigError
+        As `load_scenario`.
+    """
+    top = Section(_expanded(data), source)
+    path = top.section('path')
+    waypoints = path.sections('waypoints')
+    times = tuple(w.number('t', low=0.0) for w in waypoints)
+    points = tuple((w.number('x'), w.number('y')) for w in waypoints)
+    obstacle = None
+    if 'obstacle' in path:
+        section = path.section('obstacle')
+        obstacle = Obstacle(section.pair('center'), section.number('radius', above=0.0))
+        section.finish()
+    elbow = path.text('elbow', 'positive', tuple(ELBOWS))
+    for section in (*waypoints, path):
+        section.finish()
+    plant = top.section('plant', required=False)
+    model = plant.text('model', 'nonlinear', PLANTS)
+    coulomb = plant.text('coulomb', 'smooth', COULOMB)
+    if coulomb != 'smooth' and model != 'mujoco':
+        raise plant.error('coulomb', f'can be {coulomb} with model mujoco only')
+    scenario = Scenario(
+        name=top.text('name'),
+        duration=top.number('duration', above=0.0, high=1e6),
+        seed=top.integer('seed', 1, low=0),
+        plant=model,
+        sinc_min=plant.number('sinc_min', -0.2, -0.3, 0.99),
+        mass_factors=plant.pair('mass_factors', 1.0, above=0.0),
+        inertia_factors=plant.pair('inertia_factors', 1.0, above=0.0),
+        payload=plant.number('payload', 0.0),
+        friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
+        noise=top.flag('noise', True),
+        disturbance=top.flag('disturbance', True),
+        times=times,
+        points=points,
+        elbow=elbow,
+        obstacle=obstacle,
+        faults=parse_faults(top),
+        coulomb=coulomb,
+        noise_factor=plant.number('noise_factor', 1.0, 0.0, 1e3),
+        disturbance_factor=plant.number('disturbance_factor', 1.0, 0.0, 1e3),
+    )
+    plant.finish()
+    top.finish()
+    return scenario
+
+
+def _expanded(data):
+    """``plant: mujoco`` stands for ``plant: {model: mujoco}``."""
+    if isinstance(data, dict) and isinstance(data.get('plant'), str):
+        return {**data, 'plant': {'model': data['plant']}}
+    return data
+
+
+def parse_faults(top):
+    """Read the list ``faults``.
+
+    Parameters
+    ----------
+    top : lpv_core.support.config.Section
+        Mapping that holds it.
+
+    Returns
+    -------
+    tuple of Fault
+        Empty if there is no such list.
+
+    Raises
+    ------
+    ConfigError
+        Naming the offending field.
+    """
+    return tuple(_fault(section) for section in top.sections('faults', []))
+
+
+def _fault(section):
+    fault = Fault(
+        sensor=section.text('sensor'),
+        kind=section.text('kind', choices=KINDS),
+        onset=section.number('onset', low=0.0),
+        duration=section.number('duration', 0.0, low=0.0),
+        size=section.number('size', 0.0),
+        rate=section.number('rate', 0.0),
+    )
+    section.finish()
+    return fault

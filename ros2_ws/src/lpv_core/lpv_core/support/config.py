@@ -1,0 +1,256 @@
+"""Reading of YAML files: safe loader, bounded size, errors that name the field."""
+
+import hashlib
+import math
+import reprlib
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from lpv_core.support.errors import ConfigError
+
+MAX_BYTES = 4 << 20
+"""Largest YAML file that is read [bytes]; a gains file has about 20 kB."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses equal keys: the last one would win in silence."""
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key, _ in node.value:
+            name = key.value if isinstance(key, yaml.ScalarNode) else None
+            if name is not None and name in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f'{_short(name)} is given twice', key.start_mark
+                )
+            seen.add(name)
+        return super().construct_mapping(node, deep)
+
+
+def _short(value):
+    """Text of a value for messages; nested aliases can stand for megabytes."""
+    return reprlib.repr(value)
+
+
+def read_yaml(path):
+    """Read a YAML mapping through the safe loader.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The file; at most ``MAX_BYTES`` long.
+
+    Returns
+    -------
+    dict
+        The top-level mapping.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, too large, not YAML, or not a mapping.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError('file', f'is larger than {MAX_BYTES} bytes', str(path))
+        # A SafeLoader with one check more.
+        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)  # noqa: S506
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        text = ' '.join(str(error).split())
+        raise ConfigError('file', f'is not valid YAML ({text})', str(path)) from error
+    if not isinstance(data, dict):
+        raise ConfigError('file', 'must hold a mapping at its top level', str(path))
+    return data
+
+
+def sha256_of(data):
+    """Hash of a configuration's content, independent of layout and comments.
+
+    Parameters
+    ----------
+    data : object
+        Nested dicts, lists, strings and numbers.
+
+    Returns
+    -------
+    str
+        Hexadecimal SHA-256.
+    """
+    return hashlib.sha256(_canonical(data).encode()).hexdigest()
+
+
+def _canonical(data):
+    if isinstance(data, dict):
+        return '{' + ','.join(f'{k}:{_canonical(data[k])}' for k in sorted(data)) + '}'
+    if isinstance(data, (list, tuple)):
+        return '[' + ','.join(_canonical(v) for v in data) + ']'
+    if isinstance(data, bool) or not isinstance(data, (int, float)):
+        return repr(data)
+    return float(data).hex()
+
+
+class Section:
+    """A mapping that is read field by field, so that every error names its field.
+
+    Parameters
+    ----------
+    data : dict
+        The mapping.
+    source : str
+        File name for error messages.
+    prefix : str, optional
+        Dotted name of this mapping inside the file.
+    """
+
+    def __init__(self, data, source, prefix=''):
+        if not isinstance(data, dict):
+            raise ConfigError(prefix or 'file', 'must be a mapping', source)
+        self._data = data
+        self._source = source
+        self._prefix = prefix
+        self._seen = set()
+
+    def _name(self, key):
+        return f'{self._prefix}.{key}' if self._prefix else key
+
+    def error(self, key, reason):
+        """Return the ConfigError for ``key`` (to be raised by the caller)."""
+        return ConfigError(self._name(key), reason, self._source)
+
+    def __contains__(self, key):
+        return key in self._data
+
+    def _get(self, key, default):
+        self._seen.add(key)
+        if key in self._data:
+            return self._data[key]
+        if default is _REQUIRED:
+            raise self.error(key, 'is missing')
+        return default
+
+    def section(self, key, required=True):
+        """Return the mapping below ``key`` (an empty one if absent and not required)."""
+        return Section(self._get(key, _REQUIRED if required else {}), self._source, self._name(key))
+
+    def sections(self, key, default=None):
+        """Return the list of mappings below ``key``."""
+        items = self._get(key, _REQUIRED if default is None else default)
+        if not isinstance(items, list):
+            raise self.error(key, 'must be a list')
+        return [
+            Section(item, self._source, f'{self._name(key)}[{i}]') for i, item in enumerate(items)
+        ]
+
+    def text(self, key, default=None, choices=None):
+        """Return a string, optionally one of ``choices``."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if not isinstance(value, str) or not value:
+            raise self.error(key, f'must be a non-empty string, got {_short(value)}')
+        if choices is not None and value not in choices:
+            raise self.error(key, f'must be one of {", ".join(choices)}; got {_short(value)}')
+        return value
+
+    def flag(self, key, default):
+        """Return a boolean."""
+        value = self._get(key, default)
+        if not isinstance(value, bool):
+            raise self.error(key, f'must be true or false, got {_short(value)}')
+        return value
+
+    def integer(self, key, default=None, low=None):
+        """Return an integer, not below ``low``."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.error(key, f'must be an integer, got {_short(value)}')
+        if low is not None and value < low:
+            raise self.error(key, f'must be at least {low}, got {value}')
+        return value
+
+    def number(self, key, default=None, low=-math.inf, high=math.inf, above=None):
+        """Return a finite float within [low, high] (and > ``above`` if given)."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        return self._number(key, value, low, high, above)
+
+    def _number(self, key, value, low, high, above):
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(key, f'must be a number, got {_short(value)}')
+        try:
+            value = float(value)
+        except OverflowError:  # an integer beyond any float
+            value = math.inf
+        if not math.isfinite(value):
+            raise self.error(key, f'must be finite, got {value}')
+        if above is not None and not value > above:
+            raise self.error(key, f'must be greater than {above}, got {value}')
+        if not low <= value <= high:
+            raise self.error(key, f'must lie within [{low}, {high}], got {value}')
+        return value
+
+    def pair(self, key, default=None, low=-math.inf, high=math.inf, above=None):
+        """Return two finite floats; one number stands for both."""
+        return tuple(self.vector(key, 2, default, low, high, above))
+
+    def vector(self, key, size, default=None, low=-math.inf, high=math.inf, above=None):
+        """Return ``size`` finite floats; one number stands for all of them."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if not isinstance(value, (list, tuple)):
+            value = [value] * size
+        if len(value) != size:
+            raise self.error(key, f'must have {size} numbers, got {len(value)}')
+        return [self._number(f'{key}[{i}]', v, low, high, above) for i, v in enumerate(value)]
+
+    def matrix(self, key, shape):
+        """Return an array of the given shape from a flat list (row-major)."""
+        value = self._get(key, _REQUIRED)
+        size = int(np.prod(shape))
+        if not isinstance(value, (list, tuple)) or len(value) != size:
+            raise self.error(key, f'must be a flat list of {size} numbers for shape {shape}')
+        flat = [
+            self._number(f'{key}[{i}]', v, -math.inf, math.inf, None) for i, v in enumerate(value)
+        ]
+        return np.array(flat, dtype=float).reshape(shape)
+
+    def names(self, key, size, default=None):
+        """Return ``size`` distinct non-empty strings."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if (
+            not isinstance(value, (list, tuple))
+            or len(value) != size
+            or not all(isinstance(v, str) and v for v in value)
+        ):
+            raise self.error(key, f'must be a list of {size} non-empty strings')
+        if len(set(value)) != size:
+            raise self.error(key, f'must hold distinct names, got {_short(value)}')
+        return tuple(value)
+
+    def texts(self, key, default=None):
+        """Return a tuple of different, not empty strings."""
+        values = self._get(key, _REQUIRED if default is None else list(default))
+        if not isinstance(values, list) or not values:
+            raise self.error(key, 'must be a list of texts')
+        for value in values:
+            if not isinstance(value, str) or not value:
+                raise self.error(key, f'must hold texts, got {_short(value)}')
+        if len(set(values)) < len(values):
+            raise self.error(key, 'lists a text twice')
+        return tuple(values)
+
+    def plain(self, key):
+        """Return an optional mapping as it is, for data that is only passed on."""
+        return dict(self.section(key, required=False)._data)
+
+    def finish(self):
+        """Refuse fields that nobody read: a typing error must not pass in silence."""
+        unknown = sorted(set(self._data) - self._seen, key=str)
+        if unknown:
+            known = ', '.join(sorted(self._seen))
+            name = _short(unknown[0]).strip("'")
+            raise self.error(name, f'is not a known field; known here: {known}')
+
+
+_REQUIRED = object()

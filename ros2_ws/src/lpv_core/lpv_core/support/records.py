@@ -1,0 +1,61 @@
+"""State and constants of compiled functions: NumPy records, read and written by name.
+
+Plain Python and compiled code see the same memory, so that a class can hold what a compiled
+function works on, and one call takes any number of quantities.
+"""
+
+import numpy as np
+
+NEVER = -(2**63)
+"""Stamp of what has not happened."""
+
+
+def record_type(*fields):
+    """Type of a record.
+
+    Parameters
+    ----------
+    *fields : tuple
+        ``(name, type)`` or ``(name, type, shape)`` as for `numpy.dtype`; a type may be another
+        record's.
+
+    Returns
+    -------
+    numpy.dtype
+        Aligned, as compiled code wants it.
+
+    Raises
+    ------
+    ValueError
+        If NumPy has an attribute of a field's name, which would hide it.
+    """
+    for name, *_ in fields:
+        if hasattr(np.recarray, name) or hasattr(np.record, name):
+            raise ValueError(f'{name!r} is an attribute of NumPy records')
+    return np.dtype(list(fields), align=True)
+
+
+def new_record(dtype, **values):
+    """A record, all zero but for what is given.
+
+    Parameters
+    ----------
+    dtype : numpy.dtype
+        As of `record_type`.
+    **values
+        Fields to set.
+
+    Returns
+    -------
+    numpy.record
+        Fields are attributes.
+
+    Raises
+    ------
+    ValueError
+        If there is no such field.
+    """
+    record = np.zeros(1, dtype).view(np.recarray)[0]
+    for name, value in values.items():
+        record[name] = value
+    return record

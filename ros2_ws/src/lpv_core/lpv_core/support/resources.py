@@ -1,0 +1,97 @@
+"""Where packages keep their files and programs, with a ROS 2 sourced or without."""
+
+import os
+import sys
+from pathlib import Path
+
+from lpv_core.support.errors import ConfigError
+
+
+def _prefix(package):
+    # The ament index by hand: its Python package refuses to look where nothing is sourced, and
+    # programs built into a virtual environment must run without.
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    for prefix in (*prefixes, sys.prefix):
+        if (
+            Path(prefix) / 'share' / 'ament_index' / 'resource_index' / 'packages' / package
+        ).is_file():
+            return Path(prefix)
+    raise ConfigError(package, 'is not installed: build the workspace, or source it')
+
+
+def executable(package, name):
+    """Program that ``ros2 run PACKAGE NAME`` starts.
+
+    Parameters
+    ----------
+    package, name : str
+        ROS package and program.
+
+    Returns
+    -------
+    pathlib.Path
+        Its file.
+
+    Raises
+    ------
+    ConfigError
+        If it is not installed.
+    """
+    path = _prefix(package) / 'lib' / package / name
+    if not path.is_file():
+        raise ConfigError(f'{package}/{name}', f'there is no program {path}')
+    return path
+
+
+def shipped_files(kind):
+    """Files of one kind that are installed with lpv_bringup.
+
+    Parameters
+    ----------
+    kind : {'arms', 'campaigns', 'columns', 'gains', 'scenarios'}
+        Folder of lpv_bringup.
+
+    Returns
+    -------
+    dict of str to pathlib.Path
+        File by bare name, sorted.
+
+    Raises
+    ------
+    ConfigError
+        If lpv_bringup is not installed.
+    """
+    folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
+    return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
+
+
+def bringup_file(kind, name):
+    """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
+
+    Parameters
+    ----------
+    kind : {'arms', 'campaigns', 'columns', 'scenarios'}
+        Folder of lpv_bringup.
+    name : str
+        Path, or name (``paper`` or ``paper.yaml``) of a shipped file.
+
+    Returns
+    -------
+    pathlib.Path
+        Existing file.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; names the shipped ones.
+    """
+    path = Path(name)
+    if path.suffix in ('.yaml', '.yml') and path.is_file():
+        return path.resolve()
+    # A bare name cannot leave the folder.
+    shipped = shipped_files(kind)
+    if path.name == name and path.suffix in ('', '.yaml') and path.stem in shipped:
+        return shipped[path.stem]
+    raise ConfigError(
+        kind.rstrip('s'), f'{name!r} is neither a file nor shipped; shipped: ' + ', '.join(shipped)
+    )

@@ -1,0 +1,315 @@
+"""What two runs of one recording have in common, and where they differ."""
+
+import math
+from copy import copy
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from lpv_core.support.errors import LpvError
+from lpv_report.history.episodes import episodes
+from lpv_report.run.table import make_table
+
+SIGNALS = {
+    'state_estimate': ('position', 'velocity', 'compensated_position'),
+    'fault_estimate': ('estimate', 'bound', 'threshold'),
+}
+"""Vectors of answers that are compared sample by sample."""
+_FLAGS = {'state_estimate': ('mode',), 'fault_estimate': ('state', 'alarm')}
+_LABELS = {
+    'compensated_position': 'compensated position',
+    'estimate': 'fault estimate',
+    'mode': 'observer mode',
+    'state': 'sensor states',
+    'alarm': 'alarm flags',
+}
+_SMALLEST = 1e-7
+"""Mean squared errors below are numerical noise: their ratio says nothing."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What still counts as the same; at zero, every bit must agree.
+
+    Attributes
+    ----------
+    mise : float
+        Relative change of a figure of the table.
+    delay : float
+        Change of the time of an alarm event [s].
+    signal : float
+        Largest difference of estimates, bounds and thresholds [rad], [rad/s].
+    flags : float
+        Share of samples whose mode, state or alarm differs.
+    missing : float
+        Share of answers that only one of the runs has.
+    """
+
+    mise: float = 0.05
+    delay: float = 0.02
+    signal: float = 1e-3
+    flags: float = 0.002
+    missing: float = 0.0
+
+    def __post_init__(self):
+        for name, value in asdict(self).items():
+            if not 0.0 <= value < math.inf:
+                raise LpvError(f'tolerance of {name}: must be a number from 0, got {value}')
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of both runs.
+
+    Attributes
+    ----------
+    name, unit : str
+        What it is.
+    first, second : float or None
+        Values; None where a run does not have it.
+    same : bool
+        Within the tolerance.
+    """
+
+    name: str
+    unit: str
+    first: float
+    second: float
+    same: bool
+
+
+@dataclass(frozen=True)
+class AlarmPair:
+    """An alarm of one run and that of the other which corresponds to it, or None."""
+
+    first: object
+    second: object
+    same: bool
+
+
+@dataclass
+class Comparison:
+    """Result.
+
+    Attributes
+    ----------
+    figures : list of Figure
+        MISE or, without ground truth, sizes of the fault estimates.
+    differences : list of Figure
+        By signal the largest difference (``second``) against its tolerance (``first``).
+    alarms : list of AlarmPair
+        In the order of time.
+    common, only_first, only_second : int
+        Answers with the same stamp in both runs, and others.
+    """
+
+    figures: list = field(default_factory=list)
+    differences: list = field(default_factory=list)
+    alarms: list = field(default_factory=list)
+    common: int = 0
+    only_first: int = 0
+    only_second: int = 0
+    missing_allowed: float = 0.0
+
+    @property
+    def complete(self):
+        """Whether the runs have the same answers, as far as is asked for."""
+        total = self.common + self.only_first + self.only_second
+        return self.common > 0 and (
+            self.only_first + self.only_second <= self.missing_allowed * total
+        )
+
+    @property
+    def same(self):
+        """Whether nothing differs beyond the tolerances."""
+        return self.complete and all(
+            entry.same for entry in (*self.figures, *self.differences, *self.alarms)
+        )
+
+    def as_dict(self):
+        """Plain data for JSON; what is not a number is None."""
+
+        def plain(value):
+            if isinstance(value, dict):
+                return {k: plain(v) for k, v in value.items()}
+            if isinstance(value, list):
+                return [plain(v) for v in value]
+            return None if isinstance(value, float) and not math.isfinite(value) else value
+
+        return plain(
+            {
+                'same': self.same,
+                'answers': {
+                    'common': self.common,
+                    'only_first': self.only_first,
+                    'only_second': self.only_second,
+                    'complete': self.complete,
+                },
+                'figures': [asdict(f) for f in self.figures],
+                'differences': [asdict(f) for f in self.differences],
+                'alarms': [
+                    {'same': p.same, 'first': _alarm(p.first), 'second': _alarm(p.second)}
+                    for p in self.alarms
+                ],
+            }
+        )
+
+
+def _alarm(episode):
+    return None if episode is None else {**asdict(episode), 'delay': episode.delay}
+
+
+def compare_runs(first, second, arm, tolerances=None):
+    """Compare the answers of two runs of one recording.
+
+    Parameters
+    ----------
+    first, second : RunRecord
+        The runs.
+    arm : ArmParameters
+        Their arm.
+    tolerances : Tolerances, optional
+        What still counts as the same.
+
+    Returns
+    -------
+    Comparison
+        What was found.
+
+    Raises
+    ------
+    LpvError
+        If the answers have no sample in common.
+    """
+    tolerances = tolerances or Tolerances()
+    result = Comparison(missing_allowed=tolerances.missing)
+    stamps = [answer_stamps(record) for record in (first, second)]
+    common = np.intersect1d(*stamps)
+    result.common = len(common)
+    result.only_first, result.only_second = (len(s) - len(common) for s in stamps)
+    if not len(common):
+        raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
+    both = [_restricted(record, common) for record in (first, second)]
+    result.figures = _figures(*both, arm, tolerances.mise)
+    result.differences = [*_differences(*both, tolerances), *_flag_changes(*both, tolerances)]
+    result.alarms = _pairs(first, second, tolerances.delay)
+    return result
+
+
+def answer_stamps(record):
+    """Stamps of the answers of a run [ns]."""
+    return record.stamps[
+        'fault_estimate' if 'fault_estimate' in record.stamps else 'state_estimate'
+    ]
+
+
+def _restricted(record, common):
+    """The record with answers at common stamps alone: others must not count for one run only."""
+    result = copy(record)
+    result.stamps, result.streams = dict(record.stamps), dict(record.streams)
+    for stream in SIGNALS:
+        if stream in record.stamps:
+            kept = np.isin(record.stamps[stream], common)
+            result.stamps[stream] = record.stamps[stream][kept]
+            result.streams[stream] = {k: v[kept] for k, v in record.streams[stream].items()}
+    return result
+
+
+def _figures(first, second, arm, tolerance):
+    tables = [
+        {(row.signal, row.meaning): row for row in make_table(record, arm)}
+        for record in (first, second)
+    ]
+    found = []
+    for key in dict.fromkeys((*tables[0], *tables[1])):
+        rows = [table.get(key) for table in tables]
+        values = [None if row is None else float(row.value) for row in rows]
+        row = rows[0] or rows[1]
+        found.append(
+            Figure(f'{row.signal}: {row.meaning}', row.unit, *values, _close(*values, tolerance))
+        )
+    return found
+
+
+def _close(first, second, tolerance):
+    if first is None or second is None:
+        return False
+    if first == second or (math.isnan(first) and math.isnan(second)):
+        return True
+    allowed = tolerance * max(abs(first), abs(second))
+    return abs(first - second) <= (max(allowed, _SMALLEST) if tolerance else 0.0)
+
+
+def _differences(first, second, tolerances):
+    found = []
+    for name, a, b in _aligned(first, second, SIGNALS):
+        for i in range(a.shape[1]):
+            with np.errstate(invalid='ignore'):
+                gap = np.abs(a[:, i] - b[:, i])
+            gap[(a[:, i] == b[:, i]) | (np.isnan(a[:, i]) & np.isnan(b[:, i]))] = 0.0
+            largest = float(np.nan_to_num(gap, nan=math.inf).max(initial=0.0))
+            unit = 'rad/s' if name == 'velocity' else 'rad'
+            found.append(
+                Figure(
+                    f'{_LABELS.get(name, name)} {i + 1}',
+                    unit,
+                    tolerances.signal,
+                    largest,
+                    largest <= tolerances.signal,
+                )
+            )
+    return found
+
+
+def _flag_changes(first, second, tolerances):
+    found = []
+    for name, a, b in _aligned(first, second, _FLAGS):
+        share = float(np.mean((a != b).any(axis=1))) if len(a) else 0.0
+        found.append(
+            Figure(
+                _LABELS.get(name, name), 'share', tolerances.flags, share, share <= tolerances.flags
+            )
+        )
+    return found
+
+
+def _aligned(first, second, names):
+    for stream, fields in names.items():
+        if stream not in first.stamps or stream not in second.stamps:
+            continue
+        _, i, j = np.intersect1d(first.stamps[stream], second.stamps[stream], return_indices=True)
+        for name in fields:
+            values = [r.get(stream, name)[k] for r, k in ((first, i), (second, j))]
+            yield name, *(v.reshape(len(v), -1) for v in values)
+
+
+def _pairs(first, second, tolerance):
+    """Alarms of one sensor that are nearest in time belong together."""
+    left, pairs = list(episodes(second)), []
+    shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
+    for alarm in episodes(first):
+        near = [other for other in left if other.sensor_index == alarm.sensor_index]
+        other = min(near, key=lambda o: abs(o.raised + shift - alarm.raised), default=None)
+        if other is not None and _overlap(alarm, other, shift):
+            left.remove(other)
+        else:
+            other = None
+        pairs.append(AlarmPair(alarm, other, _same_alarm(alarm, other, shift, tolerance)))
+    pairs += [AlarmPair(None, other, False) for other in left]
+    return sorted(pairs, key=lambda p: (p.first or p.second).raised)
+
+
+def _overlap(one, other, shift):
+    ends = [math.inf if e.cleared is None else e.cleared for e in (one, other)]
+    return one.raised <= ends[1] + shift + 0.5 and other.raised + shift <= ends[0] + 0.5
+
+
+def _same_alarm(one, other, shift, tolerance):
+    if other is None or one.kind != other.kind:
+        return False
+    if (one.cleared is None) != (other.cleared is None):
+        return False
+    times = [(one.raised, other.raised)]
+    times += [(one.cleared, other.cleared)] if one.cleared is not None else []
+    # Differences of seconds as floats have nanoseconds of rounding.
+    return all(abs(a - b - shift) <= tolerance + 1e-9 for a, b in times)

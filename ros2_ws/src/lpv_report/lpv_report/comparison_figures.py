@@ -1,0 +1,86 @@
+"""Pictures of two runs of one recording."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from lpv_report.history.episodes import episodes
+from lpv_report.run.style import INK, PALE, SENSOR, SETTINGS, thin
+
+_SIZE = (8.6, 5.2)
+
+
+def draw_comparison(first, second, arm):
+    """Fault estimates of both runs, and how far they are apart.
+
+    Parameters
+    ----------
+    first, second : RunRecord
+        The runs.
+    arm : ArmParameters
+        Names of its sensors.
+
+    Yields
+    ------
+    tuple of str and matplotlib.figure.Figure
+        Name and figure; the figure is closed afterwards.
+    """
+    if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
+        return
+    for name, draw in (('faults', _faults), ('differences', _differences)):
+        with plt.rc_context(SETTINGS):
+            figure, axes = plt.subplots(2, sharex=True, figsize=_SIZE)
+            for i, axis in enumerate(axes):
+                draw(axis, first, second, i)
+                axis.set_title(f'Sensor {i + 1}: {arm.sensor_names[i]}')
+                if axis.get_legend_handles_labels()[0]:
+                    axis.legend(
+                        loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.25
+                    )
+            axes[-1].set_xlabel('time [s]')
+            yield name, figure
+            plt.close(figure)
+
+
+def _seconds(record, stamps, first):
+    return (stamps - first.stamps['joint_states'][0]) / 1e9
+
+
+def _faults(axis, first, second, i):
+    runs = (
+        (first, 'first', {'color': PALE[i], 'linewidth': 3.4}),
+        (second, 'second', {'color': SENSOR[i], 'linewidth': 1.1}),
+    )
+    for record, label, style in runs:
+        time = _seconds(record, record.stamps['fault_estimate'], first)
+        axis.plot(*thin(time, record.get('fault_estimate', 'estimate')[:, i]), label=label, **style)
+        for alarm in episodes(record):
+            if alarm.sensor_index == i:
+                start = _seconds(record, record.stamps['joint_states'][0], first)
+                axis.axvline(
+                    alarm.raised + start,
+                    color=style['color'],
+                    linewidth=1.0,
+                    linestyle='-' if record is first else (0, (4, 2.5)),
+                )
+    truth = first.get('ground_truth', 'fault')
+    if truth is not None:
+        axis.plot(
+            *thin(_seconds(first, first.stamps['ground_truth'], first), truth[:, i]),
+            label='fault',
+            color=INK,
+            linewidth=0.9,
+            linestyle=(0, (4, 2.5)),
+        )
+    axis.set_ylabel('fault [rad]')
+
+
+def _differences(axis, first, second, i):
+    stamps, a, b = np.intersect1d(
+        first.stamps['fault_estimate'], second.stamps['fault_estimate'], return_indices=True
+    )
+    for name, color in (('estimate', SENSOR[i]), ('threshold', PALE[i])):
+        gap = second.get('fault_estimate', name)[b, i] - first.get('fault_estimate', name)[a, i]
+        axis.plot(
+            *thin(_seconds(first, stamps, first), gap), label=f'{name}, second - first', color=color
+        )
+    axis.set_ylabel('difference [rad]')

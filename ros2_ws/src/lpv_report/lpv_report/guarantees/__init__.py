@@ -1,0 +1,1 @@
+"""What the gains of a run guarantee, examined again."""

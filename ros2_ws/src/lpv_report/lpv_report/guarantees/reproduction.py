@@ -1,0 +1,81 @@
+"""Whether some gains give the estimates that a bag holds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_core.monitoring.monitor import SensorMonitor
+
+_SAME = 1e-6
+"""Larger differences are no rounding [rad]."""
+_MOST = 200_000
+"""Measurements that are used."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Comparison of recorded and recomputed fault estimates.
+
+    Attributes
+    ----------
+    samples : int
+        Compared ones.
+    largest : float
+        Largest difference of a fault estimate [rad].
+    """
+
+    samples: int
+    largest: float
+
+    @property
+    def same(self):
+        """Whether they differ by rounding at most."""
+        return self.largest <= _SAME
+
+    @property
+    def text(self):
+        """One sentence for the reader."""
+        if self.same:
+            return (
+                f'With these gains the diagnosis, run again over {self.samples} recorded '
+                'measurements, gives the recorded fault estimates.'
+            )
+        return (
+            'With these gains the diagnosis, run again over the recorded measurements, gives '
+            f'other fault estimates than the recorded ones (up to {self.largest:.3g} rad): '
+            'the run had other gains or settings, another source of torques, or messages are '
+            'missing.'
+        )
+
+
+def reproduce(record, arm, gains):
+    """Run the observer again over the measurements of a run.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    arm : ArmParameters
+        Its arm.
+    gains : Gains
+        Gains of this arm.
+
+    Returns
+    -------
+    Reproduction or None
+        None if the bag holds no fault estimates that could be compared.
+    """
+    recorded = record.aligned('fault_estimate', 'estimate')
+    if recorded is None:
+        return None
+    recorded = recorded[:_MOST]
+    monitor = SensorMonitor('', arm, gains)
+    answers = monitor.take_many(
+        record.stamps['joint_states'][:_MOST],
+        *(record.get('joint_states', name)[:_MOST] for name in ('position', 'velocity', 'effort')),
+    )
+    both = answers.has_fault & np.isfinite(recorded).all(axis=1)
+    if not both.any():
+        return None
+    gap = np.abs(answers.fault.estimate[both] - recorded[both])
+    return Reproduction(int(both.sum()), float(gap.max()))

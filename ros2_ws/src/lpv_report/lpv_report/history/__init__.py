@@ -1,0 +1,1 @@
+"""What happened in a run: alarms as episodes, phases, timeline."""

@@ -1,0 +1,225 @@
+"""Alarms of a run as episodes, from the fault's onset to the alarm's end."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv_core.decision.diagnosis import AlarmEvent
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One alarm of one sensor; times since the first measurement [s].
+
+    Attributes
+    ----------
+    sensor : str
+        Name of the sensor.
+    sensor_index : int
+        Its column.
+    onset : float
+        First sample above the threshold, as diagnosed.
+    raised : float
+        When the fault was confirmed.
+    cleared : float or None
+        When the alarm ended; None if it lasted to the end of the run.
+    size, bound : float
+        Fault estimate when the alarm was raised, and the bound of its error [rad].
+    largest : float
+        Fault estimate of largest magnitude during the alarm [rad]; NaN without fault estimates.
+    kind : str
+        Latest classification.
+    confidence : float
+        Latest confidence.
+    true_onset : float or None
+        Start of the true fault at the time of the alarm; NaN if there was none (false alarm),
+        None without ground truth.
+    """
+
+    sensor: str
+    sensor_index: int
+    onset: float
+    raised: float
+    cleared: float
+    size: float
+    bound: float
+    largest: float
+    kind: str
+    confidence: float
+    true_onset: float = None
+
+    @property
+    def delay(self):
+        """Time from the true fault's onset to the alarm [s]; None where that is unknown."""
+        if self.true_onset is None or math.isnan(self.true_onset):
+            return None
+        return self.raised - self.true_onset
+
+    @property
+    def false_alarm(self):
+        """Whether ground truth says that there was no fault."""
+        return self.true_onset is not None and math.isnan(self.true_onset)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A stretch of time of one sensor.
+
+    Attributes
+    ----------
+    sensor_index : int
+        Column of the sensor.
+    start, end : float
+        [s] since the first measurement; the end is that of the record if it lasted so long.
+    """
+
+    sensor_index: int
+    start: float
+    end: float
+
+
+def intervals(mask, time, sensor_index=0):
+    """Stretches in which a mask is true.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (n,)
+        The mask.
+    time : ndarray, shape (n,)
+        [s].
+    sensor_index : int, optional
+        Passed on.
+
+    Returns
+    -------
+    list of Interval
+        In the order of time; each ends at the first sample that is outside.
+    """
+    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(int))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [
+        Interval(sensor_index, float(time[a]), float(time[min(b, len(time) - 1)]))
+        for a, b in zip(starts, ends)
+    ]
+
+
+def true_faults(record):
+    """When faults really acted.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+
+    Returns
+    -------
+    list of Interval or None
+        By sensor and time; None without ground truth.
+    """
+    truth = record.get('ground_truth', 'fault')
+    if truth is None:
+        return None
+    time = record.seconds(record.stamps['ground_truth'])
+    # A dropout is recorded as NaN, which is not zero either.
+    return [
+        interval
+        for i in range(truth.shape[1])
+        for interval in intervals(truth[:, i] != 0.0, time, i)
+    ]
+
+
+def episodes(record):
+    """Alarms of a run.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+
+    Returns
+    -------
+    list of Episode
+        In the order in which they were raised.  An alarm whose start is not in the bag (an event
+        that clears or updates it is) is taken from that event.
+    """
+    faults, closed, running = true_faults(record), [], {}
+    for event in record.alarms:
+        episode = running.pop(event.sensor_index, None)
+        if episode is None or event.event == AlarmEvent.RAISED:
+            closed += [episode] if episode is not None else []
+            episode = _start(record, event, faults)
+        if event.event == AlarmEvent.CLEARED:
+            closed.append(replace(episode, cleared=record.seconds(event.stamp)))
+        else:
+            running[event.sensor_index] = replace(
+                episode, kind=event.kind, confidence=event.confidence
+            )
+    found = [_with_largest(record, e) for e in (*closed, *running.values())]
+    return sorted(found, key=lambda e: (e.raised, e.sensor_index))
+
+
+def missed_faults(record, found):
+    """True faults during which no alarm was raised or active.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    found : list of Episode
+        Its alarms.
+
+    Returns
+    -------
+    list of Interval
+        Empty without ground truth.
+    """
+    return [
+        fault
+        for fault in true_faults(record) or []
+        if not any(
+            e.sensor_index == fault.sensor_index
+            and e.raised <= fault.end
+            and (e.cleared is None or e.cleared > fault.start)
+            for e in found
+        )
+    ]
+
+
+def _start(record, event, faults):
+    raised = record.seconds(event.detected)
+    return Episode(
+        event.sensor,
+        event.sensor_index,
+        record.seconds(event.onset),
+        raised,
+        None,
+        event.size,
+        event.bound,
+        math.nan,
+        event.kind,
+        event.confidence,
+        _true_onset(faults, event.sensor_index, raised),
+    )
+
+
+def _true_onset(faults, sensor_index, raised):
+    if faults is None:
+        return None
+    begun = [
+        f.start for f in faults if f.sensor_index == sensor_index and f.start <= raised <= f.end
+    ]
+    return begun[-1] if begun else math.nan
+
+
+def _with_largest(record, episode):
+    estimate = record.get('fault_estimate', 'estimate')
+    if estimate is None or not 0 <= episode.sensor_index < estimate.shape[1]:
+        return episode
+    time = record.seconds(record.stamps['fault_estimate'])
+    end = math.inf if episode.cleared is None else episode.cleared
+    values = estimate[(time >= episode.raised) & (time <= end), episode.sensor_index]
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return episode
+    return replace(episode, largest=float(values[np.argmax(np.abs(values))]))

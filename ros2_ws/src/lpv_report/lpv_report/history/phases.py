@@ -1,0 +1,174 @@
+"""Stretches of a run in which the diagnosis could not answer, or the arm was stopped."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_bag.run.observer_reports import observer_reports
+from lpv_core.decision.diagnosis import SensorState
+from lpv_core.observer.sampled_observer import Mode
+from lpv_report.history.episodes import intervals
+
+INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
+NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
+_STATES = {SensorState.NOT_DIAGNOSABLE: NOT_DIAGNOSABLE, SensorState.STALE: NO_DATA}
+_MEANING = {
+    INCONSISTENT: 'rates, torques and model contradict each other; cause unknown',
+    SAFE_STOP: 'the tracker commanded the drives to brake',
+    UNSAFE: 'a confirmed fault could not be compensated safely',
+    NOT_DIAGNOSABLE: 'the level of the fault estimate says nothing in this configuration',
+    NO_DATA: 'no usable reading',
+}
+_MOST = 8
+"""Stretches of one kind that are listed one by one."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One stretch.
+
+    Attributes
+    ----------
+    what : str
+        One of the words of this module.
+    sensor : str
+        Of which sensor; empty for the whole arm.
+    start, end : float
+        [s] since the first measurement.
+    """
+
+    what: str
+    sensor: str
+    start: float
+    end: float
+
+    @property
+    def meaning(self):
+        """What the word means."""
+        return _MEANING[self.what]
+
+    @property
+    def duration(self):
+        """[s]."""
+        return self.end - self.start
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Stretches that are not listed one by one.
+
+    Attributes
+    ----------
+    what, sensor : str
+        As in `Phase`.
+    count : int
+        How many.
+    duration : float
+        Of all of them together [s].
+    """
+
+    what: str
+    sensor: str
+    count: int
+    duration: float
+
+
+def phases(record, bag, sensor_names):
+    """All stretches of a run.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    bag : str or pathlib.Path
+        Its bag, for what the observer said on /diagnostics.
+    sensor_names : sequence of str
+        Names of the sensors.
+
+    Returns
+    -------
+    list of Phase
+        In the order of their beginnings.
+    """
+    found = [*_of_reports(record, bag), *_of_commands(record)]
+    states = record.get('fault_estimate', 'state')
+    if states is not None:
+        stamps = record.stamps['fault_estimate']
+        time, begun = record.seconds(stamps), ~starting(record, stamps)
+        found += [
+            Phase(what, sensor_names[i], part.start, part.end)
+            for state, what in _STATES.items()
+            for i in range(states.shape[1])
+            for part in intervals((states[:, i] == state) & begun, time)
+        ]
+    return sorted(found, key=lambda p: (p.start, p.what, p.sensor))
+
+
+def starting(record, stamps):
+    """Which samples are the first ones, of which nobody expects an answer.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    stamps : ndarray of int64, shape (n,)
+        Their stamps [ns].
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True where the observer was initialising.
+    """
+    mode = record.get('state_estimate', 'mode')
+    if mode is None:
+        return np.zeros(len(stamps), bool)
+    return np.isin(stamps, record.stamps['state_estimate'][mode == Mode.INITIALISING])
+
+
+def _of_reports(record, bag):
+    """Reports come once a second and with every alarm: times are as exact as that."""
+    topic = record.topics.get('fault_estimate') or record.topics.get('state_estimate')
+    if topic is None:
+        return []
+    reports = observer_reports(bag, topic.rpartition('/')[0])
+    if not reports:
+        return []
+    time = record.seconds(np.array([report.stamp for report in reports]))
+    kinds = ((INCONSISTENT, 'inconsistent'), (UNSAFE, 'a confirmed fault cannot be compensated'))
+    return [
+        Phase(what, '', part.start, part.end)
+        for what, begin in kinds
+        for part in intervals(np.array([r.message.startswith(begin) for r in reports]), time)
+    ]
+
+
+def _of_commands(record):
+    stopped = record.get('torque_command', 'safe_stop')
+    if stopped is None:
+        return []
+    time = record.seconds(record.stamps['torque_command'])
+    return [
+        Phase(SAFE_STOP, '', part.start, part.end) for part in intervals(stopped.astype(bool), time)
+    ]
+
+
+def listed(found):
+    """What a reader can take in: the longest stretches of each kind, and the sum of the others.
+
+    Parameters
+    ----------
+    found : list of Phase
+        Of `phases`.
+
+    Returns
+    -------
+    tuple of list
+        Phases in the order of time, and a `Rest` for each kind that has more.
+    """
+    kept, rests = [], []
+    for key in sorted({(p.what, p.sensor) for p in found}):
+        same = sorted((p for p in found if (p.what, p.sensor) == key), key=lambda p: -p.duration)
+        kept += same[:_MOST]
+        if same[_MOST:]:
+            rests.append(Rest(*key, len(same) - _MOST, sum(p.duration for p in same[_MOST:])))
+    return sorted(kept, key=lambda p: (p.start, p.what, p.sensor)), rests

@@ -1,0 +1,184 @@
+"""What a report says, as plain values for its template."""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_report.guarantees.detectability import summary
+from lpv_report.history.episodes import episodes, missed_faults
+from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, listed
+from lpv_report.run.versions import installed_versions
+
+_CALENDAR = 946684800 * NANOSECONDS
+"""Stamps after the year 2000 are dates, others count from the start of something [ns]."""
+
+
+class Tile(NamedTuple):
+    """A figure on top of the page.
+
+    Attributes
+    ----------
+    name, value, note : str
+        What it is, the figure, and a remark.
+    look : str
+        '', good, bad or warn.
+    """
+
+    name: str
+    value: str
+    note: str = ''
+    look: str = ''
+
+
+def content(record, arm, title, table, used, certificate, reproduction, able, found):
+    """Values for the template.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    arm : ArmParameters
+        Its arm.
+    title : str
+        Heading.
+    table : list of Row
+        Of `lpv_report.run.table.make_table`.
+    used : UsedGains
+        Gains, or why they are not known.
+    certificate : Certificate or None
+        Of the gains.
+    reproduction : Reproduction or None
+        Whether the gains give the recorded estimates.
+    able : Detectability or None
+        What could be detected.
+    found : list of Phase
+        Stretches without an answer.
+
+    Returns
+    -------
+    dict
+        Names of the template.
+    """
+    alarms = episodes(record)
+    names = record.sensor_names or arm.sensor_names
+    missed = missed_faults(record, alarms)
+    truth = 'ground_truth' in record.streams
+    shown, rests = listed(found)
+    return {
+        'title': title,
+        'duration': record.time[-1],
+        'samples': len(record.time),
+        'period': _period(record),
+        'begin': _begin(record),
+        'warnings': record.warnings,
+        'verdict': _verdict(alarms, missed, found, truth, 'fault_alarm' in record.topics),
+        'tiles': _tiles(record, alarms, missed, truth, certificate, found),
+        'episodes': alarms,
+        'missed': [(names[m.sensor_index], m) for m in missed],
+        'have_truth': truth,
+        'phases': shown,
+        'rests': rests,
+        'from_reports': (INCONSISTENT, UNSAFE),
+        'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
+        'table': table,
+        'compare': any(row.paper is not None for row in table),
+        'detectable': summary(able, arm.sensor_names) if able is not None else [],
+        'resting': able is not None and able.gains is not None,
+        'certificate': certificate,
+        'no_gains': used.problem,
+        'reproduction': reproduction,
+        'no_design': (
+            'The gains are not known.'
+            if certificate is None
+            else 'The certificate does not hold: nothing is guaranteed at rest.'
+        ),
+        'versions': installed_versions(),
+        'counts': sorted(record.counts.items()),
+        'arm_facts': _arm_facts(arm),
+    }
+
+
+def _period(record):
+    stamps = record.stamps['joint_states']
+    return f'{np.median(np.diff(stamps)) / 1e6:.3g}' if len(stamps) > 1 else ''
+
+
+def _begin(record):
+    stamp = int(record.stamps['joint_states'][0])
+    if stamp < _CALENDAR:
+        return ''
+    return time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(stamp // NANOSECONDS))
+
+
+def _count(number, one, many):
+    return f'{number or "no"} {one if number == 1 else many}'
+
+
+def _verdict(alarms, missed, found, truth, recorded):
+    """The answer in a sentence or two."""
+    stops = sum(phase.what == SAFE_STOP for phase in found)
+    odd = sum(phase.what == INCONSISTENT for phase in found)
+    parts = [
+        f'{_count(stops, "safe stop", "safe stops")}, '
+        f'{_count(odd, "inconsistent phase", "inconsistent phases")}.'
+    ]
+    if truth and recorded:
+        wrong = sum(alarm.false_alarm for alarm in alarms)
+        parts.insert(
+            0,
+            f'{_count(wrong, "false alarm", "false alarms")}, '
+            f'{_count(len(missed), "fault", "faults")} missed',
+        )
+    sensors = sorted({alarm.sensor for alarm in alarms})
+    text = _count(len(alarms), 'alarm', 'alarms') if recorded else 'alarms were not recorded'
+    parts.insert(
+        0, text[0].upper() + text[1:] + (f', of {" and ".join(sensors)}' if sensors else '')
+    )
+    return '; '.join(parts)
+
+
+def _tiles(record, alarms, missed, truth, certificate, found):
+    tiles = [Tile('alarms', str(len(alarms)), _ongoing(alarms))]
+    if truth:
+        false = sum(alarm.false_alarm for alarm in alarms)
+        delays = [alarm.delay for alarm in alarms if alarm.delay is not None]
+        tiles += [
+            Tile('false alarms', str(false), look='bad' if false else 'good'),
+            Tile('missed faults', str(len(missed)), look='bad' if missed else 'good'),
+        ]
+        if delays:
+            tiles.append(Tile('slowest alarm', f'{max(delays):.3f} s', 'after the fault'))
+    stopped = sum(p.duration for p in found if p.what == SAFE_STOP)
+    if 'torque_command' in record.streams:
+        tiles.append(Tile('stopped', f'{stopped:.1f} s', look='warn' if stopped else ''))
+    return [*tiles, _certificate_tile(certificate)]
+
+
+def _ongoing(alarms):
+    active = sum(alarm.cleared is None for alarm in alarms)
+    return f'{active} to the end' if active else ''
+
+
+def _certificate_tile(certificate):
+    if certificate is None:
+        return Tile('certificate', 'unknown', look='warn')
+    if certificate.holds:
+        return Tile('certificate', 'holds', f'{len(certificate.checks)} checks', 'good')
+    return Tile(
+        'certificate',
+        'changed' if not (certificate.problem or certificate.failed) else 'fails',
+        look='bad',
+    )
+
+
+def _arm_facts(arm):
+    return [
+        ('name', arm.name),
+        ('SHA-256', arm.sha256()),
+        ('joints', ', '.join(arm.joint_names)),
+        ('position sensors', f'{", ".join(arm.sensor_names)} ({arm.arrangement} angles)'),
+        ('stated model error, payload', f'{100.0 * arm.model_error:g} %, {arm.payload:g} kg'),
+        ('sample time', f'{1000.0 * arm.sample_time:g} ms'),
+    ]

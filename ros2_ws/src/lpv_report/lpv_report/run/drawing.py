@@ -1,0 +1,50 @@
+"""All figures of a report, in the order of the page."""
+
+import matplotlib.pyplot as plt
+
+from lpv_report.guarantees.detectability_figures import over_configurations, over_time
+from lpv_report.history.episodes import true_faults
+from lpv_report.history.timeline import timeline
+from lpv_report.run.figures import cartesian, faults, measured, states, torques
+from lpv_report.run.style import SETTINGS
+
+
+def draw_all(record, arm, path=None, found=(), able=None):
+    """Draw everything that a run has to show.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    arm : ArmParameters
+        Its arm.
+    path : CartesianPath, optional
+        Reference path with its obstacle.
+    found : list of Phase, optional
+        Stretches without an answer.
+    able : Detectability, optional
+        What could be detected.
+
+    Yields
+    ------
+    tuple of str and matplotlib.figure.Figure
+        Name and figure; the figure is closed afterwards.
+    """
+    names = arm.sensor_names
+    makers = {
+        'timeline': lambda: timeline(record, found, true_faults(record), names),
+        'path': lambda: cartesian(record, arm, path),
+        'faults': lambda: faults(record, names),
+        'measured': lambda: measured(record),
+        'states': lambda: states(record),
+        'torques': lambda: torques(record),
+    }
+    if able is not None:
+        makers['detectability'] = lambda: over_time(able, record, names)
+        makers['map'] = lambda: over_configurations(able, arm)
+    for name, make in makers.items():
+        with plt.rc_context(SETTINGS):
+            figure = make()
+            if figure is not None:
+                yield name, figure
+                plt.close(figure)

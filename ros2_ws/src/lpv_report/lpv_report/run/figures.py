@@ -1,0 +1,349 @@
+"""Counterparts of the paper's figures 4 to 8; one function a figure.
+
+Every function returns a Matplotlib figure, or None where the run has nothing to show in it.
+Joint or sensor 1 is blue and 2 is vermilion throughout; wide pale lines are the truth or the
+reference, thin lines what is measured or estimated.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from lpv_core.decision.diagnosis import SensorState
+from lpv_core.model.kinematics import forward
+from lpv_report.history.episodes import episodes, intervals
+from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT, thin
+
+_WIDTH = 8.6
+_WIDE = {'linewidth': 3.4}
+_THIN = {'linewidth': 1.1}
+_DASHED = {'linewidth': 1.1, 'linestyle': (0, (4, 2.5))}
+
+
+def _axes(rows, columns=1, height=2.15, **options):
+    figure, axes = plt.subplots(
+        rows, columns, sharex=True, squeeze=False, figsize=(_WIDTH, height * rows + 0.3), **options
+    )
+    for axis in axes[-1]:
+        axis.set_xlabel('time [s]')
+    return figure, axes
+
+
+def _draw(axis, time, values, label, color, **options):
+    """A curve, if there is any: returns whether it was drawn."""
+    if values is None or not np.isfinite(values).any():
+        return False
+    axis.plot(*thin(time, values), label=label, color=color, **options)
+    return True
+
+
+def _finish(axis, record, title):
+    """Title on the left, legend on the right, both above the data."""
+    axis.set_title(title, pad=7)
+    handles, labels = axis.get_legend_handles_labels()
+    if handles:
+        axis.legend(
+            handles,
+            labels,
+            loc='lower right',
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=len(handles),
+            borderaxespad=0.25,
+            handlelength=1.7,
+            columnspacing=1.3,
+            handletextpad=0.5,
+        )
+    axis.set_xlim(0.0, record.time[-1])
+    axis.margins(y=0.08)
+
+
+def _column(record, stream, name, index):
+    values = record.aligned(stream, name)
+    return None if values is None else values[:, index]
+
+
+def _tip(record, arm, stream, name='position'):
+    q = record.aligned(stream, name)
+    if q is None:
+        return None
+    # Kinematics count q1 from the x-axis; joint zeros differ between arms.
+    return forward(q + np.array([arm.zero_angle + np.pi / 2, 0.0]), arm.lengths)
+
+
+def cartesian(record, arm, path=None):
+    """Fig. 4: reference path, true path, and the path that the measurements claim.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    arm : ArmParameters
+        Its arm.
+    path : CartesianPath, optional
+        Supplies the obstacle, and the reference if the run has none.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+    """
+    figure, axis = plt.subplots(figsize=(_WIDTH, 4.6))
+    reference = record.aligned('reference', 'tip_position')
+    if reference is None and path is not None:
+        reference = path.sample(np.linspace(path.start, path.end, 1000)).tip
+    actual, label = _tip(record, arm, 'ground_truth'), 'true tip'
+    if actual is None:
+        actual, label = _tip(record, arm, 'state_estimate'), 'tip as estimated'
+    curves = (
+        (
+            _tip(record, arm, 'joint_states'),
+            'tip as measured, with faults',
+            SENSOR[1],
+            {'linewidth': 0.8},
+        ),
+        (reference, 'reference path', BAND, {'linewidth': 6.0}),
+        (actual, label, SENSOR[0], {'linewidth': 1.4}),
+    )
+    for points, text, color, options in curves:
+        if points is not None:
+            axis.plot(*_thin_path(points), label=text, color=color, **options)
+    if path is not None and path.obstacle is not None:
+        axis.add_patch(
+            plt.Circle(
+                path.obstacle.center,
+                path.obstacle.radius,
+                facecolor='none',
+                edgecolor=SOFT,
+                hatch='////',
+                label='obstacle',
+            )
+        )
+    first = actual if actual is not None else _tip(record, arm, 'joint_states')
+    _mark_ends(axis, first)
+    axis.set(xlabel='x [m]', ylabel='y [m]')
+    axis.set_aspect('equal', adjustable='datalim')
+    axis.margins(0.05)
+    figure.legend(
+        *axis.get_legend_handles_labels(),
+        loc='outside upper right',
+        ncols=4,
+        handlelength=1.7,
+        columnspacing=1.3,
+    )
+    return figure
+
+
+def _thin_path(points, step=0.5e-3):
+    """x and y without samples that are closer than a line's width to the one before [m]."""
+    points = points[np.isfinite(points).all(axis=1)]
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    _, index = np.unique(np.floor(travelled / step), return_index=True)
+    return points[index].T
+
+
+def _mark_ends(axis, points):
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return
+    for point, marker, text in ((points[0], 'o', 'start'), (points[-1], 's', 'end')):
+        axis.plot(*point, marker, color=INK, markersize=4.5, zorder=5)
+        axis.annotate(
+            text,
+            point,
+            textcoords='offset points',
+            xytext=(8, 7) if text == 'start' else (8, -13),
+            color=INK,
+        )
+
+
+def faults(record, sensor_names=None):
+    """Fig. 5: sensor faults and their estimates, thresholds and alarms.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    sensor_names : sequence of str, optional
+        Names instead of the recorded ones.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        None without fault estimates.
+    """
+    if 'fault_estimate' not in record.streams:
+        return None
+    names = sensor_names or record.sensor_names
+    time, alarms = record.time, episodes(record)
+    figure, axes = _axes(2, height=2.5)
+    for i, axis in enumerate(axes[:, 0]):
+        threshold = _column(record, 'fault_estimate', 'threshold', i)
+        axis.fill_between(
+            *_band(time, threshold), color=BAND, alpha=0.45, linewidth=0, label='below threshold'
+        )
+        _draw(axis, time, _column(record, 'ground_truth', 'fault', i), 'fault', PALE[i], **_WIDE)
+        _draw(
+            axis,
+            time,
+            _column(record, 'fault_estimate', 'estimate', i),
+            'estimate',
+            SENSOR[i],
+            **_THIN,
+        )
+        _shade(axis, record, i, alarms)
+        axis.set_ylabel('fault [rad]')
+        _finish(axis, record, f'Sensor {i + 1}: {names[i]}')
+    return figure
+
+
+def _band(time, threshold):
+    at, high = thin(time, threshold)
+    return at, -high, high
+
+
+def _shade(axis, record, sensor, alarms):
+    """Alarms as shaded, stretches without diagnosis as hatched intervals."""
+    end, label = record.time[-1], 'alarm'
+    for episode in alarms:
+        if episode.sensor_index == sensor:
+            stop = end if episode.cleared is None else episode.cleared
+            axis.axvspan(
+                episode.raised,
+                stop,
+                color=SENSOR[sensor],
+                alpha=0.12,
+                linewidth=0,
+                label=label,
+                zorder=0,
+            )
+            label = None
+    state, label = _column(record, 'fault_estimate', 'state', sensor), 'not diagnosable'
+    for lost in intervals(state == SensorState.NOT_DIAGNOSABLE, record.time):
+        axis.axvspan(
+            lost.start,
+            lost.end,
+            facecolor='none',
+            edgecolor=SOFT,
+            hatch='////',
+            linewidth=0,
+            label=label,
+            zorder=0,
+        )
+        label = None
+
+
+def measured(record):
+    """Fig. 6: measured joint positions, with faults, and their references.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+    """
+    figure, axes = _axes(2, height=2.4)
+    for i, axis in enumerate(axes[:, 0]):
+        _draw(
+            axis,
+            record.time,
+            _column(record, 'reference', 'position', i),
+            'reference',
+            PALE[i],
+            **_WIDE,
+        )
+        _draw(
+            axis,
+            record.time,
+            _column(record, 'joint_states', 'position', i),
+            'measured',
+            SENSOR[i],
+            **_THIN,
+        )
+        _draw(
+            axis,
+            record.time,
+            _column(record, 'ground_truth', 'position', i),
+            'true',
+            INK,
+            **_DASHED,
+        )
+        axis.set_ylabel('position [rad]')
+        _finish(axis, record, f'Joint {i + 1}: {record.joint_names[i]}')
+    return figure
+
+
+def states(record):
+    """Fig. 7: joint positions and rates with their estimates.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run; without ground truth the measurement takes its place.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        None without state estimates.
+    """
+    if 'state_estimate' not in record.streams:
+        return None
+    truth = 'ground_truth' if 'ground_truth' in record.streams else 'joint_states'
+    label = 'true' if truth == 'ground_truth' else 'measured'
+    figure, axes = _axes(2, 2, height=2.35)
+    for row, field, unit in zip(axes, ('position', 'velocity'), ('rad', 'rad/s')):
+        for i, axis in enumerate(row):
+            _draw(axis, record.time, _column(record, truth, field, i), label, PALE[i], **_WIDE)
+            _draw(
+                axis,
+                record.time,
+                _column(record, 'state_estimate', field, i),
+                'estimate',
+                SENSOR[i],
+                **_THIN,
+            )
+            axis.set_ylabel(f'{field} [{unit}]')
+            _finish(axis, record, record.joint_names[i])
+    return figure
+
+
+def torques(record):
+    """Fig. 8: torques of both joints.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        None if neither commands nor efforts are recorded.
+    """
+    figure, axes = _axes(2, height=2.2)
+    drawn = False
+    for i, axis in enumerate(axes[:, 0]):
+        drawn |= _draw(
+            axis,
+            record.time,
+            _column(record, 'joint_states', 'effort', i),
+            'measured effort',
+            PALE[i],
+            **_WIDE,
+        )
+        drawn |= _draw(
+            axis,
+            record.time,
+            _column(record, 'torque_command', 'torque', i),
+            'command',
+            SENSOR[i],
+            **_THIN,
+        )
+        axis.set_ylabel('torque [N m]')
+        _finish(axis, record, f'Joint {i + 1}: {record.joint_names[i]}')
+    if not drawn:
+        plt.close(figure)
+        return None
+    return figure

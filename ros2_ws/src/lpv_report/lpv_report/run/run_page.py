@@ -1,0 +1,55 @@
+"""The page: template, and how numbers are written."""
+
+import math
+from pathlib import Path
+
+from lpv_report.page import environment
+
+
+def number(value, form):
+    """A number as text.
+
+    Parameters
+    ----------
+    value : float or None
+        The number.
+    form : str
+        Format of the % operator.
+
+    Returns
+    -------
+    str
+        A dash where there is no finite number.
+    """
+    return form % value if value is not None and math.isfinite(value) else '-'
+
+
+def share(value):
+    """A share from 0 to 1 as percentage; a dash for None."""
+    return '-' if value is None else f'{100.0 * value:.1f} %'
+
+
+def render(values, figures):
+    """The page as text.
+
+    Parameters
+    ----------
+    values : dict
+        Of `lpv_report.run.content.content`.
+    figures : dict of str to dict
+        Caption and data (base64) of each picture by name.
+
+    Returns
+    -------
+    str
+        HTML that needs nothing from elsewhere.
+    """
+    templates = environment(Path(__file__).parent)
+    templates.filters.update(number=number, share=share)
+    known = {name: None for name in ('timeline', 'detectability', 'map')}
+    others = [name for name in figures if name not in known]
+    return (
+        templates.get_template('report.html')
+        .render(**values, figures={**known, **figures}, signals=others)
+        .lstrip()
+    )

@@ -1,0 +1,147 @@
+"""Table 2 of the paper beside the figures of a run."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from lpv_core.model.joints import JointMap
+from lpv_core.simulation.metrics import mise
+
+# Signal: (meaning, unit, the paper's figure).
+PAPER = {
+    'x1': ('estimate of link 1 angle', 'rad²', 0.006),
+    'x2': ('estimate of link 2 angle', 'rad²', 0.002),
+    'x3': ('estimate of link 1 rate', 'rad²/s²', 0.024),
+    'x4': ('estimate of link 2 rate', 'rad²/s²', 0.047),
+    'f1': ('estimate of fault 1', 'rad²', 0.006),
+    'f2': ('estimate of fault 2', 'rad²', 0.002),
+    'y1': ('tracking, link 1 measured', 'rad²', 0.034),
+    'y2': ('tracking, link 2 measured', 'rad²', 0.053),
+    'e_t1': ('tracking, link 1 true', 'rad²', 0.003),
+    'e_t2': ('tracking, link 2 true', 'rad²', 0.007),
+}
+"""MISE of Table 2; states and tracking in absolute angles, as in the paper."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table.
+
+    Attributes
+    ----------
+    signal, meaning, unit : str
+        What it is.
+    value : float
+        Ours.
+    paper : float or None
+        The paper's.
+    """
+
+    signal: str
+    meaning: str
+    unit: str
+    value: float
+    paper: float = None
+
+
+def make_table(record, arm):
+    """MISE against ground truth, or the size of fault estimates where there is none.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    arm : ArmParameters
+        Its arm.
+
+    Returns
+    -------
+    list of Row
+        Rows in the order of the paper's Table 2.
+    """
+    if 'ground_truth' in record.streams and 'state_estimate' in record.streams:
+        return _against_truth(record, JointMap(arm))
+    return _without_truth(record)
+
+
+def _against_truth(record, joints):
+    get = record.aligned
+    truth = joints.absolute_position(get('ground_truth', 'position'))
+    errors = {
+        'x1': truth - joints.absolute_position(get('state_estimate', 'position')),
+        'x3': joints.absolute_velocity(
+            get('ground_truth', 'velocity') - get('state_estimate', 'velocity')
+        ),
+    }
+    if 'fault_estimate' in record.streams:
+        errors['f1'] = get('ground_truth', 'fault') - get('fault_estimate', 'estimate')
+    if 'reference' in record.streams:
+        reference = joints.absolute_position(get('reference', 'position'))
+        measured = joints.absolute_position(get('joint_states', 'position'))
+        errors['y1'], errors['e_t1'] = reference - measured, reference - truth
+    pairs = {'x1': 'x2', 'x3': 'x4', 'f1': 'f2', 'y1': 'y2', 'e_t1': 'e_t2'}
+    values = {}
+    for first, error in errors.items():
+        values[first], values[pairs[first]] = (float(v) for v in mise(error))
+    return [
+        Row(name, *PAPER[name][:2], values[name], PAPER[name][2])
+        for name in PAPER
+        if name in values
+    ]
+
+
+def _without_truth(record):
+    estimate = record.aligned('fault_estimate', 'estimate')
+    if estimate is None:
+        return []
+    later = np.abs(estimate[record.time > 1.0])
+    rows = []
+    for i, sensor in enumerate(record.sensor_names):
+        column = later[:, i][np.isfinite(later[:, i])]
+        if column.size:
+            rows.append(Row(sensor, 'largest fault estimate after 1 s', 'rad', column.max()))
+            rows.append(
+                Row(
+                    sensor,
+                    'RMS of the fault estimate after 1 s',
+                    'rad',
+                    float(np.sqrt(np.mean(column**2))),
+                )
+            )
+    return rows
+
+
+def _times(row):
+    if not row.value > 0.0:
+        return '-'
+    ratio = row.paper / row.value
+    return f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
+
+
+def print_table(rows, console=None):
+    """Show a table on the terminal.
+
+    Parameters
+    ----------
+    rows : list of Row
+        From `make_table`.
+    console : rich.console.Console, optional
+        Where.
+    """
+    with_paper = any(row.paper is not None for row in rows)
+    table = Table(title='MISE, eq. (70)' if with_paper else None, box=box.SIMPLE_HEAD)
+    for name in ('signal', 'meaning', 'unit'):
+        table.add_column(name, no_wrap=True)
+    table.add_column('this run', justify='right', no_wrap=True)
+    if with_paper:
+        table.add_column('paper', justify='right', no_wrap=True)
+        table.add_column('better by', justify='right', no_wrap=True)
+    for row in rows:
+        cells = [row.signal, row.meaning, row.unit, f'{row.value:.2g}']
+        if with_paper:
+            cells += [f'{row.paper:g}', _times(row)]
+        table.add_row(*cells)
+    (console or Console()).print(table)

@@ -1,0 +1,105 @@
+"""Puts figures, tables and certificate into one self-contained HTML file."""
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+
+from lpv_bag.run.record import load_run
+from lpv_report.guarantees.detectability import detectability
+from lpv_report.guarantees.examination import examine
+from lpv_report.guarantees.gains_source import find_used_gains
+from lpv_report.guarantees.reproduction import reproduce
+from lpv_report.history.phases import phases
+from lpv_report.run.content import content
+from lpv_report.run.drawing import draw_all
+from lpv_report.run.run_page import render
+from lpv_report.run.style import png
+from lpv_report.run.table import make_table
+
+_CAPTIONS = {
+    'timeline': 'What the diagnosis said of each sensor, and when.',
+    'path': 'Path of the tip in the plane of the arm (cf. Fig. 4 of the paper).',
+    'faults': 'Faults of the physical position sensors and their estimates (cf. Fig. 5). Grey: a '
+    'healthy arm stays inside. Shaded: confirmed alarm. Hatched: not diagnosable.',
+    'measured': 'Joint positions as measured, with faults, and their references (cf. Fig. 6).',
+    'states': 'Joint positions and rates with their estimates (cf. Fig. 7).',
+    'torques': 'Joint torques (cf. Fig. 8).',
+    'detectability': 'Smallest lasting fault that is detected for certain, over time. A fault '
+    'that stays above the thin line is found by its level alone.',
+    'map': 'The same over the angles of both links from the vertical, and where the run went. The '
+    'region that the certificate covers ends where the hatching begins.',
+}
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What was written.
+
+    Attributes
+    ----------
+    html : pathlib.Path
+        The report.
+    pictures : list of pathlib.Path
+        PNG files.
+    table : list of Row
+        Its table.
+    certificate : Certificate or None
+        Of the gains; None where they are not known.
+    """
+
+    html: Path
+    pictures: list
+    table: list
+    certificate: object = None
+
+
+def write_report(bag, out, arm, path=None, title='Run', used=None):
+    """Write the report of a bag.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        Recorded run.
+    out : str or pathlib.Path
+        Folder for ``report.html`` and the PNG files.
+    arm : ArmParameters
+        The arm.
+    path : CartesianPath, optional
+        Reference path with its obstacle.
+    title : str, optional
+        Heading.
+    used : UsedGains, optional
+        Gains that the run was answered with; those in the bag if not given.
+
+    Returns
+    -------
+    ReportResult
+        What was written.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    record = load_run(bag, joint_names=arm.joint_names)
+    used = used or find_used_gains(bag)
+    certificate = examine(used, arm) if used.gains is not None else None
+    gains = used.gains if certificate is not None and not certificate.problem else None
+    again = reproduce(record, arm, gains) if gains is not None else None
+    able = detectability(record, arm, gains if certificate and certificate.holds else None)
+    found = phases(record, bag, arm.sensor_names)
+    table = make_table(record, arm)
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    pictures, figures = [], {}
+    for name, figure in draw_all(record, arm, path, found, able):
+        data = png(figure)
+        pictures.append(out / f'{name}.png')
+        pictures[-1].write_bytes(data)
+        figures[name] = {'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()}
+    html = out / 'report.html'
+    html.write_text(
+        render(content(record, arm, title, table, used, certificate, again, able, found), figures),
+        encoding='utf-8',
+    )
+    return ReportResult(html, pictures, table, certificate)
