@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -47,7 +48,7 @@ class ControllerRequirement:
     torque_weight: float = 1.0
 
 
-def check_loop(loop, m, q, alpha):
+def check_loop(loop: tuple[np.ndarray, ...], m: np.ndarray, q: np.ndarray, alpha: float) -> float:
     """Largest eigenvalue of LMI (67) rebuilt in NumPy for gains M and a common Q.
 
     Parameters
@@ -75,7 +76,7 @@ def check_loop(loop, m, q, alpha):
     return max(margins)
 
 
-def common_lyapunov(loop, m, alpha):
+def common_lyapunov(loop: tuple[np.ndarray, ...], m: np.ndarray, alpha: float) -> np.ndarray | None:
     """Find Q for given gains: is there a common Lyapunov matrix with decay alpha?
 
     Parameters
@@ -124,7 +125,7 @@ class LoopProblem:
         Decay, pole and cost requirements.
     """
 
-    def __init__(self, vertices, requirement):
+    def __init__(self, vertices: int, requirement: ControllerRequirement) -> None:
         self._gravity = [cp.Parameter((2, 2)) for _ in range(vertices)]
         self._inverse = [cp.Parameter((2, 2)) for _ in range(vertices)]
         q = self._q = cp.Variable((6, 6), symmetric=True)
@@ -152,7 +153,7 @@ class LoopProblem:
         constraints.append(cp.bmat([[w, np.eye(6)], [np.eye(6), q]]) >> 0)
         self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
 
-    def solve(self, loop, unit):
+    def solve(self, loop: tuple[np.ndarray, ...], unit: np.ndarray) -> tuple[Any, ...]:
         """Gains for given vertices.
 
         Parameters
@@ -181,7 +182,9 @@ def _compiled(vertices, requirement):
     return LoopProblem(vertices, requirement)
 
 
-def solve_loop(arm, loop, requirement):
+def solve_loop(
+    arm, loop: tuple[np.ndarray, ...], requirement: ControllerRequirement
+) -> tuple[Any, ...]:
     """Guaranteed-cost state feedback with integral action that satisfies LMI (67).
 
     Parameters

@@ -51,7 +51,7 @@ class DesignResult:
     guarantee: Guarantee
 
 
-def design(arm, requirement):
+def design(arm, requirement) -> DesignResult:
     """Design observer and controller, and check both in NumPy.
 
     Parameters

@@ -1,11 +1,13 @@
 """Which faults can be told from states, before any LMI is solved."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_core.model.polytope import paper_weights
 
 
-def lost_mode(a, c, tolerance=1e-9):
+def lost_mode(a: np.ndarray, c: np.ndarray, tolerance: float = 1e-9) -> tuple[Any, ...] | None:
     """Popov-Belevitch-Hautus test on one augmented model.
 
     Parameters
@@ -32,7 +34,7 @@ def lost_mode(a, c, tolerance=1e-9):
     return None
 
 
-def undetectable_point(problem):
+def undetectable_point(problem) -> tuple[Any, ...] | None:
     """Search a box of phi1, phi2, phi3 for a point without detectability.
 
     Gravity enters through phi2 and phi3 alone; a point is lost exactly where one of them is zero,

@@ -10,6 +10,7 @@ P^-1 bounds the covariance of the error; its trace is minimised.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -62,7 +63,7 @@ class LinkProblem:
         As in `ExactRequirement`.
     """
 
-    def __init__(self, inputs, decay, fastest, velocity_weight):
+    def __init__(self, inputs: int, decay: float, fastest: float, velocity_weight: float) -> None:
         self._p = cp.Variable((2, 2), symmetric=True)
         self._y = cp.Variable((2, 1))
         w = cp.Variable((2, 2), symmetric=True)
@@ -83,7 +84,7 @@ class LinkProblem:
         constraints.append(cp.bmat([[w, weight], [weight, self._p]]) >> 0)
         self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
 
-    def solve(self, link, noises):
+    def solve(self, link: LinkError, noises) -> tuple[Any, ...]:
         """Gains of one link.
 
         Parameters
@@ -115,7 +116,7 @@ def _compiled(inputs, decay, fastest, velocity_weight):
     return LinkProblem(inputs, decay, fastest, velocity_weight)
 
 
-def solve_link(link: LinkError, requirement):
+def solve_link(link: LinkError, requirement: ExactRequirement) -> tuple[Any, ...]:
     """Gains of one link.
 
     Parameters
@@ -140,7 +141,7 @@ def solve_link(link: LinkError, requirement):
     return problem.solve(link, noises)
 
 
-def torque_gains(arm):
+def torque_gains(arm) -> list[float]:
     """H-infinity norm from an unknown torque to each link's angle error.
 
     With real poles the error system is positive in suitable coordinates (see
@@ -160,7 +161,7 @@ def torque_gains(arm):
     return [1.0 / link.slopes[0] for link in link_errors(arm)]
 
 
-def solve_exact(arm, requirement):
+def solve_exact(arm, requirement: ExactRequirement) -> tuple[Any, ...]:
     """Gains of both links.
 
     Parameters

@@ -47,7 +47,7 @@ class Guarantee:
         }
 
 
-def guarantee(arm, gains, points=POINTS):
+def guarantee(arm, gains, points: int = POINTS) -> Guarantee:
     """Evaluate the bound that the diagnosis uses over the region.
 
     Parameters
@@ -75,7 +75,7 @@ def vertical(arm):
     return 0.0 if arm.sign > 0 else np.pi
 
 
-def at_rest(arm, gains, theta):
+def at_rest(arm, gains, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """Bounds and thresholds of the diagnosis at rest, with its usual tuning.
 
     Parameters
@@ -98,7 +98,7 @@ def at_rest(arm, gains, theta):
     return bound, np.maximum(tuning.threshold_factor * bound, tuning.minimum_threshold)
 
 
-def draw(found, arm, path):
+def draw(found: Guarantee, arm, path: str | Path) -> None:
     """Picture of the map: smallest lasting fault that is detected whatever the error.
 
     Parameters

@@ -1,6 +1,7 @@
 """Method ``paper``: the observer LMIs (54) and (55) on the box of phi1, phi2, phi3."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -36,7 +37,9 @@ class PaperProblem:
     box: np.ndarray
 
 
-def paper_problem(arm, s_min, q=20.0, r=15.0, s_max=1.0):
+def paper_problem(
+    arm, s_min: float, q: float = 20.0, r: float = 15.0, s_max: float = 1.0
+) -> PaperProblem:
     """Set up the LMIs for phi2, phi3 in [s_min, s_max].
 
     Parameters
@@ -76,7 +79,9 @@ def _inequalities(problem, p, y, gamma_squared, lmi, block=np.block):
     return matrices
 
 
-def solve_paper(problem, lmi='55', gamma=None):
+def solve_paper(
+    problem: PaperProblem, lmi: str = '55', gamma: float | None = None
+) -> tuple[Any, ...]:
     """Solve LMI (55), or (54) with the disc apart, for P and K_i.
 
     Parameters
@@ -111,7 +116,9 @@ def solve_paper(problem, lmi='55', gamma=None):
     return k, p.value, float(np.sqrt(max(gamma_squared.value, 0.0))), status
 
 
-def check_paper(problem, k, p, gamma, lmi='55'):
+def check_paper(
+    problem: PaperProblem, k: np.ndarray, p: np.ndarray, gamma: float, lmi: str = '55'
+) -> float:
     """Largest eigenvalue over all inequalities, rebuilt in NumPy from gains and P.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
@@ -59,7 +60,7 @@ class Requirement:
     source: str
 
 
-def load_requirement(name):
+def load_requirement(name: str | Path) -> Requirement:
     """Read a requirement file.
 
     Parameters
@@ -86,7 +87,7 @@ def load_requirement(name):
     return parse_requirement(read_yaml(path), str(path))
 
 
-def parse_requirement(data, source):
+def parse_requirement(data: dict[str, Any], source: str) -> Requirement:
     """Build a requirement from the mapping of a requirement file.
 
     Parameters

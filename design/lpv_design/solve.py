@@ -1,6 +1,7 @@
 """One way to call the SDP solver."""
 
 import warnings
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -12,7 +13,7 @@ class InfeasibleError(RuntimeError):
     """No gains satisfy the inequalities, as rebuilt in NumPy."""
 
 
-def solve(objective, constraints):
+def solve(objective, constraints: list[Any]) -> str:
     """Minimise with Clarabel and say what it said.
 
     Parameters
@@ -30,7 +31,7 @@ def solve(objective, constraints):
     return run(cp.Problem(cp.Minimize(objective), constraints))
 
 
-def run(problem):
+def run(problem) -> str:
     """Solve a problem, for the first time or with other values of its parameters.
 
     Clarabel often says ``optimal_inaccurate`` on points that satisfy every inequality, and a first

@@ -74,7 +74,7 @@ class SimulatorNode(ManagedNode):
     nobody answers is sent again when nodes have joined: one that was restarted has not heard it.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('arm_sim', SPECS)
         self._command_in = self._ticker = None
         self._command = None
@@ -82,7 +82,7 @@ class SimulatorNode(ManagedNode):
         self._slips = 0
         self._braking, self._flowing = True, False
 
-    def setup(self):
+    def setup(self) -> None:
         """Read arm and scenario, create publishers and services."""
         self._arm = load_arm(required_text(self, 'arm_file'))
         scenario = load_scenario(required_text(self, 'scenario_file'))
@@ -112,13 +112,13 @@ class SimulatorNode(ManagedNode):
         """Publishers to be matched before the first sample."""
         return {self._joint_states_out: 1, self._truth_out: 0}
 
-    def listen(self):
+    def listen(self) -> None:
         """Subscribe to commands: the tracker waits for this before it takes estimates."""
         self._command_in = self.create_subscription(
             TorqueCommand, 'torque_command', self._on_command, stream(self.lockstep)
         )
 
-    def begin(self):
+    def begin(self) -> None:
         """Start stepping."""
         if self.lockstep:
             self._start = round(self.get_parameter('start_time').value * NANOSECONDS)
@@ -132,7 +132,7 @@ class SimulatorNode(ManagedNode):
             self.get_logger().info(f'real time, {1.0 / self._arm.sample_time:.0f} Hz')
             self._ticker = self.steady_timer(self._arm.sample_time, self._tick)
 
-    def end(self):
+    def end(self) -> None:
         """Stop stepping."""
         for item, destroy in (
             (self._command_in, self.destroy_subscription),
@@ -147,7 +147,7 @@ class SimulatorNode(ManagedNode):
     def _stamp(self):
         return self._start + self._plant.step_count * self._period
 
-    def _on_command(self, message):
+    def _on_command(self, message) -> None:
         """Lockstep: the answer to the present sample makes the next step. Real time: store it."""
         if self.lockstep and to_nanoseconds(message.header.stamp) != self._waiting:
             return  # a command for an older sample, e.g. of a tracker that was restarted
@@ -166,7 +166,7 @@ class SimulatorNode(ManagedNode):
             self.count_publishers(self._command_in.topic_name),
         )
 
-    def _ask_again(self):
+    def _ask_again(self) -> None:
         """Lockstep: send a sample again that went to a node which is no more.
 
         Only where nodes have come or gone since it was sent: an answer that is merely late must
@@ -179,7 +179,7 @@ class SimulatorNode(ManagedNode):
             self._sent = time.monotonic()
             self._joint_states_out.publish(self._state_message)
 
-    def _tick(self):
+    def _tick(self) -> None:
         """Make the steps that are due; only while it is braked may the arm leave some out."""
         behind = (self.get_clock().now().nanoseconds - self._stamp) // self._period
         while behind > 0 and not self.finished:
@@ -191,7 +191,7 @@ class SimulatorNode(ManagedNode):
             self._publish()
             behind -= 1
 
-    def _advance(self):
+    def _advance(self) -> None:
         command = self._command
         if command is None:
             self._brake('no command')
@@ -203,7 +203,7 @@ class SimulatorNode(ManagedNode):
         else:
             self._drive(command.torque)
 
-    def _drive(self, torque):
+    def _drive(self, torque) -> None:
         try:
             self._plant.step(torque)
         except ValueError as error:
@@ -213,20 +213,20 @@ class SimulatorNode(ManagedNode):
             self._braking = False
             self.get_logger().info('brakes released')
 
-    def _brake(self, reason):
+    def _brake(self, reason) -> None:
         self._plant.hold()
         if not self._braking:
             self._braking = True
             self.get_logger().error(f'brakes engaged: {reason}')
 
-    def _expired(self):
+    def _expired(self) -> bool:
         if self.lockstep:
             return False
         # By the measurement that it answers: late answers are as bad as none.
         age = self._stamp - to_nanoseconds(self._command.header.stamp)
         return age > self.get_parameter('command_timeout').value * NANOSECONDS
 
-    def _publish(self):
+    def _publish(self) -> None:
         measurement, truth = self._plant.sense()
         stamp = self._stamp
         self._waiting = stamp
@@ -244,7 +244,7 @@ class SimulatorNode(ManagedNode):
         self._sent = time.monotonic()
         self._report_progress()
 
-    def _publish_truth(self, stamp, truth, measurement):
+    def _publish_truth(self, stamp, truth, measurement) -> None:
         message = self._truth_message
         set_stamp(message.header.stamp, stamp)
         message.position, message.velocity = truth.position, truth.velocity
@@ -252,7 +252,7 @@ class SimulatorNode(ManagedNode):
         message.disturbance = float(truth.disturbance)
         self._truth_out.publish(message)
 
-    def _report_progress(self):
+    def _report_progress(self) -> None:
         step = self._plant.step_count
         if step % max(1, round(1.0 / self._arm.sample_time)) == 0 and step <= self._last:
             slipped = f', {self._slips} samples slipped' if self._slips else ''
@@ -263,7 +263,7 @@ class SimulatorNode(ManagedNode):
             self.finish()
 
 
-def main(argv=None):
+def main(argv=None) -> None:
     """Entry point of ``ros2 run lpv_arm_sim simulator``."""
     sys.exit(run_node(SimulatorNode, argv))
 

@@ -16,7 +16,7 @@ class FaultServices:
         Receives the faults.
     """
 
-    def __init__(self, node, plant):
+    def __init__(self, node, plant) -> None:
         self._node, self._plant = node, plant
         node.create_service(InjectFault, '~/inject_fault', self.inject)
         node.create_service(ClearFaults, '~/clear_faults', self.clear)

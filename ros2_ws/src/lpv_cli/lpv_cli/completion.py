@@ -1,6 +1,8 @@
 """Tab completion of ``lpv``, by argcomplete."""
 
 import os
+from collections.abc import Callable
+from typing import Any
 
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import executable, shipped_files
@@ -13,7 +15,7 @@ _PROGRAMS = {
 }
 
 
-def complete(build_parser, commands):
+def complete(build_parser: Callable[..., Any], commands) -> None:
     """Answer a request of the shell for completions and leave; otherwise do nothing.
 
     Parameters
@@ -32,7 +34,7 @@ def complete(build_parser, commands):
     argcomplete.autocomplete(build_parser(chosen), exclude=['-h', '--help'])
 
 
-def shipped(kind):
+def shipped(kind: str) -> Callable[..., Any]:
     """Completer: names of shipped files, and YAML files here.
 
     Parameters

@@ -26,7 +26,7 @@ COMMANDS = {
 """Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""
 
 
-def build_parser(chosen=None):
+def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
     """Parser of the command line.
 
     Parameters
@@ -53,7 +53,7 @@ def build_parser(chosen=None):
     return parser
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Entry point.
 
     Parameters

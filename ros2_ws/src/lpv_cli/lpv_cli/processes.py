@@ -9,6 +9,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from lpv_core.support.errors import LpvError
 
@@ -44,7 +45,7 @@ def ended_by_signals():
     ignored, as nohup asks for.
     """
 
-    def end(number, _frame):
+    def end(number, _frame) -> None:
         raise SystemExit(128 + number)
 
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
@@ -69,7 +70,7 @@ class Graph:
         ROS_DOMAIN_ID of the run.
     """
 
-    def __init__(self, log_dir, domain_id):
+    def __init__(self, log_dir: Path, domain_id: int) -> None:
         self._log_dir = Path(log_dir)
         self._log_dir.mkdir(parents=True, exist_ok=True)
         self._environment = dict(
@@ -87,10 +88,10 @@ class Graph:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self.stop()
 
-    def start(self, name, command):
+    def start(self, name: str, command: list[str]) -> NodeProcess:
         """Start a node.
 
         Parameters
@@ -118,14 +119,14 @@ class Graph:
         self.nodes.append(node)
         return node
 
-    def _pump(self, node):
+    def _pump(self, node) -> None:
         with open(node.log, 'w', encoding='utf-8') as log:
             for line in node.process.stdout:
                 log.write(line)
                 log.flush()
                 self.lines.put((node.name, line.rstrip()))
 
-    def check(self, finite=None):
+    def check(self, finite: NodeProcess | None = None) -> None:
         """Raise if a node has ended that should not.
 
         Parameters
@@ -143,7 +144,7 @@ class Graph:
             if code is not None and not (node is finite and code == 0):
                 raise NodeFailure(f'{node.name} ended with code {code}:\n{_tail(node.log)}')
 
-    def stop(self, patience=15.0):
+    def stop(self, patience: float = 15.0) -> dict[str, Any]:
         """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
 
         The node that was started first, the recorder where there is one, is stopped last: it takes
@@ -171,7 +172,7 @@ class Graph:
         return {node.name: node.process.poll() for node in self.nodes}
 
 
-def _signal(node, number):
+def _signal(node, number) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(node.process.pid, number)
 

@@ -13,7 +13,7 @@ from rich.progress import (
 
 
 @contextmanager
-def counted(console, name, total, done):
+def counted(console, name: str, total: int, done: int):
     """Bar of a work whose finished part is kept when it is interrupted.
 
     Parameters

@@ -9,7 +9,7 @@ from rclpy.signals import SignalHandlerOptions
 from lpv_core.support.errors import ConfigError
 
 
-def initialise(argv=None):
+def initialise(argv: list[str] | None = None) -> None:
     """Start ROS without its signal handlers.
 
     Parameters

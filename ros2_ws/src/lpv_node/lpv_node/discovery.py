@@ -6,7 +6,7 @@ from pathlib import Path
 _VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
 
 
-def announce_often():
+def announce_often() -> None:
     """Let Fast DDS use the profile ``fastdds.xml`` of this package, unless the user has one.
 
     To be called before rclpy.init; other middlewares take no notice.

@@ -4,6 +4,8 @@ import functools
 import signal
 import sys
 import time
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -70,7 +72,7 @@ class ManagedNode(LifecycleNode):
 
     drain_time = 0.0
 
-    def __init__(self, name, specs):
+    def __init__(self, name: str, specs: Iterable[Spec]) -> None:
         super().__init__(name)
         declare(self, (*COMMON, *specs))
         self.lockstep = self.get_parameter('lockstep').value
@@ -126,14 +128,14 @@ class ManagedNode(LifecycleNode):
         super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
 
-    def _leave(self):
+    def _leave(self) -> None:
         self._taking_part = False
         if self._gate is not None:
             self.destroy_timer(self._gate)
             self._gate = None
         self.end()
 
-    def _take_down(self):
+    def _take_down(self) -> None:
         """Destroy what `setup` created: configured twice, a node must not publish twice."""
         self.teardown()
         for publisher in {*self.publishers} - self._lasting:
@@ -141,7 +143,7 @@ class ManagedNode(LifecycleNode):
         for service in {*self.services} - self._lasting:
             self.destroy_service(service)
 
-    def _try_begin(self):
+    def _try_begin(self) -> None:
         recorders = self.get_parameter('await_recorders').value
         if all(
             self._matched(publisher) >= recorders + self.lockstep * consumers
@@ -161,7 +163,7 @@ class ManagedNode(LifecycleNode):
         onlookers = sum(r.node_name == ONLOOKER or r.node_name.startswith('_') for r in readers)
         return publisher.get_subscription_count() - onlookers
 
-    def steady_timer(self, period, callback):
+    def steady_timer(self, period: float, callback: Callable[..., Any]) -> rclpy.timer.Timer:
         """Create a timer on the steady clock, which runs whatever /clock does.
 
         Parameters
@@ -192,13 +194,13 @@ class ManagedNode(LifecycleNode):
         """
 
         @functools.wraps(callback)
-        def guarded(*arguments):
+        def guarded(*arguments) -> None:
             if self._taking_part:
                 callback(*arguments)
 
         return guarded
 
-    def finish(self, code=0):
+    def finish(self, code: int = 0) -> None:
         """Ask the main loop to stop.
 
         Parameters
@@ -208,30 +210,30 @@ class ManagedNode(LifecycleNode):
         """
         self.exit_code, self.finished = code, True
 
-    def setup(self):
+    def setup(self) -> None:
         """Read files and parameters, create publishers; may raise LpvError."""
 
     def progress(self):
         """A count that grows with every message that was taken while stopping."""
         return 0
 
-    def stopping(self):
+    def stopping(self) -> None:
         """The node was told to stop, and goes on until nothing has come for its drain time."""
 
     def outputs(self):
         """Publishers, each with the number of graph nodes that consume it."""
         return {}
 
-    def listen(self):
+    def listen(self) -> None:
         """Create subscriptions that must exist before the outputs are matched."""
 
-    def begin(self):
+    def begin(self) -> None:
         """Create subscriptions and timers."""
 
-    def end(self):
+    def end(self) -> None:
         """Destroy what `listen` and `begin` created; may be called twice."""
 
-    def teardown(self):
+    def teardown(self) -> None:
         """Undo `setup`; its publishers and services are destroyed without being named here."""
 
 
@@ -243,7 +245,7 @@ def _executor():
     return EventsExecutor()
 
 
-def run_node(node_class, argv=None):
+def run_node(node_class, argv: list[str] | None = None) -> int:
     """Run one managed node until it finishes or is told to stop.
 
     Parameters
@@ -278,12 +280,12 @@ def run_node(node_class, argv=None):
 class _StopRequest:
     """SIGINT and SIGTERM as a flag."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.set = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._raise)
 
-    def _raise(self, _number, _frame):
+    def _raise(self, _number, _frame) -> None:
         self.set = True
 
 
@@ -309,7 +311,7 @@ def _spin(node, stop):
     return node.exit_code
 
 
-def _drain(node, executor):
+def _drain(node, executor) -> None:
     """Take what is still queued: until nothing has come for the node's drain time."""
     now = time.monotonic()
     limit, quiet_since, progress = now + _LONGEST_DRAIN, now, node.progress()

@@ -1,5 +1,6 @@
 """Parameters: declared once with description, range and read-only flag."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rcl_interfaces.msg import (
@@ -137,7 +138,7 @@ METHOD_FIELDS = {
 """Parameters below ``gains.observer.`` of each method."""
 
 
-def declare(node, specs):
+def declare(node, specs: Iterable[Spec]) -> None:
     """Declare parameters and refuse strings outside their choices, now and later.
 
     Parameters
@@ -176,7 +177,7 @@ def declare(node, specs):
     node.add_on_set_parameters_callback(check)
 
 
-def required_text(node, name):
+def required_text(node, name: str) -> str:
     """Value of a string parameter that must be set.
 
     Parameters
@@ -202,7 +203,7 @@ def required_text(node, name):
     return value
 
 
-def declare_gains(node):
+def declare_gains(node) -> None:
     """Declare the parameters of a gains file, read-only, without defaults.
 
     Parameters

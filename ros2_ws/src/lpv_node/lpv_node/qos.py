@@ -6,7 +6,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 _LOCKSTEP_DEPTH = 20000
 
 
-def stream(lockstep):
+def stream(lockstep: bool):
     """QoS of measurements, estimates and commands.
 
     Parameters

@@ -3,7 +3,7 @@
 NANOSECONDS = 1_000_000_000
 
 
-def to_nanoseconds(stamp):
+def to_nanoseconds(stamp) -> int:
     """Nanoseconds of a builtin_interfaces/Time.
 
     Parameters
@@ -19,7 +19,7 @@ def to_nanoseconds(stamp):
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
-def set_stamp(stamp, nanoseconds):
+def set_stamp(stamp, nanoseconds: int) -> None:
     """Write nanoseconds into a builtin_interfaces/Time.
 
     Parameters

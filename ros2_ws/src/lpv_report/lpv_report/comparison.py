@@ -51,7 +51,7 @@ class Tolerances:
     flags: float = 0.002
     missing: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             if not 0.0 <= value < math.inf:
                 raise LpvError(f'tolerance of {name}: must be a number from 0, got {value}')
@@ -112,7 +112,7 @@ class Comparison:
     missing_allowed: float = 0.0
 
     @property
-    def complete(self):
+    def complete(self) -> bool:
         """Whether the runs have the same answers, as far as is asked for."""
         total = self.common + self.only_first + self.only_second
         return self.common > 0 and (
@@ -159,7 +159,7 @@ def _alarm(episode):
     return None if episode is None else {**asdict(episode), 'delay': episode.delay}
 
 
-def compare_runs(first, second, arm, tolerances=None):
+def compare_runs(first, second, arm, tolerances: Tolerances | None = None) -> Comparison:
     """Compare the answers of two runs of one recording.
 
     Parameters
@@ -231,7 +231,7 @@ def _figures(first, second, arm, tolerance):
     return found
 
 
-def _close(first, second, tolerance):
+def _close(first, second, tolerance) -> bool:
     if first is None or second is None:
         return False
     if first == second or (math.isnan(first) and math.isnan(second)):
@@ -299,7 +299,7 @@ def _pairs(first, second, tolerance):
     return sorted(pairs, key=lambda p: (p.first or p.second).raised)
 
 
-def _overlap(one, other, shift):
+def _overlap(one, other, shift) -> bool:
     ends = [math.inf if e.cleared is None else e.cleared for e in (one, other)]
     return one.raised <= ends[1] + shift + 0.5 and other.raised + shift <= ends[0] + 0.5
 

@@ -45,7 +45,7 @@ def _seconds(record, stamps, first):
     return (stamps - first.stamps['joint_states'][0]) / 1e9
 
 
-def _faults(axis, first, second, i):
+def _faults(axis, first, second, i) -> None:
     runs = (
         (first, 'first', {'color': PALE[i], 'linewidth': 3.4}),
         (second, 'second', {'color': SENSOR[i], 'linewidth': 1.1}),
@@ -74,7 +74,7 @@ def _faults(axis, first, second, i):
     axis.set_ylabel('fault [rad]')
 
 
-def _differences(axis, first, second, i):
+def _differences(axis, first, second, i) -> None:
     stamps, a, b = np.intersect1d(
         first.stamps['fault_estimate'], second.stamps['fault_estimate'], return_indices=True
     )

@@ -8,7 +8,7 @@ import jinja2
 from lpv_report.style import png
 
 
-def css_string(text):
+def css_string(text: str) -> str:
     """A string of a style sheet that cannot end the string, the sheet or the element.
 
     Parameters
@@ -30,7 +30,7 @@ def css_string(text):
     )
 
 
-def environment(folder):
+def environment(folder: str | Path) -> jinja2.Environment:
     """Environment of templates.
 
     Parameters
@@ -55,7 +55,7 @@ def environment(folder):
     return found
 
 
-def embedded(figure):
+def embedded(figure) -> str:
     """A figure as text that stands in a page.
 
     Parameters

@@ -57,7 +57,7 @@ SETTINGS = {
 _POINTS = 1500
 
 
-def thin(time, values):
+def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
     """Fewer points that look the same: of every bin the lowest and the highest one.
 
     Parameters
@@ -87,7 +87,7 @@ def thin(time, values):
     return time[index], values[index]
 
 
-def png(figure):
+def png(figure: matplotlib.figure.Figure) -> bytes:
     """Picture of a figure as PNG.
 
     Parameters

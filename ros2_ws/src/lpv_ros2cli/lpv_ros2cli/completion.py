@@ -2,9 +2,11 @@
 
 import os
 import shlex
+from collections.abc import Callable
+from typing import Any
 
 
-def complete():
+def complete() -> None:
     """Answer a request of the shell for completions and leave; otherwise do nothing."""
     if '_ARGCOMPLETE' not in os.environ:
         return
@@ -76,7 +78,7 @@ def nodes(**_):
     return _from_graph(lambda node: node_names(node, hidden=False))
 
 
-def interface_types(kind):
+def interface_types(kind: str) -> Callable[..., Any]:
     """Make a completer of interface types.
 
     Parameters

@@ -8,7 +8,9 @@ found as have ports open on this machine, and goes on until then.
 import contextlib
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from lpv_ros2cli.errors import CliError
 
@@ -22,7 +24,7 @@ _POLL = 0.02
 _EVERY_NODE_PUBLISHES = '/parameter_events'
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the options of commands that look at the graph.
 
     Parameters
@@ -46,7 +48,7 @@ def add_arguments(parser):
 
 
 @contextlib.contextmanager
-def command_node(name=None):
+def command_node(name: str | None = None):
     """Context with a hidden node.
 
     Parameters
@@ -83,7 +85,7 @@ def command_node(name=None):
         rclpy.try_shutdown()
 
 
-def settle(node, spin_time=None):
+def settle(node, spin_time: float | None = None) -> None:
     """Wait until the graph is known.
 
     Parameters
@@ -96,7 +98,9 @@ def settle(node, spin_time=None):
     find(node, lambda: None, spin_time, _QUIET)
 
 
-def find(node, look, spin_time=None, quiet=_SURELY_QUIET):
+def find(
+    node, look: Callable[..., Any], spin_time: float | None = None, quiet: float = _SURELY_QUIET
+) -> object:
     """Look for something until it is found or the whole graph is known.
 
     Parameters
@@ -133,7 +137,7 @@ def find(node, look, spin_time=None, quiet=_SURELY_QUIET):
         time.sleep(_POLL)
 
 
-def wait_for(condition, timeout=LONGEST):
+def wait_for(condition: Callable[..., Any], timeout: float = LONGEST) -> object:
     """Wait for something that the graph is known to have.
 
     Parameters
@@ -154,7 +158,7 @@ def wait_for(condition, timeout=LONGEST):
     return found
 
 
-def _all_found(node):
+def _all_found(node) -> bool:
     """Whether every participant of this machine was found, and of others probably."""
     if os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') != 'LOCALHOST':
         return False  # who is on the network cannot be known: take the whole time

@@ -27,7 +27,7 @@ _SMALLEST_SHM = 64 << 20
 _HIGHEST_DOMAIN = 101
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments."""
     parser.add_argument('-r', '--report', action='store_true', help='print all that was found')
 

@@ -12,6 +12,6 @@ class CliError(Exception):
         Exit code of the command.
     """
 
-    def __init__(self, message, code=1):
+    def __init__(self, message: str, code: int = 1) -> None:
         super().__init__(message)
         self.code = code

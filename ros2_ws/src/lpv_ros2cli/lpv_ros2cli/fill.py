@@ -6,7 +6,7 @@ from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.yaml_text import parse_yaml
 
 
-def message_from_text(message_class, text, now=None):
+def message_from_text(message_class, text: str, now=None) -> object:
     """Message from YAML.
 
     Parameters
@@ -34,7 +34,7 @@ def message_from_text(message_class, text, now=None):
     return message
 
 
-def _fill(message, values, prefix, now):
+def _fill(message, values, prefix, now) -> None:
     kinds = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES))
     if not isinstance(values, dict):
         raise CliError(

@@ -2,6 +2,7 @@
 
 import importlib
 import re
+from collections.abc import Iterable
 
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.packages import prefix_of, resources
@@ -11,7 +12,7 @@ KINDS = {'msg': 'Messages', 'srv': 'Services', 'action': 'Actions'}
 """Kinds of interfaces, with their headings."""
 
 
-def full_type(text, kind=None):
+def full_type(text: str, kind: str | None = None) -> str:
     """Full name of an interface type.
 
     Parameters
@@ -45,7 +46,7 @@ def full_type(text, kind=None):
     return '/'.join(parts)
 
 
-def load(text, kind):
+def load(text: str, kind: str):
     """Class of an interface type.
 
     Parameters
@@ -72,7 +73,7 @@ def load(text, kind):
         raise CliError(f"The passed type '{text}' is not installed") from error
 
 
-def installed(packages=None):
+def installed(packages: Iterable[str] | None = None) -> list[str]:
     """Interface types that are installed.
 
     Parameters
@@ -97,7 +98,7 @@ def installed(packages=None):
     return sorted(found)
 
 
-def definition(name):
+def definition(name: str) -> str:
     """Text of an interface's definition file.
 
     Parameters

@@ -24,11 +24,11 @@ def raising_signals():
     """
     received = []
 
-    def receive(number, _frame):
+    def receive(number, _frame) -> None:
         received.append(number)
         _raise(number)
 
-    def report(unraisable):
+    def report(unraisable) -> None:
         if not received or not issubclass(unraisable.exc_type, (KeyboardInterrupt, SystemExit)):
             hook(unraisable)
         else:  # not from here, where it would be lost again
@@ -50,7 +50,7 @@ def raising_signals():
             signal.signal(number, handler)
 
 
-def _raise(number):
+def _raise(number) -> None:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)  # through the clean-up of contexts and nodes

@@ -10,7 +10,7 @@ from lpv_ros2cli.interrupts import raising_signals
 from lpv_ros2cli.parsing import parse
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Entry point.
 
     Parameters

@@ -1,10 +1,12 @@
 """Names of the graph: absolute forms, and lists without what is hidden."""
 
+from typing import Any
+
 from lpv_ros2cli.discovery import find
 from lpv_ros2cli.errors import CliError
 
 
-def absolute(name):
+def absolute(name: str) -> str:
     """Absolute form of a topic or service name.
 
     Parameters
@@ -34,7 +36,7 @@ def absolute(name):
     return expanded
 
 
-def absolute_node(name):
+def absolute_node(name: str) -> str:
     """Absolute form of a node name.
 
     Parameters
@@ -50,7 +52,7 @@ def absolute_node(name):
     return name if name.startswith('/') else f'/{name}'
 
 
-def node_names(node, hidden):
+def node_names(node, hidden: bool) -> list[str]:
     """Nodes of the graph.
 
     Parameters
@@ -72,7 +74,7 @@ def node_names(node, hidden):
     )
 
 
-def find_node(node, name, spin_time=None):
+def find_node(node, name: str, spin_time: float | None = None) -> str:
     """Wait until a node is in the graph.
 
     Parameters
@@ -100,7 +102,7 @@ def find_node(node, name, spin_time=None):
     return full
 
 
-def find_topic(node, name, spin_time=None):
+def find_topic(node, name: str, spin_time: float | None = None) -> tuple[str, list[str]]:
     """Wait until a topic is in the graph.
 
     Parameters
@@ -131,7 +133,7 @@ def find_topic(node, name, spin_time=None):
     return full, types
 
 
-def without_hidden(names_and_types, hidden):
+def without_hidden(names_and_types: list[tuple[Any, ...]], hidden: bool) -> list[tuple[Any, ...]]:
     """Names and types, sorted, without those of which a part begins with an underscore.
 
     Parameters

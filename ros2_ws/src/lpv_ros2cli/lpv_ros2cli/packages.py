@@ -7,7 +7,7 @@ from pathlib import Path
 from lpv_ros2cli.errors import CliError
 
 
-def prefixes():
+def prefixes() -> list[Path]:
     """Prefixes in which packages are looked for.
 
     Returns
@@ -19,7 +19,7 @@ def prefixes():
     return list(dict.fromkeys((*named, Path(sys.prefix))))
 
 
-def resources(kind):
+def resources(kind: str) -> dict[str, Path]:
     """Entries of the ament index.
 
     Parameters
@@ -40,7 +40,7 @@ def resources(kind):
     return dict(sorted(found.items()))
 
 
-def names():
+def names() -> list[str]:
     """Names of the packages.
 
     Returns
@@ -51,7 +51,7 @@ def names():
     return list(resources('packages'))
 
 
-def prefix_of(package):
+def prefix_of(package: str) -> Path:
     """Prefix of a package.
 
     Parameters
@@ -76,7 +76,7 @@ def prefix_of(package):
     raise CliError(f'Package {package!r} not found')
 
 
-def share_of(package):
+def share_of(package: str) -> Path:
     """Share folder of a package.
 
     Parameters
@@ -92,7 +92,7 @@ def share_of(package):
     return prefix_of(package) / 'share' / package
 
 
-def executables(package):
+def executables(package: str) -> list[Path]:
     """Programs of a package.
 
     Parameters
@@ -109,7 +109,7 @@ def executables(package):
     return sorted(path for path in folder.rglob('*') if path.is_file() and os.access(path, os.X_OK))
 
 
-def executable(package, name):
+def executable(package: str, name: str) -> Path:
     """One program of a package.
 
     Parameters

@@ -14,11 +14,11 @@ USAGE_ERROR = 2
 class _Parser(argparse.ArgumentParser):
     """Refuses abbreviated options: they would change their meaning with the next option."""
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args, **kwargs) -> None:
         super().__init__(*args, allow_abbrev=False, **kwargs)
 
 
-def parse(argv):
+def parse(argv: list[str]) -> argparse.Namespace:
     """Parse a command line.
 
     Parameters
@@ -49,7 +49,7 @@ def parse(argv):
     return arguments
 
 
-def chosen(argv):
+def chosen(argv: list[str]):
     """Command and verb of a command line.
 
     Parameters
@@ -85,7 +85,7 @@ def chosen(argv):
     return command, argv[1]
 
 
-def build_parser(command=None, verb=None):
+def build_parser(command: str | None = None, verb: str | None = None) -> argparse.ArgumentParser:
     """Parser in which only the chosen verb's module is imported.
 
     Parameters
@@ -120,7 +120,7 @@ def build_parser(command=None, verb=None):
     return parser
 
 
-def _add_verbs(parser, command, chosen_verb):
+def _add_verbs(parser, command, chosen_verb) -> None:
     verbs = parser.add_subparsers(metavar='VERB', parser_class=_Parser)
     for name, text in VERBS[command][1].items():
         sub = verbs.add_parser(name, help=text, description=_sentence(text))
@@ -129,7 +129,7 @@ def _add_verbs(parser, command, chosen_verb):
             _implement(sub, module_of(command, name))
 
 
-def _implement(parser, module):
+def _implement(parser, module) -> None:
     implementation = importlib.import_module(module)
     implementation.add_arguments(parser)
     parser.set_defaults(run=implementation.run)

@@ -8,7 +8,7 @@ _DURABILITY = ('volatile', 'transient_local', 'system_default')
 _HISTORY = ('keep_last', 'keep_all', 'system_default')
 
 
-def add_arguments(parser, default):
+def add_arguments(parser, default: str) -> None:
     """Declare the QoS options.
 
     Parameters
@@ -70,7 +70,7 @@ def chosen_profile(arguments, base):
     return profile
 
 
-def fitting(node, topic, depth=10):
+def fitting(node, topic: str, depth: int = 10):
     """Profile that hears every publisher of a topic.
 
     Parameters

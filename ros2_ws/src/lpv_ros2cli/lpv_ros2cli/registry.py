@@ -77,7 +77,7 @@ COMMANDS = {
 _SYNONYMS = {'wtf': 'doctor'}
 
 
-def canonical(command):
+def canonical(command: str) -> str:
     """Name of a command, without synonyms.
 
     Parameters
@@ -93,7 +93,7 @@ def canonical(command):
     return _SYNONYMS.get(command, command)
 
 
-def module_of(command, verb=None):
+def module_of(command: str, verb: str | None = None) -> str:
     """Module that implements a command or a verb.
 
     It has ``add_arguments(parser)`` and ``run(arguments)``, which returns an exit code or None.

@@ -36,11 +36,11 @@ class Style:
 class _Dumper(yaml.SafeDumper):
     """Block style, lists not indented, no aliases."""
 
-    def ignore_aliases(self, data):
+    def ignore_aliases(self, data) -> bool:
         return True
 
 
-def to_yaml(value, style=Style()):  # noqa: B008 - immutable
+def to_yaml(value: object, style: Style = Style()) -> str:  # noqa: B008 - immutable
     """A message, or a field of one, as YAML.
 
     Parameters
@@ -67,7 +67,7 @@ def to_yaml(value, style=Style()):  # noqa: B008 - immutable
     return text.removesuffix('...\n')  # the end mark of a bare scalar
 
 
-def to_plain(value, style=Style()):  # noqa: B008 - immutable
+def to_plain(value: object, style: Style = Style()) -> object:  # noqa: B008 - immutable
     """A message as nested dicts, lists and scalars.
 
     Parameters
@@ -113,7 +113,7 @@ def _list(values, style):
     return plain if len(plain) == len(values) else [*plain, '...']
 
 
-def to_csv(value, style=Style()):  # noqa: B008 - immutable
+def to_csv(value: object, style: Style = Style()) -> str:  # noqa: B008 - immutable
     """A message, or a field of one, as comma-separated values of all its fields.
 
     Parameters
@@ -141,7 +141,7 @@ def _flat(plain):
         yield from _flat(item)
 
 
-def field_of(message, path):
+def field_of(message: object, path: str) -> object:
     """A field of a message.
 
     Parameters
@@ -178,7 +178,7 @@ def field_of(message, path):
     return value
 
 
-def is_message(value):
+def is_message(value: object) -> bool:
     """Whether a value is a message.
 
     Parameters

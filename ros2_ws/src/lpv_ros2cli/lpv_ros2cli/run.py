@@ -9,7 +9,7 @@ from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.packages import executable
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments."""
     parser.add_argument('--prefix', help='command that starts the program, e.g. "gdb --args"')
     parser.add_argument('package', help='package').completer = completion.packages
@@ -17,7 +17,7 @@ def add_arguments(parser):
     parser.add_argument('argv', nargs=argparse.REMAINDER, metavar='...', help='passed on')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Become the program, which then gets signals and returns its exit code itself."""
     path = executable(arguments.package, arguments.executable)
     command = [*shlex.split(arguments.prefix or ''), str(path), *arguments.argv]

@@ -1,5 +1,7 @@
 """YAML of the command line and of files, through the safe loader, with one-line errors."""
 
+from pathlib import Path
+
 import yaml
 
 from lpv_ros2cli.errors import CliError
@@ -8,7 +10,7 @@ MAX_BYTES = 4 << 20
 """Longest text and largest file that is read [bytes]."""
 
 
-def parse_yaml(text, what):
+def parse_yaml(text: str, what: str) -> object:
     """Value of a YAML text.
 
     Parameters
@@ -36,7 +38,7 @@ def parse_yaml(text, what):
         raise CliError(f'{what} is not valid YAML: {" ".join(str(error).split())}') from error
 
 
-def read_yaml(path, what):
+def read_yaml(path: str | Path, what: str) -> object:
     """Value of a YAML file.
 
     Parameters
@@ -59,7 +61,7 @@ def read_yaml(path, what):
     return parse_yaml(read_text(path, what), f'{what} {path}')
 
 
-def read_text(path, what):
+def read_text(path: str | Path, what: str) -> str:
     """Text of a file.
 
     Parameters

@@ -55,13 +55,13 @@ class TrackerNode(ManagedNode):
     is deactivated or ends.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('tracker', SPECS)
         declare_gains(self)
         self._estimate_in = self._watch = None
         self._stopped = True
 
-    def setup(self):
+    def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
         self._arm = load_arm(required_text(self, 'arm_file'))
         gains = read_gains(self, self._arm)
@@ -83,7 +83,7 @@ class TrackerNode(ManagedNode):
         """Publishers to be matched before estimates are taken."""
         return {self._command_out: 1, self._reference_out: 0}
 
-    def begin(self):
+    def begin(self) -> None:
         """Subscribe."""
         self._estimate_in = self.create_subscription(
             StateEstimate, 'state_estimate', self._on_estimate, stream(self.lockstep)
@@ -92,7 +92,7 @@ class TrackerNode(ManagedNode):
             self._watch = self.steady_timer(0.05, self._check_silence)
         self.get_logger().info(f'tracking a path of {self._path.end:.1f} s')
 
-    def end(self):
+    def end(self) -> None:
         """Unsubscribe, and leave the arm braked."""
         if self._estimate_in is not None:
             self.destroy_subscription(self._estimate_in)
@@ -103,7 +103,7 @@ class TrackerNode(ManagedNode):
         if not (self._stopped or self.lockstep):
             self._stop_safely(self.get_clock().now().nanoseconds)
 
-    def _on_estimate(self, message):
+    def _on_estimate(self, message) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         self._received = self.get_clock().now().nanoseconds
         if self._last is not None and stamp <= self._last:
@@ -139,20 +139,20 @@ class TrackerNode(ManagedNode):
         self._publish_reference(stamp, reference)
         self._previous = stamp
 
-    def _stop(self):
+    def _stop(self) -> None:
         """Nothing is followed until the next estimate that can be trusted."""
         self._controller.reset()
         self._guide.stop()
         self._previous = None
         self._stopped = True
 
-    def _answer_again(self):
+    def _answer_again(self) -> None:
         """The same estimate again: somebody was restarted and has not heard the answer."""
         self._command_out.publish(self._command)
         if not self._command.safe_stop:
             self._reference_out.publish(self._reference)
 
-    def _publish_command(self, message, position, stamp, reference):
+    def _publish_command(self, message, position, stamp, reference) -> None:
         integrated = message.measured_position if self._integrates_measurement else position
         interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
         command = self._controller.update(
@@ -168,14 +168,14 @@ class TrackerNode(ManagedNode):
             return message.position
         return message.compensated_position if mode == 'confirmed' else message.measured_position
 
-    def _publish_reference(self, stamp, reference):
+    def _publish_reference(self, stamp, reference) -> None:
         message = self._reference
         set_stamp(message.header.stamp, stamp)
         message.position, message.velocity = reference.position, reference.velocity
         message.acceleration, message.tip_position = reference.acceleration, reference.tip
         self._reference_out.publish(message)
 
-    def _check_silence(self):
+    def _check_silence(self) -> None:
         """Stop safely when the observer is silent: the drives then brake."""
         if self._stopped:
             return
@@ -184,19 +184,19 @@ class TrackerNode(ManagedNode):
             self.get_logger().error(_SILENCE)
             self._stop_safely(now)
 
-    def _is_silence(self, interval):
+    def _is_silence(self, interval) -> bool:
         if self.lockstep:
             return False
         return interval > self.get_parameter('estimate_timeout').value * NANOSECONDS
 
-    def _stop_safely(self, stamp):
+    def _stop_safely(self, stamp) -> None:
         self._stop()
         set_stamp(self._command.header.stamp, stamp)
         self._command.torque, self._command.safe_stop = [0.0, 0.0], True
         self._command_out.publish(self._command)
 
 
-def main(argv=None):
+def main(argv=None) -> None:
     """Entry point of ``ros2 run lpv_tracker tracker``."""
     sys.exit(run_node(TrackerNode, argv))
 

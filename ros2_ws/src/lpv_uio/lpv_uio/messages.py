@@ -15,7 +15,7 @@ class OutputMessages:
         Of every header: the arm's name.
     """
 
-    def __init__(self, frame_id):
+    def __init__(self, frame_id: str) -> None:
         self._frame_id = frame_id
         self._state, self._fault = self._headed(StateEstimate()), self._headed(FaultEstimate())
 

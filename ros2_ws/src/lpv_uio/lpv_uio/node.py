@@ -148,14 +148,14 @@ class UioNode(ManagedNode):
     ``/diagnostics``.  Service: ``~/reset``.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('uio', SPECS)
         declare_gains(self)
         self._inputs = []
         self._watch = None
         self.add_on_set_parameters_callback(self._retune)
 
-    def setup(self):
+    def setup(self) -> None:
         """Read arm and gains, create publishers."""
         self._arm = load_arm(required_text(self, 'arm_file'))
         self._monitor = SensorMonitor(
@@ -183,7 +183,7 @@ class UioNode(ManagedNode):
         """Publishers to be matched before measurements are taken."""
         return {self._state_out: 1, self._fault_out: 0, self._diagnostics_out: 0}
 
-    def begin(self):
+    def begin(self) -> None:
         """Subscribe."""
         qos = stream(self.lockstep)
         self._inputs = [
@@ -197,7 +197,7 @@ class UioNode(ManagedNode):
             self._watch = self.steady_timer(0.1, self._check_silence)
         self.get_logger().info(f'observing {self._arm.name!r} with method {self._monitor.method!r}')
 
-    def end(self):
+    def end(self) -> None:
         """Unsubscribe."""
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
@@ -206,10 +206,10 @@ class UioNode(ManagedNode):
             self.destroy_timer(self._watch)
             self._watch = None
 
-    def _on_command(self, message):
+    def _on_command(self, message) -> None:
         self._torque = message.torque
 
-    def _on_measurement(self, message):
+    def _on_measurement(self, message) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         if self.lockstep and self._answer is not None and stamp <= self._answer.stamp:
             if stamp == self._answer.stamp:
@@ -229,7 +229,7 @@ class UioNode(ManagedNode):
         if answer is not None:
             self._publish(answer)
 
-    def _publish(self, answer):
+    def _publish(self, answer) -> None:
         if self._answer is None or self._stale:
             self.get_logger().info('measurements flow')
         self._stale = False
@@ -245,18 +245,18 @@ class UioNode(ManagedNode):
         if answer.status is not None:
             self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
 
-    def _publish_estimates(self, answer):
+    def _publish_estimates(self, answer) -> None:
         self._state_out.publish(self._messages.state(answer.stamp, answer.state))
         if answer.fault is not None:
             self._fault_out.publish(self._messages.fault(answer.stamp, answer.fault))
 
-    def _log(self, event):
+    def _log(self, event) -> None:
         if event.event == AlarmEvent.RAISED:
             self.get_logger().error(describe(event))
         else:
             self.get_logger().info(describe(event))
 
-    def _check_silence(self):
+    def _check_silence(self) -> None:
         if self._received is None or self._stale:
             return
         now = self.get_clock().now().nanoseconds
@@ -289,7 +289,7 @@ class UioNode(ManagedNode):
         return SetParametersResult(successful=True)
 
 
-def main(argv=None):
+def main(argv=None) -> None:
     """Entry point of ``ros2 run lpv_uio uio``."""
     sys.exit(run_node(UioNode, argv))
 

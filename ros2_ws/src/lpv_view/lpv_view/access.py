@@ -4,6 +4,7 @@ import hmac
 import ipaddress
 import secrets
 import socket
+from collections.abc import Iterable
 
 from lpv_core.support.errors import ConfigError
 
@@ -41,7 +42,9 @@ class Access:
         If the address is none, or the token is too short.
     """
 
-    def __init__(self, address, token='', hosts=(), origins=()):
+    def __init__(
+        self, address: str, token: str = '', hosts: Iterable[str] = (), origins: Iterable[str] = ()
+    ) -> None:
         self.loopback = is_loopback(address)
         if token and len(token) < _SHORTEST_TOKEN:
             raise ConfigError('token', f'must have at least {_SHORTEST_TOKEN} characters')
@@ -52,7 +55,7 @@ class Access:
             self._hosts |= {name, f'{name}.local'}
         self._origins = {o.lower().rstrip('/') for o in origins if o}
 
-    def refusal(self, headers):
+    def refusal(self, headers) -> str:
         """Why a request is refused.
 
         Parameters
@@ -82,7 +85,7 @@ class Access:
             return 'a request from another site'
         return ''
 
-    def accepts(self, token):
+    def accepts(self, token: str) -> bool:
         """Whether a token is the right one; takes the same time for every wrong one.
 
         Parameters
@@ -100,7 +103,7 @@ class Access:
         )
 
 
-def is_loopback(address):
+def is_loopback(address: str) -> bool:
     """Whether an address is of this machine alone.
 
     Parameters
@@ -137,7 +140,7 @@ def _host_name(host):
     return host.rsplit(':', 1)[0].lower() if host.count(':') == 1 else host.lower()
 
 
-def _is_address(name):
+def _is_address(name) -> bool:
     try:
         ipaddress.ip_address(name)
     except ValueError:

@@ -1,6 +1,7 @@
 """Alarm events as a list with one row for each alarm."""
 
 import math
+from typing import Any
 
 from lpv_core.observer.sampled_observer import NANOSECONDS
 
@@ -8,7 +9,7 @@ RAISED, UPDATED, CLEARED = range(3)
 _MOST_ROWS, _MOST_TEXT = 200, 100
 
 
-def seconds(nanoseconds):
+def seconds(nanoseconds: int) -> float:
     """Seconds of a stamp, to the microsecond.
 
     Parameters
@@ -33,12 +34,12 @@ class AlarmList:
         Whether rows changed since this flag was last lowered.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._rows, self._open = [], {}
         self._count = 0
         self.changed = False
 
-    def rows(self):
+    def rows(self) -> list[dict[str, Any]]:
         """The alarms, oldest first.
 
         Returns
@@ -49,7 +50,7 @@ class AlarmList:
         """
         return [dict(row) for row in self._rows]
 
-    def take(self, event):
+    def take(self, event: object) -> None:
         """Take one event.
 
         Parameters
@@ -80,7 +81,7 @@ class AlarmList:
         over = last is not None and event.event == CLEARED and last['onset'] == _time(event.onset)
         return last if over else None
 
-    def follow(self, faults):
+    def follow(self, faults: object) -> None:
         """End alarms that the diagnosis no longer reports, e.g. after it was reset.
 
         Parameters
@@ -106,7 +107,7 @@ class AlarmList:
                 del self._open[oldest['sensor']]
         return row
 
-    def _end(self, sensor, stamp):
+    def _end(self, sensor, stamp) -> None:
         self._open.pop(sensor)['ended'] = stamp
         self.changed = True
 

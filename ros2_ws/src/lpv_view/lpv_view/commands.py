@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from lpv_core.simulation.faults import KINDS
@@ -35,7 +36,7 @@ class Command:
     fields: dict = field(default_factory=dict)
 
 
-def parse_command(text, sensors):
+def parse_command(text: str, sensors: Sequence[str]) -> Command:
     """Read a client's message.
 
     Parameters
@@ -83,7 +84,7 @@ def _decode(text):
     return data
 
 
-def _refuse_constant(name):
+def _refuse_constant(name) -> None:
     raise ValueError(f'{name} is not JSON')
 
 

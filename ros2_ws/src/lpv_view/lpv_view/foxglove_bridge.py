@@ -3,6 +3,7 @@
 import logging
 import secrets
 from collections import deque
+from typing import Any
 
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
 from lpv_core.support.errors import ConfigError
@@ -47,7 +48,7 @@ class FoxgloveBridge:
         If foxglove-sdk is missing, a message type is not installed or no port can be had.
     """
 
-    def __init__(self, name, topics, band):
+    def __init__(self, name: str, topics: dict[str, Any], band: str) -> None:
         foxglove = _sdk()
         self._context = foxglove.Context()
         typestore = make_typestore()
@@ -78,7 +79,7 @@ class FoxgloveBridge:
         """Port of the SDK's server."""
         return self._server[0].port
 
-    def send(self, topic, data, stamp):
+    def send(self, topic: str, data: bytes, stamp: int) -> None:
         """Forward one message.
 
         Parameters
@@ -96,7 +97,7 @@ class FoxgloveBridge:
             kept.append((data, stamp))
         self._channels[topic].log(data, log_time=stamp)
 
-    def send_band(self, sample, stamp):
+    def send_band(self, sample: dict[str, Any], stamp: int) -> None:
         """Send estimate -+ bound and -+ threshold.
 
         Parameters
@@ -119,21 +120,21 @@ class FoxgloveBridge:
                 log_time=stamp,
             )
 
-    def restart(self):
+    def restart(self) -> None:
         """Time started anew: clients forget what they have."""
         for kept in self._kept.values():
             kept.clear()
         self._newest = 0
         self._server[0].clear_session()
 
-    def on_subscribe(self, client, channel):
+    def on_subscribe(self, client, channel) -> None:
         """Called by the SDK: a late client gets what was latched."""
         topic = self._by_id.get(channel.id)
         for data, stamp in list(self._kept.get(topic, ())):
             # As of now, or the client's time line would begin with the first of them.
             self._channels[topic].log(data, log_time=max(stamp, self._newest), sink_id=client.id)
 
-    def stop(self):
+    def stop(self) -> None:
         """Close all connections."""
         self._server[0].stop()
 
@@ -141,7 +142,7 @@ class FoxgloveBridge:
 class _Listener:
     """What the SDK asks of its listener; only one event matters."""
 
-    def __init__(self, on_subscribe):
+    def __init__(self, on_subscribe) -> None:
         self.on_subscribe = on_subscribe
 
     def __getattr__(self, name):

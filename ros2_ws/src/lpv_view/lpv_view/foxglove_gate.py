@@ -12,7 +12,7 @@ from lpv_view.server import guard
 _LARGEST_REQUEST, _LARGEST_MESSAGE = 1 << 16, 1 << 22
 
 
-def gate(access, address, port, max_clients=8):
+def gate(access, address, port, max_clients: int = 8) -> aiohttp.web.Application:
     """Application that lets accepted WebSockets through to the SDK's server.
 
     Parameters
@@ -81,7 +81,7 @@ async def _pass_on(request, url):
     return outside
 
 
-async def _pump(source, sink):
+async def _pump(source, sink) -> None:
     """Pass messages on; a slow sink makes the source wait, whose SDK then drops old messages."""
     async for message in source:
         if message.type == WSMsgType.TEXT:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 from collections import deque
+from typing import Any
 
 _MOST_WAITING = 64
 """A client with more messages waiting than this is let go; frames do not count."""
@@ -26,14 +27,14 @@ class Client:
         Prepared.
     """
 
-    def __init__(self, socket):
+    def __init__(self, socket) -> None:
         self._socket = socket
         self._waiting, self._frame = deque(), None
         self._wake = asyncio.Event()
         self.granted = self.welcomed = self.lost = self._ending = False
         self.wrong_tokens = 0
 
-    def put(self, text):
+    def put(self, text) -> None:
         """Queue a message that must arrive, or give the client up."""
         if len(self._waiting) >= _MOST_WAITING:
             self.close()
@@ -41,23 +42,23 @@ class Client:
             self._waiting.append(text)
             self._wake.set()
 
-    def put_frame(self, text):
+    def put_frame(self, text) -> None:
         """Put the newest frame in place of one that was not sent yet."""
         if self.welcomed:
             self._frame = text
             self._wake.set()
 
-    def close(self):
+    def close(self) -> None:
         """Give the client up."""
         self.lost = True
         self._wake.set()
 
-    def finish(self):
+    def finish(self) -> None:
         """Send what must arrive, then no more."""
         self._ending, self._frame = True, None
         self._wake.set()
 
-    async def write(self):
+    async def write(self) -> None:
         """Send what is queued until the client is lost or all is said."""
         while not self.lost and not self._socket.closed:
             if self._ending and not self._waiting:
@@ -85,10 +86,10 @@ class Hub:
         Open ones.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.clients = set()
 
-    def welcome(self, hello):
+    def welcome(self, hello: dict[str, Any]) -> None:
         """Send the first message to clients that have not had it.
 
         Parameters
@@ -102,14 +103,14 @@ class Hub:
                 client.put(text)
                 client.welcomed = True
 
-    def frame(self, message):
+    def frame(self, message) -> None:
         """Send a frame to all; a slow client skips some."""
         if self.clients:
             text = encode(message)
             for client in self.clients:
                 client.put_frame(text)
 
-    def tell(self, message):
+    def tell(self, message) -> None:
         """Send a message to all that must arrive."""
         text = encode(message)
         for client in self.clients:

@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from typing import Any
 
 from lpv_core.export.urdf import frame_angles
 from lpv_core.model.joint_order import JointOrder
@@ -49,7 +50,7 @@ class LiveModel:
         Whether each of ``inject``, ``clear`` and ``reset`` is there to be called.
     """
 
-    def __init__(self, arm, path=None):
+    def __init__(self, arm, path=None) -> None:
         self._arm, self._path = arm, path
         self._order = JointOrder(arm.joint_names)
         self.alarms = AlarmList()
@@ -59,7 +60,7 @@ class LiveModel:
         self._statuses = {}
         self._stamp = None
 
-    def take(self, source, message, now):
+    def take(self, source: str, message: object, now: float) -> None:
         """Take one message.
 
         Parameters
@@ -82,7 +83,7 @@ class LiveModel:
         else:
             raise KeyError(source)
 
-    def _take_statuses(self, message):
+    def _take_statuses(self, message) -> None:
         for status in message.status:
             level = _index(status.level)
             if status.name not in self._statuses and len(self._statuses) >= _MOST_STATUSES:
@@ -93,7 +94,7 @@ class LiveModel:
                 'message': status.message[:_MOST_TEXT],
             }
 
-    def hello(self):
+    def hello(self) -> dict[str, Any]:
         """What a client is told first.
 
         Returns
@@ -128,7 +129,7 @@ class LiveModel:
             and {'center': _numbers(obstacle.center), 'radius': obstacle.radius},
         }
 
-    def frame(self, now):
+    def frame(self, now: float) -> dict[str, Any]:
         """The present, for the clients that are connected; also adds it to the history.
 
         Parameters
@@ -164,7 +165,7 @@ class LiveModel:
         )
         return result
 
-    def arms(self, now):
+    def arms(self, now: float) -> dict[str, Any]:
         """Joint positions of the arms to draw.
 
         Parameters

@@ -92,11 +92,11 @@ class ViewNode(ManagedNode):
 
     _server = _foxglove = _requests = _ticker = None  # also if the constructor fails
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__(ONLOOKER, SPECS)
         self._inboxes, self._subscriptions_in = [], []
 
-    def setup(self):
+    def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
         arm = load_arm(required_text(self, 'arm_file'))
         scenario = self.get_parameter('scenario_file').value
@@ -115,7 +115,7 @@ class ViewNode(ManagedNode):
         self._inboxes = [Inbox(topic, forward(topic), period) for topic in TOPICS]
         self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
 
-    def _create_publishers(self):
+    def _create_publishers(self) -> None:
         once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._outputs = {
             name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
@@ -133,7 +133,7 @@ class ViewNode(ManagedNode):
         else:
             self._outputs['/tf'] = (self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS)
 
-    def _open(self, arm):
+    def _open(self, arm) -> None:
         """Open the ports; says once where they are."""
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
         address = value['address']
@@ -179,7 +179,7 @@ class ViewNode(ManagedNode):
     def _forwarder(self, topic):
         name = self.resolve_topic_name(topic.name)
 
-        def forward(data):
+        def forward(data) -> None:
             stamp = _leading_stamp(data)
             restarted = self._stamp is not None and stamp < self._stamp - NANOSECONDS
             if restarted and not topic.every:  # those of the latter are latched, and may be old
@@ -192,7 +192,7 @@ class ViewNode(ManagedNode):
 
         return forward
 
-    def _describe(self, arm):
+    def _describe(self, arm) -> None:
         descriptions = []
         for colours in ((), (_GREEN,)):
             try:
@@ -203,11 +203,11 @@ class ViewNode(ManagedNode):
         self._described = [self._scene.text(text) for text in descriptions]
         self._describe_again()
 
-    def _describe_again(self):
+    def _describe_again(self) -> None:
         for name, data in zip(_DESCRIPTIONS, self._described):
             self._publish(name, data, self._stamp)
 
-    def begin(self):
+    def begin(self) -> None:
         """Subscribe."""
         self._subscriptions_in = [
             self.create_subscription(
@@ -216,13 +216,13 @@ class ViewNode(ManagedNode):
             for inbox in self._inboxes
         ]
 
-    def end(self):
+    def end(self) -> None:
         """Unsubscribe; the page stays, and says that nothing comes."""
         for subscription in self._subscriptions_in:
             self.destroy_subscription(subscription)
         self._subscriptions_in = []
 
-    def teardown(self):
+    def teardown(self) -> None:
         """Close the ports and destroy what `setup` created."""
         if self._ticker is not None:
             self.destroy_timer(self._ticker)
@@ -237,12 +237,12 @@ class ViewNode(ManagedNode):
                     self.destroy_publisher(publisher)
         self._server = self._foxglove = self._requests = self._ticker = None
 
-    def destroy_node(self):
+    def destroy_node(self) -> None:
         """Close the ports, however the node ends."""
         self.teardown()
         super().destroy_node()
 
-    def _tick(self):
+    def _tick(self) -> None:
         self._requests.work()
         for inbox in self._inboxes:
             for received, message in inbox.take():
@@ -262,7 +262,7 @@ class ViewNode(ManagedNode):
         self._server.frame(frame)
         self._publish_arms(self._model.arms(now), frame['sample'], every_second)
 
-    def _publish_arms(self, arms, sample, with_path):
+    def _publish_arms(self, arms, sample, with_path) -> None:
         stamp = self._model.stamp()
         if stamp is None or not any(arms.values()):
             return
@@ -271,7 +271,7 @@ class ViewNode(ManagedNode):
         self._publish('arm_markers', self._scene.markers(arms, stamp, with_path), stamp)
         self._publish('/tf', self._scene.tree(arms, stamp), stamp)
 
-    def _publish(self, name, data, stamp):
+    def _publish(self, name, data, stamp) -> None:
         publisher, _ = self._outputs[name]
         if publisher is not None:
             publisher.publish(data)
@@ -287,7 +287,7 @@ def _leading_stamp(data):
     return max(0, seconds) * NANOSECONDS + nanoseconds
 
 
-def main(argv=None):
+def main(argv=None) -> None:
     """Entry point of ``ros2 run lpv_view view``."""
     sys.exit(run_node(ViewNode, argv))
 

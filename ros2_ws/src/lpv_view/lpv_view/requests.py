@@ -2,6 +2,8 @@
 
 import queue
 import time
+from collections.abc import Callable
+from typing import Any
 
 from std_srvs.srv import Trigger
 
@@ -22,7 +24,7 @@ class Requests:
         Owns the clients.
     """
 
-    def __init__(self, node):
+    def __init__(self, node) -> None:
         self._node = node
         self._clients = {
             'inject': node.create_client(InjectFault, 'arm_sim/inject_fault'),
@@ -32,7 +34,7 @@ class Requests:
         self._incoming = queue.Queue(_MOST)
         self._pending = []
 
-    def submit(self, command, reply):
+    def submit(self, command, reply: Callable[..., Any]) -> bool:
         """Queue a command; called in the server's thread.
 
         Parameters
@@ -57,7 +59,7 @@ class Requests:
         """Whether each service is there, by name."""
         return {name: client.service_is_ready() for name, client in self._clients.items()}
 
-    def work(self):
+    def work(self) -> None:
         """Send queued commands, pass on answers; called regularly in the node's thread."""
         while len(self._pending) < _MOST and not self._incoming.empty():
             self._send(*self._incoming.get_nowait())
@@ -76,7 +78,7 @@ class Requests:
                 waiting.append((client, future, reply, deadline))
         self._pending = waiting
 
-    def _send(self, command, reply):
+    def _send(self, command, reply) -> None:
         client = self._clients[command.name]
         if not client.service_is_ready():
             reply(False, f'{client.srv_name} is not there')
@@ -85,7 +87,7 @@ class Requests:
         future = client.call_async(client.srv_type.Request(**command.fields))
         self._pending.append((client, future, reply, time.monotonic() + _PATIENCE))
 
-    def close(self):
+    def close(self) -> None:
         """Destroy the clients."""
         for client in self._clients.values():
             self._node.destroy_client(client)

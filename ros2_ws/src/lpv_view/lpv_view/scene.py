@@ -1,5 +1,7 @@
 """Markers and transforms of the arms, for RViz and Foxglove, as serialised messages."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_core.export.urdf import BASE, points, transforms
@@ -28,12 +30,12 @@ class Scene:
         Path of the scenario, with its obstacle.
     """
 
-    def __init__(self, arm, typestore, path=None):
+    def __init__(self, arm, typestore, path=None) -> None:
         self._arm, self._store, self._types = arm, typestore, typestore.types
         self._path = path
         self._width = 0.05 * sum(arm.lengths) / 2
 
-    def markers(self, arms, stamp, with_path=False):
+    def markers(self, arms: dict[str, Any], stamp: int, with_path: bool = False) -> bytes:
         """The arms as lines with dots on the joints.
 
         Parameters
@@ -95,7 +97,7 @@ class Scene:
             result.append(marker)
         return result
 
-    def tree(self, arms, stamp):
+    def tree(self, arms, stamp) -> bytes:
         """Transforms of the true and the estimated arm, with the frame prefixes of their names.
 
         Parameters

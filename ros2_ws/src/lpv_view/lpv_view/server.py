@@ -4,7 +4,9 @@ import asyncio
 import contextlib
 import threading
 import time
+from collections.abc import Callable, Sequence
 from importlib import resources
+from typing import Any
 
 from aiohttp import WSMsgType, web
 
@@ -58,7 +60,9 @@ class ViewServer:
         More are refused.
     """
 
-    def __init__(self, access, sensors, submit, max_clients=16):
+    def __init__(
+        self, access, sensors: Sequence[str], submit: Callable[..., Any], max_clients: int = 16
+    ) -> None:
         self._access, self._sensors, self._submit = access, tuple(sensors), submit
         self._max_clients = max_clients
         self._hub = Hub()
@@ -66,7 +70,7 @@ class ViewServer:
         self._loop = asyncio.new_event_loop()
         self._runners, self._thread = [], None
 
-    def start(self, sites):
+    def start(self, sites: Sequence[tuple[Any, ...]]) -> list[int]:
         """Open the ports and start serving.
 
         Parameters
@@ -112,19 +116,19 @@ class ViewServer:
             ) from error
         return runner.addresses[0][1]
 
-    def _run(self):
+    def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
         self._loop.run_forever()
         self._loop.run_until_complete(self._close())
         self._loop.close()
 
-    async def _close(self):
+    async def _close(self) -> None:
         for client in self._hub.clients:
             client.close()
         for runner in self._runners:
             await runner.cleanup()
 
-    def stop(self):
+    def stop(self) -> None:
         """Close all connections and ports; may be called twice."""
         if self._thread is not None:
             self._loop.call_soon_threadsafe(self._loop.stop)
@@ -150,19 +154,19 @@ class ViewServer:
         """Whether a client waits for its first message; see `welcome`."""
         return self._hub.newcomers
 
-    def welcome(self, hello):
+    def welcome(self, hello) -> None:
         """Send new clients their first message: they get frames from then on."""
         self._call(self._hub.welcome, {**hello, 'token_needed': bool(self._access.token)})
 
-    def frame(self, message):
+    def frame(self, message) -> None:
         """Send a frame to all clients; those that are slow skip some."""
         self._call(self._hub.frame, message)
 
-    def tell(self, message):
+    def tell(self, message) -> None:
         """Send a message to all clients that none of them may miss."""
         self._call(self._hub.tell, message)
 
-    def _call(self, function, *arguments):
+    def _call(self, function, *arguments) -> None:
         with contextlib.suppress(RuntimeError):  # closed meanwhile
             self._loop.call_soon_threadsafe(function, *arguments)
 
@@ -197,7 +201,7 @@ class ViewServer:
                 await asyncio.wait_for(socket.close(), 3.0)
         return socket
 
-    async def _read(self, socket, client):
+    async def _read(self, socket, client) -> None:
         allowance, last = _BURST, time.monotonic()
         async for message in socket:
             now = time.monotonic()
@@ -224,14 +228,14 @@ class ViewServer:
             client.put(_reply(command, False, 'the token is needed for this'))
             return True
 
-        def reply(ok, text):
+        def reply(ok, text) -> None:
             self._call(client.put, _reply(command, ok, text))
 
         if not self._submit(command, reply):
             client.put(_reply(command, False, 'busy with earlier commands: try again'))
         return True
 
-    async def _on_token(self, client, command):
+    async def _on_token(self, client, command) -> bool:
         client.granted = self._access.accepts(command.fields['token'])
         if client.granted:
             client.put(_reply(command, True, 'token accepted'))
@@ -242,7 +246,7 @@ class ViewServer:
         return client.wrong_tokens < _MOST_WRONG_TOKENS
 
 
-def guard(access):
+def guard(access) -> Callable[..., Any]:
     """Middleware that refuses requests from elsewhere and adds security headers.
 
     Parameters

@@ -1,7 +1,9 @@
 """Topics that the live view listens to, and how."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
@@ -78,12 +80,12 @@ class Inbox:
         Shortest time between two that are forwarded, unless every one counts [s].
     """
 
-    def __init__(self, topic, forward, period):
+    def __init__(self, topic: Topic, forward: Callable[..., Any] | None, period: float) -> None:
         self.topic = topic
         self._forward, self._period = forward, period
         self._waiting, self._due = [], 0.0
 
-    def store(self, data):
+    def store(self, data) -> None:
         """Callback of the subscription."""
         now = time.monotonic()
         if self.topic.every:
@@ -95,7 +97,7 @@ class Inbox:
             self._due = max(self._due + self._period, now - self._period)
             self._forward(data)
 
-    def take(self):
+    def take(self) -> list[tuple[Any, ...]]:
         """Messages since the last call.
 
         Returns

@@ -58,7 +58,7 @@ class McapBag:
         If nothing can be read.
     """
 
-    def __init__(self, path, metadata=None, damage=None):
+    def __init__(self, path: str | Path, metadata=None, damage: str | None = None) -> None:
         self.path, self.metadata = Path(path), metadata
         self.warnings, self.parts, self.connections = [], [], []
         self.known, self._maps = {}, []
@@ -68,7 +68,7 @@ class McapBag:
             self.close()
             raise
 
-    def _open(self, damage):
+    def _open(self, damage) -> None:
         errors = []
         for path in self._paths():
             try:
@@ -82,13 +82,13 @@ class McapBag:
         self._connect()
         self._compare_counts()
 
-    def close(self):
+    def close(self) -> None:
         """Give the files back."""
         for file, _ in self.parts:
             file.close()
         self.parts = []
 
-    def _warn(self, text):
+    def _warn(self, text) -> None:
         self.warnings.append(text)
         _LOG.warning('%s: %s', self.path, text)
 
@@ -106,12 +106,12 @@ class McapBag:
             self._warn(f'{FILE_NAME} names files that are missing: {", ".join(missing)}')
         return [path for path in named if path.is_file()] or self._nothing()
 
-    def _nothing(self):
+    def _nothing(self) -> None:
         raise BagError(
             f'{self.path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files'
         )
 
-    def _open_file(self, path):
+    def _open_file(self, path) -> None:
         file = McapFile(path)
         try:
             found = survey(file)
@@ -134,7 +134,7 @@ class McapBag:
 
     # -------------------------------------------------------------- topics
 
-    def _connect(self):
+    def _connect(self) -> None:
         """One connection for each topic, type and QoS, whatever numbers the files give them."""
         found = {}
         for file, result in self.parts:
@@ -186,7 +186,7 @@ class McapBag:
             self,
         )
 
-    def _compare_counts(self):
+    def _compare_counts(self) -> None:
         """Messages that are announced in metadata.yaml and are not there."""
         if self.metadata is None:
             return
@@ -209,7 +209,7 @@ class McapBag:
         """Time after the log time of the last message [ns]; 0 without messages."""
         return max((b.end + 1 for _, found in self.parts for b in found.blocks), default=0)
 
-    def connections_of(self, part):
+    def connections_of(self, part: int):
         """Connection by the channel number of a file.
 
         Parameters
@@ -226,7 +226,7 @@ class McapBag:
 
     # -------------------------------------------------------------- messages
 
-    def messages(self, connections=(), start=None, stop=None):
+    def messages(self, connections=(), start: int | None = None, stop: int | None = None):
         """Messages in the order of their log times.
 
         Parameters

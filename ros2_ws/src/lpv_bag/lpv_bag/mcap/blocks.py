@@ -20,7 +20,7 @@ class Unsuitable(Exception):
     """The bag is damaged, or of a kind that is not read here."""
 
 
-def bag_blocks(bag, connections, start, stop, block_size):
+def bag_blocks(bag, connections, start: int | None, stop: int | None, block_size: int):
     """Messages of a bag.
 
     Parameters

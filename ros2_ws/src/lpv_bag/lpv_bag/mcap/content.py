@@ -1,7 +1,7 @@
 """Contents of chunks: decompression in bounds, and the records in them."""
 
 import zlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import lz4.frame
 import zstandard
@@ -48,7 +48,7 @@ def _stream(data, compression):
 
 
 class _Lz4Stream:
-    def __init__(self, data):
+    def __init__(self, data) -> None:
         self._decompressor, self._data = lz4.frame.LZ4FrameDecompressor(), bytes(data)
 
     def read(self, limit):
@@ -58,7 +58,7 @@ class _Lz4Stream:
         return self._decompressor.decompress(data, limit)
 
 
-def inflate(data, compression, size, crc):
+def inflate(data, compression: str, size: int, crc: int) -> bytes:
     """Content of a whole chunk, checked.
 
     Parameters
@@ -95,7 +95,7 @@ def inflate(data, compression, size, crc):
     return content
 
 
-def inflate_part(data, compression, size):
+def inflate_part(data, compression: str, size: int) -> bytes:
     """The beginning of a chunk's content, as far as it can be had.
 
     Parameters
@@ -120,7 +120,7 @@ def inflate_part(data, compression, size):
         return b''
 
 
-def records(content, wanted=None):
+def records(content: bytes, wanted: set[int] | None = None) -> tuple[Any, ...]:
     """Messages, schemas and channels of a chunk's content.
 
     Parameters

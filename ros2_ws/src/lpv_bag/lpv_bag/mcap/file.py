@@ -79,14 +79,14 @@ class Survey:
     damages: list = field(default_factory=list)
     library: str = ''
 
-    def define(self, record):
+    def define(self, record) -> None:
         """Take a schema or channel; DamageError if its number means something else already."""
         known = self.channels if hasattr(record, 'topic') else self.schemas
         if known.setdefault(record.id, record) != record:
             raise DamageError(f'the number {record.id} means two different topics or schemas')
 
 
-def release(data):
+def release(data: mmap.mmap | bytes) -> None:
     """Unmap the pages of a mapped file that have been read: they count as memory otherwise.
 
     Parameters
@@ -112,7 +112,7 @@ class McapFile:
         If it cannot be read or is empty.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         try:
             with open(path, 'rb') as file:
@@ -121,11 +121,11 @@ class McapFile:
             reason = 'is empty' if isinstance(error, ValueError) else f'cannot be read ({error})'
             raise BagError(f'{path}: {reason}') from None
 
-    def close(self):
+    def close(self) -> None:
         """Give the file back."""
         self.data.close()
 
-    def content(self, block):
+    def content(self, block: Block) -> bytes:
         """Checked content of a block.
 
         Parameters

@@ -87,7 +87,7 @@ class Cursor:
         Of one record.
     """
 
-    def __init__(self, content):
+    def __init__(self, content) -> None:
         self._content, self.at = memoryview(content), 0
 
     def take(self, count):
@@ -121,7 +121,7 @@ class Cursor:
         """Bytes that are left."""
         return len(self._content) - self.at
 
-    def finish(self):
+    def finish(self) -> None:
         """Check that the content is used up."""
         if self.left:
             raise DamageError('a record is longer than its content')
@@ -154,7 +154,7 @@ def parse_channel(content):
     return result
 
 
-def parse_chunk(content, whole=True):
+def parse_chunk(content, whole: bool = True):
     """`Chunk` from a record's content; DamageError if it is none.
 
     Parameters

@@ -20,7 +20,7 @@ _CANDIDATE = re.compile(rb'[\x01-\x0f][\s\S]{4}\x00{4}')
 """A record that may begin here: a known opcode, and a length below 4 GiB."""
 
 
-def scan(file, reason):
+def scan(file, reason: str) -> Survey:
     """Read a file without its summary, all of it, going on behind what is damaged.
 
     Parameters
@@ -56,7 +56,7 @@ def scan(file, reason):
 class _Scan:
     """One pass over a file, from record to record; behind damage, to the next good record."""
 
-    def __init__(self, file, reason, loose=False):
+    def __init__(self, file, reason, loose: bool = False) -> None:
         self._file, self._data = file, file.data
         self._result = Survey(damages=[reason])
         self._loose = None  # messages outside of chunks: first and last byte
@@ -100,7 +100,7 @@ class _Scan:
             self._damage(f'the record at byte {at} is of the unknown kind {opcode}')
         return end
 
-    def _other(self, opcode, content, at):
+    def _other(self, opcode, content, at) -> None:
         found, result = PARSERS[opcode](content), self._result
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             result.define(found)
@@ -115,7 +115,7 @@ class _Scan:
 
     # -------------------------------------------------------------- chunks
 
-    def _chunk(self, at, content):
+    def _chunk(self, at, content) -> None:
         head = parse_chunk(content)
         block = Block(
             at + head.data_offset,
@@ -136,7 +136,7 @@ class _Scan:
             self._damage(f'the chunk at byte {at - 9} is damaged ({error})')
             self._last_chunk = block
 
-    def _cut_chunk(self, at):
+    def _cut_chunk(self, at) -> None:
         """The file ends within a chunk: its beginning can often be had."""
         try:
             head = parse_chunk(self._data[at : at + 64], whole=False)
@@ -156,7 +156,7 @@ class _Scan:
         if offset < len(self._data) < offset + head.data_size:
             self._use(block, self._file.content(block))
 
-    def _use(self, block, content):
+    def _use(self, block, content) -> None:
         """Take a chunk's definitions; its times by its messages, its head has no checksum."""
         messages, definitions, wrong = records(content)
         if wrong and not block.cut:
@@ -172,7 +172,7 @@ class _Scan:
 
     # -------------------------------------------------------------- messages outside of chunks
 
-    def _take_loose(self, at, end):
+    def _take_loose(self, at, end) -> None:
         if not (self._trusted or self._has_loose):
             # Most likely from within a chunk whose head is damaged: no checksum covers it.
             raise DamageError('a message without its chunk')
@@ -182,7 +182,7 @@ class _Scan:
         self._loose = (self._loose[0] if self._loose else at, end)
         self._doubtful = at
 
-    def _finish_loose(self):
+    def _finish_loose(self) -> None:
         """Consecutive messages become a block without compression or checksum."""
         if self._loose is None:
             return
@@ -210,7 +210,7 @@ class _Scan:
         self._damage(f'{end - at} bytes from byte {at} on are damaged ({error})')
         return found
 
-    def _damage(self, text):
+    def _damage(self, text) -> None:
         if len(self._result.damages) < _MOST_DAMAGES:
             self._result.damages.append(text)
 
@@ -243,7 +243,7 @@ class _Scan:
         opcode, length = HEADER.unpack_from(self._data, end)
         return opcode in PARSERS and length < MAX_RECORD
 
-    def _use_summary(self):
+    def _use_summary(self) -> None:
         """Definitions and statistics of the summary, if it is whole."""
         try:
             for opcode, content in walk_summary(self._data, *summary_span(self._data)):

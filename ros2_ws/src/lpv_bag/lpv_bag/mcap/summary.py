@@ -30,7 +30,7 @@ class Unindexed(DamageError):
     """A summary is whole, but one has to read all data to find the messages."""
 
 
-def summary_span(data):
+def summary_span(data) -> tuple[int, ...]:
     """Where the summary is.
 
     Parameters
@@ -61,7 +61,7 @@ def summary_span(data):
     return start, footer
 
 
-def walk_summary(data, at, end):
+def walk_summary(data, at: int, end: int):
     """Records of a summary.
 
     Parameters
@@ -91,7 +91,7 @@ def walk_summary(data, at, end):
         at += 9 + length
 
 
-def from_summary(data):
+def from_summary(data) -> Survey:
     """What a file holds by its summary.
 
     Checksums of chunks stand in their heads, and what the heads say must be what the summary says.
@@ -121,7 +121,7 @@ def from_summary(data):
     return result
 
 
-def _take_summary(result, opcode, content):
+def _take_summary(result, opcode, content) -> None:
     if opcode == Opcode.SCHEMA:
         result.define(parse_schema(content))
     elif opcode == Opcode.CHANNEL:
@@ -154,7 +154,7 @@ def _take_summary(result, opcode, content):
         raise DamageError(f'its summary holds a record of kind {opcode}')
 
 
-def _check_blocks(data, result, end):
+def _check_blocks(data, result, end) -> None:
     """Take the checksums of the chunks, and hold their heads against the index.
 
     A file without statistics, or with messages outside of chunks, is read as a whole.

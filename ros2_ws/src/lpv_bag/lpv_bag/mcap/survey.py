@@ -1,6 +1,7 @@
 """What an MCAP file holds, and where: from its summary, or, if that is damaged, from the data."""
 
 from collections import Counter
+from typing import Any
 
 from mcap.opcode import Opcode
 
@@ -58,7 +59,7 @@ def _library(data):
         return ''
 
 
-def read_metadata(file, found):
+def read_metadata(file, found) -> list[tuple[Any, ...]]:
     """Metadata records of a survey, by name; those that are damaged are left out.
 
     Parameters

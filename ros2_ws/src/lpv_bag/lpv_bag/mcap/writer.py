@@ -9,6 +9,7 @@ nobody can go on from, and defines topics in the first chunk alone.
 import os
 import struct
 import zlib
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -91,7 +92,7 @@ class McapWriter:
         If the file cannot be made.
     """
 
-    def __init__(self, path, preset='none', fsync=False):
+    def __init__(self, path: str | Path, preset: str = 'none', fsync: bool = False) -> None:
         self.path, self._preset, self._fsync = path, PRESETS[preset], fsync
         self._compress = None
         if self._preset.level is not None:
@@ -104,7 +105,7 @@ class McapWriter:
         self._file = open(path, 'xb', buffering=0)  # noqa: SIM115
         self._put(MAGIC + _bytes(Header('ros2', LIBRARY)))
 
-    def _begin_chunk(self):
+    def _begin_chunk(self) -> None:
         self._content, self._chunk_start, self._chunk_end = bytearray(), None, 0
         self._entries = {}
 
@@ -132,7 +133,9 @@ class McapWriter:
 
     # -------------------------------------------------------------- messages
 
-    def write(self, channel, log_time, data, publish_time, sequence):
+    def write(
+        self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int
+    ) -> None:
         """Take a message; a chunk that is full is cut.
 
         Parameters
@@ -171,14 +174,14 @@ class McapWriter:
         if len(content) >= self._preset.chunk_size:
             self.cut()
 
-    def _define(self):
+    def _define(self) -> None:
         builder = RecordBuilder()
         for record in self._new:
             record.write(builder)
         self._content += builder.end()
         self._new = []
 
-    def cut(self):
+    def cut(self) -> None:
         """End the chunk, if it has messages, and hand it to the operating system.
 
         Raises
@@ -194,7 +197,7 @@ class McapWriter:
             content, {channel: np.array(values, '<u8') for channel, values in entries.items()}
         )
 
-    def put_chunk(self, content, entries):
+    def put_chunk(self, content, entries: dict[int, np.ndarray]) -> None:
         """Write a chunk that is ready.
 
         Parameters
@@ -215,7 +218,7 @@ class McapWriter:
             self._new = []
         self._put_chunk(content, entries)
 
-    def _put_chunk(self, content, entries):
+    def _put_chunk(self, content, entries) -> None:
         if _is_repeated(len(self._indexes) + 1):
             self._new = [*self._schemas, *self._channels]
         start = min(int(values[::2].min()) for values in entries.values())
@@ -249,7 +252,7 @@ class McapWriter:
         for channel, values in entries.items():
             self.counts[channel] += len(values) // 2
 
-    def _put(self, *parts):
+    def _put(self, *parts) -> None:
         """Write all of it or nothing: half a record would hide what comes behind it."""
         try:
             for part in parts:
@@ -266,7 +269,7 @@ class McapWriter:
 
     # -------------------------------------------------------------- end
 
-    def add_metadata(self, name, values):
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record.
 
         Parameters
@@ -296,7 +299,7 @@ class McapWriter:
             + 1000
         )
 
-    def finish(self):
+    def finish(self) -> str:
         """Write the summary and close the file.
 
         Where there is no room for it, the file is ended without a summary, so that it can be read
@@ -368,7 +371,7 @@ class McapWriter:
         )
 
 
-def _is_repeated(chunk):
+def _is_repeated(chunk) -> bool:
     """Whether a chunk repeats all definitions: no damaged one then costs the others theirs."""
     return chunk % _REPEAT == 0 or chunk & (chunk - 1) == 0
 

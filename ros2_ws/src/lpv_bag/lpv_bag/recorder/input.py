@@ -1,10 +1,13 @@
 """What a recorder hears: raw messages of topics that come and go."""
 
+from __future__ import annotations
+
 import fnmatch
 import importlib
 import struct
+from collections.abc import Callable
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -92,7 +95,9 @@ class RecorderInput:
         Takes a type's name; raises ValueError where its definition is not installed.
     """
 
-    def __init__(self, node, selection, check_type):
+    def __init__(
+        self, node: rclpy.node.Node, selection: Selection, check_type: Callable[..., Any]
+    ) -> None:
         self._node, self._selection, self._check_type = node, selection, check_type
         self._own = rclpy.create_node(
             f'{node.get_name()}_input',
@@ -111,14 +116,14 @@ class RecorderInput:
         """Names of the topics that are listened to."""
         return list(self._subscriptions)
 
-    def close(self):
+    def close(self) -> None:
         """Stop listening."""
         self._subscriptions = {}
         self._own.destroy_node()
 
     # -------------------------------------------------------------- subscribing
 
-    def search(self):
+    def search(self) -> list[tuple[Any, ...]]:
         """Subscribe to wanted topics that have a publisher now.
 
         Returns
@@ -144,7 +149,7 @@ class RecorderInput:
                 found += [entry] if entry else []
         return found
 
-    def _is_recorder(self, publisher):
+    def _is_recorder(self, publisher) -> bool:
         return (
             publisher.node_name == self._node.get_name()
             and publisher.node_namespace == self._node.get_namespace()
@@ -172,7 +177,7 @@ class RecorderInput:
         self._subscriptions[topic] = (subscription, stamped, msgtype, reliable, latched)
         return topic, msgtype, qos_profile(reliable, latched, depth)
 
-    def _check_match(self, topic, publishers):
+    def _check_match(self, topic, publishers) -> None:
         """A publisher that came later may offer less than was asked for, or another type."""
         _, _, msgtype, reliable, latched = self._subscriptions[topic]
         for publisher in publishers:
@@ -196,7 +201,7 @@ class RecorderInput:
 
     # -------------------------------------------------------------- taking
 
-    def poll(self):
+    def poll(self) -> list[Heard]:
         """Everything that has come since the last time.
 
         Returns
@@ -229,7 +234,7 @@ class RecorderInput:
         return [heard for _, heard in found]
 
 
-def _nobody(_):
+def _nobody(_) -> None:
     """Callback that is never called."""
 
 
@@ -239,11 +244,11 @@ def _publisher(info):
     return gid.get('data') if isinstance(gid, dict) else gid
 
 
-def _reliable(publisher):
+def _reliable(publisher) -> bool:
     return publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
 
 
-def _latched(publisher):
+def _latched(publisher) -> bool:
     return publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
@@ -252,12 +257,12 @@ def _message_class(msgtype):
     return getattr(importlib.import_module(f'{package}.{kind}'), name)
 
 
-def _starts_with_time(message_class):
+def _starts_with_time(message_class) -> bool:
     first = next(iter(message_class.get_fields_and_field_types().values()), '')
     return first in ('std_msgs/Header', 'builtin_interfaces/Time')
 
 
-def leading_stamp(data):
+def leading_stamp(data: bytes) -> int | None:
     """Stamp of a CDR message whose first field is a Header or a Time.
 
     Parameters

@@ -36,7 +36,7 @@ class TopicCount:
     _steps: deque = field(default_factory=lambda: deque(maxlen=_WINDOW))
     _period: int = 0
 
-    def take(self, publisher=None, sequence=None):
+    def take(self, publisher: bytes | None = None, sequence: int | None = None) -> None:
         """Count a message.
 
         Parameters
@@ -57,7 +57,7 @@ class TopicCount:
         else:  # it was counted as lost when the next one came
             self.lost = max(0, self.lost - 1)
 
-    def stamp(self, stamp):
+    def stamp(self, stamp) -> None:
         """Take note of a message's stamp [ns]."""
         if self._newest is None:
             self._newest = stamp
@@ -74,7 +74,7 @@ class TopicCount:
         if len(self._steps) == _WINDOW and self.messages % (_WINDOW // 2) == 0:
             self._judge()
 
-    def _judge(self):
+    def _judge(self) -> None:
         """The period, if nine steps of ten are within a quarter of it."""
         steps = sorted(self._steps)
         period = steps[_WINDOW // 2]
@@ -97,7 +97,7 @@ def as_metadata(known):
     return {'topics': text, 'crc32': f'{zlib.crc32(text.encode()):08x}'}
 
 
-def from_metadata(values):
+def from_metadata(values: dict[str, str]) -> dict[str, dict[str, int]]:
     """Counts by topic from a metadata record.
 
     Parameters

@@ -1,5 +1,7 @@
 """Recorder node: topics into a rosbag2 directory, exact bytes as they came."""
 
+from __future__ import annotations
+
 import sys
 import time
 from pathlib import Path
@@ -106,7 +108,7 @@ class RecorderNode(ManagedNode):
 
     drain_time = 0.5
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('recorder', SPECS)
         self._writer = self._input = None
         self._clockwork = []
@@ -119,7 +121,7 @@ class RecorderNode(ManagedNode):
         # Nobody wants to read in a bag how it was written; and it would differ between runs.
         self._own_mark = self._label.encode() + b'\0'
 
-    def setup(self):
+    def setup(self) -> None:
         """Open the bag."""
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
         names = frozenset(self.resolve_topic_name(name) for name in value['topics'])
@@ -143,7 +145,7 @@ class RecorderNode(ManagedNode):
         if gains is not None:
             copy_gains(gains, self._writer.path)
 
-    def begin(self):
+    def begin(self) -> None:
         """Listen to the wanted topics."""
         if self._writer is None:
             self.get_logger().error('the bag is closed: a new recording needs a new node')
@@ -156,7 +158,7 @@ class RecorderNode(ManagedNode):
         what = f'{len(self._selection.names)} topics' if self._selection.names else 'all topics'
         self.get_logger().info(f'recording {what} into {self._writer.path}')
 
-    def stopping(self):
+    def stopping(self) -> None:
         """What was published until now is to be recorded."""
         self._stopping = time.time_ns()
 
@@ -164,7 +166,7 @@ class RecorderNode(ManagedNode):
         """Messages taken so far that were published before the node was told to stop."""
         return self._taken
 
-    def end(self):
+    def end(self) -> None:
         """Take what is left, and close the bag."""
         for timer in self._clockwork:
             self.destroy_timer(timer)
@@ -177,13 +179,13 @@ class RecorderNode(ManagedNode):
             self._close()
             self._report()
 
-    def teardown(self):
+    def teardown(self) -> None:
         """Close the bag of a recording that never began."""
         self.end()
 
     # -------------------------------------------------------------- messages
 
-    def _search(self):
+    def _search(self) -> None:
         if self._input is None:
             return
         for topic, msgtype, offered in self._input.search():
@@ -191,7 +193,7 @@ class RecorderNode(ManagedNode):
             self._types[topic] = msgtype
             self._counts[topic] = TopicCount()
 
-    def _poll(self):
+    def _poll(self) -> None:
         for heard in self._input.poll() if self._input is not None else ():
             if self._stopping is None or heard.sent < self._stopping:
                 self._taken += 1
@@ -202,7 +204,7 @@ class RecorderNode(ManagedNode):
         if self._writer is not None and time.monotonic() - self._flushed >= self._flush_period:
             self._flush()
 
-    def _take(self, heard):
+    def _take(self, heard) -> None:
         count = self._counts[heard.topic]
         count.take(heard.publisher, heard.sequence)
         if heard.stamp is not None:
@@ -218,7 +220,7 @@ class RecorderNode(ManagedNode):
         else:
             self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
 
-    def _write(self, topic, stamp, data, sent=None):
+    def _write(self, topic, stamp, data, sent=None) -> None:
         if self._writer is None:
             return
         try:
@@ -231,13 +233,13 @@ class RecorderNode(ManagedNode):
         except OSError as error:
             self._fail(error.strerror or str(error))
 
-    def _announce_all(self):
+    def _announce_all(self) -> None:
         """Topics in the order of their names, however they were found."""
         for topic in sorted(self._announced):
             msgtype, offered = self._announced.pop(topic)
             self._writer.add_topic(topic, msgtype, [offered])
 
-    def _flush(self):
+    def _flush(self) -> None:
         self._flushed = time.monotonic()
         try:
             if self._writer.room() < _SPARE:
@@ -249,7 +251,7 @@ class RecorderNode(ManagedNode):
 
     # -------------------------------------------------------------- end
 
-    def _fail(self, reason):
+    def _fail(self, reason) -> None:
         """Stop recording; the node lives on to say so."""
         if self._failure:
             return
@@ -258,7 +260,7 @@ class RecorderNode(ManagedNode):
         self.get_logger().fatal(f'recording stopped: {reason}; {self._kept}')
         self._report()
 
-    def _close(self):
+    def _close(self) -> None:
         writer, self._writer = self._writer, None
         if self._input is not None:
             self._input.close()
@@ -272,7 +274,7 @@ class RecorderNode(ManagedNode):
             self._kept += f', without {missing}: lpv recover repairs it'
         self.get_logger().info(self._kept)
 
-    def _report(self):
+    def _report(self) -> None:
         """State of the recording on /diagnostics."""
         status = DiagnosticStatus(
             name=self._label,
@@ -302,7 +304,7 @@ class RecorderNode(ManagedNode):
                 yield f'{topic} {name}', value
 
 
-def main(argv=None):
+def main(argv=None) -> None:
     """Entry point of ``ros2 run lpv_bag recorder``."""
     sys.exit(run_node(RecorderNode, argv))
 

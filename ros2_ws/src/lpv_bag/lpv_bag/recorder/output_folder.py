@@ -11,7 +11,7 @@ GAINS_NAME = 'gains.yaml'
 """Of the copy of the gains that a run was answered with."""
 
 
-def free_path(path):
+def free_path(path: str | Path) -> Path:
     """The path itself, or the first of ``path_1``, ``path_2``, ... that nothing is at.
 
     Parameters
@@ -31,7 +31,7 @@ def free_path(path):
     return next(name for name in names if not os.path.lexists(name))
 
 
-def read_gains_file(path):
+def read_gains_file(path: str | Path) -> bytes:
     """Text of a gains file, for `copy_gains`.
 
     Parameters
@@ -56,7 +56,7 @@ def read_gains_file(path):
         raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
 
 
-def copy_gains(data, folder):
+def copy_gains(data: bytes, folder: Path) -> None:
     """Lay a gains file beside the files of a bag.
 
     Parameters

@@ -1,6 +1,8 @@
 """Messages of a lockstep run in an order that does not depend on who was heard first."""
 
 import heapq
+from collections.abc import Callable
+from typing import Any
 
 WINDOW = 500_000_000
 """How far stamps may run ahead of a message that is still to come [ns].
@@ -21,13 +23,13 @@ class StampOrder:
         Takes topic, stamp [ns] and data of each message, in order.
     """
 
-    def __init__(self, write):
+    def __init__(self, write: Callable[..., Any]) -> None:
         self._write = write
         self._heap = []
         self._count = 0
         self._newest = 0
 
-    def add(self, topic, stamp, data):
+    def add(self, topic: str, stamp: int, data: bytes) -> None:
         """Take one message.
 
         Parameters
@@ -46,11 +48,11 @@ class StampOrder:
         while self._heap[0][0] < self._newest - WINDOW:
             self._release()
 
-    def flush(self):
+    def flush(self) -> None:
         """Release everything that is left."""
         while self._heap:
             self._release()
 
-    def _release(self):
+    def _release(self) -> None:
         stamp, topic, _, data = heapq.heappop(self._heap)
         self._write(topic, stamp, data)

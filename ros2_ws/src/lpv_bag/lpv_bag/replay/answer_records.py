@@ -1,5 +1,7 @@
 """Answers as records of messages, thousands at once, byte for byte as one by one."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lpv_bag.mcap.blocks import RECORD_HEADER
@@ -13,7 +15,7 @@ ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
 DIAGNOSTICS_TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
 
 
-def padded_cdr(typestore, message, msgtype):
+def padded_cdr(typestore, message: object, msgtype: str) -> bytes:
     """CDR of a message, padded to four bytes.
 
     Parameters
@@ -51,7 +53,7 @@ class RecordTemplate:
         Id of the channel.
     """
 
-    def __init__(self, typestore, message, msgtype, channel):
+    def __init__(self, typestore, message: object, msgtype: str, channel: int) -> None:
         data = padded_cdr(typestore, message, msgtype)
         layout = find_layout(data, msgtype, typestore)
         self._record = record_head(channel, 0, len(data)) + data
@@ -70,7 +72,7 @@ class RecordTemplate:
         )
         self._fields, self._records = layout.fields, np.empty(0, self._dtype)
 
-    def fill(self, time, stamp, values):
+    def fill(self, time: np.ndarray, stamp: np.ndarray, values) -> np.ndarray:
         """Records of messages.
 
         Parameters
@@ -102,11 +104,11 @@ class RecordTemplate:
             self._copy(np.asarray(values), records)
         return records
 
-    def _set(self, records, name, array):
+    def _set(self, records, name, array) -> None:
         values = np.ascontiguousarray(array, self._fields[name].dtype)
         records[name] = np.frombuffer(values, self._dtype[name]) if len(values) else ()
 
-    def _copy(self, values, records):
+    def _copy(self, values, records) -> None:
         """Fields that follow each other here and there are one piece."""
         runs = []
         for name in values.dtype.names:
@@ -152,7 +154,9 @@ class AnswerEncoder:
         Channel ids of ``state``, ``fault``, ``alarm`` and ``diagnostics``.
     """
 
-    def __init__(self, messages, typestore, sensor_names, channels):
+    def __init__(
+        self, messages, typestore, sensor_names: Sequence[str], channels: dict[str, int]
+    ) -> None:
         self._messages, self._typestore, self.channels = messages, typestore, channels
         self._state = self._template(STATE_TYPE, 'state', {})
         self._fault = self._template(FAULT_TYPE, 'fault', {'sensor_names': list(sensor_names)})

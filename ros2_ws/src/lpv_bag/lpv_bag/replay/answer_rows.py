@@ -8,7 +8,7 @@ from lpv_core.support.errors import SampleError
 _ARRAYS = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault')
 
 
-def take_all(monitor, measured, torque, rejected):
+def take_all(monitor, measured, torque: np.ndarray, rejected):
     """Answers to the measurements of a block.
 
     Parameters

@@ -21,12 +21,14 @@ class BlockInjector:
         Knows the arm.
     """
 
-    def __init__(self, injector, monitor):
+    def __init__(self, injector, monitor) -> None:
         self._injector = injector
         self._arm, self._joints = monitor.arm, JointMap(monitor.arm)
         self._start, self._active = None, False
 
-    def apply(self, block, positions, measured, places):
+    def apply(
+        self, block, positions: np.ndarray, measured, places: dict[str, np.ndarray]
+    ) -> dict[int, object]:
         """Change measurements, in their arrays and in the bytes that will be copied.
 
         Parameters
@@ -73,7 +75,7 @@ class BlockInjector:
         return changed
 
     @staticmethod
-    def _write(block, measured, places, active):
+    def _write(block, measured, places, active) -> None:
         regular = np.flatnonzero(active & (places['position'][:, 0] >= 0))
         if len(regular):
             block.data = block.data.copy()
@@ -91,7 +93,7 @@ class BlockInjector:
             )
         return self._joints.joint_from_sensor(faulty), velocity
 
-    def _odd(self, message, time):
+    def _odd(self, message, time) -> bool:
         try:
             columns = [list(message.name).index(name) for name in self._arm.joint_names]
             faulty = self._faulty(message.position[columns], message.velocity[columns], time)

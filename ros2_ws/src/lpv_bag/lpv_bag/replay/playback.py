@@ -2,6 +2,8 @@
 
 import math
 import time
+from collections.abc import Callable
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
@@ -44,16 +46,18 @@ class Playback:
         reader,
         connections,
         publishers,
-        rate=1.0,
+        rate: float = 1.0,
         clock=None,
-        tick=None,
-        going_on=lambda: True,
-    ):
+        tick: int | None = None,
+        going_on: Callable[..., Any] = lambda: True,
+    ) -> None:
         self._reader, self._connections, self._publishers = reader, connections, publishers
         self._rate, self._clock, self._tick = rate, clock, tick
         self._going_on = going_on
 
-    def run(self, start=None, stop=None, origin=None):
+    def run(
+        self, start: int | None = None, stop: int | None = None, origin: int | None = None
+    ) -> int:
         """Play once.
 
         Parameters
@@ -95,7 +99,7 @@ class Playback:
             for i in range(len(block)):
                 yield (self._connections[block.connection[i]], int(block.time[i]), block.message(i))
 
-    def _sleep(self, wall, elapsed):
+    def _sleep(self, wall, elapsed) -> bool:
         """Sleep until a time of the bag has come; False if the player is to end."""
         while self._going_on():
             rest = wall + elapsed / NANOSECONDS / self._rate - time.monotonic()
@@ -105,7 +109,7 @@ class Playback:
         return False
 
 
-def await_acknowledgement(publishers, longest):
+def await_acknowledgement(publishers, longest: float) -> None:
     """Let slow subscribers take the last messages.
 
     Parameters

@@ -2,7 +2,10 @@
 
 import importlib
 import time
+from collections.abc import Callable, Sequence
 from itertools import count
+from pathlib import Path
+from typing import Any
 
 import rclpy
 from rclpy.context import Context
@@ -54,15 +57,15 @@ class Player:
 
     def __init__(
         self,
-        bag,
-        topics=None,
-        measured=None,
-        rate=1.0,
-        loop=False,
-        clock_rate=100.0,
-        wait=5.0,
-        interval=(None, None),
-    ):
+        bag: str | Path,
+        topics: Sequence[str] | None = None,
+        measured: str | None = None,
+        rate: float = 1.0,
+        loop: bool = False,
+        clock_rate: float = 100.0,
+        wait: float = 5.0,
+        interval: tuple[float, ...] | None = (None, None),
+    ) -> None:
         for name, value, low, high in (
             ('--rate', rate, 1e-3, 1e3),
             ('--wait', wait, 0.0, 1e6),
@@ -78,7 +81,7 @@ class Player:
         self._tick = round(NANOSECONDS / clock_rate) if clock_rate else None
         self._interval = interval
 
-    def run(self, say=lambda text: None, rounds=None):
+    def run(self, say: Callable[..., Any] = lambda text: None, rounds: int | None = None) -> int:
         """Play until the end, or until the context is shut down.
 
         Parameters
@@ -138,7 +141,7 @@ class Player:
         answers = {f'{prefix}/{name}' for name, _ in OUTPUTS.values()} | {DIAGNOSTICS, _CLOCK}
         return [c for c in reader.connections if c.topic not in answers]
 
-    def _await(self, publishers, say):
+    def _await(self, publishers, say) -> None:
         """Wait for somebody who listens, and until no more come."""
         counts, since = [0] * len(publishers), time.monotonic()
         deadline = since + self._wait

@@ -3,8 +3,11 @@
 import shutil
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -116,12 +119,19 @@ class Replay:
         Fields of ``options`` by name.
     """
 
-    def __init__(self, monitor, options=None, injector=None, on_event=None, **changes):
+    def __init__(
+        self,
+        monitor,
+        options: ReplayOptions | None = None,
+        injector=None,
+        on_event: Callable[..., Any] | None = None,
+        **changes,
+    ) -> None:
         self._monitor, self._injector = monitor, injector
         self._options = replace(options or ReplayOptions(), **changes)
         self._on_event = on_event or (lambda event: None)
 
-    def run(self, bag, out):
+    def run(self, bag: str | Path, out: str | Path) -> ReplayResult:
         """Replay one bag.
 
         All topics are copied unless the options say otherwise, except earlier answers of the
@@ -162,7 +172,9 @@ class Replay:
                 raise
         return result
 
-    def watch(self, bag, take, streams=()):
+    def watch(
+        self, bag: str | Path, take: Callable[..., Any], streams: Sequence[str] = ()
+    ) -> ReplayResult:
         """Run over one bag and write nothing.
 
         Parameters
@@ -208,7 +220,7 @@ class Replay:
             self._on_event(event)
         return answers
 
-    def _run(self, reader, inputs, writer, result):
+    def _run(self, reader, inputs, writer, result) -> None:
         with Behind(lambda *parts: writer.write(*parts, result)) as write:
             for batch in ahead(self._batches(reader, inputs, writer, result)):
                 write(batch, self._answer(batch, result))

@@ -1,5 +1,7 @@
 """The bag that a replay writes: copies of recorded messages, and answers."""
 
+from pathlib import Path
+
 import numpy as np
 
 from lpv_bag.replay.answer_records import (
@@ -51,7 +53,7 @@ class ReplayWriter:
         If the bag exists already or cannot be made.
     """
 
-    def __init__(self, path, monitor, prefix, preset):
+    def __init__(self, path: str | Path, monitor, prefix: str, preset: str) -> None:
         self._monitor, self._prefix = monitor, prefix
         self._own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.values()}
         self._bag = ChunkBagWriter(
@@ -59,7 +61,7 @@ class ReplayWriter:
         )
         self._copied, self._buffer = set(), Buffer()
 
-    def announce(self, connections, copy):
+    def announce(self, connections, copy: bool) -> None:
         """Announce topics.
 
         Parameters
@@ -89,7 +91,7 @@ class ReplayWriter:
             channels,
         )
 
-    def is_copied(self, connection):
+    def is_copied(self, connection) -> bool:
         """Whether messages of a connection are copied."""
         return connection.topic in self._copied
 
@@ -122,7 +124,7 @@ class ReplayWriter:
         copied = np.flatnonzero(channels >= 0)
         return copied, channels[copied]
 
-    def write(self, batch, answers, result):
+    def write(self, batch: object, answers: object, result) -> None:
         """Write copies and answers of one block.
 
         Parameters
@@ -172,7 +174,7 @@ class ReplayWriter:
             )
         return assembly.finish()
 
-    def _add_copies(self, assembly, batch):
+    def _add_copies(self, assembly, batch) -> None:
         copied, channels = batch.copied, batch.channels
         if batch.changed and len(copied):
             # Messages that were changed by injected faults, and whose size may differ now.
@@ -189,7 +191,7 @@ class ReplayWriter:
             copied, channels = copied[left], channels[left]
         assembly.add_copies(_SLOTS * copied + _COPY, batch.block, copied, channels)
 
-    def close(self):
+    def close(self) -> None:
         """Finish the bag.
 
         Raises
@@ -203,6 +205,6 @@ class ReplayWriter:
                 'bag', f'cannot be written as a whole: {missing} is missing', str(self._bag.path)
             )
 
-    def abandon(self):
+    def abandon(self) -> None:
         """Close files, whatever they hold."""
         self._bag.close()

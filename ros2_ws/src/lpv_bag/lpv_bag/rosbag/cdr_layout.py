@@ -57,7 +57,7 @@ class Field:
     count: int
 
 
-def rows(buffer, dtype, starts=None):
+def rows(buffer: np.ndarray, dtype: np.dtype, starts: np.ndarray | None = None) -> np.ndarray:
     """Parts of a buffer that start at any byte, as an array of their type.
 
     Parameters
@@ -102,7 +102,7 @@ class Layout:
         Strings by their path; they are part of the shape.
     """
 
-    def __init__(self, data, msgtype, typestore):
+    def __init__(self, data: bytes, msgtype: str, typestore) -> None:
         self.size, self.fields, self.strings = len(data), {}, {}
         self._data, self._typestore = bytes(data), typestore
         self._fixed = [(0, 2)]
@@ -115,7 +115,7 @@ class Layout:
         self._words = self._constant_words()
         del self._data, self._typestore, self._position
 
-    def match(self, buffer, starts, sizes):
+    def match(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         """Which messages have this shape.
 
         Parameters
@@ -139,7 +139,7 @@ class Layout:
         found[found] = same
         return found
 
-    def read(self, buffer, starts, name):
+    def read(self, buffer: np.ndarray, starts: np.ndarray, name: str) -> np.ndarray:
         """Numbers of messages of this shape.
 
         Parameters
@@ -163,7 +163,7 @@ class Layout:
         found = rows(buffer, f'V{size}', starts + field.offset)
         return found.view(field.dtype).reshape(len(starts), field.count)
 
-    def stamps(self, buffer, starts, name='header.stamp'):
+    def stamps(self, buffer, starts, name: str = 'header.stamp'):
         """Times of messages of this shape as nanoseconds, int64, shape (k,)."""
         seconds = self.read(buffer, starts, f'{name}.sec')[:, 0].astype(np.int64)
         return seconds * 1_000_000_000 + self.read(buffer, starts, f'{name}.nanosec')[:, 0]
@@ -179,11 +179,11 @@ class Layout:
                 start += size
         return found
 
-    def _message(self, path, msgtype):
+    def _message(self, path, msgtype) -> None:
         for name, node in self._typestore.fielddefs[msgtype][1]:
             self._node(f'{path}.{name}' if path else name, node)
 
-    def _node(self, path, node):
+    def _node(self, path, node) -> None:
         kind, what = int(node[0]), node[1]
         if kind == _NAME:
             self._message(path, what)
@@ -196,7 +196,7 @@ class Layout:
         else:
             self._numbers(path, what[0], 1)
 
-    def _elements(self, path, node, count):
+    def _elements(self, path, node, count) -> None:
         kind, what = int(node[0]), node[1]
         if kind == _NAME:
             for i in range(count):
@@ -208,7 +208,7 @@ class Layout:
         else:
             self._numbers(path, what[0], count)
 
-    def _align(self, size):
+    def _align(self, size) -> None:
         self._position += -(self._position - _HEADER) % size
 
     def _advance(self, size):
@@ -223,7 +223,7 @@ class Layout:
         self._fixed.append((start, start + 4))
         return struct.unpack_from('<I', self._data, start)[0]
 
-    def _string(self, path):
+    def _string(self, path) -> None:
         length = self._length()
         start = self._advance(length)
         if length == 0 or self._data[start + length - 1] != 0:
@@ -233,7 +233,7 @@ class Layout:
         text = self._data[start : start + length - 1].decode()
         self.strings.setdefault(path, []).append(text)
 
-    def _numbers(self, path, kind, count):
+    def _numbers(self, path, kind, count) -> None:
         if kind not in _SIZES:
             raise _NoLayout
         size = np.dtype(_SIZES[kind]).itemsize
@@ -242,7 +242,7 @@ class Layout:
         self.fields[path] = Field(self._advance(size * count), _SIZES[kind], count)
 
 
-def find_layout(data, msgtype, typestore):
+def find_layout(data: bytes, msgtype: str, typestore) -> Layout | None:
     """Layout of a message.
 
     Parameters

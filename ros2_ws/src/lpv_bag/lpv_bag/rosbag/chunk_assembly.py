@@ -13,7 +13,7 @@ _FEW = 16
 class Buffer:
     """Memory that is used again and again: fresh pages cost more than what is written to them."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._data = np.empty(0, np.uint8)
 
     def take(self, size):
@@ -34,11 +34,11 @@ class ChunkAssembly:
         Memory for the chunk.
     """
 
-    def __init__(self, slots, buffer=None):
+    def __init__(self, slots: int, buffer: Buffer | None = None) -> None:
         self._sizes, self._buffer = np.zeros(slots, np.int64), buffer
         self._arrays, self._single = [], []
 
-    def add_rows(self, slots, records):
+    def add_rows(self, slots: np.ndarray, records: np.ndarray) -> None:
         """Add records of one size and channel.
 
         Parameters
@@ -52,7 +52,7 @@ class ChunkAssembly:
             self._sizes[slots] = records.dtype.itemsize
             self._arrays.append((slots, records))
 
-    def add_message(self, slot, channel, time, data):
+    def add_message(self, slot: int, channel: int, time: int, data: bytes) -> None:
         """Add one message behind those that are in a slot already.
 
         Parameters
@@ -69,7 +69,7 @@ class ChunkAssembly:
         self._single.append((slot, int(self._sizes[slot]), channel, time, data))
         self._sizes[slot] += RECORD_HEADER + len(data)
 
-    def add_copies(self, slots, block, chosen, channel):
+    def add_copies(self, slots: np.ndarray, block, chosen: np.ndarray, channel: np.ndarray) -> None:
         """Add messages of a block.
 
         Parameters

@@ -1,6 +1,7 @@
 """Bags that are written a chunk at a time."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -22,7 +23,7 @@ RECORD = np.dtype(
 _SEQUENCE = RECORD.fields['sequence'][1]
 
 
-def record_head(channel, time, size):
+def record_head(channel: int, time: int, size: int) -> bytes:
     """Head of a message's record.
 
     Parameters
@@ -60,7 +61,9 @@ class ChunkBagWriter(BagWriter):
         If it exists already or cannot be made.
     """
 
-    def __init__(self, path, preset='none', custom_data=None):
+    def __init__(
+        self, path: str | Path, preset: str = 'none', custom_data: dict[str, str] | None = None
+    ) -> None:
         self._custom_data = custom_data or {}
         super().__init__(path, preset)
 
@@ -68,7 +71,7 @@ class ChunkBagWriter(BagWriter):
         """Channel id of an announced topic."""
         return self._channels[topic]
 
-    def write_chunk(self, data, index):
+    def write_chunk(self, data: np.ndarray, index) -> None:
         """Write a chunk.
 
         Parameters

@@ -1,6 +1,7 @@
 """Whether a bag means by a message type what this software means."""
 
 import functools
+from collections.abc import Iterable
 
 from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.interfaces import make_typestore
@@ -8,7 +9,7 @@ from lpv_bag.rosbag.interfaces import make_typestore
 _STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
 
 
-def check_definition(reader, msgtype, fields):
+def check_definition(reader, msgtype: str, fields: Iterable[str]) -> None:
     """Check that fields of a message type are there, and are what they are expected to be.
 
     A definition may have more fields: bags outlive the version that wrote them.

@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from lpv_core.support.errors import ConfigError
 
 
-def share_folders(package):
+def share_folders(package: str) -> list[Path]:
     """Folders that may hold a package's interface files, in order of preference.
 
     Parameters
@@ -29,7 +29,7 @@ def share_folders(package):
     return folders
 
 
-def message_text(msgtype):
+def message_text(msgtype: str) -> str:
     """Definition of a message type from its ``.msg`` file.
 
     Parameters
@@ -58,7 +58,7 @@ def message_text(msgtype):
     )
 
 
-def add_type(typestore, msgtype):
+def add_type(typestore, msgtype: str) -> None:
     """Make a type known to a typestore, with the types that it uses.
 
     Parameters

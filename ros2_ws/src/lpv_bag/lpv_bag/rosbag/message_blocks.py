@@ -43,7 +43,9 @@ class Block:
         return self.data[start : start + self.size[index]].tobytes()
 
 
-def read_blocks(reader, connections, start=None, stop=None, fast=True):
+def read_blocks(
+    reader, connections, start: int | None = None, stop: int | None = None, fast: bool = True
+):
     """Messages of some connections in the order of ``reader.messages``.
 
     MCAP files in good order are read a chunk at a time.  Everything else, and every file in which

@@ -1,5 +1,7 @@
 """Puts the fields of lpv_core.monitoring.message_fields into messages of a bag's typestore."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_core.observer.sampled_observer import NANOSECONDS
@@ -18,7 +20,7 @@ class BagMessages:
         Of every header.
     """
 
-    def __init__(self, typestore, frame_id):
+    def __init__(self, typestore, frame_id: str) -> None:
         self._types, self._frame_id = typestore.types, frame_id
 
     def time(self, nanoseconds):
@@ -30,7 +32,7 @@ class BagMessages:
         frame_id = self._frame_id if frame_id is None else frame_id
         return self._types['std_msgs/msg/Header'](self.time(stamp), frame_id)
 
-    def make(self, msgtype, stamp, fields):
+    def make(self, msgtype: str, stamp: int, fields: dict[str, Any]) -> object:
         """A message of lpv_msgs.
 
         Parameters

@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 from rosbags.rosbag2.metadata import dump_qos_v9
@@ -48,7 +49,7 @@ class BagMetadata:
     custom: dict
 
 
-def read_metadata(folder):
+def read_metadata(folder: str | Path) -> BagMetadata:
     """Read the metadata of a bag.
 
     Parameters
@@ -108,7 +109,7 @@ def _parse(data):
     )
 
 
-def qos_data(profiles):
+def qos_data(profiles) -> list[dict[str, Any]]:
     """Offered QoS as metadata.yaml has them.
 
     Parameters
@@ -124,7 +125,7 @@ def qos_data(profiles):
     return dump_qos_v9(list(profiles))
 
 
-def dump(data):
+def dump(data: object) -> str:
     """YAML text.
 
     Parameters
@@ -147,7 +148,9 @@ def dump(data):
     )
 
 
-def bag_information(files, topics, custom):
+def bag_information(
+    files: list[tuple[Any, ...]], topics: list[tuple[Any, ...]], custom: dict[str, str]
+) -> dict[str, Any]:
     """Content of metadata.yaml.
 
     Parameters

@@ -12,7 +12,7 @@ from rosbags.interfaces import (
 _FOREVER = QosTime(2147483647, 4294967295)
 
 
-def qos_profile(reliable, transient_local, depth):
+def qos_profile(reliable: bool, transient_local: bool, depth: int):
     """Offered QoS as stored beside a topic.
 
     Parameters

@@ -2,16 +2,18 @@
 
 import queue
 import threading
+from collections.abc import Callable
+from typing import Any
 
 _END = object()
 
 
 class _Failure:
-    def __init__(self, error):
+    def __init__(self, error) -> None:
         self.error = error
 
 
-def ahead(items, depth=2):
+def ahead(items, depth: int = 2):
     """Items of an iterable that is advanced by another thread.
 
     Parameters
@@ -28,7 +30,7 @@ def ahead(items, depth=2):
     """
     waiting, stop = queue.Queue(depth), threading.Event()
 
-    def put(item):
+    def put(item) -> None:
         while not stop.is_set():
             try:
                 waiting.put(item, timeout=0.1)
@@ -36,7 +38,7 @@ def ahead(items, depth=2):
             except queue.Full:
                 continue
 
-    def work():
+    def work() -> None:
         source = iter(items)
         try:
             for item in source:
@@ -77,7 +79,7 @@ class Behind:
         How many calls may wait.
     """
 
-    def __init__(self, function, depth=2):
+    def __init__(self, function: Callable[..., Any], depth: int = 2) -> None:
         self._function, self._waiting = function, queue.Queue(depth)
         self._error, self._dropped = None, False
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -86,13 +88,13 @@ class Behind:
         self._thread.start()
         return self
 
-    def __call__(self, *arguments):
+    def __call__(self, *arguments) -> None:
         """Call the function soon."""
         if self._error is not None:
             raise self._error
         self._waiting.put(arguments)
 
-    def _work(self):
+    def _work(self) -> None:
         while (arguments := self._waiting.get()) is not _END:
             if self._error is None and not self._dropped:
                 try:
@@ -100,7 +102,7 @@ class Behind:
                 except BaseException as error:  # raised again by the thread that called
                     self._error = error
 
-    def __exit__(self, kind, *_):
+    def __exit__(self, kind, *_) -> None:
         self._dropped = kind is not None
         self._waiting.put(_END)
         self._thread.join()

@@ -30,7 +30,7 @@ class BagReader:
         What the recorder stored of each topic: ``lost``, ``late``, ``gaps``.
     """
 
-    def __init__(self, path, source, typestore):
+    def __init__(self, path, source, typestore) -> None:
         self.paths, self._source, self._typestore = [path], source, typestore
         self.warnings = getattr(source, 'warnings', [])
         self.known = getattr(source, 'known', {})
@@ -67,7 +67,7 @@ class BagReader:
             store.register(found)
         return store
 
-    def messages(self, connections=(), start=None, stop=None):
+    def messages(self, connections=(), start: int | None = None, stop: int | None = None):
         """Messages in the order of their log times.
 
         Parameters
@@ -90,7 +90,7 @@ class BagReader:
         with damage(self.paths[0]):
             yield from self._source.messages(connections, start=start, stop=stop)
 
-    def deserialize(self, rawdata, typ):
+    def deserialize(self, rawdata: bytes, typ: str) -> object:
         """Decode a message.
 
         Parameters
@@ -115,7 +115,7 @@ class BagReader:
                 return self._source.deserialize(rawdata, typ)
             return self.typestore_of(typ).deserialize_cdr(rawdata, typ)
 
-    def typestore_of(self, msgtype):
+    def typestore_of(self, msgtype: str):
         """Typestore that knows a type as this bag defines it.
 
         Parameters
@@ -175,7 +175,7 @@ def _types(msgtype, kind, text):
 
 
 @contextlib.contextmanager
-def damage(path):
+def damage(path: Path):
     """What readers, parsers and decompressors raise, as a BagError that names the bag.
 
     Parameters
@@ -199,7 +199,7 @@ def damage(path):
 
 
 @contextlib.contextmanager
-def open_bag(path, typestore=None):
+def open_bag(path: str | Path, typestore=None):
     """Open a bag; whatever goes wrong in reading is a BagError with a message.
 
     MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from lpv_bag.mcap.content import records
 from lpv_bag.mcap.survey import read_metadata
@@ -62,12 +63,12 @@ class Recovery:
         return sum(topic.lost for topic in self.topics.values())
 
     @property
-    def nothing_lost(self):
+    def nothing_lost(self) -> bool:
         """Whether every message that was ever recorded is in the new bag."""
         return not (self.lost or self.end_missing or self.attachments)
 
 
-def recover(path, out=None, preset='zstd_fast'):
+def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
     """Write what can be read of a bag into a new one.
 
     Messages keep their times and their order.  A chunk whose checksum is wrong is left out as a
@@ -140,7 +141,7 @@ def _copy_gains(bag, out):
     return []
 
 
-def _copy_metadata(part, writer):
+def _copy_metadata(part, writer) -> None:
     """Other people's metadata records."""
     for name, values in read_metadata(*part):
         if name not in ('rosbag2', RECORD_NAME):
@@ -150,7 +151,7 @@ def _copy_metadata(part, writer):
 class _Tally:
     """Goes through the messages of a bag in the order of its files, and counts."""
 
-    def __init__(self, bag):
+    def __init__(self, bag) -> None:
         self._bag, self._result = bag, Recovery()
         # Numbers go through all files of a bag; a single file may be any one of them.
         self._sequences = {c.topic: 0 for c in bag.connections} if bag.path.is_dir() else {}
@@ -189,19 +190,19 @@ class _Tally:
             self._expect(connections, found, there)
             self._found += there
 
-    def _drop(self, connections, block):
+    def _drop(self, connections, block) -> None:
         for number, count in block.counts.items():
             if number in connections:
                 self._dropped[connections[number].topic] += count
 
-    def _follow(self, topic, sequence):
+    def _follow(self, topic, sequence) -> None:
         """Our recordings number the messages of a topic: what is missing is then known."""
         step = (sequence - self._sequences.get(topic, sequence - 1)) & 0xFFFFFFFF
         if 0 < step < _ORDER:
             self._gaps[topic] += step - 1
             self._sequences[topic] = sequence
 
-    def _expect(self, connections, found, there):
+    def _expect(self, connections, found, there) -> None:
         """What the file's own statistics say is missing."""
         if found.counts is None:
             return

@@ -3,7 +3,7 @@
 import os
 import resource
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -73,7 +73,15 @@ class BagWriter:
         If it exists already or cannot be made.
     """
 
-    def __init__(self, path, preset='none', split_size=0, split_time=0, chunk_time=0, fsync=False):
+    def __init__(
+        self,
+        path: str | Path,
+        preset: str = 'none',
+        split_size: int = 0,
+        split_time: int = 0,
+        chunk_time: int = 0,
+        fsync: bool = False,
+    ) -> None:
         self.path = Path(path)
         self.typestore = make_typestore()
         self._preset, self._fsync = preset, fsync
@@ -95,12 +103,12 @@ class BagWriter:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self.close()
 
     # -------------------------------------------------------------- topics
 
-    def check_type(self, msgtype):
+    def check_type(self, msgtype: str) -> None:
         """Make sure that a type's definition can be stored.
 
         Parameters
@@ -115,7 +123,7 @@ class BagWriter:
         """
         add_type(self.typestore, msgtype)
 
-    def add_topic(self, topic, msgtype, profiles=()):
+    def add_topic(self, topic: str, msgtype: str, profiles=()) -> None:
         """Announce a topic.
 
         Parameters
@@ -140,7 +148,7 @@ class BagWriter:
             )
         )
 
-    def copy_topic(self, connection):
+    def copy_topic(self, connection) -> None:
         """Announce a topic as another bag has it, with its own message definition.
 
         Parameters
@@ -180,12 +188,12 @@ class BagWriter:
             )
         )
 
-    def _add(self, topic):
+    def _add(self, topic) -> None:
         self._topics[topic.name] = topic
         self.counts[topic.name] = 0
         self._define(topic)
 
-    def _define(self, topic):
+    def _define(self, topic) -> None:
         schema = (topic.msgtype, topic.definition)
         if schema not in self._schemas:
             self._schemas[schema] = self._file.add_schema(
@@ -202,7 +210,7 @@ class BagWriter:
 
     # -------------------------------------------------------------- messages
 
-    def without_garbage(self, msgtype, data):
+    def without_garbage(self, msgtype: str, data: bytes) -> bytes:
         """A serialised message with zeros between its fields.
 
         What is there has no meaning, and some serialisers leave there what was in memory.
@@ -227,7 +235,9 @@ class BagWriter:
         except Exception:  # many kinds; such a message is recorded as it came
             return data
 
-    def write_raw(self, topic, timestamp, data, publish_time=None):
+    def write_raw(
+        self, topic: str, timestamp: int, data: bytes, publish_time: int | None = None
+    ) -> None:
         """Write a serialised message.
 
         Parameters
@@ -256,7 +266,7 @@ class BagWriter:
             self.counts[topic] & 0xFFFFFFFF,
         )
 
-    def _advance(self, timestamp):
+    def _advance(self, timestamp) -> None:
         """Cut chunks and begin files where they are due, before a message of this time."""
         if self._first is None:
             self._first = timestamp
@@ -274,7 +284,7 @@ class BagWriter:
             self.split()
             self._first = timestamp
 
-    def write(self, topic, timestamp, message):
+    def write(self, topic: str, timestamp: int, message: object) -> None:
         """Serialise and write a message of this bag's typestore.
 
         Parameters
@@ -289,7 +299,7 @@ class BagWriter:
         data = bytes(self.typestore.serialize_cdr(message, self._topics[topic].msgtype))
         self.write_raw(topic, timestamp, _padded(data))
 
-    def flush(self):
+    def flush(self) -> None:
         """Hand everything to the operating system: a crash after this loses nothing before it.
 
         Raises
@@ -299,7 +309,7 @@ class BagWriter:
         """
         self._file.cut()
 
-    def add_metadata(self, name, values):
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Store a metadata record in the present file.
 
         Parameters
@@ -321,7 +331,7 @@ class BagWriter:
         """Number of files so far."""
         return len(self._files) + (self._file is not None)
 
-    def room(self):
+    def room(self) -> int:
         """Bytes that can still be written before the summary would not fit any more.
 
         Returns
@@ -338,7 +348,7 @@ class BagWriter:
 
     # -------------------------------------------------------------- files
 
-    def _begin_file(self):
+    def _begin_file(self) -> None:
         name = self.path.resolve().name
         if self._split_size or self._split_time:
             name += f'_{len(self._files)}'
@@ -347,7 +357,7 @@ class BagWriter:
         for topic in self._topics.values():
             self._define(topic)
 
-    def split(self):
+    def split(self) -> None:
         """Finish the file and begin the next one.
 
         Raises
@@ -396,7 +406,7 @@ class BagWriter:
             [file.span for file in files], topics, {RECORD_NAME: as_text(known)} if known else {}
         )
 
-    def close(self, known=None):
+    def close(self, known: dict[str, Any] | None = None) -> str:
         """Finish file and metadata; may be called again.
 
         Parameters
@@ -433,7 +443,7 @@ def _hash(connection):
     return typestore.hash_rihs01(connection.msgtype)
 
 
-def _write_whole(path, text, fsync):
+def _write_whole(path, text, fsync) -> None:
     """The file is there completely or not at all."""
     new = path.with_name(path.name + '.new')
     with open(new, 'w', encoding='utf-8') as file:

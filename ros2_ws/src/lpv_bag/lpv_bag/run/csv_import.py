@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
@@ -51,7 +52,7 @@ class ColumnMap:
         return [self.time, *(c for columns in self.joints.values() for c in columns if c)]
 
 
-def load_column_map(path):
+def load_column_map(path: str | Path) -> ColumnMap:
     """Read a column map.
 
     Parameters
@@ -98,7 +99,13 @@ def load_column_map(path):
     return result
 
 
-def import_csv(source, columns, out, topic='/joint_states', delimiter=','):
+def import_csv(
+    source: str | Path,
+    columns: ColumnMap,
+    out: str | Path,
+    topic: str = '/joint_states',
+    delimiter: str = ',',
+) -> tuple[Any, ...]:
     """Write a bag of sensor_msgs/JointState from a CSV file.
 
     Empty cells become NaN: the observer has modes for missing values, and nothing recorded is
@@ -156,7 +163,7 @@ def _write(rows, columns, out, topic):
 class _Rows:
     """Samples of a CSV file, one by one: a long recording is never in memory as a whole."""
 
-    def __init__(self, source, columns, delimiter):
+    def __init__(self, source, columns, delimiter) -> None:
         self.source, self._columns = Path(source), columns
         self._factor = ANGLE_UNITS[columns.angle_unit]
         self.warnings = []
@@ -181,7 +188,7 @@ class _Rows:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self._file.close()
         if self._backwards:
             self.warnings.append(f'time stands still or runs backwards {self._backwards} times')
@@ -214,7 +221,7 @@ class _Rows:
                 f'line {self._reader.line_num}, the last one, is cut off and left out'
             )
 
-    def _ends_with_newline(self):
+    def _ends_with_newline(self) -> bool:
         with open(self.source, 'rb') as file:
             file.seek(-1, 2)
             return file.read() in (b'\n', b'\r')

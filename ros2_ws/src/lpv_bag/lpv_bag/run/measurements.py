@@ -1,5 +1,6 @@
 """Measurements of an arm from blocks of sensor_msgs/JointState."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,12 +48,12 @@ class MeasurementReader:
         Joints of the arm.
     """
 
-    def __init__(self, reader, joint_names):
+    def __init__(self, reader, joint_names: Sequence[str]) -> None:
         self._reader = reader
         self._order = JointOrder(joint_names)
         self._layouts = []
 
-    def read(self, block, positions):
+    def read(self, block, positions: np.ndarray) -> Measurements:
         """Measurements at some positions of a block.
 
         Parameters
@@ -89,7 +90,7 @@ class MeasurementReader:
                 left = left[1:]
         return result
 
-    def places(self, block, positions, name):
+    def places(self, block, positions: np.ndarray, name: str) -> np.ndarray:
         """Where values of the arm's joints are, for those who change them.
 
         Parameters

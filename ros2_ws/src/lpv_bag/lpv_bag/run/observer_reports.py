@@ -1,6 +1,7 @@
 """What the observer said of itself on /diagnostics."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.reading import open_bag
@@ -29,7 +30,7 @@ class ObserverReport:
     message: str
 
 
-def observer_reports(path, namespace):
+def observer_reports(path: str | Path, namespace: str) -> list[ObserverReport]:
     """Reports of the observer in one namespace.
 
     Parameters

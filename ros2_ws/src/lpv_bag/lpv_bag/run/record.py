@@ -1,7 +1,9 @@
 """A recorded run as NumPy arrays, from any rosbag2 bag."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -79,7 +81,7 @@ class RunRecord:
     sensor_names: tuple = ()
     warnings: list = field(default_factory=list)
 
-    def get(self, stream, name):
+    def get(self, stream: str, name: str) -> np.ndarray | None:
         """Field of a stream on the stream's own stamps.
 
         Parameters
@@ -94,7 +96,7 @@ class RunRecord:
         """
         return self.streams[stream][name] if stream in self.streams else None
 
-    def aligned(self, stream, name):
+    def aligned(self, stream: str, name: str) -> np.ndarray | None:
         """Field of a stream on the stamps of joint_states.
 
         Parameters
@@ -123,7 +125,7 @@ class RunRecord:
         """Time of each measurement since the first one [s], shape (n,)."""
         return self.seconds(self.stamps['joint_states'])
 
-    def seconds(self, stamps):
+    def seconds(self, stamps) -> float | np.ndarray:
         """Time since the first measurement.
 
         Parameters
@@ -140,7 +142,14 @@ class RunRecord:
         return (stamps - self.stamps['joint_states'][0]) / NANOSECONDS
 
 
-def find_topic(reader, msgtype, name, wanted=None, required=True, namespace=None):
+def find_topic(
+    reader: BagReader,
+    msgtype: str,
+    name: str,
+    wanted: str | None = None,
+    required: bool = True,
+    namespace: str | None = None,
+):
     """The one connection that carries a stream.
 
     Parameters
@@ -172,7 +181,7 @@ def find_topic(reader, msgtype, name, wanted=None, required=True, namespace=None
     return found[0] if found else None
 
 
-def find_connections(reader, msgtype, name, wanted=None, required=True, namespace=None):
+def find_connections(reader, msgtype, name, wanted=None, required: bool = True, namespace=None):
     """All connections of the one topic that carries a stream.
 
     A topic has several connections if several publishers with different QoS wrote to it.
@@ -218,7 +227,12 @@ def find_connections(reader, msgtype, name, wanted=None, required=True, namespac
     return found
 
 
-def load_run(path, namespace=None, joint_names=None, answers_only=False):
+def load_run(
+    path: str | Path,
+    namespace: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    answers_only: bool = False,
+) -> RunRecord:
     """Read a run.
 
     Parameters

@@ -1,5 +1,7 @@
 """Rows of a run's streams as they are read, and the arrays that are made of them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lpv_bag.rosbag.errors import BagError
@@ -24,7 +26,7 @@ class RunRows:
         What is wrong with the messages.
     """
 
-    def __init__(self, record, joint_names=None):
+    def __init__(self, record, joint_names: Sequence[str] | None = None) -> None:
         self._record = record
         self._parts = {}
         self._alarms = {}
@@ -32,7 +34,7 @@ class RunRows:
         self._names, self._index, self._missing = None, None, None
         self.warnings = []
 
-    def add(self, name, number, message):
+    def add(self, name: str, number: int, message: object) -> None:
         """Take one message.
 
         Parameters
@@ -74,7 +76,9 @@ class RunRows:
             return None if index is None else _columns(message, index)
         return [getattr(message, field) for field in STREAMS[name][1]]
 
-    def add_many(self, name, numbers, stamps, columns):
+    def add_many(
+        self, name: str, numbers: Sequence[int], stamps: Sequence[int], columns: list[np.ndarray]
+    ) -> None:
         """Take the values of many messages of one stream.
 
         Parameters
@@ -113,7 +117,7 @@ class RunRows:
                 self._index = [self._names.index(n) for n in wanted]
         return self._index
 
-    def finish(self, answers_only):
+    def finish(self, answers_only: bool) -> None:
         """Fill the record.
 
         Parameters
@@ -142,7 +146,7 @@ class RunRows:
         self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
         self._check_measurements(answers_only)
 
-    def _check_measurements(self, answers_only):
+    def _check_measurements(self, answers_only) -> None:
         count = len(self._record.stamps.get('joint_states', ()))
         if count == 0 and answers_only:
             return
@@ -158,7 +162,7 @@ class RunRows:
                 'stamp, or there is one only'
             )
 
-    def _judge(self, name, stamps):
+    def _judge(self, name, stamps) -> None:
         """Say where stamps run backwards or stand still."""
         backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
         same = len(stamps) - len(np.unique(stamps))

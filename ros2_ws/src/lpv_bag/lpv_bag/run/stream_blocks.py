@@ -13,7 +13,7 @@ _MOST_ATTEMPTS = 32
 """Messages of one connection from which a shape is to be learnt; then they are read one by one."""
 
 
-def read_streams(reader, chosen, rows):
+def read_streams(reader, chosen, rows) -> None:
     """Read all messages of some streams.
 
     Parameters
@@ -44,13 +44,13 @@ def read_streams(reader, chosen, rows):
 class _StreamReader:
     """Reads the messages of one connection."""
 
-    def __init__(self, reader, name, msgtype, rows):
+    def __init__(self, reader, name, msgtype, rows) -> None:
         self._reader, self._name, self._msgtype, self._rows = reader, name, msgtype, rows
         self._layouts = []
         can = name != ALARMS and isinstance(reader.source, McapBag)
         self._attempts = _MOST_ATTEMPTS if can else 0
 
-    def read(self, block, positions, first):
+    def read(self, block, positions, first) -> None:
         """Take messages of a block; ``first`` is the number of its first message."""
         left = positions
         for shape in self._layouts:

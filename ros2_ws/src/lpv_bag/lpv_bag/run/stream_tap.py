@@ -1,5 +1,8 @@
 """Other streams of a bag beside its measurements, for those who replay without writing."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from lpv_bag.rosbag.cdr_layout import find_layout
@@ -26,7 +29,7 @@ class Bystander:
         Those that the bag has.
     """
 
-    def __init__(self, reader, prefix, streams):
+    def __init__(self, reader, prefix: str, streams: Sequence[str]) -> None:
         self._readers, self._connections = {}, ()
         for name in streams:
             found = find_connections(
@@ -37,7 +40,7 @@ class Bystander:
         self.present = set(self._readers)
         self._topics = {stream.topic for stream in self._readers.values()}
 
-    def is_copied(self, connection):
+    def is_copied(self, connection) -> bool:
         """Whether messages of a connection are wanted."""
         return connection.topic in self._topics
 
@@ -46,7 +49,7 @@ class Bystander:
         self._connections = connections
         return _NONE, _NONE
 
-    def read(self, block):
+    def read(self, block) -> dict[str, tuple[Any, ...]] | None:
         """Messages of the streams in a block.
 
         Parameters
@@ -77,7 +80,7 @@ class Bystander:
 class _StreamReader:
     """Messages of one topic whose fields have a fixed size."""
 
-    def __init__(self, reader, name, topic):
+    def __init__(self, reader, name, topic) -> None:
         self.topic, self._reader = topic, reader
         self._msgtype, self._fields = STREAMS[name]
         self._layout = None

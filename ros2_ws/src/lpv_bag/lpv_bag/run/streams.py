@@ -52,7 +52,7 @@ class RecordedAlarm(Alarm):
     stamp: int = 0
 
 
-def stamp_of(stamp):
+def stamp_of(stamp: object) -> int:
     """Nanoseconds of a builtin_interfaces/Time as rosbags gives it.
 
     Parameters

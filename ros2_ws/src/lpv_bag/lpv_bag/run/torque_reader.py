@@ -1,6 +1,7 @@
 """Joint torques from messages of several types."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,7 +19,7 @@ EFFORT_TYPES = {
 the arm file."""
 
 
-def locate(message, msgtype, joints):
+def locate(message: object, msgtype: str, joints: Sequence[str]):
     """Torques of an arm in a message.
 
     Parameters
@@ -83,7 +84,7 @@ class EffortReader:
         Why messages could not be used; emptied by whoever counts them.
     """
 
-    def __init__(self, reader, msgtype, joints):
+    def __init__(self, reader, msgtype: str, joints: Sequence[str]) -> None:
         self._reader = reader
         self._msgtype, self._joints = msgtype, tuple(joints)
         self._path = EFFORT_TYPES[msgtype][0]
@@ -91,7 +92,7 @@ class EffortReader:
         self._latest = np.full(len(self._joints), math.nan)
         self.rejected = []
 
-    def before(self, block, positions, measured):
+    def before(self, block, positions: np.ndarray, measured: np.ndarray) -> np.ndarray:
         """Torques that were the latest ones at each measurement.
 
         Parameters
@@ -130,7 +131,7 @@ class EffortReader:
                 self.rejected.append(str(error))
         return values, valid
 
-    def _learn(self, data):
+    def _learn(self, data) -> None:
         message = self._reader.deserialize(data, self._msgtype)
         layout = find_layout(data, self._msgtype, self._reader.typestore_of(self._msgtype))
         try:

@@ -6,7 +6,9 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Callable
 from contextlib import contextmanager
+from typing import Any
 
 from lpv_core.support.errors import LpvError
 
@@ -24,7 +26,14 @@ class WorkerError(LpvError):
     """A worker does not run the same software, or died of its work."""
 
 
-def on_cluster(function, text, chunks, software, workers=None, scheduler=None):
+def on_cluster(
+    function: Callable[..., Any],
+    text: str,
+    chunks,
+    software: str,
+    workers: int | None = None,
+    scheduler: str | None = None,
+):
     """Have chunks done; a chunk whose worker is killed is done by another one.
 
     Parameters
@@ -120,7 +129,7 @@ def _deaf_children():
 class _OwnCluster:
     """A cluster that ends with its client."""
 
-    def __init__(self, cluster):
+    def __init__(self, cluster) -> None:
         from distributed import Client
 
         self._cluster = cluster
@@ -129,7 +138,7 @@ class _OwnCluster:
     def __enter__(self):
         return self._client
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self._client.close()
         self._cluster.close()
 

@@ -1,7 +1,9 @@
 """Runs a campaign: here, on all cores, or on a cluster; the results are the same."""
 
+from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +31,7 @@ CHUNK = 20
 """Runs that are sent to a worker, and written, together."""
 
 
-def software():
+def software() -> str:
     """Hash of everything that makes the numbers.
 
     Returns
@@ -42,7 +44,7 @@ def software():
     )
 
 
-def run_one(campaign, number):
+def run_one(campaign, number: int) -> dict[str, Any]:
     """Simulate a run and measure it.
 
     Parameters
@@ -70,7 +72,7 @@ def run_one(campaign, number):
     return row
 
 
-def has_limit(spec, number):
+def has_limit(spec, number: int) -> bool:
     """Whether the estimates of a run are compared with the best possible ones.
 
     Parameters
@@ -88,7 +90,7 @@ def has_limit(spec, number):
     return (number + 1) * spec.limit // spec.runs > number * spec.limit // spec.runs
 
 
-def run_chunk(text, numbers):
+def run_chunk(text: str, numbers: list[int]) -> tuple[Any, ...]:
     """Some runs of a campaign, as a worker does them.
 
     Parameters
@@ -107,7 +109,13 @@ def run_chunk(text, numbers):
     return software(), [run_one(campaign, number) for number in numbers]
 
 
-def execute(campaign, numbers, workers=None, scheduler=None, chunk=CHUNK):
+def execute(
+    campaign,
+    numbers: Sequence[int],
+    workers: int | None = None,
+    scheduler: str | None = None,
+    chunk: int = CHUNK,
+):
     """Run a part of a campaign.
 
     Parameters

@@ -1,7 +1,9 @@
 """Rows on disk that come in over time: Parquet, in parts at first, in one file at the end."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -24,7 +26,7 @@ class PartsFolder:
         Column that tells rows apart; rows are sorted by it.
     """
 
-    def __init__(self, path, whole, key):
+    def __init__(self, path: str | Path, whole: str, key: str) -> None:
         self.path, self._whole, self._key = Path(path), whole, key
         self._parts = self.path / _PARTS
 
@@ -33,11 +35,11 @@ class PartsFolder:
         """Parquet file of all rows."""
         return self.path / self._whole
 
-    def make(self):
+    def make(self) -> None:
         """Make the folder."""
         self._parts.mkdir(parents=True, exist_ok=True)
 
-    def finished(self):
+    def finished(self) -> set[Any]:
         """Keys of the rows that are here.
 
         Returns
@@ -62,7 +64,7 @@ class PartsFolder:
                 ) from error
         return keys
 
-    def write_part(self, table, name):
+    def write_part(self, table, name: str) -> None:
         """Write a part; it is there as a whole or not at all.
 
         Parameters
@@ -122,7 +124,7 @@ class PartsFolder:
         return ([self.whole_file] if self.whole_file.exists() else []) + self._part_files()
 
 
-def write_whole(path, write):
+def write_whole(path: Path, write: Callable[..., Any]) -> None:
     """Write a file that is there as a whole or not at all.
 
     Parameters

@@ -1,6 +1,7 @@
 """What is kept of one run: figures of detection, isolation, estimates, tracking."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ LISTS = ('error_squares_1', 'error_squares_2', 'error_counts_1', 'error_counts_2
 """Names of the figures by type; meaning and units in docs/campaign.md."""
 
 
-def figures(plan, run, twin=None):
+def figures(plan, run, twin=None) -> dict[str, Any]:
     """Figures of one run.
 
     Parameters

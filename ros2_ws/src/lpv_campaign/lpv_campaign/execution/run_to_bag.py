@@ -4,6 +4,7 @@ import math
 import shutil
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ _ANSWERS = {
 """Signals of a run that must be those of its bag, bit by bit."""
 
 
-def stamps_of(run):
+def stamps_of(run) -> np.ndarray:
     """Header stamps of a run's samples in its bag.
 
     Parameters
@@ -59,7 +60,7 @@ def stamps_of(run):
     return START + np.array([round(t * 1e9) for t in run.time.tolist()], np.int64)
 
 
-def write_run_bag(plan, run, out):
+def write_run_bag(plan, run, out: str | Path) -> None:
     """Write a run as a bag, with the files that repeat it.
 
     Measurements, commands, references and truth come from the run; the answers of observer and
@@ -99,7 +100,7 @@ def write_run_bag(plan, run, out):
         shutil.move(whole, out)
 
 
-def check_answers(run, bag):
+def check_answers(run, bag: str | Path) -> None:
     """Compare the answers in the bag of a run with those that the run had.
 
     Parameters
@@ -144,7 +145,7 @@ def _alarm(alarm, shift):
     )
 
 
-def differences(stored, found):
+def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
     """Figures that are not what the results of the campaign say.
 
     Parameters
@@ -176,7 +177,7 @@ def _same(one, two):
 class _Signals:
     """Vectors of the messages of a run."""
 
-    def __init__(self, run):
+    def __init__(self, run) -> None:
         self.stamps = stamps_of(run)
         effort = np.vstack([np.zeros((1, 2)), run.torque[:-1]])
         reference = run.path[:, run.place]
@@ -209,7 +210,7 @@ class _Signals:
         }
 
 
-def _write_signals(plan, run, path):
+def _write_signals(plan, run, path) -> None:
     signals = _Signals(run)
     bag = ChunkBagWriter(path)
     try:

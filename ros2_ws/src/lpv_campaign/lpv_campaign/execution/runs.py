@@ -53,7 +53,7 @@ class RunPlan:
     delay: int
     loss: float
 
-    def simulate(self, faults=True):
+    def simulate(self, faults: bool = True):
         """Run the closed loop; ``faults=False``: its healthy twin.
 
         Returns
@@ -74,7 +74,7 @@ class RunPlan:
         )
 
 
-def plan_run(campaign, number):
+def plan_run(campaign, number: int) -> RunPlan:
     """What is simulated in a run.
 
     Parameters

@@ -1,6 +1,8 @@
 """Results on disk: Parquet, one row a run, in parts while the campaign goes on."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
@@ -25,7 +27,7 @@ class CampaignFolder(PartsFolder):
         The folder; made when something is written.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path) -> None:
         super().__init__(path, _RUNS, 'number')
 
     @property
@@ -33,7 +35,7 @@ class CampaignFolder(PartsFolder):
         """Parquet file of a finished campaign."""
         return self.whole_file
 
-    def load(self):
+    def load(self) -> Campaign | None:
         """The campaign that was begun here.
 
         Returns
@@ -56,7 +58,7 @@ class CampaignFolder(PartsFolder):
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ConfigError('campaign', f'cannot be read ({error})', str(file)) from error
 
-    def holds_another(self, campaign):
+    def holds_another(self, campaign: Campaign) -> bool:
         """Whether another campaign was begun here.
 
         Parameters
@@ -72,7 +74,7 @@ class CampaignFolder(PartsFolder):
         begun = self.load()
         return begun is not None and begun.key != campaign.key
 
-    def begin(self, campaign):
+    def begin(self, campaign: Campaign) -> None:
         """Keep the campaign, so that it can go on after a crash.
 
         Parameters
@@ -83,7 +85,7 @@ class CampaignFolder(PartsFolder):
         self.make()
         write_whole(self.path / _CAMPAIGN, lambda part: part.write_text(campaign.text))
 
-    def add(self, campaign, rows):
+    def add(self, campaign: Campaign, rows: list[dict[str, Any]]) -> None:
         """Write a part; it is there as a whole or not at all.
 
         Parameters
@@ -97,7 +99,7 @@ class CampaignFolder(PartsFolder):
         self.write_part(table, f'{rows[0]["number"]:08d}-{rows[-1]["number"]:08d}')
 
 
-def schema(campaign, rows):
+def schema(campaign: Campaign, rows: list[dict[str, Any]]):
     """Columns of the results.
 
     Parameters

@@ -6,6 +6,7 @@ import logging
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import lpv_bag
 import lpv_campaign
@@ -73,7 +74,7 @@ class FleetSettings:
         """Hash of everything that can change a result but the bags and the software."""
         return sha256_of(json.loads(self.to_json()))
 
-    def monitor(self):
+    def monitor(self) -> SensorMonitor:
         """A fresh monitor.
 
         Returns
@@ -102,7 +103,7 @@ def settings_from_json(text):
     )
 
 
-def software():
+def software() -> str:
     """Hash of everything that makes the numbers.
 
     Returns
@@ -116,7 +117,7 @@ def software():
     )
 
 
-def watch_bag(settings, root, bag):
+def watch_bag(settings: FleetSettings, root: str, bag: FoundBag) -> dict[str, Any]:
     """Replay a bag and measure it.
 
     Parameters
@@ -149,7 +150,7 @@ def _figures(settings, path):
     tally = Tally(settings.arm.sample_time, settings.max_gap)
     truth = TruthKeeper(settings.arm)
 
-    def take(*parts):
+    def take(*parts) -> None:
         tally.take(*parts)
         truth.take(*parts)
 
@@ -198,7 +199,7 @@ def _line(text):
     return text if len(text) <= _LONGEST_ERROR else text[: _LONGEST_ERROR - 3] + '...'
 
 
-def watch_chunk(text, chunk):
+def watch_chunk(text: str, chunk: tuple[Any, ...]) -> tuple[Any, ...]:
     """Some bags, as a worker does them.
 
     Parameters
@@ -218,7 +219,13 @@ def watch_chunk(text, chunk):
     return software(), [watch_bag(settings, root, FoundBag(*bag)) for bag in bags]
 
 
-def watch_fleet(settings, root, bags, workers=None, scheduler=None):
+def watch_fleet(
+    settings: FleetSettings,
+    root: str | Path,
+    bags: list[FoundBag],
+    workers: int | None = None,
+    scheduler: str | None = None,
+):
     """Replay bags.
 
     Parameters

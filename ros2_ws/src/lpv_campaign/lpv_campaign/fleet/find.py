@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +31,7 @@ class FoundBag:
     fingerprint: str
 
 
-def find_bags(root, leave_out=()):
+def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> list[FoundBag]:
     """All rosbag2 bags below a folder.
 
     A folder with storage files and a metadata.yaml is one bag, and so is one without metadata
@@ -87,7 +88,7 @@ def _bags_in(folder, files):
     return unfinished + [(path, [path]) for path in storage if path not in taken]
 
 
-def _is_metadata(folder):
+def _is_metadata(folder) -> bool:
     """Whether a lonely metadata.yaml is that of a bag, whose files are then missing."""
     try:
         with open(folder / FILE_NAME, 'rb') as file:
@@ -108,7 +109,7 @@ def _fingerprint(paths):
     return found.hexdigest()[:24]
 
 
-def unit_of(root, name):
+def unit_of(root: str | Path, name: str) -> str:
     """Which arm of the fleet a bag is of.
 
     Parameters

@@ -3,6 +3,7 @@
 import math
 import time
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 
@@ -15,7 +16,9 @@ _PANELS = 6
 _UNUSABLE = ('rejected', 'duplicates', 'out_of_order', 'not_finite', 'implausible')
 
 
-def write_fleet_report(path, statistics, arm, title, parquet, healthy=False):
+def write_fleet_report(
+    path: str | Path, statistics, arm, title: str, parquet: str, healthy: bool = False
+) -> None:
     """Write the report.
 
     Parameters
@@ -68,7 +71,7 @@ def _tiles(statistics):
     ]
 
 
-def rates(statistics):
+def rates(statistics) -> list[tuple[Any, ...]]:
     """Rates with their names, as table and report show them.
 
     Parameters
@@ -87,7 +90,7 @@ def rates(statistics):
     return [*named, ('false alarms', statistics.false_alarms)]
 
 
-def truth_text(statistics, healthy):
+def truth_text(statistics, healthy: bool) -> str:
     """What is known of which alarms are false.
 
     Parameters

@@ -1,7 +1,9 @@
 """Statistics of a fleet: rates of alarms, bags to look at, trends of single arms."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -37,7 +39,7 @@ class Rate:
         return self.count / self.hours if self.hours > 0.0 else math.nan
 
 
-def rate(count, hours):
+def rate(count: int, hours: float) -> Rate:
     """Rate with its exact interval.
 
     Parameters
@@ -136,7 +138,7 @@ class FleetStatistics:
     trends: list
 
 
-def fleet_statistics(table, sensor_names, healthy=False):
+def fleet_statistics(table, sensor_names: Sequence[str], healthy: bool = False) -> FleetStatistics:
     """Statistics of the rows of an archive.
 
     Parameters
@@ -195,7 +197,7 @@ def _hours(rows):
     return sum(row['observed'] for row in rows) / 3600.0
 
 
-def suspicion(row):
+def suspicion(row: dict[str, Any]) -> tuple[Any, ...]:
     """What bags are sorted by: alarms first, then contradictions, then how near a threshold.
 
     Parameters
@@ -212,7 +214,7 @@ def suspicion(row):
     return row['alarms'] > 0, share > 0.01, max(row['score_1'], row['score_2']), row['bag']
 
 
-def trends(rows):
+def trends(rows: list[dict[str, Any]]) -> list[Trend]:
     """Trends of all arms that have bags enough.
 
     Parameters

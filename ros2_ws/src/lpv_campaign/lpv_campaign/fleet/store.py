@@ -2,6 +2,8 @@
 
 import json
 import uuid
+from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -88,10 +90,10 @@ class FleetFolder(PartsFolder):
         The folder; made when something is written.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path) -> None:
         super().__init__(path, _BAGS, 'bag')
 
-    def begin(self, settings):
+    def begin(self, settings) -> None:
         """Keep the settings, so that what was begun can go on.
 
         Parameters
@@ -122,7 +124,7 @@ class FleetFolder(PartsFolder):
         text = json.dumps({'key': settings.key, 'settings': json.loads(settings.to_json())})
         write_whole(file, lambda part: part.write_text(text, encoding='utf-8'))
 
-    def add(self, rows):
+    def add(self, rows: list[dict[str, Any]]) -> None:
         """Write a part; it is there as a whole or not at all.
 
         Parameters

@@ -1,5 +1,7 @@
 """Figures of one bag that are summed up while it is replayed."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_core.decision.diagnosis import AlarmEvent, SensorState
@@ -24,7 +26,7 @@ class Tally:
         Time that the last sample counts for, and the longest one [s].
     """
 
-    def __init__(self, sample_time, max_gap):
+    def __init__(self, sample_time: float, max_gap: float) -> None:
         self._sample_time, self._max_gap = sample_time, max_gap
         self._state_time = np.zeros((len(STATES), 2))
         self._inconsistent = self._untrusted = 0.0
@@ -34,7 +36,7 @@ class Tally:
         self._first = self._last = None
         self._tracking = _Tracking()
 
-    def take(self, measured, answers, streams):
+    def take(self, measured, answers, streams) -> None:
         """Count the answers to a block, as `lpv_bag.replay.replay.Replay.watch` hands them on."""
         if len(measured.stamp):
             self._count_time(measured, answers)
@@ -48,7 +50,7 @@ class Tally:
             *(reference[0], reference[1]['position']) if reference else (),
         )
 
-    def _count_time(self, measured, answers):
+    def _count_time(self, measured, answers) -> None:
         stamps = measured.stamp
         self._first = int(stamps[0]) if self._first is None else min(self._first, int(stamps.min()))
         self._last = int(stamps.max()) if self._last is None else max(self._last, int(stamps.max()))
@@ -66,13 +68,13 @@ class Tally:
             self._add(table[:-1], interval)
             self._pending = table[-1:]
 
-    def _add(self, table, interval):
+    def _add(self, table, interval) -> None:
         for i in range(2):
             self._state_time[:, i] += np.bincount(table[:, 1 + i], interval, len(STATES))
         self._inconsistent += float(interval @ table[:, 3])
         self._untrusted += float(interval @ table[:, 4])
 
-    def _count_faults(self, fault):
+    def _count_faults(self, fault) -> None:
         estimate, threshold = np.asarray(fault.estimate), np.asarray(fault.threshold)
         state = np.asarray(fault.state)
         known = (state != int(SensorState.STALE)) & (threshold > 0.0)
@@ -127,12 +129,12 @@ class Tally:
 class _Tracking:
     """Squared differences of measured positions and references with the same stamp."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._empty = np.empty(0, np.int64), np.empty((0, 2))
         self._measured = self._reference = self._empty
         self._sums, self._count = np.zeros(2), np.zeros(2)
 
-    def take(self, stamps, positions, reference_stamps=None, references=None):
+    def take(self, stamps, positions, reference_stamps=None, references=None) -> None:
         self._measured = _joined(self._measured, stamps, positions)
         if reference_stamps is not None:
             self._reference = _joined(self._reference, reference_stamps, references)
@@ -162,7 +164,7 @@ def _number(value):
     return float(value) if np.isfinite(value) else None
 
 
-def alarm_rows(events, start):
+def alarm_rows(events, start: int) -> list[dict[str, Any]]:
     """Alarms of a bag by sensor and kind.
 
     Parameters

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -33,10 +34,10 @@ class TruthKeeper:
         The arm.
     """
 
-    def __init__(self, arm):
+    def __init__(self, arm) -> None:
         self._arm, self._parts, self._count = arm, {}, 0
 
-    def take(self, measured, answers, streams):
+    def take(self, measured, answers, streams) -> None:
         """Keep a block, as `lpv_bag.replay.replay.Replay.watch` hands it on."""
         if 'ground_truth' not in streams:
             return  # memory must not grow with the length of such a bag
@@ -62,18 +63,18 @@ class TruthKeeper:
             },
         )
 
-    def _keep(self, name, stamps, values):
+    def _keep(self, name, stamps, values) -> None:
         parts = self._parts.setdefault(name, [])
         parts.append(
             {'stamp': stamps.copy(), **{field: np.array(array) for field, array in values.items()}}
         )
 
     @property
-    def is_too_long(self):
+    def is_too_long(self) -> bool:
         """Whether the truth is too long to be held."""
         return self._count > MOST_SAMPLES
 
-    def row(self, events, scenario=None):
+    def row(self, events, scenario=None) -> dict[str, Any]:
         """Figures of the bag.
 
         Parameters
@@ -103,7 +104,7 @@ class TruthKeeper:
         return found
 
 
-def scenario_of(bag, arm):
+def scenario_of(bag: str | Path, arm):
     """Scenario that lies beside a bag, as ``lpv campaign --run`` writes it.
 
     Parameters
@@ -129,7 +130,7 @@ def scenario_of(bag, arm):
     return scenario if {f.sensor for f in scenario.faults} <= known else None
 
 
-def faults_in_truth(arm, run):
+def faults_in_truth(arm, run: object) -> tuple[Fault, ...]:
     """Faults as the truth shows them: for each sensor, from the first sample with one to the last.
 
     Parameters

@@ -46,7 +46,9 @@ NAMES = tuple(
 """Keys of `limit_figures`; all root mean squares in rad, ratios without unit."""
 
 
-def limit_figures(arm, scenario, run, peers=True, smoother=True, substeps=2):
+def limit_figures(
+    arm, scenario, run, peers: bool = True, smoother: bool = True, substeps: int = 2
+) -> dict[str, float]:
     """Accuracy of the fault estimates and of the joint angles of one run, and its limits.
 
     Parameters

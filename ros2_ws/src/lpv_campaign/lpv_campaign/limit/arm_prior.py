@@ -42,7 +42,7 @@ class ArmKnowledge:
     names: tuple
 
 
-def known_exactly(arm, scenario):
+def known_exactly(arm, scenario) -> ArmKnowledge:
     """Know the true arm.
 
     Parameters
@@ -61,7 +61,7 @@ def known_exactly(arm, scenario):
     return ArmKnowledge(constants, np.zeros((0, 12)), np.zeros(0), np.zeros(0), ())
 
 
-def known_within_priors(arm, scenario):
+def known_within_priors(arm, scenario) -> ArmKnowledge:
     """Know what the arm file states: model error, payload, friction; each uniform, independent.
 
     Parameters
@@ -108,5 +108,5 @@ def known_within_priors(arm, scenario):
     )
 
 
-def _has_coriolis(scenario):
+def _has_coriolis(scenario) -> bool:
     return scenario.plant in ('nonlinear', 'mujoco')

@@ -33,7 +33,7 @@ class Limit:
     smoothed_angle: np.ndarray
 
 
-def accuracy_limit(arm, scenario, run, knowledge, faults, substeps=2):
+def accuracy_limit(arm, scenario, run, knowledge, faults, substeps: int = 2) -> Limit:
     """Posterior Cramer-Rao bounds of faults and angles along a run.
 
     Parameters

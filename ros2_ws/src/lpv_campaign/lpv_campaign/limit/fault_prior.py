@@ -49,7 +49,7 @@ class FaultModel:
     deviation: float = WIDE
 
 
-def acting(fault, time, settle=0.0):
+def acting(fault, time: np.ndarray, settle: float = 0.0) -> np.ndarray:
     """When a fault acts.
 
     Parameters
@@ -70,7 +70,7 @@ def acting(fault, time, settle=0.0):
     return (time >= fault.onset + settle) & (time < end)
 
 
-def known_shape(arm, scenario, run):
+def known_shape(arm, scenario, run) -> list[FaultModel]:
     """Know kind, onset, end and course of every scheduled fault, but not its size.
 
     A bias is an unknown constant, a drift an unknown rate, a scale fault an unknown factor; a
@@ -115,7 +115,7 @@ def known_shape(arm, scenario, run):
     return models
 
 
-def biases_since(run, onset):
+def biases_since(run, onset: float) -> list[FaultModel]:
     """Allow an unknown constant on both sensors from a time on.
 
     Parameters
@@ -133,7 +133,7 @@ def biases_since(run, onset):
     return [FaultModel(i, (run.time >= onset).astype(float)) for i in range(2)]
 
 
-def random_walks(arm, run, walk=FAULT_WALK):
+def random_walks(arm, run, walk: float = FAULT_WALK) -> list[FaultModel]:
     """Allow a random walk on both sensors at all times, as Kalman filters do.
 
     Parameters
@@ -156,7 +156,7 @@ def random_walks(arm, run, walk=FAULT_WALK):
     ]
 
 
-def anything(run):
+def anything(run) -> list[FaultModel]:
     """Assume nothing of the faults of both sensors after the first sample, as our observer does.
 
     Parameters

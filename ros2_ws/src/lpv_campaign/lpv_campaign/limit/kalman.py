@@ -5,6 +5,9 @@ disturbance as the arm file states them; the random walk of the faults and the m
 disturbance, for errors of the model, are what a careful user would choose by trial.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
@@ -47,7 +50,7 @@ def _jacobian(x, torque, push, dt, constants):
 class _Model:
     """Equation of motion and measurement of one arm, sampled by Euler's rule."""
 
-    def __init__(self, arm):
+    def __init__(self, arm) -> None:
         direction, dt = np.asarray(arm.disturbance_direction, float), arm.sample_time
         self._fixed = arm.disturbance_mean * direction, dt, arm.constants()
         self._s = JointMap(arm).sensor_matrix
@@ -83,13 +86,13 @@ class _Model:
 class Ekf(ExtendedKalmanFilter):
     """Extended filter; Jacobian by differences."""
 
-    def __init__(self, model):
+    def __init__(self, model) -> None:
         super().__init__(dim_x=6, dim_z=4)
         self._model = model
         self.Q, self.R = model.q, model.r
         self.P = np.diag([1e-6] * 4 + [1e-6] * 2)
 
-    def predict_x(self, u=0):
+    def predict_x(self, u=0) -> None:
         """As FilterPy asks."""
         self.x, self.F = self._model.move_and_derive(self.x.ravel(), u)
 
@@ -104,7 +107,7 @@ class Ekf(ExtendedKalmanFilter):
 class Ukf(UnscentedKalmanFilter):
     """Unscented filter."""
 
-    def __init__(self, model, dt):
+    def __init__(self, model, dt) -> None:
         super().__init__(
             6,
             4,
@@ -125,7 +128,7 @@ class Ukf(UnscentedKalmanFilter):
         return self.x[4:]
 
 
-def make_ekf(arm, position):
+def make_ekf(arm, position: np.ndarray) -> Ekf:
     """Extended filter, started without faults at a joint position.
 
     Parameters
@@ -146,7 +149,7 @@ def make_ekf(arm, position):
     return found
 
 
-def make_ukf(arm, position):
+def make_ukf(arm, position) -> Ukf:
     """Unscented filter, started without faults at a joint position.
 
     Parameters
@@ -165,7 +168,7 @@ def make_ukf(arm, position):
     return found
 
 
-def filter_run(make, arm, run):
+def filter_run(make: Callable[..., Any], arm, run) -> tuple[np.ndarray, ...]:
     """Let a filter see what the observer of a run saw.
 
     Parameters

@@ -14,7 +14,15 @@ _STEP = 1e-5
 
 
 @njit
-def flow(x, torque, push_1, push_2, dt, substeps, params):
+def flow(
+    x: np.ndarray,
+    torque: np.ndarray,
+    push_1: float,
+    push_2: float,
+    dt: float,
+    substeps: int,
+    params: np.ndarray,
+) -> tuple[float, ...]:
     """Mechanical state after ``substeps`` Runge-Kutta steps, as the plant takes them.
 
     Parameters
@@ -45,19 +53,19 @@ def flow(x, torque, push_1, push_2, dt, substeps, params):
 
 @njit
 def move_and_derive(
-    states,
-    torques,
-    braked,
-    constants,
-    sensitivity,
-    direction,
-    mean,
-    sample_time,
-    substeps,
-    moved,
-    f,
-    g,
-):
+    states: np.ndarray,
+    torques: np.ndarray,
+    braked: np.ndarray,
+    constants: np.ndarray,
+    sensitivity: np.ndarray,
+    direction: np.ndarray,
+    mean: float,
+    sample_time: float,
+    substeps: int,
+    moved: np.ndarray,
+    f: np.ndarray,
+    g: np.ndarray,
+) -> None:
     """Sampled dynamics along a trajectory, with Jacobians by central differences.
 
     Parameters
@@ -150,16 +158,16 @@ def filter_forward(
     growth,
     h,
     r,
-    residual,
-    defect,
-    start,
-    deviation,
-    means,
-    covariances,
-    gains,
-    innovations,
-    spreads,
-):
+    residual: np.ndarray,
+    defect: np.ndarray,
+    start: np.ndarray,
+    deviation: np.ndarray,
+    means: np.ndarray,
+    covariances: np.ndarray,
+    gains: np.ndarray,
+    innovations: np.ndarray,
+    spreads: np.ndarray,
+) -> None:
     """Kalman filter of deviations from a trajectory.
 
     Parameters
@@ -192,7 +200,7 @@ def filter_forward(
 
 
 @njit
-def _update(h, r, residual, m, p, gain, innovations, spreads, k, q):
+def _update(h, r, residual, m, p, gain, innovations, spreads, k, q) -> None:
     """Take one scalar reading."""
     size = len(m)
     spreads[k, q] = np.inf
@@ -220,7 +228,7 @@ def _update(h, r, residual, m, p, gain, innovations, spreads, k, q):
 
 
 @njit
-def _predict(f, g, push, memory, growth, defect, size, m, p, half):
+def _predict(f, g, push, memory, growth, defect, size, m, p, half) -> None:
     """Go one sample on: only the first four states move, the others remember or forget."""
     known = len(m)
     for i in range(4):
@@ -254,8 +262,18 @@ def _predict(f, g, push, memory, growth, defect, size, m, p, half):
 
 @njit
 def smooth_backward(
-    f, memory, h, rows, means, covariances, gains, innovations, spreads, smoothed, variances
-):
+    f,
+    memory,
+    h,
+    rows: np.ndarray,
+    means,
+    covariances,
+    gains,
+    innovations,
+    spreads,
+    smoothed: np.ndarray,
+    variances: np.ndarray,
+) -> None:
     """Modified Bryson-Frazier recursion after `filter_forward`.
 
     Parameters
@@ -310,7 +328,7 @@ def _variance(row, p, curve, back):
 
 
 @njit
-def _undo(h, gain, innovation, spread, slope, curve, back):
+def _undo(h, gain, innovation, spread, slope, curve, back) -> None:
     """Adjoint of one reading: slope and curve before it from those after it."""
     known, along, bend = len(slope), 0.0, 0.0
     for i in range(known):
@@ -329,7 +347,7 @@ def _undo(h, gain, innovation, spread, slope, curve, back):
 
 
 @njit
-def _adjoint(f, memory, slope, curve, back, work):
+def _adjoint(f, memory, slope, curve, back, work) -> None:
     """Adjoint of one step: F' slope and F' curve F."""
     known, size = len(slope), f.shape[1]
     for j in range(known):
@@ -370,11 +388,11 @@ def filter_extended(
     growth,
     h,
     r,
-    readings,
+    readings: np.ndarray,
     start,
     deviation,
-    states,
-):
+    states: np.ndarray,
+) -> None:
     """Extended Kalman filter, linearised at its own estimate.
 
     Parameters

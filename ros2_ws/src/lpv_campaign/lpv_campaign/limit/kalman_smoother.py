@@ -28,7 +28,12 @@ class Passes:
     smoothed_variances: np.ndarray
 
 
-def both_passes(system, residual=None, defect=None, start=None):
+def both_passes(
+    system,
+    residual: np.ndarray | None = None,
+    defect: np.ndarray | None = None,
+    start: np.ndarray | None = None,
+) -> Passes:
     """Filter and smooth deviations from the trajectory along which a run was linearised.
 
     Parameters

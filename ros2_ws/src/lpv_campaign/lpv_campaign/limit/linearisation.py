@@ -71,7 +71,7 @@ class LinearSystem:
     deviation: np.ndarray
 
 
-def true_states(arm, run, knowledge, faults):
+def true_states(arm, run, knowledge, faults) -> np.ndarray:
     """Trajectory of the run's true state.
 
     Parameters
@@ -99,7 +99,9 @@ def true_states(arm, run, knowledge, faults):
     return states
 
 
-def linearise(arm, scenario, run, knowledge, faults, states, substeps=2):
+def linearise(
+    arm, scenario, run, knowledge, faults, states: np.ndarray, substeps: int = 2
+) -> LinearSystem:
     """Linearise a run along a trajectory.
 
     Parameters
@@ -220,7 +222,7 @@ def _sensors(arm, run, knowledge, faults, states):
     return h, readings, fault
 
 
-def _holding(knowledge, states, p, h, readings):
+def _holding(knowledge, states, p, h, readings) -> None:
     """Torques that hold a braked arm against gravity: Q_i = -G_i sin theta_i."""
     constants = knowledge.constants + states[:, 4 : 4 + p] @ knowledge.sensitivity
     for i, entry in enumerate((G_1, G_2)):
@@ -230,7 +232,7 @@ def _holding(knowledge, states, p, h, readings):
         readings[:, 4 + i] = -constants[:, entry] * sine
 
 
-def measurements(arm, run):
+def measurements(arm, run) -> np.ndarray:
     """What was read: positions and rates of the physical sensors, torques that held the arm.
 
     Parameters

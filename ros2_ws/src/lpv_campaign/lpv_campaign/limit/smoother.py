@@ -50,7 +50,9 @@ class Smoothed:
     converged: bool
 
 
-def smooth(arm, scenario, run, knowledge, faults, substeps=2, iterations=_ITERATIONS):
+def smooth(
+    arm, scenario, run, knowledge, faults, substeps=2, iterations: int = _ITERATIONS
+) -> Smoothed:
     """Most probable course of a run given all its data (iterated extended Kalman smoother).
 
     Each iteration linearises along the last result and solves for all samples at once: Gauss-Newton
@@ -114,7 +116,7 @@ def _first_guess(arm, run, knowledge, faults):
     return states
 
 
-def filter_adaptively(arm, scenario, run, knowledge, faults, substeps=2):
+def filter_adaptively(arm, scenario, run, knowledge, faults, substeps=2) -> tuple[np.ndarray, ...]:
     """Causal extended Kalman filter that learns the arm's parameters.
 
     Given `lpv_campaign.limit.fault_prior.anything`, position sensors serve it for the first sample

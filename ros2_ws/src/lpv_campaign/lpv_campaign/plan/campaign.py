@@ -1,9 +1,12 @@
 """A campaign with all its files inlined: what every worker needs, as one text."""
 
+from __future__ import annotations
+
 import json
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from lpv_campaign.plan.factors import ByKind, Choice
 from lpv_campaign.plan.sampling import Plan
@@ -17,7 +20,9 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
 
-def resolve(data, source, folder, designed=True):
+def resolve(
+    data: dict[str, Any], source: str, folder: str | Path, designed: bool = True
+) -> Campaign:
     """Inline all files that a campaign names, and design its gains.
 
     Parameters
@@ -112,7 +117,7 @@ class Campaign:
         Nominal arm of the arm file.
     """
 
-    def __init__(self, text):
+    def __init__(self, text: str) -> None:
         self.text = text
         self._content = content = json.loads(text)
         self.spec = parse_spec(content['spec'])
@@ -142,7 +147,7 @@ class Campaign:
         """Gains of a design at a sample time [s]."""
         return self._gains[f'{design}@{sample_time!r}']
 
-    def with_gains(self, gains, factors):
+    def with_gains(self, gains, factors: dict[str, float]) -> Campaign:
         """The same runs with other gains.
 
         Parameters
@@ -166,7 +171,7 @@ class Campaign:
         }
         return Campaign(json.dumps(content, sort_keys=True))
 
-    def values(self, number):
+    def values(self, number: int) -> dict[str, float | str] | None:
         """Value of every factor in one run.
 
         Parameters
@@ -189,7 +194,7 @@ class Campaign:
             values[name] = factor.value(units[name])
         return values
 
-    def check(self):
+    def check(self) -> None:
         """Refuse what needs the arm to be seen as wrong.
 
         Raises

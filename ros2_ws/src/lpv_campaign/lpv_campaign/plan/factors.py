@@ -1,6 +1,7 @@
 """What varies from run to run: fixed values, choices, ranges, each as a map from [0, 1)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lpv_core.support.errors import ConfigError
@@ -79,7 +80,9 @@ class ByKind:
         return self.kinds.get(kind, Choice((0.0,)))
 
 
-def parse_factor(data, name, source, kinds=None):
+def parse_factor(
+    data: object, name: str, source: str, kinds: Sequence[str] | None = None
+) -> Choice | Range | ByKind:
     """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind.
 
     Parameters

@@ -1,5 +1,7 @@
 """Random paths inside the certified region of an arm."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_core.control.path import CartesianPath
@@ -15,7 +17,7 @@ _LEFT, _RIGHT, _LEAST, _MOST = 0.725, 0.453, 0.25, 0.8
 _LEAST to _MOST [rad]: neither stretched nor folded."""
 
 
-def random_path(arm, rng, duration, fastest=2.0):
+def random_path(arm, rng, duration: float, fastest: float = 2.0) -> tuple[Any, ...]:
     """Timed points of a random path on which gains are certified.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -14,7 +15,7 @@ NAMES = ('arm.yaml', 'scenario.yaml', 'gains.yaml', 'parameters.yaml')
 """Of the files; ``parameters.yaml`` is one parameter file for all nodes."""
 
 
-def arm_to_dict(arm):
+def arm_to_dict(arm) -> dict[str, Any]:
     """Content of an arm file.
 
     Parameters
@@ -64,7 +65,7 @@ def arm_to_dict(arm):
     }
 
 
-def scenario_to_dict(scenario):
+def scenario_to_dict(scenario) -> dict[str, Any]:
     """Content of a scenario file.
 
     Parameters
@@ -112,7 +113,7 @@ def scenario_to_dict(scenario):
     }
 
 
-def node_parameters(plan):
+def node_parameters(plan) -> dict[str, Any]:
     """Content of a parameter file with what a run's nodes have other than their defaults.
 
     Parameters
@@ -137,7 +138,7 @@ def node_parameters(plan):
     }
 
 
-def write_run_files(plan, folder):
+def write_run_files(plan, folder: str | Path) -> None:
     """Write the files with which the graph repeats a run.
 
     Parameters

@@ -8,7 +8,7 @@ METHODS = ('factorial', 'random', 'latin_hypercube')
 MOST_RUNS = 10_000_000
 
 
-def plan_size(method, factors, runs, repeats):
+def plan_size(method: str, factors, runs: int, repeats: int) -> int:
     """Number of runs of a plan.
 
     Parameters
@@ -47,7 +47,7 @@ class Plan:
         Seed of the plan.
     """
 
-    def __init__(self, method, factors, size, seed):
+    def __init__(self, method: str, factors, size: int, seed: int) -> None:
         self._method, self._seed, self._width = method, seed, len(factors)
         self._levels = [factor.units for factor in factors.values()]
         self._strata = None
@@ -60,7 +60,7 @@ class Plan:
             )
             self._size = size
 
-    def point(self, number):
+    def point(self, number: int) -> np.ndarray:
         """Coordinates of a run.
 
         Parameters

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from lpv_campaign.plan.factors import ByKind, Choice, parse_factor
 from lpv_campaign.plan.sampling import METHODS, MOST_RUNS, plan_size
@@ -116,7 +117,7 @@ class CampaignSpec:
     folder: str = '.'
 
 
-def load_spec(path):
+def load_spec(path: str | Path) -> CampaignSpec:
     """Read a campaign file.
 
     Parameters
@@ -137,7 +138,7 @@ def load_spec(path):
     return parse_spec(read_yaml(path), str(path), str(Path(path).resolve().parent))
 
 
-def parse_spec(data, source='campaign', folder='.'):
+def parse_spec(data: dict[str, Any], source: str = 'campaign', folder: str = '.') -> CampaignSpec:
     """Build a campaign from the mapping of a campaign file.
 
     Parameters
@@ -233,7 +234,7 @@ def _factors(data, source):
     return factors
 
 
-def _check(factor, name, section):
+def _check(factor, name, section) -> None:
     """Type and range of a factor's values."""
     values = factor.values if isinstance(factor, Choice) else (factor.low, factor.high)
     numeric = name in NUMBERS or name in _TUNING

@@ -1,5 +1,7 @@
 """The main figures of a campaign on the terminal."""
 
+from typing import Any
+
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -7,7 +9,7 @@ from rich.table import Table
 from lpv_campaign.report.text import percent, rate, seconds
 
 
-def print_summary(numbers, console=None):
+def print_summary(numbers: dict[str, Any], console=None) -> None:
     """Show the main figures.
 
     Parameters
@@ -59,7 +61,7 @@ def print_summary(numbers, console=None):
     )
 
 
-def smallest(entry, probability):
+def smallest(entry: dict[str, Any], probability: str) -> str:
     """Smallest size that is detected with some probability, as text.
 
     Parameters

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -60,7 +61,7 @@ class CampaignReport:
     numbers: dict
 
 
-def write_report(campaign, table, folder):
+def write_report(campaign, table, folder: str | Path) -> CampaignReport:
     """Write the report of a campaign.
 
     Parameters
@@ -96,7 +97,7 @@ def write_report(campaign, table, folder):
     return CampaignReport(folder / HTML, folder / JSON, numbers)
 
 
-def report_numbers(results, folder):
+def report_numbers(results: Results, folder: Path) -> dict[str, Any]:
     """All sections of the report.
 
     Parameters
@@ -153,7 +154,7 @@ def _finite(data):
     return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
-def _write(path, content):
+def _write(path, content) -> None:
     # A page that someone looks at is replaced as a whole.
     part = path.with_name(path.name + '.part')
     part.write_text(content, encoding='utf-8')

@@ -1,9 +1,11 @@
 """What a trial costs, how far it is beyond the limits, and which one is picked."""
 
+from typing import Any
+
 from lpv_core.support.errors import ConfigError
 
 
-def cost(figures, values, first):
+def cost(figures, values: dict[str, float], first: dict[str, float]) -> float:
     """Weighted mean of the figures, each over that of the first trial or over its scale.
 
     Parameters
@@ -39,7 +41,7 @@ def cost(figures, values, first):
     return total / weights
 
 
-def excesses(study, outcome, first, validation=None):
+def excesses(study, outcome, first: dict[str, float], validation=None) -> dict[str, float]:
     """How far a trial is beyond each limit.
 
     Parameters
@@ -75,7 +77,7 @@ def excesses(study, outcome, first, validation=None):
     return found
 
 
-def pick(trials, tolerance):
+def pick(trials: list[dict[str, Any]], tolerance: float) -> dict[str, Any] | None:
     """The trial that the study chooses.
 
     Of the trials that keep all limits, those whose cost is within the tolerance of the lowest are

@@ -4,6 +4,7 @@ import copy
 import math
 import re
 from dataclasses import fields
+from typing import Any
 
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.support.errors import ConfigError
@@ -20,7 +21,7 @@ _NAME = re.compile(r'(observer|controller)\.(\w+)(?:\[(\d)\])?')
 _DIAGNOSIS = 'diagnosis.'
 
 
-def base_value(name, requirement):
+def base_value(name: str, requirement) -> float:
     """Value of a field before the search.
 
     Parameters
@@ -79,7 +80,7 @@ def _diagnosis(field, name):
     return value
 
 
-def check_range(name, found, base):
+def check_range(name: str, found, base: float) -> None:
     """Refuse a range that lies outside what means something, or not around the base.
 
     Parameters
@@ -110,7 +111,7 @@ def check_range(name, found, base):
         )
 
 
-def changed(data, requirement, values):
+def changed(data: dict[str, Any], requirement, values: dict[str, float]) -> dict[str, Any]:
     """A requirement file with other values.
 
     Parameters
@@ -147,7 +148,7 @@ def changed(data, requirement, values):
     return result
 
 
-def diagnosis_values(values):
+def diagnosis_values(values: dict[str, float]) -> dict[str, float]:
     """Those of the diagnosis alone, named as factors of a campaign are.
 
     Parameters

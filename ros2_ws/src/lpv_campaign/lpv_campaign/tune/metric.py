@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ class Figure:
     at_most: float = math.inf
     at_most_ratio: float = math.inf
 
-    def values(self, rows, length):
+    def values(self, rows: list[dict[str, Any]], length: float) -> np.ndarray:
         """The column over all runs.
 
         Parameters
@@ -106,7 +107,7 @@ class Figure:
         return meets(row, self.where or {}, f'figures.{self.name}.where')
 
 
-def meets(row, where, name):
+def meets(row: dict[str, Any], where: dict[str, tuple[Any, ...] | Span], name: str) -> bool:
     """Whether a run meets a condition.
 
     Parameters
@@ -148,7 +149,7 @@ def _value(row, column, length):
     return max(min(float(row[column]), BEYOND), -BEYOND)  # leaves NaN alone
 
 
-def parse_figure(section, name):
+def parse_figure(section, name: str) -> Figure:
     """Read a figure of a study file.
 
     Parameters
@@ -188,7 +189,7 @@ def parse_figure(section, name):
     return figure
 
 
-def parse_where(section, data):
+def parse_where(section, data: dict[str, Any]) -> dict[str, tuple[Any, ...] | Span]:
     """Read a condition on runs.
 
     Parameters

@@ -1,9 +1,12 @@
 """Picture of a study: the trade, the search, what matters."""
 
+from pathlib import Path
+from typing import Any
+
 _COLOURS = {'good': 'tab:blue', 'beyond limits': 'tab:orange'}
 
 
-def draw(result, path):
+def draw(result: dict[str, Any], path: str | Path) -> None:
     """Draw a study.
 
     Parameters
@@ -46,7 +49,7 @@ def _points(result):
             yield state, colour, trials
 
 
-def _marked(axis, result, x, y):
+def _marked(axis, result, x, y) -> None:
     """The first trial and the picked one."""
     for number, marker, label in ((0, 's', 'before'), (result['picked'], '*', 'picked')):
         if number is not None and result['trials'][number]['state'] != 'infeasible':
@@ -54,7 +57,7 @@ def _marked(axis, result, x, y):
             axis.plot(x(trial), y(trial), marker, color='black', ms=9, mfc='none', label=label)
 
 
-def _front(axis, result):
+def _front(axis, result) -> None:
     for state, colour, trials in _points(result):
         axis.plot(
             [t['healthy_score'] for t in trials],
@@ -76,7 +79,7 @@ def _front(axis, result):
         axis.legend(fontsize=7)
 
 
-def _history(axis, result):
+def _history(axis, result) -> None:
     for _, colour, trials in _points(result):
         axis.plot([t['number'] for t in trials], [t['cost'] for t in trials], '.', color=colour)
     lost = [t['number'] for t in result['trials'] if t['state'] == 'infeasible']
@@ -86,14 +89,14 @@ def _history(axis, result):
     axis.set_ylim(top=_top(result))
 
 
-def _importance(axis, result):
+def _importance(axis, result) -> None:
     shares = result['importance']
     axis.barh(list(shares), list(shares.values()), color='tab:blue')
     axis.tick_params(axis='y', labelsize=7)
     axis.set(xlabel='importance for a low cost')
 
 
-def _slice(axis, result, name):
+def _slice(axis, result, name) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     for _, colour, trials in _points(result):

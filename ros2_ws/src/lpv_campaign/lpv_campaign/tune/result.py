@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -20,7 +21,7 @@ from lpv_design.solve import InfeasibleError
 FILES = ('requirement.yaml', 'gains.yaml', 'diagnosis.yaml')
 
 
-def conclude(bench, search):
+def conclude(bench, search) -> dict[str, Any]:
     """Pick a trial and look at it again.
 
     Parameters
@@ -69,7 +70,7 @@ def conclude(bench, search):
     return {**result, 'accepted': found['accepted'], 'verdict': verdict, 'validation': found}
 
 
-def write(bench, result, folder):
+def write(bench, result: dict[str, Any], folder: Path) -> list[Path]:
     """Write ``study.json``, and the found values if they are accepted.
 
     Parameters

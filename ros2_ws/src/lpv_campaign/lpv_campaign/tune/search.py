@@ -2,6 +2,8 @@
 
 import warnings
 from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 import optuna
 from optuna.trial import TrialState
@@ -40,7 +42,7 @@ class Search:
         If the file is another study's, or cannot be read.
     """
 
-    def __init__(self, study, key, path):
+    def __init__(self, study, key: str, path: Path) -> None:
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self._study = study
         try:
@@ -98,7 +100,7 @@ class Search:
             )
         return {name: found.get(name, 0.0) for name in self._study.search}
 
-    def step(self, bench):
+    def step(self, bench) -> dict[str, Any]:
         """One trial more.
 
         Parameters
@@ -130,7 +132,7 @@ class Search:
         self._keep(trial, values, bench.outcome(values))
         return self.trials[-1]
 
-    def _keep(self, trial, values, outcome):
+    def _keep(self, trial, values, outcome) -> None:
         entry = {'values': values, 'state': 'infeasible', 'reason': outcome.reason}
         if outcome.reason:
             trial.set_constraint('certified', 1.0)
@@ -161,7 +163,7 @@ class Search:
             self._found.tell(trial, (entry['cost'], outcome.healthy_score))
 
 
-def first_outcome(trials):
+def first_outcome(trials: list[dict[str, Any]]) -> Outcome | None:
     """Outcome of the first trial that has gains.
 
     Parameters

@@ -108,7 +108,7 @@ class Study:
     folder: str
 
 
-def load_study(path):
+def load_study(path: str | Path) -> Study:
     """Read a study file.
 
     Parameters

@@ -1,8 +1,10 @@
 """One trial: a design, its runs, its figures."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from lpv_campaign.plan.campaign import resolve
 from lpv_campaign.tune.fields import base_value, changed, check_range, diagnosis_values
@@ -48,7 +50,7 @@ class Bench:
         As `lpv_campaign.execution.execute.worker_pool` gives it.
     """
 
-    def __init__(self, study, execute):
+    def __init__(self, study, execute: Callable[..., Any]) -> None:
         self.study, self._execute = study, execute
         self.requirement = _base(study)
         self.base = {name: base_value(name, self.requirement) for name in study.search}
@@ -69,7 +71,7 @@ class Bench:
         """Content of the requirement file with given values."""
         return changed(self._data, self.requirement, values)
 
-    def gains(self, values):
+    def gains(self, values: dict[str, float]):
         """Certified gains.
 
         Parameters
@@ -100,7 +102,9 @@ class Bench:
         require(self.arm, gains, self.study.name)
         return gains
 
-    def rows(self, gains, values, plan=None):
+    def rows(
+        self, gains, values: dict[str, float], plan: dict[str, Any] | None = None
+    ) -> list[dict[str, Any]]:
         """Results of all runs with given gains.
 
         Parameters
@@ -130,7 +134,7 @@ class Bench:
         }
         return resolve(data, self.study.name, self.study.folder, designed=False)
 
-    def outcome(self, values):
+    def outcome(self, values: dict[str, float]) -> Outcome:
         """Design, run, and measure.
 
         Parameters
@@ -149,7 +153,7 @@ class Bench:
             return Outcome(reason=str(error))
         return self.measure(self.rows(gains, values))
 
-    def measure(self, rows):
+    def measure(self, rows: list[dict[str, Any]]) -> Outcome:
         """Figures of a campaign's results.
 
         Parameters

@@ -1,11 +1,13 @@
 """The second look: picked and first design on other runs, pair by pair."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_campaign.tune.cost import cost, excesses
 
 
-def validate(bench, gains, values, first):
+def validate(bench, gains, values: dict[str, float], first) -> dict[str, Any]:
     """Compare two designs on the runs of the validation.
 
     Both see the same paths, arms, noise and faults; the intervals are percentiles of a bootstrap

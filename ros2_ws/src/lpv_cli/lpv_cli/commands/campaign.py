@@ -12,7 +12,7 @@ from lpv_cli.progress import counted
 from lpv_core.support.errors import ConfigError
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -59,7 +59,7 @@ def add_arguments(parser):
     fleet.add_arguments(parser)
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Run what is missing, and put the results together.
 
     Parameters
@@ -104,7 +104,7 @@ def run(arguments):
     return 0
 
 
-def _report(campaign, folder, table, console):
+def _report(campaign, folder, table, console) -> None:
     # Only here: runs must not wait for plotting.
     from lpv_campaign.report import print_summary, write_report
 
@@ -129,7 +129,7 @@ def _report_again(arguments, console):
     return 0
 
 
-def _check_workers(arguments):
+def _check_workers(arguments) -> None:
     if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
         raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
 
@@ -140,7 +140,7 @@ def _replay_archive(arguments):
     return fleet.replay_archive(arguments)
 
 
-def _run(arguments, campaign, folder, numbers, console):
+def _run(arguments, campaign, folder, numbers, console) -> None:
     total = campaign.spec.runs
     with counted(console, campaign.spec.name, total, total - len(numbers)) as advance:
         for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):

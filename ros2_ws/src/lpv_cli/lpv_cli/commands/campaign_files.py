@@ -1,6 +1,7 @@
 """Campaigns by the names that a user gives them."""
 
 from pathlib import Path
+from typing import Any
 
 from lpv_campaign.execution.store import CampaignFolder
 from lpv_campaign.plan.campaign import resolve
@@ -9,7 +10,7 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
 
-def open_folder(path):
+def open_folder(path: str | Path) -> tuple[Any, ...]:
     """Campaign of a results folder.
 
     Parameters
@@ -34,7 +35,7 @@ def open_folder(path):
     return campaign, folder
 
 
-def open_file(name, out=None):
+def open_file(name: str, out: str | None = None) -> tuple[Any, ...]:
     """Campaign of a campaign file, with the gains that were used if it has begun already.
 
     Parameters

@@ -1,6 +1,7 @@
 """``lpv campaign DIR --run N --bag FOLDER``: one run again, as a bag."""
 
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -12,7 +13,7 @@ from lpv_cli.commands.campaign_files import open_file, open_folder
 from lpv_core.support.errors import ConfigError, LpvError
 
 
-def run_to_bag(arguments):
+def run_to_bag(arguments) -> int:
     """Simulate a run again, compare its figures with the results, write its bag.
 
     Parameters
@@ -63,7 +64,7 @@ def run_to_bag(arguments):
     return 0
 
 
-def stored_row(folder, number):
+def stored_row(folder, number: int) -> dict[str, Any] | None:
     """Row of a run in the results.
 
     Parameters
@@ -102,7 +103,7 @@ def _text(value):
     return f'{value:.6g}' if isinstance(value, float) else str(value)
 
 
-def _hints(bag, plan, console):
+def _hints(bag, plan, console) -> None:
     files = f'--arm {bag}/arm.yaml'
     console.print(f'bag     {bag}')
     console.print(f'report  lpv report {bag} {files} --scenario {bag}/scenario.yaml')

@@ -17,7 +17,7 @@ from lpv_report.comparison import Tolerances, answer_stamps, compare_runs
 _DEFAULTS = Tolerances()
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -55,7 +55,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Compare, show, write.
 
     Parameters
@@ -83,7 +83,7 @@ def run(arguments):
     return 0 if result.same else 3
 
 
-def load_pair(bag, other, arm):
+def load_pair(bag: str | Path, other: str | Path, arm):
     """Two runs of one recording.
 
     Parameters
@@ -119,7 +119,7 @@ def load_pair(bag, other, arm):
     return tuple(records)
 
 
-def show(result, console):
+def show(result, console) -> None:
     """Show a comparison as tables.
 
     Parameters
@@ -170,7 +170,7 @@ def show(result, console):
     console.print('same' if result.same else 'DIFFERENT beyond the tolerances')
 
 
-def _table(console, title, columns, rows):
+def _table(console, title, columns, rows) -> None:
     if not rows:
         return
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify='left')
@@ -198,7 +198,7 @@ def _both(pair, name):
     return texts[0] if pair.same and texts[0] == texts[1] else ' | '.join(texts)
 
 
-def _write(out, text, first, second, arm):
+def _write(out, text, first, second, arm) -> None:
     from lpv_report.comparison_figures import draw_comparison
     from lpv_report.run.style import png
 

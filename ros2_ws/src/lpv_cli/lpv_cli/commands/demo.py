@@ -24,7 +24,7 @@ _SILENCE = 120.0
 """Longest time without progress before the run is given up [s]; the first start compiles."""
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -64,7 +64,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Design gains, run the graph, write and show the report.
 
     Parameters
@@ -118,7 +118,7 @@ def _fresh_folder(name):
     return out
 
 
-def _design(arm, requirement, gains_file, console):
+def _design(arm, requirement, gains_file, console) -> bool:
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
@@ -176,7 +176,7 @@ def _commands(arguments, files, out):
     }
 
 
-def _run_graph(arguments, files, out, scenario, console):
+def _run_graph(arguments, files, out, scenario, console) -> None:
     domain = arguments.domain_id
     if domain is None:
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
@@ -195,7 +195,7 @@ def _run_graph(arguments, files, out, scenario, console):
         raise NodeFailure(f'nodes ended with codes {bad}; their logs are in {out / "log"}')
 
 
-def _follow(graph, duration, console):
+def _follow(graph, duration, console) -> None:
     """Show progress and alarms until the simulator has finished; the others then miss it."""
     simulator = graph.nodes[-1]
     columns = (
@@ -224,7 +224,7 @@ def _follow(graph, duration, console):
     graph.check(finite=simulator)
 
 
-def _check_running(graph, simulator, last):
+def _check_running(graph, simulator, last) -> None:
     graph.check(finite=simulator)
     if time.monotonic() - last > _SILENCE:
         raise NodeFailure(f'no progress for {_SILENCE:g} s; logs are kept')

@@ -23,7 +23,7 @@ _TOGETHER, _EVERY = 50, 2.0
 _SHOWN = 10
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the arguments of ``--bags``.
 
     Parameters
@@ -48,7 +48,7 @@ def add_arguments(parser):
     add_reading(group)
 
 
-def replay_archive(arguments):
+def replay_archive(arguments) -> int:
     """Replay what has not been replayed, show and write the statistics.
 
     Parameters
@@ -108,7 +108,7 @@ def _settings(arguments, console):
     return FleetSettings(arm, gains, diagnosis, options=options, **others)
 
 
-def _replay(arguments, settings, root, bags, folder, console, total):
+def _replay(arguments, settings, root, bags, folder, console, total) -> None:
     waiting, since = [], time.monotonic()
     with counted(console, 'bags', total, total - len(bags)) as advance:
         try:
@@ -124,7 +124,7 @@ def _replay(arguments, settings, root, bags, folder, console, total):
                 folder.add(waiting)
 
 
-def _show(statistics, arm, healthy, console):
+def _show(statistics, arm, healthy, console) -> None:
     # Plotting is imported only when everything is done.
     from lpv_campaign.fleet.report import number, rates, truth_text
 
@@ -171,7 +171,7 @@ def _show(statistics, arm, healthy, console):
         console.print(f'failed  {row["bag"]}: {row["error"]}', markup=False)
 
 
-def _write_report(path, statistics, arm, root, folder, healthy):
+def _write_report(path, statistics, arm, root, folder, healthy) -> None:
     from lpv_campaign.fleet.report import write_fleet_report
 
     write_fleet_report(

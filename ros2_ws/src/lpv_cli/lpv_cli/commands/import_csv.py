@@ -7,7 +7,7 @@ from lpv_bag.run.csv_import import import_csv, load_column_map
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -26,7 +26,7 @@ def add_arguments(parser):
     parser.add_argument('--delimiter', default=',', help='between cells (comma)')
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Import.
 
     Parameters

@@ -15,7 +15,7 @@ from lpv_bag.rosbag.recovery import recover
 NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -40,7 +40,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Recover, and show what was lost.
 
     Parameters
@@ -80,7 +80,7 @@ def _recover_into(bag, out, preset):
         raise
 
 
-def _show(result, out):
+def _show(result, out) -> None:
     console = Console(soft_wrap=True, highlight=False, markup=False)
     for text in result.damages:
         console.print(f'  {text}')

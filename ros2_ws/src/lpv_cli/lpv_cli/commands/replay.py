@@ -4,6 +4,7 @@ import os
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -24,7 +25,7 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -62,7 +63,7 @@ def add_arguments(parser):
     _add_publishing(parser)
 
 
-def add_diagnosis(parser):
+def add_diagnosis(parser) -> None:
     """Declare the arguments that say what observes.
 
     Parameters
@@ -88,7 +89,7 @@ def add_diagnosis(parser):
     )
 
 
-def add_reading(parser):
+def add_reading(parser) -> None:
     """Declare the arguments that say what of a bag is read.
 
     Parameters
@@ -124,7 +125,7 @@ def add_reading(parser):
     )
 
 
-def _add_publishing(parser):
+def _add_publishing(parser) -> None:
     parser.add_argument(
         '--publish',
         action='store_true',
@@ -152,7 +153,7 @@ def _add_publishing(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Replay, report, show what was found.
 
     Parameters
@@ -222,7 +223,7 @@ def _options(arguments):
     )
 
 
-def _check_out(out, bag):
+def _check_out(out, bag) -> None:
     if bag == out or bag.is_relative_to(out):
         raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
     if out.is_relative_to(bag):
@@ -231,7 +232,7 @@ def _check_out(out, bag):
         raise ConfigError('--out', f'{out} exists already and was not written by this command')
 
 
-def _is_ours(out):
+def _is_ours(out) -> bool:
     try:
         with open(out / 'metadata.yaml', encoding='utf-8') as file:
             information = yaml.safe_load(file)['rosbag2_bagfile_information']
@@ -240,12 +241,12 @@ def _is_ours(out):
         return False
 
 
-def _remove(out):
+def _remove(out) -> None:
     if out.exists():
         shutil.rmtree(out)
 
 
-def arm_and_gains(arguments, console):
+def arm_and_gains(arguments, console) -> tuple[Any, ...]:
     """Arm and gains as arguments say.
 
     Parameters
@@ -283,7 +284,7 @@ def _design(arguments, arm, console):
     return design(arm, requirement).gains
 
 
-def diagnosis_parameters(path):
+def diagnosis_parameters(path: str | None) -> tuple[Any, ...]:
     """Tuning of the diagnosis in a parameter file of the node.
 
     Parameters
@@ -327,7 +328,7 @@ def _injector(path, arm):
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
 
 
-def _summary(result, monitor, seconds, console):
+def _summary(result, monitor, seconds, console) -> None:
     console.print(
         f'{result.measurements} measurements, {len(result.events)} alarm events, {seconds:.2f} s'
     )
@@ -338,7 +339,7 @@ def _summary(result, monitor, seconds, console):
         console.print(f'  rejected {count} times: {text}')
 
 
-def _report(arguments, arm, out, console):
+def _report(arguments, arm, out, console) -> None:
     from lpv_report.run import print_table, write_report
 
     folder = Path(arguments.report).resolve()

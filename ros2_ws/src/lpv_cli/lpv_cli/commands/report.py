@@ -11,7 +11,7 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -33,7 +33,7 @@ def add_arguments(parser):
     parser.add_argument('--out', default='out/report', help='folder for the report')
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Write the report and show its table.
 
     Parameters

@@ -7,7 +7,7 @@ from lpv_cli.completion import packages, programs
 from lpv_core.support.resources import executable
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -29,7 +29,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments: argparse.Namespace) -> None:
     """Become the program; returns only where it cannot be started.
 
     Parameters

@@ -25,7 +25,7 @@ from lpv_core.support.errors import ConfigError
 EXIT_NOTHING = 1
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -60,7 +60,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Search, look again, write.
 
     Parameters
@@ -106,7 +106,7 @@ def _key(study, bench):
     return sha256_of([data, bench.key, bench.content({}), software()])
 
 
-def _search(search, bench, trials, console):
+def _search(search, bench, trials, console) -> None:
     done = len(search.trials)
     if done:
         console.print(f'{done} trials are here already')
@@ -133,7 +133,7 @@ def _best(trials):
     return f'lowest cost {min(costs):.3f}' if costs else 'nothing yet'
 
 
-def _show(result, console):
+def _show(result, console) -> None:
     states = [trial['state'] for trial in result['trials']]
     console.print(
         f'{len(states)} trials: {states.count("good")} good, '
@@ -155,7 +155,7 @@ def _show(result, console):
     )
 
 
-def _show_validation(found, console):
+def _show_validation(found, console) -> None:
     table = Table(
         title=f'on {found["runs"]} other runs; intervals hold '
         f'{found["confidence"]:.0%} of {found["resamples"]} resamples'

@@ -7,7 +7,7 @@ from lpv_core.model.arm import load_arm
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -19,7 +19,7 @@ def add_arguments(parser):
     parser.add_argument('--out', help='file to write instead of the terminal')
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Print or write the URDF.
 
     Parameters

@@ -8,7 +8,7 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -29,7 +29,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Rebuild and judge every inequality.
 
     Parameters

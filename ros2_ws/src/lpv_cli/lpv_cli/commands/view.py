@@ -5,7 +5,7 @@ import os
 from lpv_core.support.resources import bringup_file, executable
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -37,7 +37,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Become the view node; returns only where it cannot be started.
 
     Parameters

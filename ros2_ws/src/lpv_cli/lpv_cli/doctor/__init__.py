@@ -12,7 +12,7 @@ FOUND = 3
 """Exit code where something was found."""
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments.
 
     Parameters
@@ -39,7 +39,7 @@ def _seconds(text):
     return value
 
 
-def run(arguments):
+def run(arguments) -> int:
     """Check environment, files and graph.
 
     Parameters

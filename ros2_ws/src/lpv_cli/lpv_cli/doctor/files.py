@@ -1,5 +1,7 @@
 """Checks of arm, gains and scenario files; no graph is needed."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_cli.doctor.findings import error, ok, warn
@@ -12,7 +14,9 @@ from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 
 
-def check_files(arm_name, gains_name, scenario_name):
+def check_files(
+    arm_name: str | None, gains_name: str | None, scenario_name: str | None
+) -> tuple[Any, ...]:
     """Run the checks of the files that are given.
 
     Parameters
@@ -45,7 +49,7 @@ def check_files(arm_name, gains_name, scenario_name):
     return arm, findings
 
 
-def check_arm(name):
+def check_arm(name: str) -> tuple[Any, ...]:
     """Whether an arm file can be read.
 
     Parameters
@@ -65,7 +69,7 @@ def check_arm(name):
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
 
 
-def check_gains(name, arm, arm_name='ARM'):
+def check_gains(name: str, arm, arm_name: str = 'ARM'):
     """Whether gains can be read, belong to the arm, and have a certificate that holds.
 
     Parameters
@@ -103,7 +107,7 @@ def check_gains(name, arm, arm_name='ARM'):
     return ok('gains', f'certificate for arm {arm.name!r} holds')
 
 
-def check_scenario(name, arm):
+def check_scenario(name: str, arm):
     """Whether a scenario can be run with the arm.
 
     Parameters

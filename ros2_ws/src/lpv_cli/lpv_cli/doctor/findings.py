@@ -61,7 +61,7 @@ def as_dict(finding):
     return {**asdict(finding), 'level': finding.level.value}
 
 
-def show(findings, console):
+def show(findings: list[Finding], console) -> None:
     """Print findings as a table, each with its remedy below.
 
     Parameters

@@ -15,7 +15,7 @@ SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
 _DEAD = 'a node that was killed is in the graph for some 20 s more'
 
 
-def check_graph(shot, arm=None, alone=True):
+def check_graph(shot, arm=None, alone: bool = True):
     """Run all checks of a graph.
 
     Parameters
@@ -59,7 +59,7 @@ def running_arm(shot):
     return None
 
 
-def check_anybody(shot, alone=True):
+def check_anybody(shot, alone: bool = True):
     """Whether anything of this software runs on this domain."""
     if shot.ours():
         return ok('nodes', f'domain {shot.domain}: {", ".join(shot.ours())}')

@@ -83,7 +83,7 @@ class Snapshot:
         return sorted({n for n in self.nodes if n.rsplit('/', 1)[1] in OURS})
 
 
-def watch(seconds):
+def watch(seconds: float) -> Snapshot:
     """Join the graph of this shell's domain and look around.
 
     Parameters
@@ -117,7 +117,7 @@ def watch(seconds):
 
 
 class _Watch:
-    def __init__(self, node, executor):
+    def __init__(self, node, executor) -> None:
         self._node, self._executor = node, executor
 
     def look(self, seconds):
@@ -135,7 +135,7 @@ class _Watch:
         self._write_down(shot, questions)
         return shot
 
-    def _find(self):
+    def _find(self) -> None:
         """Wait until everybody has been found."""
         end, quiet_since, known = time.monotonic() + _LONGEST_SEARCH, time.monotonic(), None
         while time.monotonic() < min(end, quiet_since + _QUIET):
@@ -147,14 +147,14 @@ class _Watch:
             if found != known:
                 known, quiet_since = found, time.monotonic()
 
-    def _spin(self, seconds, questions=()):
+    def _spin(self, seconds, questions=()) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for question in questions:
                 question.ask()
             self._executor.spin_once(timeout_sec=min(0.05, max(0.0, end - time.monotonic())))
 
-    def _listen(self, shot):
+    def _listen(self, shot) -> None:
         node = self._node
         topics = [
             t
@@ -189,7 +189,7 @@ class _Watch:
         return questions
 
     @staticmethod
-    def _write_down(shot, questions):
+    def _write_down(shot, questions) -> None:
         for question in questions:
             answer, name = question.answer(), question.name
             if not question.parameter:
@@ -201,11 +201,11 @@ class _Watch:
 class _Question:
     """A request to a node, sent once its service has been found."""
 
-    def __init__(self, name, parameter, client, request):
+    def __init__(self, name, parameter, client, request) -> None:
         self.name, self.parameter = name, parameter
         self._client, self._request, self._future = client, request, None
 
-    def ask(self):
+    def ask(self) -> None:
         if self._future is None and self._client.service_is_ready():
             self._future = self._client.call_async(self._request)
 

@@ -70,7 +70,7 @@ rate (method paper: ``extent`` alone); how long links have been held, less what 
 results: bounds on the error per sensor [rad], on r of a healthy arm [rad/s]; work space."""
 
 
-def error_bound(arm, gains, sigmas, friction_uncertainty):
+def error_bound(arm, gains, sigmas: float, friction_uncertainty: float) -> np.record:
     """Constants of the bound for one arm and its gains.
 
     Parameters
@@ -118,7 +118,7 @@ def error_bound(arm, gains, sigmas, friction_uncertainty):
 
 
 @njit
-def reset_bound(state):
+def reset_bound(state) -> None:
     """Forget the past: the next estimate is a first one."""
     state.columns[:] = 0.0
     state.extent[:] = 0.0
@@ -127,7 +127,9 @@ def reset_bound(state):
 
 
 @njit
-def update_bound(params, state, estimate, lost):
+def update_bound(
+    params: np.record, state: np.record, estimate: np.record, lost: np.ndarray
+) -> None:
     """Follow the configuration; fills ``bound`` and ``momentum`` of the state.
 
     Parameters
@@ -150,7 +152,7 @@ def update_bound(params, state, estimate, lost):
 
 
 @njit
-def _widen(params, state, i, gap):
+def _widen(params, state, i, gap) -> None:
     """Add an unknown part of an angle to the errors."""
     if not params.exact:
         state.extent[i] += gap
@@ -163,7 +165,7 @@ def _widen(params, state, i, gap):
 
 
 @njit
-def _follow_set(params, state, estimate):
+def _follow_set(params, state, estimate) -> None:
     if state.count == 0:
         state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
         state.count = 2
@@ -179,7 +181,7 @@ def _follow_set(params, state, estimate):
 
 
 @njit
-def _advance(params, state, estimate):
+def _advance(params, state, estimate) -> None:
     theta, rate, acc = (
         estimate.absolute_position,
         estimate.absolute_velocity,
@@ -197,7 +199,14 @@ def _advance(params, state, estimate):
 
 
 @njit
-def error_matrix(params, theta, rate, acc, held, n):
+def error_matrix(
+    params: np.record,
+    theta: np.ndarray,
+    rate: np.ndarray,
+    acc: np.ndarray,
+    held: np.ndarray,
+    n: np.ndarray,
+) -> None:
     """N of the error at the estimate.
 
     The coupling of inertia and Coriolis terms enters with its known sign; what its linearisation
@@ -229,7 +238,7 @@ def error_matrix(params, theta, rate, acc, held, n):
 
 
 @njit
-def advance_set(params, state, dt):
+def advance_set(params: np.record, state: np.record, dt: float) -> None:
     """Map the set by exp(N dt) to second order and add a box of inputs.
 
     Parameters
@@ -263,7 +272,7 @@ def advance_set(params, state, dt):
 
 
 @njit
-def _update_held_time(params, state, estimate):
+def _update_held_time(params, state, estimate) -> None:
     """Count how long noise of the rates was integrated while a link was held; it is unlearnt as
     slowly as the observer recovers."""
     fall = math.exp(-estimate.interval * params.slowest_recovery)
@@ -275,7 +284,7 @@ def _update_held_time(params, state, estimate):
 
 
 @njit
-def _follow_static(params, state, estimate):
+def _follow_static(params, state, estimate) -> None:
     state.margin[:] = 0.0
     unknown_torque(
         params.unknown,
@@ -302,7 +311,7 @@ def _follow_static(params, state, estimate):
         )
 
 
-def static_bound(params, theta):
+def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
     """Bound at rest in one configuration, after all transients.
 
     For method ``exact`` from the comparison system of the error, whose poles are real at every

@@ -23,7 +23,7 @@ UNKNOWN_TORQUE = record_type(
 altogether); mean disturbance Bd2 abs(d) [rad/s2]."""
 
 
-def healthy_arm(arm, friction_uncertainty):
+def healthy_arm(arm, friction_uncertainty: float) -> np.record:
     """What a healthy arm may do that its model does not say.
 
     Parameters
@@ -51,7 +51,14 @@ def healthy_arm(arm, friction_uncertainty):
 
 
 @njit
-def unknown_torque(params, theta, rate, acc, margin, out):
+def unknown_torque(
+    params: np.record,
+    theta: np.ndarray,
+    rate: np.ndarray,
+    acc: np.ndarray,
+    margin: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """Bound on the unknown generalised torques abs(q_i).
 
     Parameters

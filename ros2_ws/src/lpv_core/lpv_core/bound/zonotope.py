@@ -18,7 +18,7 @@ SIZE = 4
 
 
 @njit
-def map_columns(columns, count, m):
+def map_columns(columns: np.ndarray, count: int, m: np.ndarray) -> None:
     """Replace every column g by m @ g.
 
     Parameters
@@ -44,7 +44,7 @@ def map_columns(columns, count, m):
 
 
 @njit
-def reduce_columns(columns, count):
+def reduce_columns(columns: np.ndarray, count: int) -> int:
     """Put all but the largest columns into one box around their sum.
 
     Small columns lose their signs, which costs least; the set only grows.
@@ -83,7 +83,7 @@ def reduce_columns(columns, count):
 
 
 @njit
-def extent(columns, count, out):
+def extent(columns: np.ndarray, count: int, out: np.ndarray) -> None:
     """Largest absolute value of every coordinate.
 
     Parameters

@@ -32,12 +32,12 @@ class Check:
     margin: float
 
     @property
-    def holds(self):
+    def holds(self) -> bool:
         """Whether it is satisfied; NaN is not."""
         return self.margin < 0.0
 
 
-def verify(arm, gains):
+def verify(arm, gains) -> list[Check]:
     """Rebuild every inequality that the gains claim to satisfy.
 
     Parameters
@@ -66,7 +66,7 @@ def verify(arm, gains):
     ]
 
 
-def require(arm, gains, source='gains'):
+def require(arm, gains, source: str = 'gains') -> None:
     """Refuse gains whose certificate does not hold.
 
     Parameters
@@ -105,7 +105,7 @@ def _lyapunov_check(name, p):
     )
 
 
-def exact_observer_checks(arm, observer):
+def exact_observer_checks(arm, observer) -> list[Check]:
     """Checks of method ``exact``, link by link.
 
     The inequalities are affine in the slope, so that its two ends prove them for every slope in
@@ -152,7 +152,7 @@ def heun(n, dt):
     return np.eye(len(n)) + dt * n + 0.5 * dt**2 * (n @ n)
 
 
-def paper_observer_checks(arm, observer):
+def paper_observer_checks(arm, observer) -> list[Check]:
     """Checks of method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41).
 
     Parameters
@@ -189,7 +189,7 @@ def paper_observer_checks(arm, observer):
     ]
 
 
-def controller_loop(arm, method, sinc_min=-0.2):
+def controller_loop(arm, method: str, sinc_min: float = -0.2) -> tuple[np.ndarray, ...]:
     """Augmented vertices A_c, B_c of eq. (64).
 
     Parameters
@@ -212,7 +212,7 @@ def controller_loop(arm, method, sinc_min=-0.2):
     return augment(np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]))
 
 
-def augment(a, b):
+def augment(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
     """Augmented vertices of eq. (64) with eps' = w - theta.
 
     Parameters
@@ -233,7 +233,7 @@ def augment(a, b):
     return a_c, b_c
 
 
-def controller_checks(arm, controller):
+def controller_checks(arm, controller) -> list[Check]:
     """Checks of the tracking loop: LMI (67), and poles that the sample time can carry.
 
     Parameters
@@ -354,7 +354,7 @@ def _together(arm, gains):
     return checks
 
 
-def delayed_radius(a, b, m, dt):
+def delayed_radius(a: np.ndarray, b: np.ndarray, m: np.ndarray, dt: float) -> float:
     """Spectral radius of a sampled loop whose torque acts one sample late.
 
     Parameters

@@ -1,5 +1,6 @@
 """The error system of method ``exact``, link by link, with its noise: data of LMIs and checks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,7 @@ class LinkError:
         """N of the error e' = -kappa m, m' = Gamma e - mu m, for one slope."""
         return np.array([[0.0, -kappa * self.inertia], [slope / self.inertia, -mu]])
 
-    def noises(self, acceleration_noise, rate_noise):
+    def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[Noise]:
         """Noise at both ends of Xi12; everything between them is a convex combination.
 
         Parameters
@@ -93,7 +94,7 @@ class LinkError:
         return found
 
 
-def link_errors(arm):
+def link_errors(arm) -> list[LinkError]:
     """Error systems of both links.
 
     Parameters

@@ -17,7 +17,7 @@ def exact(values):
     return np.vectorize(Fraction, otypes=[object])(np.asarray(values))
 
 
-def is_positive_definite(matrix):
+def is_positive_definite(matrix: np.ndarray) -> bool:
     """Sylvester's criterion by symmetric elimination over the fractions.
 
     Parameters
@@ -73,7 +73,7 @@ def _constants(arm):
     )
 
 
-def prove(arm, gains):
+def prove(arm, gains) -> dict[str, bool]:
     """Prove the quadratic inequalities of a gains file.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -128,7 +129,7 @@ class Gains:
     controller: ControllerGains
     certificate: dict = field(default_factory=dict)
 
-    def check_arm(self, arm, source='gains'):
+    def check_arm(self, arm, source: str = 'gains') -> None:
         """Refuse gains of another arm.
 
         Parameters
@@ -153,7 +154,7 @@ class Gains:
             )
 
 
-def gains_to_dict(gains):
+def gains_to_dict(gains: Gains) -> dict[str, Any]:
     """Nest gains as plain YAML data, arrays flattened row-major.
 
     Parameters
@@ -194,7 +195,7 @@ def gains_to_dict(gains):
     }
 
 
-def parse_gains(data, source='gains'):
+def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
     """Rebuild gains from nested data, checking sizes and finiteness.
 
     Parameters
@@ -274,7 +275,7 @@ def _exact_observer(section):
     return gains
 
 
-def save_gains(gains, path, comment=''):
+def save_gains(gains: Gains, path: str | Path, comment: str = '') -> None:
     """Write gains as a ROS 2 parameter file (``/**: ros__parameters: gains: ...``).
 
     Parameters
@@ -297,7 +298,7 @@ def save_gains(gains, path, comment=''):
     part.replace(path)
 
 
-def load_gains(path):
+def load_gains(path: str | Path) -> Gains:
     """Read a gains file.
 
     Parameters

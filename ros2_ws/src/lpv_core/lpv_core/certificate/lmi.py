@@ -5,6 +5,9 @@ same inequality from numbers.  A design is accepted on the eigenvalues of the re
 the solver's word is recorded but never trusted.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 
@@ -29,7 +32,7 @@ def largest_eigenvalue(matrix):
     return float(np.linalg.eigvalsh(symmetric_part(np.asarray(matrix)))[-1])
 
 
-def bounded_real(p, pn, pbd, pbf, gamma_squared, block=np.block):
+def bounded_real(p, pn, pbd, pbf, gamma_squared, block: Callable[..., Any] = np.block):
     """LMI (54): stability and attenuation of d and f in the estimation error.
 
     Parameters
@@ -62,7 +65,9 @@ def bounded_real(p, pn, pbd, pbf, gamma_squared, block=np.block):
     )
 
 
-def bounded_real_disc(p, pn, pbd, pbf, gamma_squared, q, r, block=np.block):
+def bounded_real_disc(
+    p, pn, pbd, pbf, gamma_squared, q: float, r: float, block: Callable[..., Any] = np.block
+):
     """LMI (55): as (54) with the poles in the disc of centre -q and radius r, in one matrix.
 
     Parameters
@@ -93,7 +98,7 @@ def bounded_real_disc(p, pn, pbd, pbf, gamma_squared, q, r, block=np.block):
     )
 
 
-def disc(p, pn, q, r, block=np.block):
+def disc(p, pn, q: float, r: float, block: Callable[..., Any] = np.block):
     """Poles of N in the disc of centre -q and radius r (D-stability with the same P).
 
     Parameters
@@ -114,7 +119,7 @@ def disc(p, pn, q, r, block=np.block):
     return block([[-r * p, sigma], [sigma.T, -r * p]])
 
 
-def covariance(pn, pb, block=np.block):
+def covariance(pn, pb, block: Callable[..., Any] = np.block):
     """H2 inequality: sym(P N) + P B B^T P < 0, so that P^-1 bounds the error covariance.
 
     Parameters
@@ -135,7 +140,7 @@ def covariance(pn, pb, block=np.block):
     return block([[pn + pn.T, pb], [pb.T, -_eye(m)]])
 
 
-def integral_feedback(q, x, a, b, alpha):
+def integral_feedback(q, x, a, b, alpha: float):
     """LMI (67): sym(A_c Q + B_c X) + 2 alpha Q, for both solver and check.
 
     Parameters

@@ -1,5 +1,6 @@
 """Smooth Cartesian paths, and the joint references that inverse kinematics makes of them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +68,14 @@ class CartesianPath:
         If any part of the path is out of reach or singular.
     """
 
-    def __init__(self, arm, times, points, elbow='positive', obstacle=None):
+    def __init__(
+        self,
+        arm,
+        times: Sequence[float],
+        points: np.ndarray,
+        elbow: str = 'positive',
+        obstacle: Obstacle | None = None,
+    ) -> None:
         times, points = np.asarray(times, float), np.asarray(points, float)
         if len(times) < 2 or points.shape != (len(times), 2):
             raise ConfigError('path.waypoints', 'needs two or more points with t, x and y')
@@ -95,7 +103,7 @@ class CartesianPath:
         q_1[0] = (q_1[0] + np.pi) % (2.0 * np.pi) - np.pi
         return np.unwrap(q_1)
 
-    def _check(self, times):
+    def _check(self, times) -> None:
         tip = self.sample(times).tip
         if self.obstacle is not None:
             distance = np.hypot(*(tip - np.asarray(self.obstacle.center)).T)
@@ -104,7 +112,7 @@ class CartesianPath:
                     'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
                 )
 
-    def sample(self, times):
+    def sample(self, times: np.ndarray) -> Reference:
         """References at the given times.
 
         Parameters

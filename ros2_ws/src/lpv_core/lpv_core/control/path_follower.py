@@ -40,17 +40,17 @@ class PathGuide:
         Fastest joint rate of an approach [rad/s].
     """
 
-    def __init__(self, arm, path, speed=0.5):
+    def __init__(self, arm, path, speed: float = 0.5) -> None:
         self._arm, self._path, self._speed = arm, path, speed
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget how far the path has been followed: it starts anew."""
         self._since = None
         self._reached = 0.0
         self._heeded = False
 
-    def stop(self, stamp=None):
+    def stop(self, stamp: int | None = None) -> None:
         """Stop the clock of the path until the next reference.
 
         Parameters
@@ -65,11 +65,11 @@ class PathGuide:
         self._since = None
 
     @property
-    def running(self):
+    def running(self) -> bool:
         """Whether references are being given: neither stopped nor yet to start."""
         return self._since is not None
 
-    def reference(self, stamp, position):
+    def reference(self, stamp: int, position: np.ndarray):
         """Reference at a time.
 
         Parameters
@@ -91,7 +91,7 @@ class PathGuide:
             return self._lead(time / self._approach)
         return self._follow(time - self._approach)
 
-    def ahead(self, stamps):
+    def ahead(self, stamps: np.ndarray):
         """References at many times after the present start, as `reference` gives them one by one.
 
         Parameters
@@ -131,11 +131,11 @@ class PathGuide:
         return reached, share**2 * (3.0 - 2.0 * share), change
 
     @property
-    def is_on_path(self):
+    def is_on_path(self) -> bool:
         """Whether the path itself is followed: the present start has no approach and no ramp."""
         return self._approach == 0.0 and self._ramp == 0.0
 
-    def arm_not_following(self, reference, position):
+    def arm_not_following(self, reference, position: np.ndarray) -> bool:
         """Whether the arm has stood still since the start although the reference has moved on.
 
         Commands then do not arrive: the drives still brake.  To go on would build up torque for
@@ -157,7 +157,7 @@ class PathGuide:
         way = np.abs(reference.position - self._first).max()
         return bool(not self._heeded and way > _UNHEEDED)
 
-    def _start(self, stamp, position):
+    def _start(self, stamp, position) -> None:
         self._since, self._from = stamp, self._reached
         self._heeded = False
         self._offset = position - self._path.sample(self._from).position

@@ -34,7 +34,7 @@ TRACKING_STATE = record_type(
 deviation of the state, absolute reference, step of eps."""
 
 
-def tracking_constants(arm, gains):
+def tracking_constants(arm, gains) -> np.record:
     """Constants of `track`.
 
     Parameters
@@ -73,16 +73,16 @@ def _absolute(position, i):
 
 @njit
 def track(
-    params,
-    state,
-    position_ref,
-    velocity_ref,
-    acceleration_ref,
-    position,
-    velocity,
-    integrated,
-    interval,
-):
+    params: np.record,
+    state: np.record,
+    position_ref: np.ndarray,
+    velocity_ref: np.ndarray,
+    acceleration_ref: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    integrated: np.ndarray,
+    interval: float,
+) -> None:
     """One torque command, see `TrackingController`; it is in ``state.torque``.
 
     Parameters
@@ -174,7 +174,7 @@ class TrackingController:
         If the gains belong to another arm.
     """
 
-    def __init__(self, arm, gains):
+    def __init__(self, arm, gains) -> None:
         self._constants = tracking_constants(arm, gains)
         self._state = new_record(TRACKING_STATE)
 
@@ -183,11 +183,18 @@ class TrackingController:
         """eps of eq. (59), shape (2,) [rad s]."""
         return self._state.integral
 
-    def reset(self):
+    def reset(self) -> None:
         """Empty the integrator."""
         self._state.integral[:] = 0.0
 
-    def update(self, reference, position, velocity, integrated_position, interval):
+    def update(
+        self,
+        reference,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        integrated_position: np.ndarray,
+        interval: float,
+    ) -> Command:
         """Torque for the present sample.
 
         Parameters
@@ -225,7 +232,9 @@ class TrackingController:
         return Command(self._state.torque.copy(), bool(self._state.saturated))
 
 
-def feedback_position(compensation, estimate, confirmed_fault, joints):
+def feedback_position(
+    compensation: str, estimate, confirmed_fault: np.ndarray, joints: JointMap
+) -> np.ndarray:
     """Joint position to close the loop on.
 
     Parameters

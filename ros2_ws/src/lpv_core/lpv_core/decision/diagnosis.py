@@ -1,6 +1,7 @@
 """From fault estimates to alarms, to what is compensated, and to whether to go on at all."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -237,7 +238,7 @@ DIAGNOSIS_STATE = record_type(
 )
 
 
-def diagnosis_constants(arm, gains, parameters):
+def diagnosis_constants(arm, gains, parameters: DiagnosisParameters) -> np.record:
     """Constants of `diagnose` for one arm.
 
     Parameters
@@ -281,7 +282,7 @@ def diagnosis_constants(arm, gains, parameters):
     )
 
 
-def diagnosis_history(arm):
+def diagnosis_history(arm) -> tuple[np.ndarray, ...]:
     """Empty past of both sensors.
 
     Parameters
@@ -299,7 +300,7 @@ def diagnosis_history(arm):
 
 
 @njit
-def reset_diagnosis(state):
+def reset_diagnosis(state) -> None:
     """Clear alarms and past."""
     reset_bound(state.bound)
     reset_consistency(state.consistency)
@@ -312,7 +313,9 @@ def reset_diagnosis(state):
 
 
 @njit
-def diagnose(params, state, stamps, values, estimate):
+def diagnose(
+    params: np.record, state: np.record, stamps: np.ndarray, values: np.ndarray, estimate: np.record
+) -> None:
     """Decide on one estimate; the decision is in ``state.decision``.
 
     Parameters
@@ -345,7 +348,7 @@ def diagnose(params, state, stamps, values, estimate):
 
 
 @njit
-def _decide_one(params, state, stamps, values, estimate, i):
+def _decide_one(params, state, stamps, values, estimate, i) -> None:
     d, sensor, reckoned = state.decision, state.sensors[i], state.reckoning
     sample = sensor.sample
     sample.stamp, sample.fault, sample.reading = (
@@ -402,7 +405,7 @@ def _state(sensor):
 
 
 @njit
-def _compensate(params, state, interval):
+def _compensate(params, state, interval) -> None:
     """Follow confirmed faults: at once where a jump was seen, otherwise faded in, and out."""
     step = params.compensation_rate * interval
     for i in range(2):
@@ -467,7 +470,7 @@ def _is_trustworthy(params, state):
     return trusted
 
 
-def make_alarm(event, arm, parameters):
+def make_alarm(event: np.record, arm, parameters: DiagnosisParameters) -> Alarm:
     """The alarm of an event.
 
     Parameters
@@ -554,13 +557,13 @@ class Diagnoser:
         `diagnosis_history`.
     """
 
-    def __init__(self, arm, gains, parameters=None):
+    def __init__(self, arm, gains, parameters: DiagnosisParameters | None = None) -> None:
         self._arm, self._gains = arm, gains
         self.state, self.history = new_record(DIAGNOSIS_STATE), diagnosis_history(arm)
         self.retune(parameters or DiagnosisParameters())
         self.reset()
 
-    def retune(self, parameters):
+    def retune(self, parameters: DiagnosisParameters) -> None:
         """Change the tuning while running; alarms stay as they are.
 
         Parameters
@@ -571,11 +574,11 @@ class Diagnoser:
         self.parameters = parameters
         self.constants = diagnosis_constants(self._arm, self._gains, parameters)
 
-    def reset(self):
+    def reset(self) -> None:
         """Clear alarms and past."""
         reset_diagnosis(self.state)
 
-    def update(self, estimate):
+    def update(self, estimate: np.record) -> Diagnosis:
         """Decide on one estimate.
 
         Parameters
@@ -601,7 +604,7 @@ class Diagnoser:
             bool(d.trustworthy),
         )
 
-    def alarms(self, events):
+    def alarms(self, events: Iterable[np.record]) -> list[Alarm]:
         """Alarms of those entries in which something happened.
 
         Parameters

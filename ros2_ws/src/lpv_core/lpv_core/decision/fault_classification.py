@@ -38,7 +38,7 @@ _CLEARLY = 4.0
 
 
 @njit
-def span(values):
+def span(values: np.ndarray) -> float:
     """Largest minus smallest value.
 
     Parameters
@@ -58,7 +58,7 @@ def span(values):
 
 
 @njit
-def is_stuck(values, end, position_noise):
+def is_stuck(values: np.ndarray, end: int, position_noise: float) -> bool:
     """Whether a reading has stood still while the arm moved.
 
     Parameters
@@ -90,7 +90,7 @@ def is_stuck(values, end, position_noise):
 
 
 @njit
-def standstill(values, end, position_noise):
+def standstill(values: np.ndarray, end: int, position_noise: float) -> int:
     """First row of those up to the end over which a reading has stood still.
 
     Parameters
@@ -114,7 +114,7 @@ def standstill(values, end, position_noise):
 
 
 @njit
-def noise_level(values):
+def noise_level(values: np.ndarray) -> float:
     """Standard deviation of white noise in a residual, by second differences.
 
     Parameters
@@ -139,7 +139,15 @@ def noise_level(values):
 
 
 @njit
-def classify(stamps, values, first, end, onset, baseline, position_noise):
+def classify(
+    stamps: np.ndarray,
+    values: np.ndarray,
+    first: int,
+    end: int,
+    onset: int,
+    baseline: float,
+    position_noise: float,
+) -> int:
     """Name the kind of a fault that still acts.
 
     Parameters
@@ -172,7 +180,9 @@ def classify(stamps, values, first, end, onset, baseline, position_noise):
 
 
 @njit
-def fits_better(kind, than, time, values, baseline):
+def fits_better(
+    kind: int, than: int, time: np.ndarray, values: np.ndarray, baseline: float
+) -> bool:
     """Whether one course of a fault is to replace another one that was named before.
 
     Parameters
@@ -236,7 +246,7 @@ def _mean(values, first, last):
 
 
 @njit
-def step_of(stamps, values, row):
+def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
     """Height of a step: two levels with one common slope, by least squares.
 
     The slope is that of the residual's healthy error, which goes on beside the fault.

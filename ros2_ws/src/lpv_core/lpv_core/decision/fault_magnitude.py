@@ -17,7 +17,7 @@ reading, is no bias; share of a sample in that mean."""
 
 
 @njit
-def removable(params, state):
+def removable(params, state) -> float:
     """What is to be removed from the reading of a sensor with an alarm.
 
     A step whose height is known leaves a reading as good as that of a healthy sensor; of noise, its
@@ -45,7 +45,7 @@ def removable(params, state):
 
 
 @njit
-def size_error(params, state):
+def size_error(params, state) -> float:
     """How far ``amount`` may be from the fault, if that was seen as a change.
 
     Parameters
@@ -62,7 +62,7 @@ def size_error(params, state):
 
 
 @njit
-def growth(params, state):
+def growth(params, state) -> float:
     """What errors of the rates can have added to the residual since before the fault [rad].
 
     Parameters
@@ -82,7 +82,7 @@ def growth(params, state):
 
 
 @njit
-def measure_step(state, stamps, values):
+def measure_step(state, stamps, values) -> None:
     """Measure the height of a step from the samples around it.
 
     Parameters
@@ -101,7 +101,7 @@ def measure_step(state, stamps, values):
 
 
 @njit
-def follow_fault(params, state):
+def follow_fault(params, state) -> None:
     """Follow the mean of noise; drop the height of a step when r leaves it: the fault is over, or
     another one has come.
 

@@ -24,7 +24,7 @@ _SURPRISED = 0.6
 
 
 @njit
-def start_scale(params, state, values, row):
+def start_scale(params, state, values, row: int) -> None:
     """Filter what has come since the onset.
 
     Parameters
@@ -53,7 +53,7 @@ def start_scale(params, state, values, row):
 
 
 @njit
-def follow_scale(params, state):
+def follow_scale(params, state) -> None:
     """Filter the present sample; what no scale error does ends it.
 
     Parameters
@@ -74,7 +74,7 @@ def follow_scale(params, state):
 
 
 @njit
-def _follow(params, f, angle, change, allowed):
+def _follow(params, f, angle, change, allowed) -> None:
     p, angle = f.variance, angle + f.astray
     walk = params.step + allowed
     p[2] += walk * walk

@@ -82,7 +82,7 @@ def suspected(state):
 
 
 @njit
-def decide(params, state, stamps, values):
+def decide(params, state, stamps, values) -> int:
     """Decide on the sample in ``state.sample``.
 
     Returns
@@ -117,7 +117,7 @@ def decide(params, state, stamps, values):
 
 
 @njit
-def _update_rate_pull(params, state):
+def _update_rate_pull(params, state) -> None:
     """What a wrong rate that moves the residual makes of f^: it forgets with its decay rate.
 
     A convicted position sensor explains what moves the residual; no rate draws f^ then.
@@ -143,12 +143,12 @@ def _gravity_confirms(state):
 
 
 @njit
-def _lasts(since, sample, time):
+def _lasts(since, sample, time) -> bool:
     return sample.stamp - since >= time
 
 
 @njit
-def _start_check_if_due(state):
+def _start_check_if_due(state) -> bool:
     if state.next_check != NEVER and state.sample.stamp < state.next_check:
         return False
     first = state.next_check == NEVER
@@ -174,7 +174,7 @@ def _handle_missing(params, state, values):
 
 
 @njit
-def _came_back_wrong(params, state):
+def _came_back_wrong(params, state) -> bool:
     """Whether readings that are there again are not what dead reckoning expects."""
     state.amount = _size(state)
     if abs(state.amount) <= max(params.changes.smallest, size_error(params, state)):
@@ -200,7 +200,7 @@ def _decide_healthy(params, state, stamps, values):
 
 
 @njit
-def _above(sample):
+def _above(sample) -> bool:
     return not sample.lost and abs(sample.fault) > sample.threshold
 
 
@@ -258,7 +258,7 @@ def _confirm_change(params, state, stamps, values):
 
 
 @njit
-def _is_end(state):
+def _is_end(state) -> bool:
     """Whether a jump brings f^ back from where healthy estimates hardly are: more likely the end of
     a fault that stayed unnoticed than a new one that cancels a healthy error."""
     sample = state.sample
@@ -387,7 +387,7 @@ def _weigh_cause(params, state):
 
 
 @njit
-def _retest_rate_sensor(params, state, stamps, values):
+def _retest_rate_sensor(params, state, stamps, values) -> bool:
     """Whether a doubt is over, now that more samples show what the rate did at the onset."""
     sample = state.sample
     if (
@@ -431,7 +431,7 @@ def _is_over(params, state, values, changing):
 
 
 @njit
-def _has_settled(params, state, values):
+def _has_settled(params, state, values) -> bool:
     """Whether a fault without a lasting size is over."""
     d, recent = state.sample, values[max(0, state.end - _RECENT) : state.end]
     if len(recent) < 10:
@@ -472,7 +472,7 @@ def _scatter(state, values):
 
 
 @njit
-def _reclassify(params, state, stamps, values):
+def _reclassify(params, state, stamps, values) -> bool:
     """Name the kind anew; whether it is another one."""
     if state.is_ambiguous and state.by_change:  # what no rate sensor does
         stuck = is_stuck(values, state.end, params.noise)

@@ -103,7 +103,7 @@ SENSOR_STATE = record_type(
 
 
 @njit
-def reset_sensor(state):
+def reset_sensor(state) -> None:
     """Clear alarm and past."""
     state.end = 0
     state.alarm, state.kind, state.by_change, state.stepped = False, UNCLASSIFIED, False, False
@@ -116,7 +116,7 @@ def reset_sensor(state):
 
 
 @njit
-def forget(state):
+def forget(state) -> None:
     """Drop evidence that is not confirmed yet, and what depends on old stamps."""
     state.since = state.below_since = state.missing_since = state.next_check = (
         state.recent_fault_until
@@ -126,7 +126,7 @@ def forget(state):
 
 
 @njit
-def restart_sensor(state):
+def restart_sensor(state) -> None:
     """Time started anew: stamps of before mean nothing; an alarm stays."""
     state.end = 0
     forget(state)

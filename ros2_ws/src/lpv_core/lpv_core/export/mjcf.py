@@ -21,7 +21,7 @@ _WIDTH = 0.04
 """Thickness of the drawn links over their length."""
 
 
-def mjcf(arm, coulomb='smooth'):
+def mjcf(arm, coulomb: str = 'smooth') -> str:
     """Write an arm as MJCF.
 
     The model has the arm's geometry, masses, rotors, viscous friction, torque limits and gravity,
@@ -90,7 +90,7 @@ def _text(value):
     return repr(float(value))
 
 
-def _fill_link(body, arm, index, coulomb):
+def _fill_link(body, arm, index, coulomb) -> None:
     link = arm.links[index]
     _add(
         body,
@@ -150,7 +150,7 @@ def _central_inertia(arm, index):
     return max(inertia, _SMALLEST_INERTIA * at_joint)
 
 
-def _add_drives(root, arm):
+def _add_drives(root, arm) -> None:
     first, second = arm.joint_names
     if arm.rotor_inertia:
         tendon = _add(_add(root, 'tendon'), 'fixed', name='rotor2', armature=arm.rotor_inertia)

@@ -7,6 +7,8 @@ the arm's ``zero_angle``: at q1 = 0 link 1 stands at that angle from the upper v
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,7 +25,7 @@ _UNLIMITED = 1e8
 """Torque limits from here on mean that there is none."""
 
 
-def frame_angles(arm, q):
+def frame_angles(arm, q: np.ndarray) -> np.ndarray:
     """Angles of the two links in the plane of the arm.
 
     Parameters
@@ -43,7 +45,7 @@ def frame_angles(arm, q):
     return np.stack([first, first + q[..., 1]], axis=-1)
 
 
-def points(arm, q):
+def points(arm, q: np.ndarray) -> np.ndarray:
     """Elbow and tip.
 
     Parameters
@@ -63,7 +65,7 @@ def points(arm, q):
     return np.cumsum(steps, axis=-2)
 
 
-def transforms(arm, q):
+def transforms(arm, q: np.ndarray) -> list[tuple[Any, ...]]:
     """Transforms that a robot state publisher would send for one configuration.
 
     Parameters
@@ -91,7 +93,7 @@ def _about_minus_y(angle):
     return 0.0, -math.sin(angle / 2), 0.0, math.cos(angle / 2)
 
 
-def arm_urdf(arm, inertial=True, colours=COLOURS):
+def arm_urdf(arm, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:
     """URDF of an arm.
 
     Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.  The
@@ -136,7 +138,7 @@ def arm_urdf(arm, inertial=True, colours=COLOURS):
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding='unicode') + '\n'
 
 
-def _link(robot, name, arm, index, radius, inertial):
+def _link(robot, name, arm, index, radius, inertial) -> None:
     link = ElementTree.SubElement(robot, 'link', name=name)
     if inertial:
         _inertial(link, arm, index)
@@ -145,7 +147,7 @@ def _link(robot, name, arm, index, radius, inertial):
     _cylinder(link, f'{name}_colour', 1.4 * radius, 2.6 * radius, (0.0, 0.0, 0.0), pitch=False)
 
 
-def _inertial(link, arm, index):
+def _inertial(link, arm, index) -> None:
     described = arm.links[index]
     inertia = described.inertia
     if arm.inertia_reference == 'joint':
@@ -172,7 +174,7 @@ def _inertial(link, arm, index):
     )
 
 
-def _cylinder(link, material, radius, length, xyz, pitch):
+def _cylinder(link, material, radius, length, xyz, pitch) -> None:
     """A visual along x (``pitch``), or along the joint axis y."""
     visual = ElementTree.SubElement(link, 'visual')
     _origin(visual, xyz, (0.0, math.pi / 2, 0.0) if pitch else (math.pi / 2, 0.0, 0.0))
@@ -181,7 +183,7 @@ def _cylinder(link, material, radius, length, xyz, pitch):
     ElementTree.SubElement(visual, 'material', name=material)
 
 
-def _joint(robot, arm, index, parent, child, xyz, pitch):
+def _joint(robot, arm, index, parent, child, xyz, pitch) -> None:
     joint = ElementTree.SubElement(robot, 'joint', name=arm.joint_names[index], type='continuous')
     _ends(joint, parent, child)
     _origin(joint, xyz, (0.0, pitch, 0.0))
@@ -198,12 +200,12 @@ def _joint(robot, arm, index, parent, child, xyz, pitch):
     )
 
 
-def _ends(joint, parent, child):
+def _ends(joint, parent, child) -> None:
     ElementTree.SubElement(joint, 'parent', link=parent)
     ElementTree.SubElement(joint, 'child', link=child)
 
 
-def _origin(element, xyz, rpy=(0.0, 0.0, 0.0)):
+def _origin(element, xyz, rpy=(0.0, 0.0, 0.0)) -> None:
     ElementTree.SubElement(
         element, 'origin', xyz=' '.join(map(_text, xyz)), rpy=' '.join(map(_text, rpy))
     )

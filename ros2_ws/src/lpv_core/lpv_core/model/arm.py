@@ -1,9 +1,13 @@
 """Description of a two-link arm: what its file says, and the constants that follow."""
 
+from __future__ import annotations
+
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -133,7 +137,7 @@ class ArmParameters:
         """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
         return 1.0 if self.orientation == 'upright' else -1.0
 
-    def constants(self, coriolis=True):
+    def constants(self, coriolis: bool = True) -> np.ndarray:
         """Constants of eqs. (2)-(3) in the layout that the compiled functions take.
 
         The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
@@ -172,7 +176,7 @@ class ArmParameters:
         values[CORIOLIS] = 1.0 if coriolis else 0.0
         return values
 
-    def with_payload(self, mass):
+    def with_payload(self, mass: float) -> ArmParameters:
         """Return this arm with a point mass at its tip.
 
         Parameters
@@ -200,7 +204,11 @@ class ArmParameters:
             )
         return replace(self, links=(self.links[0], Link(total, link.length, center, inertia)))
 
-    def scaled(self, mass_factors=(1.0, 1.0), inertia_factors=(1.0, 1.0)):
+    def scaled(
+        self,
+        mass_factors: Sequence[float] = (1.0, 1.0),
+        inertia_factors: Sequence[float] = (1.0, 1.0),
+    ) -> ArmParameters:
         """Return this arm with masses and inertias multiplied (model error).
 
         Parameters
@@ -234,7 +242,7 @@ class ArmParameters:
         return sha256_of(asdict(self))
 
 
-def arm_from_json(text):
+def arm_from_json(text: str) -> ArmParameters:
     """Arm from `ArmParameters.to_json`.
 
     Parameters
@@ -265,7 +273,7 @@ def arm_from_json(text):
         raise ConfigError('arm', f'is not the description of an arm ({error})') from error
 
 
-def load_arm(path):
+def load_arm(path: str | Path) -> ArmParameters:
     """Read an arm file.
 
     Parameters
@@ -286,7 +294,7 @@ def load_arm(path):
     return parse_arm(read_yaml(path), str(Path(path)))
 
 
-def parse_arm(data, source='arm'):
+def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
     """Build an arm from the mapping of an arm file.
 
     Parameters
@@ -329,7 +337,7 @@ def parse_arm(data, source='arm'):
     return arm
 
 
-def _check_inertia(arm, top):
+def _check_inertia(arm, top) -> None:
     if not arm.is_physical():
         raise top.error(
             'links',

@@ -34,7 +34,7 @@ def coupling(theta_1, theta_2, params):
 
 
 @njit
-def friction(rate_1, rate_2, params):
+def friction(rate_1: float, rate_2: float, params) -> tuple[float, ...]:
     """Joint friction as generalised torques of the absolute angles.
 
     Parameters
@@ -60,7 +60,15 @@ def friction(rate_1, rate_2, params):
 
 
 @njit
-def acceleration(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, params):
+def acceleration(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    torque_1: float,
+    torque_2: float,
+    params,
+) -> tuple[float, ...]:
     """Absolute accelerations without disturbance, eq. (1) solved for theta''.
 
     Parameters
@@ -92,7 +100,9 @@ def acceleration(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, params):
 
 
 @njit
-def inverse_dynamics(theta_1, theta_2, rate_1, rate_2, acc_1, acc_2, params):
+def inverse_dynamics(
+    theta_1: float, theta_2: float, rate_1: float, rate_2: float, acc_1: float, acc_2: float, params
+) -> tuple[float, ...]:
     """Generalised torques Q that produce the given motion (feed-forward), eq. (1).
 
     Parameters
@@ -144,7 +154,18 @@ def _nonlinear_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_
 
 
 @njit
-def rk4_step(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, dt, params):
+def rk4_step(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    torque_1: float,
+    torque_2: float,
+    push_1: float,
+    push_2: float,
+    dt: float,
+    params,
+) -> tuple[float, ...]:
     """Advance the nonlinear arm by one Runge-Kutta step with torques held.
 
     Parameters

@@ -1,6 +1,8 @@
 """From sensor_msgs/JointState, with joints in any order, to the arm's two joints."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 from lpv_core.support.errors import SampleError
 
@@ -14,12 +16,12 @@ class JointOrder:
         Joints of the arm file.
     """
 
-    def __init__(self, joint_names):
+    def __init__(self, joint_names: Sequence[str]) -> None:
         self._wanted = tuple(joint_names)
         self._names = None
         self._index = None
 
-    def indices(self, names):
+    def indices(self, names: Sequence[str]) -> tuple[int, ...]:
         """Positions of the arm's joints among ``names``; remembered while names stay the same.
 
         Parameters
@@ -49,7 +51,7 @@ class JointOrder:
             self._names = names
         return self._index
 
-    def pick(self, message):
+    def pick(self, message) -> tuple[list[Any], ...]:
         """Positions, rates and efforts of the arm's joints.
 
         Parameters

@@ -38,7 +38,7 @@ J^-1."""
 
 
 @njit
-def row_dot(matrix, row, first, second):
+def row_dot(matrix: np.ndarray, row: int, first: float, second: float) -> float:
     """One row of matrix @ (first, second), leaving zero coefficients out as `JointMap` does.
 
     Parameters
@@ -63,7 +63,9 @@ def row_dot(matrix, row, first, second):
 
 
 @njit
-def joint_angle(params, matrix, row, first, second):
+def joint_angle(
+    params: np.record, matrix: np.ndarray, row: int, first: float, second: float
+) -> float:
     """Joint position from angles or readings: one row of matrix @ (first, second), less the zero.
 
     Parameters
@@ -112,13 +114,13 @@ class JointMap:
         S of s = S theta.
     """
 
-    def __init__(self, arm):
+    def __init__(self, arm) -> None:
         self._zero = np.array([arm.zero_angle, 0.0])
         self.sensor_matrix = np.eye(2) if arm.arrangement == 'absolute' else J.copy()
         self._from_joint = self.sensor_matrix @ J_INVERSE
         self._to_joint = J @ np.linalg.inv(self.sensor_matrix)
 
-    def record(self):
+    def record(self) -> np.record:
         """The matrices for compiled functions.
 
         Returns

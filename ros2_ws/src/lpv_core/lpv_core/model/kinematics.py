@@ -15,7 +15,7 @@ SINGULAR_SINE = 1e-3
 """Smallest abs(sin q2) at which rates are computed; below, the arm is stretched or folded."""
 
 
-def forward(q, lengths):
+def forward(q: np.ndarray, lengths: tuple[float, ...]) -> np.ndarray:
     """Tip position, eq. (32).
 
     Parameters
@@ -41,7 +41,7 @@ def forward(q, lengths):
     )
 
 
-def inverse(point, lengths, elbow='positive'):
+def inverse(point: np.ndarray, lengths: tuple[float, ...], elbow: str = 'positive') -> np.ndarray:
     """Joint positions for a tip position, eqs. (33), (34).
 
     The quotients in (34) lose the quadrant; atan2 keeps it.
@@ -85,7 +85,7 @@ def inverse(point, lengths, elbow='positive'):
     return np.stack([q_1, q_2], axis=-1)
 
 
-def jacobian(q, lengths):
+def jacobian(q: np.ndarray, lengths: tuple[float, ...]) -> np.ndarray:
     """Derivative of `forward`.
 
     Parameters
@@ -109,7 +109,9 @@ def jacobian(q, lengths):
     )
 
 
-def joint_motion(q, velocity, acceleration, lengths):
+def joint_motion(
+    q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, lengths: tuple[float, ...]
+) -> tuple[np.ndarray, ...]:
     """Joint rates and accelerations for a tip motion.
 
     Parameters

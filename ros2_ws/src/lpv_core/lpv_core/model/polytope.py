@@ -13,6 +13,7 @@ vertices contain the arm of eq. (4), without Coriolis terms, for the design of t
 """
 
 import math
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -36,7 +37,7 @@ def sinc(angle):
 
 
 @njit
-def paper_scheduling(theta_1, theta_2):
+def paper_scheduling(theta_1: float, theta_2: float) -> tuple[float, ...]:
     """Scheduling variables (phi1, phi2, phi3) of eqs. (6) and (9).
 
     Parameters
@@ -53,7 +54,9 @@ def paper_scheduling(theta_1, theta_2):
 
 
 @njit
-def paper_weights(phi_1, phi_2, phi_3, box, out):
+def paper_weights(
+    phi_1: float, phi_2: float, phi_3: float, box: np.ndarray, out: np.ndarray
+) -> None:
     """Vertex weights rho_1..rho_8 of eqs. (11)-(12), written to ``out``.
 
     Variables outside the box are clipped to it: weights stay in [0, 1] and sum to one.
@@ -80,7 +83,7 @@ def paper_weights(phi_1, phi_2, phi_3, box, out):
     out[7] = (1.0 - a1) * (1.0 - a2) * (1.0 - a3)
 
 
-def paper_vertices(box):
+def paper_vertices(box: np.ndarray) -> np.ndarray:
     """Vertices omega_i of eq. (10) in the order of the weights (11).
 
     The paper lists the gravity matrices (17)-(20) with phi2 and phi3 exchanged in vertices 2, 3,
@@ -99,7 +102,7 @@ def paper_vertices(box):
     return np.array(list(product(*np.asarray(box, float))))
 
 
-def sinc_box(s_min, s_max=1.0):
+def sinc_box(s_min: float, s_max: float = 1.0) -> np.ndarray:
     """Return the box with phi2, phi3 in [s_min, s_max] and phi1 in [-1, 1].
 
     Parameters
@@ -118,7 +121,7 @@ def sinc_box(s_min, s_max=1.0):
 # ------------------------------------------------------------------ the exact polytope
 
 
-def inverse_inertia_quadrangle(params):
+def inverse_inertia_quadrangle(params: np.ndarray) -> np.ndarray:
     """Quadrangle that contains (1/det Xi, Xi12/det Xi) for every configuration.
 
     Parameters
@@ -152,7 +155,7 @@ def inverse_inertia_quadrangle(params):
     )
 
 
-def slope_range(arm):
+def slope_range(arm) -> tuple[np.ndarray, ...]:
     """Range of the gravity slopes cos(theta_i) in the arm's operating region.
 
     Parameters
@@ -171,7 +174,7 @@ def slope_range(arm):
     return -np.ones(2), -near
 
 
-def exact_vertices(arm):
+def exact_vertices(arm) -> np.ndarray:
     """Vertices of the exact polytope.
 
     Parameters
@@ -191,7 +194,7 @@ def exact_vertices(arm):
     )
 
 
-def exact_state_space(vertex, params):
+def exact_state_space(vertex: Sequence[float], params: np.ndarray) -> tuple[np.ndarray, ...]:
     """State matrices of the error dynamics at one vertex of the exact polytope.
 
     Parameters

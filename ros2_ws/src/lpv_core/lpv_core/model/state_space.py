@@ -8,7 +8,7 @@ from lpv_core.model.polytope import paper_scheduling, paper_vertices, paper_weig
 from lpv_core.support.jit import njit
 
 
-def inertia_matrix(phi_1, params):
+def inertia_matrix(phi_1: float, params: np.ndarray) -> np.ndarray:
     """Xi(phi1) of eq. (5), with m2*L1^2 in its (1, 1) element.
 
     Parameters
@@ -27,7 +27,7 @@ def inertia_matrix(phi_1, params):
     return np.array([[params[A_11], off], [off, params[C_22]]])
 
 
-def gravity_matrix(phi_2, phi_3, params):
+def gravity_matrix(phi_2: float, phi_3: float, params: np.ndarray) -> np.ndarray:
     """G^g of eq. (8), with g(theta) = G^g theta.
 
     Parameters
@@ -45,7 +45,7 @@ def gravity_matrix(phi_2, phi_3, params):
     return -np.diag([params[G_1] * phi_2, params[G_2] * phi_3])
 
 
-def vertex_matrices(box, params):
+def vertex_matrices(box: np.ndarray, params: np.ndarray) -> tuple[np.ndarray, ...]:
     """A_i and B_i of eqs. (22)-(24), (27), (28) at the eight vertices.
 
     Parameters
@@ -73,7 +73,7 @@ def vertex_matrices(box, params):
     return a, b
 
 
-def output_matrices(arm):
+def output_matrices(arm) -> tuple[np.ndarray, ...]:
     """C and Df of eqs. (29), (30) for the arm's sensor arrangement.
 
     Outputs are the two physical position sensors and the matching rates,
@@ -120,7 +120,7 @@ class Descriptor:
         prints Bf~ = [0; I_n]; its identity has the size of f.
     """
 
-    def __init__(self, a, b, arm):
+    def __init__(self, a: np.ndarray, b: np.ndarray, arm) -> None:
         h = len(a)
         c, df = output_matrices(arm)
         self.e = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
@@ -135,7 +135,18 @@ class Descriptor:
 
 
 @njit
-def lpv_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, a, b, box, rho):
+def lpv_rates(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    torque_1: float,
+    torque_2: float,
+    a: np.ndarray,
+    b: np.ndarray,
+    box: np.ndarray,
+    rho: np.ndarray,
+) -> tuple[float, ...]:
     """Right side of the paper's own LPV plant, eq. (25) without disturbance.
 
     Parameters
@@ -177,8 +188,20 @@ def lpv_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, a, b, box, r
 
 @njit
 def lpv_rk4_step(
-    theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, dt, a, b, box, rho
-):
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    torque_1: float,
+    torque_2: float,
+    push_1: float,
+    push_2: float,
+    dt: float,
+    a,
+    b,
+    box,
+    rho,
+) -> tuple[float, ...]:
     """Advance the LPV plant (25) by one Runge-Kutta step with torques held.
 
     Parameters

@@ -4,7 +4,9 @@ Each function returns a dict whose keys are the field names of one message type 
 header), so that neither ROS nor a bag library is needed here.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 from lpv_core.decision.diagnosis import SensorState
 from lpv_core.observer.sampled_observer import Mode
@@ -28,7 +30,7 @@ _MODES = {
 }
 
 
-def state_fields(state):
+def state_fields(state) -> dict[str, Any]:
     """Fields of lpv_msgs/StateEstimate.
 
     Parameters
@@ -55,7 +57,7 @@ def state_fields(state):
     }
 
 
-def fault_fields(fault, sensor_names):
+def fault_fields(fault, sensor_names: Sequence[str]) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultEstimate.
 
     Parameters
@@ -78,7 +80,7 @@ def fault_fields(fault, sensor_names):
     }
 
 
-def alarm_fields(alarm):
+def alarm_fields(alarm) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds.
 
     Parameters
@@ -94,7 +96,9 @@ def alarm_fields(alarm):
     return {**asdict(alarm), 'event': int(alarm.event)}
 
 
-def diagnostic_fields(name, arm, state, fault, inconsistent, values):
+def diagnostic_fields(
+    name: str, arm, state, fault, inconsistent: bool, values: dict[str, Any]
+) -> list[dict[str, Any]]:
     """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
 
     Parameters

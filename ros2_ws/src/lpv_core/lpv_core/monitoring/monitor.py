@@ -5,7 +5,9 @@ bag gives the very bytes that the node published.  The node takes measurements o
 many at a time; both run `monitor_step`.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -109,7 +111,17 @@ _BUFFER = 64
 
 
 @njit
-def monitor_step(params, state, stamps, values, answer, stamp, position, velocity, effort):
+def monitor_step(
+    params: np.record,
+    state: np.record,
+    stamps: np.ndarray,
+    values: np.ndarray,
+    answer: np.record,
+    stamp,
+    position,
+    velocity,
+    effort,
+) -> None:
     """Use one measurement.
 
     Parameters
@@ -152,14 +164,14 @@ def monitor_step(params, state, stamps, values, answer, stamp, position, velocit
 
 
 @njit
-def forget_estimate(state):
+def forget_estimate(state) -> None:
     """Estimates, alarms and the clock of reports start anew."""
     reset_diagnosis(state.diagnosis)
     state.has_estimate, state.next_report = False, NEVER
 
 
 @njit
-def _fill(params, s, answer, mode):
+def _fill(params, s, answer, mode) -> None:
     state, fault, e, d = answer.state, answer.fault, s.estimate, s.diagnosis.decision
     joints = params.observer.recursion.joints
     answer.has_fault, state.mode = s.has_estimate, mode
@@ -186,7 +198,7 @@ def _fill(params, s, answer, mode):
 
 
 @njit
-def _report(state, answer, report):
+def _report(state, answer, report) -> None:
     report.answer.state.mode, report.answer.has_fault = answer.state.mode, answer.has_fault
     report.answer.state.trustworthy = answer.state.trustworthy
     report.inconsistent = state.diagnosis.decision.inconsistent
@@ -241,7 +253,7 @@ def _steps(
 
 
 @njit
-def copy_event(event, to):
+def copy_event(event, to) -> None:
     """Copy an alarm event, of type `lpv_core.decision.diagnosis.ALARM_EVENT`."""
     to.happened, to.sensor, to.onset = event.happened, event.sensor, event.onset
     to.detected, to.amount, to.bound = event.detected, event.amount, event.bound
@@ -337,7 +349,15 @@ class SensorMonitor:
         If the gains belong to another arm.
     """
 
-    def __init__(self, name, arm, gains, parameters=None, max_gap=0.1, initial_samples=1):
+    def __init__(
+        self,
+        name: str,
+        arm,
+        gains,
+        parameters: DiagnosisParameters | None = None,
+        max_gap: float = 0.1,
+        initial_samples: int = 1,
+    ) -> None:
         self.name, self.arm, self._gains = name, arm, gains
         self.method, self.rejected = gains.observer.method, 0
         self._constants = new_record(
@@ -349,7 +369,7 @@ class SensorMonitor:
         self.retune(parameters or DiagnosisParameters())
         self.reset()
 
-    def retune(self, parameters):
+    def retune(self, parameters: DiagnosisParameters) -> None:
         """Change the tuning while running; alarms stay as they are.
 
         Parameters
@@ -360,12 +380,12 @@ class SensorMonitor:
         self._parameters = parameters
         self._constants.diagnosis = diagnosis_constants(self.arm, self._gains, parameters)
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
         reset_observer(self._state.observer)
         forget_estimate(self._state)
 
-    def warm_up(self):
+    def warm_up(self) -> None:
         """Compile by two made-up samples, and forget them: the first real ones must not wait."""
         still = np.zeros(2)
         for stamp in (1, 1 + round(self.arm.sample_time * NANOSECONDS)):
@@ -382,7 +402,7 @@ class SensorMonitor:
         """What `monitor_step` works on: constants, state, past of both sensors, answer."""
         return (self._constants, self._state, *self._history, self._answer)
 
-    def alarms(self, events):
+    def alarms(self, events: Iterable[np.record]):
         """Alarms of events.
 
         Parameters
@@ -397,10 +417,10 @@ class SensorMonitor:
         """
         return [make_alarm(event, self.arm, self._parameters) for event in events]
 
-    def _step(self, stamp, position, velocity, effort):
+    def _step(self, stamp, position, velocity, effort) -> None:
         monitor_step(*self.parts, stamp, position, velocity, effort)
 
-    def take(self, stamp, message, torque=None):
+    def take(self, stamp: int, message, torque: Sequence[float] | None = None) -> Answer | None:
         """Use one measurement.
 
         Parameters
@@ -451,7 +471,9 @@ class SensorMonitor:
             answer.status = self._status_now()
         return answer
 
-    def take_many(self, stamps, position, velocity, effort):
+    def take_many(
+        self, stamps: np.ndarray, position: np.ndarray, velocity: np.ndarray, effort: np.ndarray
+    ) -> Answers:
         """Use many measurements; the same as `take` one by one.
 
         Parameters
@@ -500,7 +522,7 @@ class SensorMonitor:
             result.reports += [(int(r.row), self._status(r)) for r in reports[: found[1]]]
         return result
 
-    def stale_fault(self):
+    def stale_fault(self) -> dict[str, Any] | None:
         """Fields of a FaultEstimate that says that its values are the last ones.
 
         Returns
@@ -513,7 +535,7 @@ class SensorMonitor:
         _fill(self._constants, self._state, self._answer, _STALE)
         return message_fields.fault_fields(self._answer.fault, self.arm.sensor_names)
 
-    def status(self, mode):
+    def status(self, mode: Mode) -> list[dict[str, Any]]:
         """Statuses for /diagnostics.
 
         Parameters
@@ -551,7 +573,7 @@ class SensorMonitor:
         )
 
 
-def describe(event):
+def describe(event) -> str:
     """An alarm event as one line of text.
 
     Parameters

@@ -49,7 +49,19 @@ def _rates(theta_1, theta_2, rate_1, rate_2, v_1, v_2, torque, kappa_1, kappa_2,
 
 
 @njit
-def exact_step(x, v_old, v_new, torque, dt, kappa, mu, arm, slope_low, slope_high, held):
+def exact_step(
+    x: np.ndarray,
+    v_old: np.ndarray,
+    v_new: np.ndarray,
+    torque: np.ndarray,
+    dt: float,
+    kappa: np.ndarray,
+    mu: np.ndarray,
+    arm: np.ndarray,
+    slope_low: np.ndarray,
+    slope_high: np.ndarray,
+    held: np.ndarray,
+) -> None:
     """Advance the observer over one sample interval, in place, by the Heun rule.
 
     Where the estimate leaves the region of certified gravity slopes, the correction of that
@@ -104,7 +116,14 @@ def exact_step(x, v_old, v_new, torque, dt, kappa, mu, arm, slope_low, slope_hig
     x[3] += h * (a_4 + b_4)
 
 
-def output_injection(theta, rates, kappa, mu, arm, sensor_matrix):
+def output_injection(
+    theta: np.ndarray,
+    rates: np.ndarray,
+    kappa: np.ndarray,
+    mu: np.ndarray,
+    arm: np.ndarray,
+    sensor_matrix: np.ndarray,
+) -> np.ndarray:
     """K(rho) of the observer in the paper's form z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y).
 
     Parameters

@@ -48,7 +48,7 @@ RECURSION_STATE = record_type(
 that are held; work space."""
 
 
-def recursion(arm, observer):
+def recursion(arm, observer) -> np.record:
     """Constants of an observer.
 
     Parameters
@@ -91,7 +91,14 @@ def recursion(arm, observer):
 
 
 @njit
-def advance(params, state, y_old, y_new, torque, dt):
+def advance(
+    params: np.record,
+    state: np.record,
+    y_old: np.ndarray,
+    y_new: np.ndarray,
+    torque: np.ndarray,
+    dt: float,
+) -> None:
     """Advance over one interval.
 
     Parameters
@@ -149,7 +156,7 @@ def advance(params, state, y_old, y_new, torque, dt):
 
 
 @njit
-def set_state(params, state, y):
+def set_state(params: np.record, state: np.record, y: np.ndarray) -> None:
     """Take ``x`` as it was changed from outside: z follows from x^ = z + T2 y (38).
 
     Parameters

@@ -17,7 +17,7 @@ N_AUGMENTED = 6
 N_OUTPUTS = 4
 
 
-def decoupling(estimate, params):
+def decoupling(estimate: np.ndarray, params: np.ndarray) -> tuple[np.ndarray, ...]:
     """T1 and T2 from the pseudo-inverse, eqs. (47)-(49).
 
     Parameters
@@ -36,7 +36,7 @@ def decoupling(estimate, params):
     return delta[:, :N_AUGMENTED], delta[:, N_AUGMENTED:]
 
 
-def fault_feedthrough(params):
+def fault_feedthrough(params: np.ndarray) -> tuple[np.ndarray, ...]:
     """T1 and T2 of method ``exact``: T2 = [0; I 0], and T1 = [(I - T2 C~) restricted to x, 0].
 
     Every solution of T1 E + T2 C~ = I has these first two columns of T2, so that no position fault
@@ -59,7 +59,9 @@ def fault_feedthrough(params):
     return t1, t2
 
 
-def observer_matrices(a, b, params, t1, t2, k):
+def observer_matrices(
+    a: np.ndarray, b: np.ndarray, params: np.ndarray, t1: np.ndarray, t2: np.ndarray, k: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """N_i, L_i and G_i of eqs. (51)-(53).
 
     Parameters
@@ -83,7 +85,7 @@ def observer_matrices(a, b, params, t1, t2, k):
 
 
 @njit
-def _multiply(matrix, vector, out):
+def _multiply(matrix, vector, out) -> None:
     for i in range(matrix.shape[0]):
         total = 0.0
         for j in range(matrix.shape[1]):
@@ -92,7 +94,7 @@ def _multiply(matrix, vector, out):
 
 
 @njit
-def blend(rho, stack, out):
+def blend(rho: np.ndarray, stack: np.ndarray, out: np.ndarray) -> None:
     """out = sum_i rho_i stack_i, the interpolation of eq. (25).
 
     Parameters
@@ -113,7 +115,7 @@ def blend(rho, stack, out):
 
 
 @njit
-def _estimate(z, y, t2, out):
+def _estimate(z, y, t2, out) -> None:
     """x^ = z + T2 y, eq. (38)."""
     for i in range(6):
         total = z[i]
@@ -123,7 +125,7 @@ def _estimate(z, y, t2, out):
 
 
 @njit
-def _innovation(x, y, params, out):
+def _innovation(x, y, params, out) -> None:
     for i in range(4):
         total = -y[i]
         for j in range(6):
@@ -132,7 +134,7 @@ def _innovation(x, y, params, out):
 
 
 @njit
-def _paper_rates(x, y, torque, t1, params, a, b, k, drift, r, out):
+def _paper_rates(x, y, torque, t1, params, a, b, k, drift, r, out) -> None:
     _innovation(x, y, params, r)
     for i in range(6):
         total = b[i, 0] * torque[0] + b[i, 1] * torque[1]
@@ -150,25 +152,25 @@ def _paper_rates(x, y, torque, t1, params, a, b, k, drift, r, out):
 
 @njit
 def paper_step(
-    z,
-    y_old,
-    y_new,
-    torque,
-    dt,
-    gains,
-    t1,
-    t2,
-    params,
-    a_vertices,
-    b_vertices,
-    box,
-    x,
-    scratch,
-    k,
-    a,
-    b,
-    rho,
-):
+    z: np.ndarray,
+    y_old: np.ndarray,
+    y_new: np.ndarray,
+    torque: np.ndarray,
+    dt: float,
+    gains: np.ndarray,
+    t1: np.ndarray,
+    t2: np.ndarray,
+    params: np.ndarray,
+    a_vertices: np.ndarray,
+    b_vertices: np.ndarray,
+    box: np.ndarray,
+    x: np.ndarray,
+    scratch: np.ndarray,
+    k: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    rho: np.ndarray,
+) -> None:
     """Advance the paper's observer (38) over one sample interval, in place.
 
     The weights come from the estimated angles: theta is not measured without the fault.

@@ -4,6 +4,7 @@ All bad input ends here, in a stated degraded mode: see :func:`observe`.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -129,7 +130,7 @@ innovation
 """
 
 
-def observer_constants(arm, gains, initial_samples=1, max_gap=0.1):
+def observer_constants(arm, gains, initial_samples=1, max_gap=0.1) -> np.record:
     """Constants of `observe` for one arm.
 
     Parameters
@@ -160,7 +161,7 @@ def observer_constants(arm, gains, initial_samples=1, max_gap=0.1):
 
 
 @njit
-def reset_observer(state):
+def reset_observer(state) -> None:
     """Forget everything but the counters; the next sample starts anew."""
     state.stamp, state.started = NEVER, 0
     state.recursion.held[:] = False
@@ -168,7 +169,15 @@ def reset_observer(state):
 
 
 @njit
-def observe(params, state, estimate, stamp, position, velocity, effort):
+def observe(
+    params: np.record,
+    state: np.record,
+    estimate: np.record,
+    stamp: int,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    effort: np.ndarray,
+) -> bool:
     """Take one measurement; the estimate at its time goes into ``estimate``.
 
     Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s back
@@ -248,7 +257,7 @@ def _interval(state, stamp):
 
 
 @njit
-def _usable(params, state, velocity, effort):
+def _usable(params, state, velocity, effort) -> bool:
     for i in range(2):
         if not (math.isfinite(velocity[i]) and math.isfinite(effort[i])):
             state.counters.not_finite += 1
@@ -284,7 +293,7 @@ def _outputs(params, state, position, velocity, interval):
 
 
 @njit
-def _average_start(params, state):
+def _average_start(params, state) -> None:
     """Move the start value to the mean of the samples so far; their mean fault is zero."""
     r = state.recursion
     share_1, share_2 = r.x[4] / (state.started + 1), r.x[5] / (state.started + 1)
@@ -296,7 +305,7 @@ def _average_start(params, state):
 
 
 @njit
-def _anchor(params, state):
+def _anchor(params, state) -> None:
     """Angles from the readings without their fault estimates, rates as measured."""
     r, y, angle = state.recursion, state.y_new, params.recursion.joints.angle
     for i in range(2):
@@ -306,7 +315,7 @@ def _anchor(params, state):
 
 
 @njit
-def _start(params, state):
+def _start(params, state) -> None:
     state.recursion.x[4:] = 0.0
     _anchor(params, state)
     state.y[:] = state.y_new
@@ -314,14 +323,14 @@ def _start(params, state):
 
 
 @njit
-def _bridge(params, state):
+def _bridge(params, state) -> None:
     """Re-anchor after a gap: the encoder's increment is all that is known of it."""
     state.counters.gaps += 1
     _anchor(params, state)
 
 
 @njit
-def _advance(params, state, interval):
+def _advance(params, state, interval) -> None:
     steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
     if steps == 1:
         advance(params.recursion, state.recursion, state.y, state.y_new, state.torque, interval)
@@ -347,7 +356,7 @@ def _advance(params, state, interval):
 
 
 @njit
-def _fill(params, state, estimate):
+def _fill(params, state, estimate) -> None:
     r, y, joints = state.recursion, state.y_new, params.recursion.joints
     if state.started <= params.initial_samples:
         estimate.mode = _INITIALISING
@@ -395,13 +404,13 @@ class UnknownInputObserver:
         If the gains belong to another arm.
     """
 
-    def __init__(self, arm, gains, initial_samples=1, max_gap=0.1):
+    def __init__(self, arm, gains, initial_samples: int = 1, max_gap: float = 0.1) -> None:
         self._constants = observer_constants(arm, gains, initial_samples, max_gap)
         self._state, self._estimate = new_record(OBSERVER_STATE), new_record(ESTIMATE)
         self.arm, self.joints = arm, JointMap(arm)
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget everything but the counters; the next sample starts anew."""
         reset_observer(self._state)
 
@@ -415,7 +424,7 @@ class UnknownInputObserver:
         """Stamp of the last accepted sample [ns], or None."""
         return None if self._state.stamp == NEVER else int(self._state.stamp)
 
-    def update(self, stamp, position, velocity, effort):
+    def update(self, stamp, position, velocity, effort) -> np.record | None:
         """Take one measurement and return the estimate at its time, see :func:`observe`.
 
         Parameters
@@ -445,7 +454,7 @@ class UnknownInputObserver:
         return self._estimate.copy() if used else None
 
 
-def counters(record):
+def counters(record: np.record) -> Counters:
     """`Counters` of a record.
 
     Parameters
@@ -461,7 +470,7 @@ def counters(record):
     return Counters(*record.tolist())
 
 
-def pair(values, name):
+def pair(values: Sequence[float], name: str) -> np.ndarray:
     """Two numbers as an array.
 
     Parameters

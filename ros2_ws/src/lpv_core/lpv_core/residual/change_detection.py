@@ -10,6 +10,7 @@ A slow change may also be the fault of a rate sensor (`lpv_core.residual.rate_se
 
 import math
 from statistics import NormalDist
+from typing import Any
 
 from lpv_core.residual.sample_buffer import ALLOWANCE, RESIDUAL, index_at, median_before
 from lpv_core.support.jit import njit
@@ -26,7 +27,7 @@ CHANGE_TEST = record_type(
 [rad/sqrt(s)]; smallest limit [rad]; sample time [s]."""
 
 
-def sigmas_for(hours, sample_time):
+def sigmas_for(hours: float, sample_time: float) -> float:
     """Multiple of the standard deviation for a mean time between false alarms by noise.
 
     Every window of both sensors counts as an independent test at every sample, which is on the
@@ -48,7 +49,7 @@ def sigmas_for(hours, sample_time):
     return -NormalDist().inv_cdf(0.5 / tests)
 
 
-def change_test(arm, hours, smallest=0.0):
+def change_test(arm, hours: float, smallest: float = 0.0):
     """Limits of healthy changes for one arm.
 
     Parameters
@@ -77,7 +78,7 @@ def change_test(arm, hours, smallest=0.0):
 
 
 @njit
-def change_limit(params, window, error):
+def change_limit(params, window: int, error: float) -> float:
     """Largest healthy change over a window.
 
     Parameters
@@ -98,7 +99,7 @@ def change_limit(params, window, error):
 
 
 @njit
-def least_change(params):
+def least_change(params) -> float:
     """Change from one sample to the next that noise does not make.
 
     Parameters
@@ -115,7 +116,7 @@ def least_change(params):
 
 
 @njit
-def find_change(params, stamps, values, end, sample):
+def find_change(params, stamps, values, end, sample) -> tuple[Any, ...]:
     """The shortest window over which the residual changed too much.
 
     Parameters

@@ -44,7 +44,7 @@ and allowance [rad]; part of the allowance that samples lost just before this on
 change of the rate from one sample to the next beyond its acceleration [rad/s]."""
 
 
-def dead_reckoning(arm):
+def dead_reckoning(arm) -> np.record:
     """Constants of `update_dead_reckoning` for one arm.
 
     Parameters
@@ -67,13 +67,13 @@ def dead_reckoning(arm):
 
 
 @njit
-def reset_reckoning(state):
+def reset_reckoning(state) -> None:
     """Start anew with the next estimate."""
     state.started = False
 
 
 @njit
-def update_dead_reckoning(params, state, estimate):
+def update_dead_reckoning(params: np.record, state: np.record, estimate: np.record) -> None:
     """Follow one estimate; fills ``residual``, ``allowance`` and ``lost`` of the state.
 
     Parameters
@@ -117,7 +117,7 @@ def update_dead_reckoning(params, state, estimate):
 
 
 @njit
-def _bridge(state, i, interval, rate, acceleration):
+def _bridge(state, i, interval, rate, acceleration) -> None:
     """Lost samples: the trapezoid is corrected by the model's accelerations at both ends (Euler and
     Maclaurin), and what may have been between them is allowed for."""
     before, twelfth = state.acceleration[i], interval * interval / 12.0
@@ -130,7 +130,7 @@ def _bridge(state, i, interval, rate, acceleration):
 
 
 @njit
-def _watch_roughness(state, i, interval, rate):
+def _watch_roughness(state, i, interval, rate) -> None:
     """A gap is carried on by the two rates at its ends: their noise counts as it is, which may be
     more than stated where the arm is quick."""
     rough = abs(rate - state.rate[i] - interval * state.acceleration[i])

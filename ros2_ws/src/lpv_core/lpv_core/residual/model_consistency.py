@@ -36,7 +36,7 @@ CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', '
 """Averages [rad/s]; end of the inconsistency [ns]."""
 
 
-def consistency_test(arm, gains, sigmas):
+def consistency_test(arm, gains, sigmas: float) -> np.record:
     """Healthy bound of the averaged momentum innovation.
 
     Parameters
@@ -74,7 +74,7 @@ def consistency_test(arm, gains, sigmas):
     )
 
 
-def tolerated_rates(arm, gains):
+def tolerated_rates(arm, gains) -> np.ndarray:
     """What tolerated torques make of the momentum innovation of method ``exact``.
 
     Parameters
@@ -94,14 +94,16 @@ def tolerated_rates(arm, gains):
 
 
 @njit
-def reset_consistency(state):
+def reset_consistency(state) -> None:
     """Forget the past."""
     state.means[:] = 0.0
     state.until = NEVER
 
 
 @njit
-def is_inconsistent(params, state, estimate, healthy):
+def is_inconsistent(
+    params: np.record, state: np.record, estimate: np.record, healthy: np.ndarray
+) -> bool:
     """Judge one sample.
 
     Parameters

@@ -12,7 +12,7 @@ _FEW, _JUMP = 5, 0.6
 
 
 @njit
-def take_baseline(state, values, row):
+def take_baseline(state, values, row: int) -> None:
     """Keep what a fault is measured from.
 
     Parameters
@@ -27,7 +27,7 @@ def take_baseline(state, values, row):
 
 
 @njit
-def fit_step_or_ramp(state, stamps, values, row):
+def fit_step_or_ramp(state, stamps, values, row: int):
     """Whether a residual has jumped or begun to move, and when.
 
     A reading can jump; what wrong rates do to the residual takes time.  Least squares fits of a
@@ -65,7 +65,7 @@ def fit_step_or_ramp(state, stamps, values, row):
 
 
 @njit
-def has_jumped(params, state, stamps, values):
+def has_jumped(params, state, stamps, values) -> bool:
     """Whether a change that is no step came by jumps, or began with one; rates move r little by
     little.
 

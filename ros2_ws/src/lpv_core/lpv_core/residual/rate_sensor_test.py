@@ -81,7 +81,9 @@ def rate_test(arm, gains):
 
 
 @njit
-def rate_verdict(params, stamps, values, end, baseline, onset, speed):
+def rate_verdict(
+    params, stamps, values, end: int, baseline: float, onset: int, speed: float
+) -> int:
     """Whether a rate went wrong when a residual began to move.
 
     Parameters
@@ -131,7 +133,7 @@ def rate_verdict(params, stamps, values, end, baseline, onset, speed):
 
 
 @njit
-def _is_explained(params, stamps, values, end, baseline, onset, best):
+def _is_explained(params, stamps, values, end, baseline, onset, best) -> bool:
     """Whether the best course leaves no more than noise: others say nothing of the rate."""
     row = first_since(stamps, end, onset)
     energy = 0.0

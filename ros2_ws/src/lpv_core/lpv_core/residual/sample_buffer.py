@@ -12,7 +12,7 @@ RESIDUAL, READING, ALLOWANCE, INNOVATION = range(4)
 """Columns of the values."""
 
 
-def new_history(size):
+def new_history(size: int) -> tuple[np.ndarray, ...]:
     """An empty buffer.
 
     Parameters
@@ -29,7 +29,16 @@ def new_history(size):
 
 
 @njit
-def add_sample(stamps, values, end, stamp, residual, reading, allowance, innovation):
+def add_sample(
+    stamps: np.ndarray,
+    values: np.ndarray,
+    end: int,
+    stamp: int,
+    residual: float,
+    reading: float,
+    allowance: float,
+    innovation: float,
+) -> int:
     """Add a sample.
 
     Parameters
@@ -63,7 +72,7 @@ def add_sample(stamps, values, end, stamp, residual, reading, allowance, innovat
 
 
 @njit
-def index_at(stamps, end, stamp, guess):
+def index_at(stamps: np.ndarray, end: int, stamp: int, guess: int) -> int:
     """Row of the latest sample not after a stamp.
 
     Parameters
@@ -92,7 +101,7 @@ def index_at(stamps, end, stamp, guess):
 
 
 @njit
-def first_since(stamps, end, stamp):
+def first_since(stamps: np.ndarray, end: int, stamp: int) -> int:
     """First row that is not before a stamp; ``end`` if there is none.
 
     Parameters
@@ -117,7 +126,7 @@ def first_since(stamps, end, stamp):
 
 
 @njit
-def median_before(values, row, count):
+def median_before(values: np.ndarray, row: int, count: int) -> float:
     """Median of up to so many residuals that end at a row.
 
     A single bad sample must not be what later ones are compared with.

@@ -4,7 +4,9 @@ All functions take the constants ``c`` (`PLANT_CONSTANTS`) and the state ``s`` (
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +58,9 @@ sensors, NaN in a dropout [rad]; work space."""
 
 
 @njit
-def take_torque(params, state, first, second, generator):
+def take_torque(
+    params: np.record, state: np.record, first: float, second: float, generator
+) -> None:
     """Take a joint torque for the coming step, within limits, and draw the disturbance.
 
     Parameters
@@ -76,7 +80,7 @@ def take_torque(params, state, first, second, generator):
 
 
 @njit
-def integrate(params, state):
+def integrate(params, state) -> None:
     """Advance the plant by one sample time."""
     q_1, q_2 = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
     push_1, push_2 = (
@@ -109,7 +113,7 @@ def integrate(params, state):
 
 
 @njit
-def brake(params, state):
+def brake(params, state) -> None:
     """Let one sample time pass with the brakes engaged: no motion, no disturbance felt.
 
     The torque sensors then read what holds the arm.
@@ -123,7 +127,7 @@ def brake(params, state):
 
 
 @njit
-def read_sensors(params, state, faults, noise, chance):
+def read_sensors(params: np.record, state: np.record, faults, noise, chance) -> None:
     """Read the sensors at the present sample.
 
     Parameters
@@ -223,7 +227,7 @@ class ArmSimulator:
         What integrates the arm instead of `integrate`.
     """
 
-    def __init__(self, arm, scenario, substeps=2):
+    def __init__(self, arm, scenario, substeps: int = 2) -> None:
         self.arm, self.scenario = arm, scenario
         self.sample_time = arm.sample_time
         self.joints = JointMap(arm)
@@ -252,7 +256,7 @@ class ArmSimulator:
         """Time of the present sample [s]."""
         return self.step_count * self.sample_time
 
-    def step(self, joint_torque):
+    def step(self, joint_torque: Sequence[float]) -> None:
         """Apply a torque over one sample time.
 
         Parameters
@@ -272,7 +276,7 @@ class ArmSimulator:
         self.advance()
         self._sensed = False
 
-    def advance(self):
+    def advance(self) -> None:
         """Advance the plant by one sample time under the torque that was taken."""
         c, s = self.constants, self.state
         if self.engine is None:
@@ -284,7 +288,7 @@ class ArmSimulator:
         )
         s.step_count += 1
 
-    def hold(self):
+    def hold(self) -> None:
         """Let one sample time pass with the brakes engaged, see `brake`.
 
         Drives brake until the first command and after a safe stop.
@@ -292,7 +296,7 @@ class ArmSimulator:
         brake(self.constants, self.state)
         self._sensed = False
 
-    def sense(self):
+    def sense(self) -> tuple[Any, ...]:
         """Readings at the present sample; the same ones when asked again.
 
         Returns

@@ -189,7 +189,7 @@ def _stamps(first, end, period):
     return np.rint(np.arange(first, end) * period * NANOSECONDS).astype(np.int64)
 
 
-def _guide_on(guide, first, period, position, reference):
+def _guide_on(guide, first, period, position, reference) -> None:
     """Lay references from row ``first`` on for a loop that starts, or goes on after a stop.
 
     Rows count the samples in which the clock of the path runs.
@@ -206,14 +206,14 @@ def _guide_on(guide, first, period, position, reference):
 
 
 @njit
-def _stop(loop, controller):
+def _stop(loop, controller) -> None:
     loop.stop, loop.previous = True, NEVER
     controller.integral[:] = 0.0
     controller.torque[:] = 0.0
 
 
 @njit
-def _command(loop, answer, params, controller, position, velocity, acceleration, k, period):
+def _command(loop, answer, params, controller, position, velocity, acceleration, k, period) -> None:
     """Answer an estimate as the tracker node does."""
     state = answer.state
     if loop.compensation == _ALWAYS:
@@ -240,7 +240,7 @@ def _command(loop, answer, params, controller, position, velocity, acceleration,
 
 
 @njit
-def _keep_events(loop, monitor, answer, events):
+def _keep_events(loop, monitor, answer, events) -> None:
     if not answer.has_events:
         return
     for i in range(2):
@@ -251,7 +251,7 @@ def _keep_events(loop, monitor, answer, events):
 
 
 @njit
-def _record_truth(plant, row, time):
+def _record_truth(plant, row, time) -> None:
     row.time, row.disturbance = time, plant.disturbance
     for i in range(2):
         row.position[i], row.velocity[i] = plant.position[i], plant.velocity[i]
@@ -260,7 +260,7 @@ def _record_truth(plant, row, time):
 
 
 @njit
-def _record_answer(answer, decision, row, reference):
+def _record_answer(answer, decision, row, reference) -> None:
     row.inconsistent, row.trustworthy = decision.inconsistent, answer.state.trustworthy
     for i in range(2):
         row.estimate[i] = answer.state.position[i]
@@ -339,8 +339,15 @@ class Run:
 
 
 def run_closed_loop(
-    arm, gains, scenario, compensation='confirmed', parameters=None, substeps=2, delay=0, loss=0.0
-):
+    arm,
+    gains,
+    scenario,
+    compensation: str = 'confirmed',
+    parameters=None,
+    substeps: int = 2,
+    delay: int = 0,
+    loss: float = 0.0,
+) -> Run:
     """Simulate a scenario with observer, diagnosis and tracking.
 
     Parameters

@@ -1,6 +1,7 @@
 """Faults of the physical sensors, as the simulator injects them."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,12 +60,12 @@ class Fault:
 
 
 @njit
-def _acts(f, time):
+def _acts(f, time) -> bool:
     return time >= f.onset and (f.duration <= 0.0 or time < f.onset + f.duration)
 
 
 @njit
-def apply_faults(faults, time, reading, sample_time, generator):
+def apply_faults(faults, time: float, reading: np.ndarray, sample_time: float, generator) -> None:
     """Add all faults that act to the readings.
 
     Parameters
@@ -108,7 +109,7 @@ def apply_faults(faults, time, reading, sample_time, generator):
 
 
 @njit
-def rate_bias(faults, sensor, time):
+def rate_bias(faults, sensor: int, time: float) -> float:
     """What faults add to the rate that belongs to a sensor.
 
     Parameters
@@ -134,7 +135,7 @@ def rate_bias(faults, sensor, time):
 
 
 @njit
-def is_frozen(faults, sensor, time):
+def is_frozen(faults, sensor: int, time: float) -> bool:
     """Whether a sensor is stuck: it carries no noise either.
 
     Parameters
@@ -157,7 +158,7 @@ def is_frozen(faults, sensor, time):
     return False
 
 
-def check_fault(fault, sensor_names):
+def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
     """Refuse a fault that the simulator cannot apply.
 
     Parameters
@@ -224,14 +225,14 @@ class FaultInjector:
         As given.
     """
 
-    def __init__(self, sensor_names, faults, generator):
+    def __init__(self, sensor_names: Sequence[str], faults: Iterable[Fault], generator) -> None:
         self._names = tuple(sensor_names)
         self.generator = generator
         self.faults, self.records = [], np.zeros(0, _FAULT).view(np.recarray)
         for fault in faults:
             self.add(fault)
 
-    def add(self, fault):
+    def add(self, fault: Fault) -> None:
         """Schedule a further fault.
 
         Parameters
@@ -252,7 +253,7 @@ class FaultInjector:
         self.faults.append(fault)
         self.records = np.concatenate([self.records, row]).view(np.recarray)
 
-    def clear(self, sensor=''):
+    def clear(self, sensor: str = '') -> int:
         """Remove faults.
 
         Parameters
@@ -280,7 +281,7 @@ class FaultInjector:
         self.records = self.records[np.array(kept, dtype=bool)]
         return removed
 
-    def apply(self, time, reading, sample_time):
+    def apply(self, time: float, reading: np.ndarray, sample_time: float) -> np.ndarray:
         """Faulty readings at one time.
 
         Parameters

@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def mise(error):
+def mise(error: np.ndarray) -> float | np.ndarray:
     """Mean integral of squared error over equidistant samples, eq. (70).
 
     Parameters

@@ -41,7 +41,7 @@ class MujocoPlant:
         If MuJoCo is not installed, or refuses the arm.
     """
 
-    def __init__(self, arm, coulomb='smooth'):
+    def __init__(self, arm, coulomb: str = 'smooth') -> None:
         self._mujoco = _load_mujoco()
         text = mjcf(arm, coulomb)
         try:
@@ -58,7 +58,9 @@ class MujocoPlant:
         self._push = np.zeros(2)
         self._forces = np.zeros(2)
 
-    def advance(self, state, torque, push, interval, steps):
+    def advance(
+        self, state: np.ndarray, torque: np.ndarray, push: np.ndarray, interval: float, steps: int
+    ) -> np.ndarray:
         """Integrate with torque and disturbance held.
 
         Parameters
@@ -93,7 +95,7 @@ class MujocoPlant:
             [joints.absolute_position(data.qpos), joints.absolute_velocity(data.qvel)]
         )
 
-    def _step_with_passive_forces(self, steps):
+    def _step_with_passive_forces(self, steps) -> None:
         # The call is one for the whole process: it is put back for other users of MuJoCo.
         before = self._mujoco.get_mjcb_passive()
         self._mujoco.set_mjcb_passive(self._add_passive_forces)
@@ -102,7 +104,7 @@ class MujocoPlant:
         finally:
             self._mujoco.set_mjcb_passive(before)
 
-    def _add_passive_forces(self, model, data):
+    def _add_passive_forces(self, model, data) -> None:
         self._mujoco.mj_mulM(model, data, self._forces, self._push)
         data.qfrc_passive += self._forces - self._coulomb * np.arctan(self._slope * data.qvel)
 

@@ -17,7 +17,7 @@ from lpv_core.support.jit import COMPILED
 from lpv_core.support.resources import bringup_file
 
 
-def precompile(arm, gains, scenario):
+def precompile(arm, gains, scenario) -> None:
     """Run every compiled function once.
 
     Parameters
@@ -48,7 +48,7 @@ def precompile(arm, gains, scenario):
     plant.hold()
 
 
-def main():
+def main() -> None:
     """Entry point."""
     if COMPILED:
         arm = load_arm(bringup_file('arms', 'paper'))

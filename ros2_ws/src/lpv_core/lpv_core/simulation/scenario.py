@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +76,7 @@ class Scenario:
     noise_factor: float = 1.0
     disturbance_factor: float = 1.0
 
-    def path(self, arm):
+    def path(self, arm) -> CartesianPath:
         """Build the Cartesian path for an arm.
 
         Parameters
@@ -112,7 +113,7 @@ class Scenario:
         return scaled.with_payload(self.payload) if self.payload else scaled
 
 
-def load_scenario(path):
+def load_scenario(path: str | Path) -> Scenario:
     """Read a scenario file.
 
     Parameters
@@ -133,7 +134,7 @@ def load_scenario(path):
     return parse_scenario(read_yaml(path), str(Path(path)))
 
 
-def parse_scenario(data, source='scenario'):
+def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     """Build a scenario from the mapping of a scenario file.
 
     Parameters
@@ -204,7 +205,7 @@ def _expanded(data):
     return data
 
 
-def parse_faults(top):
+def parse_faults(top) -> tuple[Fault, ...]:
     """Read the list ``faults``.
 
     Parameters

@@ -4,6 +4,7 @@ import hashlib
 import math
 import reprlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -17,7 +18,7 @@ MAX_BYTES = 4 << 20
 class _Loader(yaml.SafeLoader):
     """Safe loader that refuses equal keys: the last one would win in silence."""
 
-    def construct_mapping(self, node, deep=False):
+    def construct_mapping(self, node, deep: bool = False):
         seen = set()
         for key, _ in node.value:
             name = key.value if isinstance(key, yaml.ScalarNode) else None
@@ -34,7 +35,7 @@ def _short(value):
     return reprlib.repr(value)
 
 
-def read_yaml(path):
+def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML mapping through the safe loader.
 
     Parameters
@@ -68,7 +69,7 @@ def read_yaml(path):
     return data
 
 
-def sha256_of(data):
+def sha256_of(data: object) -> str:
     """Hash of a configuration's content, independent of layout and comments.
 
     Parameters
@@ -107,7 +108,7 @@ class Section:
         Dotted name of this mapping inside the file.
     """
 
-    def __init__(self, data, source, prefix=''):
+    def __init__(self, data: dict[str, Any], source: str, prefix: str = '') -> None:
         if not isinstance(data, dict):
             raise ConfigError(prefix or 'file', 'must be a mapping', source)
         self._data = data
@@ -122,7 +123,7 @@ class Section:
         """Return the ConfigError for ``key`` (to be raised by the caller)."""
         return ConfigError(self._name(key), reason, self._source)
 
-    def __contains__(self, key):
+    def __contains__(self, key) -> bool:
         return key in self._data
 
     def _get(self, key, default):
@@ -133,7 +134,7 @@ class Section:
             raise self.error(key, 'is missing')
         return default
 
-    def section(self, key, required=True):
+    def section(self, key, required: bool = True):
         """Return the mapping below ``key`` (an empty one if absent and not required)."""
         return Section(self._get(key, _REQUIRED if required else {}), self._source, self._name(key))
 
@@ -244,7 +245,7 @@ class Section:
         """Return an optional mapping as it is, for data that is only passed on."""
         return dict(self.section(key, required=False)._data)
 
-    def finish(self):
+    def finish(self) -> None:
         """Refuse fields that nobody read: a typing error must not pass in silence."""
         unknown = sorted(set(self._data) - self._seen, key=str)
         if unknown:

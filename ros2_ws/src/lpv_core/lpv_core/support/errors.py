@@ -18,7 +18,7 @@ class ConfigError(LpvError):
         The file or node that the field comes from.
     """
 
-    def __init__(self, field, reason, source=''):
+    def __init__(self, field: str, reason: str, source: str = '') -> None:
         self.field = field
         self.reason = reason
         self.source = source

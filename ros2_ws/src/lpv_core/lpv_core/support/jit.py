@@ -13,10 +13,12 @@ keeps old machine code from running.
 import hashlib
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 
-def source_digest(folder):
+def source_digest(folder: Path) -> str:
     """Hash of the Python files of a package, those of its sub-packages included.
 
     Parameters
@@ -70,7 +72,7 @@ _numba_njit, _cache = _load_numba()
 COMPILED = _numba_njit is not None
 
 
-def njit(function):
+def njit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile ``function`` without reordering of floating-point operations.
 
     Parameters

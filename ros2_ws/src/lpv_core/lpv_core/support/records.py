@@ -10,7 +10,7 @@ NEVER = -(2**63)
 """Stamp of what has not happened."""
 
 
-def record_type(*fields):
+def record_type(*fields) -> np.dtype:
     """Type of a record.
 
     Parameters
@@ -35,7 +35,7 @@ def record_type(*fields):
     return np.dtype(list(fields), align=True)
 
 
-def new_record(dtype, **values):
+def new_record(dtype: np.dtype, **values) -> np.record:
     """A record, all zero but for what is given.
 
     Parameters

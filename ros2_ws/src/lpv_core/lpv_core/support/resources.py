@@ -19,7 +19,7 @@ def _prefix(package):
     raise ConfigError(package, 'is not installed: build the workspace, or source it')
 
 
-def executable(package, name):
+def executable(package: str, name: str) -> Path:
     """Program that ``ros2 run PACKAGE NAME`` starts.
 
     Parameters
@@ -43,7 +43,7 @@ def executable(package, name):
     return path
 
 
-def shipped_files(kind):
+def shipped_files(kind: str) -> dict[str, Path]:
     """Files of one kind that are installed with lpv_bringup.
 
     Parameters
@@ -65,7 +65,7 @@ def shipped_files(kind):
     return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
 
 
-def bringup_file(kind, name):
+def bringup_file(kind: str, name: str) -> Path:
     """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
 
     Parameters

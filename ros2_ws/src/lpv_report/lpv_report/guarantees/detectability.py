@@ -1,5 +1,6 @@
 """How large a lasting fault must be to be detected for certain, along the path of a run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ class Detectability:
     gains: object
 
 
-def detectability(record, arm, gains=None):
+def detectability(record, arm, gains=None) -> Detectability | None:
     """Detectability of a run.
 
     Parameters
@@ -132,7 +133,7 @@ def _near_zero(angles):
     return result
 
 
-def configurations(found, arm):
+def configurations(found: Detectability, arm) -> Grid:
     """Detectability at rest over all configurations around the path.
 
     Parameters
@@ -189,7 +190,7 @@ class DetectabilityRow:
     lost: float = None
 
 
-def summary(found, sensor_names):
+def summary(found: Detectability, sensor_names: Sequence[str]) -> list[DetectabilityRow]:
     """Summary for all sensors.
 
     Parameters

@@ -1,5 +1,7 @@
 """Pictures of what could be detected: over time, and over configurations with the path."""
 
+from collections.abc import Sequence
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
@@ -16,7 +18,7 @@ _COLORS = plt.get_cmap('viridis').with_extremes(over=BAND)
 _ALERT = '#d01c3b'
 
 
-def over_time(found, record, sensor_names):
+def over_time(found, record, sensor_names: Sequence[str]):
     """Smallest lasting fault that is detected for certain, by time.
 
     Parameters
@@ -85,7 +87,7 @@ def over_time(found, record, sensor_names):
     return figure
 
 
-def _scale(axis, found, i):
+def _scale(axis, found, i) -> None:
     """Limits by what could be detected; true faults start from nothing."""
     parts = [found.resting[:, i]] + ([] if found.moving is None else [found.moving[:, i]])
     values = np.concatenate(parts)
@@ -97,7 +99,7 @@ def _scale(axis, found, i):
     axis.minorticks_off()
 
 
-def _unbounded(axis, found, i):
+def _unbounded(axis, found, i) -> None:
     label = 'no bound at rest'
     time = found.time[found.places]
     for part in intervals(~np.isfinite(found.resting[:, i]), time) if len(time) else ():
@@ -107,7 +109,7 @@ def _unbounded(axis, found, i):
         label = None
 
 
-def _hatch(axis, found, i):
+def _hatch(axis, found, i) -> None:
     label = 'not diagnosable'
     for part in intervals(found.not_diagnosable[:, i], found.time):
         axis.axvspan(
@@ -171,7 +173,7 @@ def over_configurations(found, arm):
     return figure
 
 
-def _background(axis, grid, i):
+def _background(axis, grid, i) -> None:
     one, two = np.degrees(grid.one), np.degrees(grid.two)
     values = grid.detectable[:, :, i].T
     finite = values <= _LEVELS[-1]
@@ -199,7 +201,7 @@ def _background(axis, grid, i):
         axis.clabel(lines, fontsize=7.5, fmt='%g')
 
 
-def _region(axis, grid, i):
+def _region(axis, grid, i) -> None:
     """Hatch what lies outside the region that this sensor needs."""
     one, two, lost = np.degrees(grid.one), np.degrees(grid.two), grid.lost[:, :, i].T
     axis.set(xlim=one[[0, -1]], ylim=two[[0, -1]])
@@ -218,7 +220,7 @@ def _region(axis, grid, i):
     )
 
 
-def _path(axis, found, i):
+def _path(axis, found, i) -> None:
     known = np.degrees(found.deviation[_spread(found.deviation)])
     lost = found.not_diagnosable[_spread(found.deviation), i]
     axis.plot(*known.T, color='white', linewidth=3.2, solid_capstyle='round')
@@ -248,7 +250,7 @@ def _path(axis, found, i):
         )
 
 
-def _colored_path(axis, found, i):
+def _colored_path(axis, found, i) -> None:
     """Without gains, what is known is known on the path alone."""
     rows = _spread(found.deviation)
     at, lost = np.degrees(found.deviation[rows]), found.not_diagnosable[rows, i]

@@ -85,7 +85,7 @@ class Certificate:
         return not (self.problem or self.failed or self.changed) and bool(self.checks)
 
 
-def examine(used, arm):
+def examine(used, arm) -> Certificate:
     """Rebuild the certificate of some gains, without any solver.
 
     Parameters

@@ -36,7 +36,7 @@ class UsedGains:
 UNKNOWN = UsedGains(problem='The bag carries no gains, and none were given.')
 
 
-def read_used_gains(path, source=''):
+def read_used_gains(path: str | Path, source: str = '') -> UsedGains:
     """Gains from a file.
 
     Parameters
@@ -61,7 +61,7 @@ def read_used_gains(path, source=''):
     return UsedGains(gains, source or path.name, hashlib.sha256(path.read_bytes()).hexdigest())
 
 
-def find_used_gains(bag, given=None):
+def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGains:
     """Gains that a bag was answered with: those given, or those that lie in the bag.
 
     Parameters
@@ -99,7 +99,7 @@ def find_used_gains(bag, given=None):
         return UsedGains(problem=f'The gains in the bag cannot be used: {error}')
 
 
-def arm_of(gains):
+def arm_of(gains: Gains):
     """The arm that a gains file describes.
 
     Parameters

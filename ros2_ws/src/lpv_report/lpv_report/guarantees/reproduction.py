@@ -28,7 +28,7 @@ class Reproduction:
     largest: float
 
     @property
-    def same(self):
+    def same(self) -> bool:
         """Whether they differ by rounding at most."""
         return self.largest <= _SAME
 
@@ -48,7 +48,7 @@ class Reproduction:
         )
 
 
-def reproduce(record, arm, gains):
+def reproduce(record, arm, gains) -> Reproduction | None:
     """Run the observer again over the measurements of a run.
 
     Parameters

@@ -79,7 +79,7 @@ class Interval:
     end: float
 
 
-def intervals(mask, time, sensor_index=0):
+def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list[Interval]:
     """Stretches in which a mask is true.
 
     Parameters
@@ -104,7 +104,7 @@ def intervals(mask, time, sensor_index=0):
     ]
 
 
-def true_faults(record):
+def true_faults(record) -> list[Interval] | None:
     """When faults really acted.
 
     Parameters
@@ -129,7 +129,7 @@ def true_faults(record):
     ]
 
 
-def episodes(record):
+def episodes(record) -> list[Episode]:
     """Alarms of a run.
 
     Parameters
@@ -159,7 +159,7 @@ def episodes(record):
     return sorted(found, key=lambda e: (e.raised, e.sensor_index))
 
 
-def missed_faults(record, found):
+def missed_faults(record, found: list[Episode]) -> list[Interval]:
     """True faults during which no alarm was raised or active.
 
     Parameters

@@ -1,6 +1,9 @@
 """Stretches of a run in which the diagnosis could not answer, or the arm was stopped."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +76,7 @@ class Rest:
     duration: float
 
 
-def phases(record, bag, sensor_names):
+def phases(record, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
     """All stretches of a run.
 
     Parameters
@@ -104,7 +107,7 @@ def phases(record, bag, sensor_names):
     return sorted(found, key=lambda p: (p.start, p.what, p.sensor))
 
 
-def starting(record, stamps):
+def starting(record, stamps: np.ndarray) -> np.ndarray:
     """Which samples are the first ones, of which nobody expects an answer.
 
     Parameters
@@ -152,7 +155,7 @@ def _of_commands(record):
     ]
 
 
-def listed(found):
+def listed(found: list[Phase]) -> tuple[list[Any], ...]:
     """What a reader can take in: the longest stretches of each kind, and the sum of the others.
 
     Parameters

@@ -1,5 +1,7 @@
 """One picture of what happened when: states of the sensors, stops, contradictions."""
 
+from collections.abc import Sequence
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -16,7 +18,7 @@ _LINES = (
 )
 
 
-def timeline(record, found, faults, sensor_names):
+def timeline(record, found, faults, sensor_names: Sequence[str]):
     """States over time as bars.
 
     Parameters
@@ -72,7 +74,7 @@ def timeline(record, found, faults, sensor_names):
     return figure
 
 
-def _sensor(axis, time, state, i):
+def _sensor(axis, time, state, i) -> None:
     looks = (
         (SensorState.OK, 'watched, no fault', {'facecolor': '#e4e9ee'}),
         (SensorState.WARN, 'suspected', {'facecolor': PALE[i]}),
@@ -90,7 +92,7 @@ def _sensor(axis, time, state, i):
             axis.broken_barh(parts, (i - _HALF, 2 * _HALF), label=label, **look)
 
 
-def _legend(figure, axis):
+def _legend(figure, axis) -> None:
     found = {}
     for handle, label in zip(*axis.get_legend_handles_labels()):
         found.setdefault(label, handle)

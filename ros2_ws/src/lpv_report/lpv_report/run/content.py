@@ -1,7 +1,7 @@
 """What a report says, as plain values for its template."""
 
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,9 @@ class Tile(NamedTuple):
     look: str = ''
 
 
-def content(record, arm, title, table, used, certificate, reproduction, able, found):
+def content(
+    record, arm, title: str, table, used, certificate, reproduction, able, found
+) -> dict[str, Any]:
     """Values for the template.
 
     Parameters

@@ -5,6 +5,8 @@ Joint or sensor 1 is blue and 2 is vermilion throughout; wide pale lines are the
 reference, thin lines what is measured or estimated.
 """
 
+from collections.abc import Sequence
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -36,7 +38,7 @@ def _draw(axis, time, values, label, color, **options):
     return True
 
 
-def _finish(axis, record, title):
+def _finish(axis, record, title) -> None:
     """Title on the left, legend on the right, both above the data."""
     axis.set_title(title, pad=7)
     handles, labels = axis.get_legend_handles_labels()
@@ -61,7 +63,7 @@ def _column(record, stream, name, index):
     return None if values is None else values[:, index]
 
 
-def _tip(record, arm, stream, name='position'):
+def _tip(record, arm, stream, name: str = 'position'):
     q = record.aligned(stream, name)
     if q is None:
         return None
@@ -140,7 +142,7 @@ def _thin_path(points, step=0.5e-3):
     return points[index].T
 
 
-def _mark_ends(axis, points):
+def _mark_ends(axis, points) -> None:
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return
@@ -155,7 +157,7 @@ def _mark_ends(axis, points):
         )
 
 
-def faults(record, sensor_names=None):
+def faults(record, sensor_names: Sequence[str] | None = None):
     """Fig. 5: sensor faults and their estimates, thresholds and alarms.
 
     Parameters
@@ -200,7 +202,7 @@ def _band(time, threshold):
     return at, -high, high
 
 
-def _shade(axis, record, sensor, alarms):
+def _shade(axis, record, sensor, alarms) -> None:
     """Alarms as shaded, stretches without diagnosis as hatched intervals."""
     end, label = record.time[-1], 'alarm'
     for episode in alarms:

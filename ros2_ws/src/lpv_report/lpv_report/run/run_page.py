@@ -2,11 +2,12 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 from lpv_report.page import environment
 
 
-def number(value, form):
+def number(value: float | None, form: str) -> str:
     """A number as text.
 
     Parameters
@@ -29,7 +30,7 @@ def share(value):
     return '-' if value is None else f'{100.0 * value:.1f} %'
 
 
-def render(values, figures):
+def render(values: dict[str, Any], figures: dict[str, dict[str, Any]]) -> str:
     """The page as text.
 
     Parameters

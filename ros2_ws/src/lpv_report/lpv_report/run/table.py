@@ -47,7 +47,7 @@ class Row:
     paper: float = None
 
 
-def make_table(record, arm):
+def make_table(record, arm) -> list[Row]:
     """MISE against ground truth, or the size of fault estimates where there is none.
 
     Parameters
@@ -121,7 +121,7 @@ def _times(row):
     return f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
 
 
-def print_table(rows, console=None):
+def print_table(rows: list[Row], console=None) -> None:
     """Show a table on the terminal.
 
     Parameters

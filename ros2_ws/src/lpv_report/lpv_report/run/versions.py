@@ -13,7 +13,7 @@ _PACKAGES = (
 )
 
 
-def installed_versions():
+def installed_versions() -> list[tuple[str, ...]]:
     """Versions of the software that reads, computes and draws.
 
     Returns

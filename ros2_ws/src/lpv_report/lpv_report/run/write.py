@@ -53,7 +53,9 @@ class ReportResult:
     certificate: object = None
 
 
-def write_report(bag, out, arm, path=None, title='Run', used=None):
+def write_report(
+    bag: str | Path, out: str | Path, arm, path=None, title: str = 'Run', used=None
+) -> ReportResult:
     """Write the report of a bag.
 
     Parameters

@@ -8,7 +8,7 @@ from lpv_ros2cli.bag.reading import opened, topics_of
 _SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('bag_path', help='bag')
     parser.add_argument(
@@ -16,7 +16,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print files, times and topics of a bag."""
     with opened(arguments.bag_path) as reader:
         topics = topics_of(reader)

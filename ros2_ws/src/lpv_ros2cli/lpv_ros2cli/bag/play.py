@@ -1,6 +1,7 @@
 """``ros2 bag play``."""
 
 import time
+from typing import Any
 
 from lpv_ros2cli import discovery
 from lpv_ros2cli.bag.reading import opened, topics_of
@@ -15,7 +16,7 @@ _FASTEST = 1e4
 """Most messages a second on /clock."""
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('bag_path', help='bag')
     parser.add_argument(
@@ -62,7 +63,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Publish a bag's messages at the times at which they were recorded."""
     if not arguments.rate > 0.0 or not arguments.rate < float('inf'):
         raise CliError('--rate must be greater than zero')
@@ -95,7 +96,7 @@ def run(arguments):
         print(f'published {total + count} messages')
 
 
-def _publishers(node, reader, arguments):
+def _publishers(node, reader, arguments) -> tuple[Any, ...]:
     """Connections to be played, and the publisher of each topic.
 
     Parameters

@@ -6,7 +6,7 @@ from lpv_ros2cli.errors import CliError
 
 
 @contextlib.contextmanager
-def opened(path):
+def opened(path: str):
     """Context with an open bag.
 
     Parameters

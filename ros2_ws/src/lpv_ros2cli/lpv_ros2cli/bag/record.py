@@ -12,7 +12,7 @@ from lpv_ros2cli.names import absolute, without_hidden
 from lpv_ros2cli.packages import executable
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument(
         'topics', nargs='*', metavar='topic', help='topics; they need not be there yet'
@@ -52,7 +52,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Become the recorder, which ends at SIGINT or SIGTERM with a complete bag."""
     chosen = {absolute(name) for name in (*arguments.topics, *arguments.more_topics)}
     if not chosen and not arguments.all and arguments.regex is None:

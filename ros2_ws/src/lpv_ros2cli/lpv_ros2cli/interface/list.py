@@ -3,7 +3,7 @@
 from lpv_ros2cli.interfaces import KINDS, installed
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument(
         '-m', '--only-msgs', action='append_const', dest='kinds', const='msg', help='only messages'
@@ -21,7 +21,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print the interface types that are installed."""
     types = installed()
     for kind, heading in KINDS.items():

@@ -10,7 +10,7 @@ _FIELD = re.compile(r'([A-Za-z][A-Za-z0-9_/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-zA-
 _DEEPEST = 20
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('type', help='interface type, or - to read it from stdin').completer = (
         lambda **_: installed()
@@ -22,7 +22,7 @@ def add_arguments(parser):
     group.add_argument('--no-comments', action='store_true', help='no comments and blank lines')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print a definition, with nested types indented below the fields that have them."""
     name = arguments.type if arguments.type != '-' else sys.stdin.readline().strip()
     _show(_existing(name), arguments, 0)
@@ -38,7 +38,7 @@ def _existing(name):
     return full_type(name)
 
 
-def _show(name, arguments, depth):
+def _show(name, arguments, depth) -> None:
     comments = arguments.all_comments or (depth == 0 and not arguments.no_comments)
     for line in definition(name).splitlines():
         code = line.partition('#')[0] if '"' not in line and "'" not in line else line

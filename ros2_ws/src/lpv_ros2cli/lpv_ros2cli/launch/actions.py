@@ -30,7 +30,7 @@ class Plan:
     outline: list = field(default_factory=list)
 
 
-def evaluate_file(context, path, plan=None):
+def evaluate_file(context, path: str | Path, plan: Plan | None = None) -> Plan:
     """Evaluate a launch file with all that it includes.
 
     Parameters
@@ -63,7 +63,7 @@ def evaluate_file(context, path, plan=None):
     return plan
 
 
-def evaluate(context, entity, plan):
+def evaluate(context, entity, plan: Plan) -> None:
     """Evaluate one action, if its conditions hold.
 
     Parameters
@@ -93,7 +93,7 @@ def evaluate(context, entity, plan):
         raise entity.error(str(error)) from error
 
 
-def _holds(context, entity):
+def _holds(context, entity) -> bool:
     conditions = [(name, entity.text(name)) for name in ('if', 'unless')]
     if all(text is not None for _, text in conditions):
         raise entity.error("'if' and 'unless' exclude each other")
@@ -103,11 +103,11 @@ def _holds(context, entity):
     return True
 
 
-def _note(context, plan, text):
+def _note(context, plan, text) -> None:
     plan.outline.append((context.depth, text))
 
 
-def _arg(context, entity, plan):
+def _arg(context, entity, plan) -> None:
     name = entity.required('name')
     default = entity.text('default')
     entity.text('description')
@@ -124,20 +124,20 @@ def _arg(context, entity, plan):
     _note(context, plan, f'arg {name} = {value!r}')
 
 
-def _let(context, entity, plan):
+def _let(context, entity, plan) -> None:
     name, value = entity.required('name'), context.perform(entity.required('value'))
     context.scope.configurations[name] = value
     _note(context, plan, f'let {name} = {value!r}')
 
 
-def _set_env(context, entity, plan):
+def _set_env(context, entity, plan) -> None:
     name = context.perform(entity.required('name'))
     value = context.perform(entity.required('value'))
     context.scope.environment[name] = value
     _note(context, plan, f'set_env {name} = {value!r}')
 
 
-def _append_env(context, entity, plan):
+def _append_env(context, entity, plan) -> None:
     name = context.perform(entity.required('name'))
     value = context.perform(entity.required('value'))
     separator, first = entity.text('separator', ':'), entity.flag('prepend', False)
@@ -147,38 +147,38 @@ def _append_env(context, entity, plan):
     _note(context, plan, f'append_env {name}: {value!r}')
 
 
-def _unset_env(context, entity, plan):
+def _unset_env(context, entity, plan) -> None:
     name = context.perform(entity.required('name'))
     context.scope.environment.pop(name, None)
     _note(context, plan, f'unset_env {name}')
 
 
-def _push_namespace(context, entity, plan):
+def _push_namespace(context, entity, plan) -> None:
     pushed = context.perform(entity.required('namespace'))
     context.scope.namespace = join_namespaces(context.scope.namespace, pushed)
     _note(context, plan, f'push_ros_namespace {pushed}')
 
 
-def _set_parameter(context, entity, plan):
+def _set_parameter(context, entity, plan) -> None:
     name, value = entity.required('name'), context.perform(entity.required('value'))
     context.scope.parameters.append((name, value))
     _note(context, plan, f'set_parameter {name} = {value!r}')
 
 
-def _set_remap(context, entity, plan):
+def _set_remap(context, entity, plan) -> None:
     pair = context.perform(entity.required('from')), context.perform(entity.required('to'))
     context.scope.remaps.append(pair)
     _note(context, plan, f'set_remap {pair[0]} -> {pair[1]}')
 
 
-def _log(context, entity, plan):
+def _log(context, entity, plan) -> None:
     entity.text('level')
     message = context.perform(entity.required('message'))
     plan.messages.append(message)
     _note(context, plan, f'log {message!r}')
 
 
-def _group(context, entity, plan):
+def _group(context, entity, plan) -> None:
     scoped, forwarding = entity.flag('scoped', True), entity.flag('forwarding', True)
     if not forwarding:
         raise entity.error("'forwarding' is not covered by this ros2")
@@ -190,7 +190,7 @@ def _group(context, entity, plan):
     context.depth -= 1
 
 
-def _include(context, entity, plan):
+def _include(context, entity, plan) -> None:
     path = context.perform(entity.required('file'))
     _note(context, plan, f'include {path}')
     # As upstream: what is given to an included file stays set after it.
@@ -201,13 +201,13 @@ def _include(context, entity, plan):
     evaluate_file(context, path, plan)
 
 
-def _node(context, entity, plan):
+def _node(context, entity, plan) -> None:
     process = node_process(context, entity)
     plan.processes.append(process)
     _note(context, plan, f'node {process.outline}')
 
 
-def _executable(context, entity, plan):
+def _executable(context, entity, plan) -> None:
     process = program_process(context, entity)
     plan.processes.append(process)
     _note(context, plan, f'executable {process.outline}')

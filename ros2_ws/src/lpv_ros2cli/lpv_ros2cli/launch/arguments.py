@@ -1,13 +1,14 @@
 """Launch arguments: those of the command line, and those that a file declares."""
 
 from pathlib import Path
+from typing import Any
 
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.launch.files import read_launch_file
 from lpv_ros2cli.launch.substitutions import describe, parse
 
 
-def parse_arguments(words):
+def parse_arguments(words: list[str]) -> dict[str, str]:
     """Launch arguments of a command line.
 
     Parameters
@@ -34,7 +35,7 @@ def parse_arguments(words):
     return arguments
 
 
-def declared(path, context):
+def declared(path: str | Path, context) -> dict[str, tuple[Any, ...]]:
     """Arguments that a launch file and the files that it includes declare.
 
     Parameters
@@ -60,7 +61,7 @@ def declared(path, context):
     return found
 
 
-def _collect(entity, context, found, given):
+def _collect(entity, context, found, given) -> None:
     for child in entity.children():
         if child.tag == 'arg':
             name, default = child.required('name'), child.text('default')
@@ -83,7 +84,7 @@ def _collect(entity, context, found, given):
             _include(child, context, found, given)
 
 
-def _assume(context, name, text):
+def _assume(context, name, text) -> None:
     if name not in context.scope.configurations and text is not None:
         try:
             context.scope.configurations[name] = context.perform(text)
@@ -91,7 +92,7 @@ def _assume(context, name, text):
             return  # of a mandatory argument: needed only if a file's name depends on it
 
 
-def _include(entity, context, found, given):
+def _include(entity, context, found, given) -> None:
     passed = {a.text('name') for a in (*entity.all('arg'), *entity.all('let'))}
     try:
         path = context.perform(entity.required('file'))
@@ -101,7 +102,7 @@ def _include(entity, context, found, given):
         _collect(read_launch_file(path), context, found, given | passed)
 
 
-def describe_arguments(found):
+def describe_arguments(found: dict[str, Any]) -> str:
     """Text of --show-args.
 
     Parameters

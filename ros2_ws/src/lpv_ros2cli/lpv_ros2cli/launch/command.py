@@ -13,7 +13,7 @@ from lpv_ros2cli.launch.log import LaunchLog
 from lpv_ros2cli.launch.runner import Runner
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
         '-n',

@@ -57,7 +57,9 @@ class Context:
         Environment; otherwise of this process.
     """
 
-    def __init__(self, arguments, environment=None):
+    def __init__(
+        self, arguments: dict[str, str], environment: dict[str, str] | None = None
+    ) -> None:
         self.scope = Scope(
             dict(arguments), dict(os.environ if environment is None else environment)
         )
@@ -87,7 +89,7 @@ class Context:
             self.file = outer
             self.depth -= 1
 
-    def perform(self, text):
+    def perform(self, text: str) -> str:
         """A text with its substitutions performed.
 
         Parameters
@@ -110,7 +112,7 @@ class Context:
     def _join(self, parts):
         return ''.join(part if isinstance(part, str) else self.perform_one(part) for part in parts)
 
-    def perform_one(self, substitution):
+    def perform_one(self, substitution) -> str:
         """The text that one substitution stands for.
 
         Parameters
@@ -172,13 +174,13 @@ class Context:
         return str(value)
 
 
-def _truth(text):
+def _truth(text) -> bool:
     if text.strip().lower() not in ('true', 'false', '1', '0'):
         raise CliError(f'{text!r} is neither true nor false')
     return text.strip().lower() in ('true', '1')
 
 
-def _equal(left, right):
+def _equal(left, right) -> bool:
     try:
         return float(left) == float(right)
     except ValueError:

@@ -1,5 +1,7 @@
 """One element of a launch file, the same for XML and YAML."""
 
+from __future__ import annotations
+
 from lpv_ros2cli.errors import CliError
 
 _TRUE, _FALSE = ('true', '1'), ('false', '0')
@@ -27,7 +29,9 @@ class Entity:
         The file, for messages.
     """
 
-    def __init__(self, tag, attributes, nested, source):
+    def __init__(
+        self, tag: str, attributes: dict[str, object], nested: list[Entity], source: str
+    ) -> None:
         self.tag, self.source = tag, source
         self._attributes, self._nested = attributes, nested
         self._read = set()
@@ -63,7 +67,7 @@ class Entity:
         """An optional attribute that is true or false."""
         return self.boolean(name, self.text(name, str(default)))
 
-    def boolean(self, name, text):
+    def boolean(self, name, text) -> bool:
         """Truth of a text: true, false, 1 or 0."""
         lowered = text.strip().lower()
         if lowered not in (*_TRUE, *_FALSE):
@@ -80,7 +84,7 @@ class Entity:
         self._read.update(entity.tag for entity in self._nested)
         return list(self._nested)
 
-    def finish(self):
+    def finish(self) -> None:
         """Refuse what nobody read."""
         unknown = [
             name

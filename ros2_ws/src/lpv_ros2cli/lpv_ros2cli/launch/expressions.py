@@ -62,7 +62,7 @@ _FUNCTIONS.update(
 _CONSTANTS = {'pi': math.pi, 'e': math.e, 'inf': math.inf, 'true': True, 'false': False}
 
 
-def evaluate(text):
+def evaluate(text: str) -> object:
     """Value of an expression of numbers, texts, lists and comparisons.
 
     Parameters

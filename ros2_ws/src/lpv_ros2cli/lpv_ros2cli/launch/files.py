@@ -10,7 +10,7 @@ from lpv_ros2cli.packages import share_of
 _READERS = {'.xml': read_xml, '.yaml': read_yaml_launch, '.yml': read_yaml_launch}
 
 
-def launch_files_of(package):
+def launch_files_of(package: str) -> list[Path]:
     """Launch files of a package.
 
     Parameters
@@ -31,7 +31,7 @@ def launch_files_of(package):
     )
 
 
-def find_launch_file(package, name):
+def find_launch_file(package: str, name: str) -> Path:
     """A launch file of a package.
 
     Parameters
@@ -65,7 +65,7 @@ def find_launch_file(package, name):
     return found[0]
 
 
-def read_launch_file(path):
+def read_launch_file(path: Path):
     """Read a launch file in XML or YAML.
 
     Parameters

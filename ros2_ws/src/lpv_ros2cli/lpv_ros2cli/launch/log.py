@@ -26,7 +26,7 @@ class LaunchLog:
         If the folder for logs cannot be made.
     """
 
-    def __init__(self, debug=False, show_all=False):
+    def __init__(self, debug: bool = False, show_all: bool = False) -> None:
         self._debug, self._show_all = debug, show_all
         self._lock = threading.Lock()
         try:
@@ -35,21 +35,21 @@ class LaunchLog:
         except OSError as error:
             raise CliError(f'the log folder cannot be made (set ROS_LOG_DIR): {error}') from error
 
-    def close(self):
+    def close(self) -> None:
         """Close the log file."""
         with self._lock:
             self._file.close()
 
-    def note(self, level, name, text):
+    def note(self, level, name, text) -> None:
         """Say something about the launch or a process."""
         self._write(f'[{level}] [{name}]: {text}', level, name, text, True)
 
-    def debug(self, name, text):
+    def debug(self, name, text) -> None:
         """Say something that is shown only if asked for."""
         if self._debug:
             self.note('DEBUG', name, text)
 
-    def line(self, name, output, line, is_error):
+    def line(self, name: str, output: str, line: str, is_error: bool) -> None:
         """A line that a process printed.
 
         Parameters
@@ -68,7 +68,7 @@ class LaunchLog:
         )
         self._write(f'[{name}] {line}', 'INFO', name, line, shown)
 
-    def _write(self, shown_text, level, name, text, shown):
+    def _write(self, shown_text, level, name, text, shown) -> None:
         with self._lock:
             if not self._file.closed:
                 self._file.write(f'{time.time():.7f} [{level}] [{name}]: {text}\n')

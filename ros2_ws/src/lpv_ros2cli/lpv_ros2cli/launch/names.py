@@ -1,7 +1,7 @@
 """Namespaces of launched nodes."""
 
 
-def join_namespaces(outer, inner):
+def join_namespaces(outer: str, inner: str) -> str:
     """Namespace inside another one.
 
     Parameters

@@ -56,7 +56,7 @@ class ProcessSpec:
     sigkill_timeout: float = 5.0
 
 
-def node_process(context, entity):
+def node_process(context, entity) -> ProcessSpec:
     """Process of a ``node`` element.
 
     Parameters
@@ -105,7 +105,7 @@ def node_process(context, entity):
     return _process(context, entity, label, command, f'{package}/{program}')
 
 
-def program_process(context, entity):
+def program_process(context, entity) -> ProcessSpec:
     """Process of an ``executable`` element.
 
     Parameters

@@ -1,5 +1,7 @@
 """Parameters of launched nodes: files, and values typed in the launch file."""
 
+from typing import Any
+
 import yaml
 
 from lpv_ros2cli.errors import CliError
@@ -9,7 +11,7 @@ _SCALARS = (bool, int, float, str)
 _TYPES = {'bool': bool, 'int': int, 'float': float, 'str': str}
 
 
-def parameter_sources(context, entity):
+def parameter_sources(context, entity) -> list[str | dict[str, Any]]:
     """Parameters of a node in the order in which they apply.
 
     Parameters
@@ -113,7 +115,7 @@ def _checked(value, name):
     return value
 
 
-def file_content(values):
+def file_content(values: dict[str, Any]) -> str:
     """Content of a parameter file with these values for every node that reads it.
 
     Parameters

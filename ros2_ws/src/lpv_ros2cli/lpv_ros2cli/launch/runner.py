@@ -19,7 +19,7 @@ _ESCALATION = {signal.SIGINT: signal.SIGTERM, signal.SIGTERM: signal.SIGKILL}
 class _Process:
     """One process of a launch, perhaps started several times."""
 
-    def __init__(self, spec, number):
+    def __init__(self, spec, number) -> None:
         self.spec, self.name = spec, f'{spec.name}-{number}'
         self.popen = None
         self.retries = 0
@@ -27,10 +27,10 @@ class _Process:
         self.signal_sent, self.escalate_at = None, None
 
     @property
-    def running(self):
+    def running(self) -> bool:
         return self.popen is not None
 
-    def send(self, number):
+    def send(self, number) -> None:
         """A signal to the process and its children."""
         self.signal_sent = number
         patience = {
@@ -58,7 +58,7 @@ class Runner:
         Receives lines.
     """
 
-    def __init__(self, specs, log):
+    def __init__(self, specs, log) -> None:
         self._log = log
         numbers = itertools.count(1)
         self._processes = [_Process(spec, next(numbers)) for spec in specs]
@@ -66,7 +66,7 @@ class Runner:
         self._stopping = False
         self._failed = False
 
-    def run(self):
+    def run(self) -> int:
         """Run until all have ended.
 
         Returns
@@ -92,11 +92,11 @@ class Runner:
                     process.send(signal.SIGKILL)
         return int(self._failed)
 
-    def _on_signal(self, number, _frame):
+    def _on_signal(self, number, _frame) -> None:
         # Only a note: the handler may interrupt whatever the main thread does.
         self._events.put((None, signal.Signals(number)))
 
-    def _loop(self):
+    def _loop(self) -> None:
         while any(p.running or p.start_at is not None for p in self._processes):
             try:
                 process, what = self._events.get(timeout=0.1)
@@ -109,7 +109,7 @@ class Runner:
                     self._ended(process, what)
             self._on_time()
 
-    def _on_time(self):
+    def _on_time(self) -> None:
         now = time.monotonic()
         for process in self._processes:
             if process.escalate_at is not None and now > process.escalate_at:
@@ -118,7 +118,7 @@ class Runner:
                 process.start_at = None
                 self._start(process)
 
-    def _start(self, process):
+    def _start(self, process) -> None:
         command = self._write_parameters(process)
         try:
             process.popen = subprocess.Popen(
@@ -153,7 +153,7 @@ class Runner:
             command.append(word)
         return command
 
-    def _follow(self, process, popen):
+    def _follow(self, process, popen) -> None:
         """Thread: hand on the lines of a process, then that it ended."""
         pumps = [
             threading.Thread(target=self._pump, args=(process, stream, is_error), daemon=True)
@@ -166,11 +166,11 @@ class Runner:
             pump.join(timeout=1.0)
         self._events.put((process, code))
 
-    def _pump(self, process, stream, is_error):
+    def _pump(self, process, stream, is_error) -> None:
         for line in stream:
             self._log.line(process.name, process.spec.output, line.rstrip('\n'), is_error)
 
-    def _ended(self, process, code):
+    def _ended(self, process, code) -> None:
         pid, process.popen, process.escalate_at = process.popen.pid, None, None
         if code == 0:
             self._log.note('INFO', process.name, f'process has finished cleanly [pid {pid}]')
@@ -191,13 +191,13 @@ class Runner:
         elif spec.shutdown_on_exit:
             self._shut_down(f'{process.name} has ended')
 
-    def _interrupted(self, number):
+    def _interrupted(self, number) -> None:
         name = 'ctrl-c (SIGINT)' if number == signal.SIGINT else number.name
         again = ' again, ignoring...' if self._stopping else ''
         self._log.note('WARNING', 'launch', f'user interrupted with {name}{again}')
         self._shut_down()
 
-    def _shut_down(self, reason=None):
+    def _shut_down(self, reason=None) -> None:
         if self._stopping:
             return
         self._stopping = True
@@ -208,7 +208,7 @@ class Runner:
             if process.running:
                 process.send(signal.SIGINT)
 
-    def _escalate(self, process):
+    def _escalate(self, process) -> None:
         last = process.signal_sent
         following = _ESCALATION[last]
         patience = (

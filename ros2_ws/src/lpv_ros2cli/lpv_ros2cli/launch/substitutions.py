@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 from lpv_ros2cli.errors import CliError
 
@@ -24,7 +25,7 @@ class Substitution:
     arguments: tuple
 
 
-def parse(text):
+def parse(text: str):
     """Split a text into plain parts and substitutions.
 
     Parameters
@@ -101,7 +102,7 @@ _DESCRIPTIONS = {
 }
 
 
-def describe(parts):
+def describe(parts: tuple[Any, ...]) -> str:
     """A text with substitutions for people, as --show-args shows it.
 
     Parameters

@@ -1,6 +1,7 @@
 """Launch files in XML."""
 
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.launch.entity import Entity
@@ -10,11 +11,11 @@ from lpv_ros2cli.yaml_text import read_text
 class _Builder(ET.TreeBuilder):
     """Refuses document types: entities could expand without end, and launch files need none."""
 
-    def doctype(self, *_):
+    def doctype(self, *_) -> None:
         raise CliError('document types are not allowed in launch files')
 
 
-def read_xml(path):
+def read_xml(path: Path) -> Entity:
     """Read a launch file.
 
     Parameters

@@ -1,11 +1,13 @@
 """Launch files in YAML."""
 
+from pathlib import Path
+
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.launch.entity import Entity
 from lpv_ros2cli.yaml_text import read_yaml
 
 
-def read_yaml_launch(path):
+def read_yaml_launch(path: Path) -> Entity:
     """Read a launch file.
 
     Parameters

@@ -7,7 +7,7 @@ from lpv_ros2cli.service.calling import call, ready_client
 _STATE_TYPE = 'lifecycle_msgs/srv/GetState'
 
 
-def managed_nodes(node, hidden=False):
+def managed_nodes(node, hidden: bool = False) -> list[str]:
     """Nodes that have a lifecycle.
 
     Parameters
@@ -48,7 +48,7 @@ class Lifecycle:
         If there is no such node.
     """
 
-    def __init__(self, node, name, spin_time=None):
+    def __init__(self, node, name: str, spin_time: float | None = None) -> None:
         self._node = node
         self.name = find_node(node, name, spin_time)
 

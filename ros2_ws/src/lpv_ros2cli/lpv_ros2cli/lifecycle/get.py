@@ -5,7 +5,7 @@ from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.lifecycle.client import Lifecycle, managed_nodes
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument(

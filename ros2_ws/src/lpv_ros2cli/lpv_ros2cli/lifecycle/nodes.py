@@ -4,7 +4,7 @@ from lpv_ros2cli import discovery
 from lpv_ros2cli.lifecycle.client import managed_nodes
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument(
@@ -15,7 +15,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print the nodes that have a lifecycle."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)

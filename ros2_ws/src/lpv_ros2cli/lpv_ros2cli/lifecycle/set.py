@@ -5,7 +5,7 @@ from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.lifecycle.client import Lifecycle
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes
@@ -15,7 +15,7 @@ def add_arguments(parser):
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Trigger a transition."""
     with discovery.command_node() as node:
         lifecycle = Lifecycle(node, arguments.node_name, arguments.spin_time)

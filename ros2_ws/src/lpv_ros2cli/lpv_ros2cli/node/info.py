@@ -4,7 +4,7 @@ from lpv_ros2cli import completion, discovery
 from lpv_ros2cli.names import absolute_node, find_node, without_hidden
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes
@@ -13,7 +13,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print what a node publishes, subscribes to, serves and calls."""
     with discovery.command_node() as node:
         full = find_node(node, arguments.node_name, arguments.spin_time)

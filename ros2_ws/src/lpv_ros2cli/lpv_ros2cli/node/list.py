@@ -6,7 +6,7 @@ from lpv_ros2cli import discovery
 from lpv_ros2cli.names import node_names
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument(
@@ -17,7 +17,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print the nodes of the graph."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)

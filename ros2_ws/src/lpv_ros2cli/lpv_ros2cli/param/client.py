@@ -42,7 +42,7 @@ class ParameterAccess:
         If there is no such node.
     """
 
-    def __init__(self, node, name, spin_time=None):
+    def __init__(self, node, name: str, spin_time: float | None = None) -> None:
         self._node = node
         self.name = find_node(node, name, spin_time)
 
@@ -74,7 +74,7 @@ class ParameterAccess:
         found = self._call(GetParameters, 'get_parameters', names=[name]).values
         return found[0] if found else ParameterValue()
 
-    def value(self, name):
+    def value(self, name: str):
         """Value of one declared parameter.
 
         Parameters
@@ -131,7 +131,7 @@ class ParameterAccess:
         return dict(zip(values, results))
 
 
-def type_name(kind):
+def type_name(kind: int) -> str:
     """Name of a parameter type.
 
     Parameters
@@ -147,7 +147,7 @@ def type_name(kind):
     return _TYPE_NAMES[kind] if kind < len(_TYPE_NAMES) else f'type {kind}'
 
 
-def fitted(value, kind):
+def fitted(value, kind: int):
     """A whole number as double where the parameter is one: ``1`` is then as good as ``1.0``.
 
     Parameters

@@ -6,14 +6,14 @@ from lpv_ros2cli import completion, discovery
 from lpv_ros2cli.param.client import ParameterAccess
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print a node's parameters in the form of a parameter file."""
     from rclpy.parameter import parameter_value_to_python
 

@@ -17,7 +17,7 @@ _LABELS = (
 )
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes

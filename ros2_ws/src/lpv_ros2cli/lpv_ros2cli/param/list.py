@@ -6,7 +6,7 @@ from lpv_ros2cli.names import node_names
 from lpv_ros2cli.param.client import ParameterAccess, type_name
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument(
@@ -41,7 +41,7 @@ def run(arguments):
         return code
 
 
-def _print(node, arguments, name, indent):
+def _print(node, arguments, name, indent) -> None:
     access = ParameterAccess(node, name, arguments.spin_time)
     names = [
         parameter

@@ -6,7 +6,7 @@ from lpv_ros2cli.param.client import ParameterAccess, fitted
 from lpv_ros2cli.yaml_text import read_yaml
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes

@@ -6,7 +6,7 @@ from lpv_ros2cli.param.client import ParameterAccess, fitted
 from lpv_ros2cli.yaml_text import parse_yaml
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('node_name', help='node').completer = completion.nodes
@@ -15,7 +15,7 @@ def add_arguments(parser):
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Set a parameter; the node may refuse, with a reason."""
     from rclpy.parameter import get_parameter_value
 

@@ -3,11 +3,11 @@
 from lpv_ros2cli.packages import names
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments: there are none."""
 
 
-def run(_arguments):
+def run(_arguments) -> None:
     """Print the names of the packages."""
     for name in names():
         print(name)

@@ -11,7 +11,7 @@ from lpv_ros2cli.names import absolute
 from lpv_ros2cli.service.calling import call, ready_client
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('service_name', help='service').completer = completion.services
     parser.add_argument(
@@ -23,7 +23,7 @@ def add_arguments(parser):
     parser.add_argument('-r', '--rate', type=float, metavar='N', help='repeat the call, [Hz]')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Call a service and print its answer."""
     if arguments.rate is not None and not arguments.rate > 0.0:
         raise CliError('--rate must be greater than zero')
@@ -43,7 +43,7 @@ def run(arguments):
             time.sleep(max(0.0, start + 1.0 / arguments.rate - time.monotonic()))
 
 
-def _check_type(node, name, expected):
+def _check_type(node, name, expected) -> None:
     """A client of another type would wait for ever."""
 
     def types_there():

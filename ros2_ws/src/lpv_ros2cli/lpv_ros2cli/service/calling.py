@@ -9,7 +9,7 @@ _PATIENCE = 5.0
 """Longest wait for a service, and for its answer [s]."""
 
 
-def call(node, client, request, timeout=_PATIENCE):
+def call(node, client, request: object, timeout: float | None = _PATIENCE) -> object:
     """Call a service that is there.
 
     Parameters
@@ -45,7 +45,7 @@ def call(node, client, request, timeout=_PATIENCE):
     return future.result()
 
 
-def ready_client(node, service_class, name, timeout=_PATIENCE):
+def ready_client(node, service_class, name: str, timeout: float = _PATIENCE):
     """Client of a service, as soon as the service is there.
 
     Parameters

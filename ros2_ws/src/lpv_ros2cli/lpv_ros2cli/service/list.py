@@ -4,7 +4,7 @@ from lpv_ros2cli import discovery
 from lpv_ros2cli.names import without_hidden
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
@@ -18,7 +18,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print the services of the graph."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)

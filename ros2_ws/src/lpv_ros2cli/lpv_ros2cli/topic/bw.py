@@ -10,7 +10,7 @@ from lpv_ros2cli.topic.listening import receive, topic_and_class
 _WINDOW = 100
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
@@ -24,7 +24,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print the bandwidth once a second until interrupted."""
     if arguments.window < 2:
         raise CliError('--window must be at least 2')
@@ -43,7 +43,7 @@ def run(arguments):
         receive(node)
 
 
-def _report(bandwidth):
+def _report(bandwidth) -> None:
     text = bandwidth.describe(time.monotonic())
     if text:
         print(text, flush=True)
@@ -58,10 +58,10 @@ class Bandwidth:
         Most messages that count.
     """
 
-    def __init__(self, window):
+    def __init__(self, window: int) -> None:
         self._times, self._sizes = deque(maxlen=window), deque(maxlen=window)
 
-    def take(self, now, size):
+    def take(self, now, size) -> None:
         """Count a message that came at a time [s], of a size [bytes]."""
         self._times.append(now)
         self._sizes.append(size)

@@ -6,7 +6,7 @@ from lpv_ros2cli.render import DEFAULT_LENGTH, Style, field_of, is_message, to_c
 from lpv_ros2cli.topic.listening import receive, topic_and_class
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
@@ -34,7 +34,7 @@ def add_arguments(parser):
     parser.add_argument('--timeout', type=float, metavar='SECONDS', help='leave after this time')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print messages until interrupted."""
     if arguments.truncate_length < 0:
         raise CliError('--truncate-length must not be negative')
@@ -64,11 +64,11 @@ def run(arguments):
 class _Echo:
     """Prints messages, and counts them."""
 
-    def __init__(self, arguments, style):
+    def __init__(self, arguments, style) -> None:
         self._arguments, self._style = arguments, style
         self.shown, self.error = 0, None
 
-    def show(self, message):
+    def show(self, message) -> None:
         if self._arguments.once and self.shown:
             return
         value = message

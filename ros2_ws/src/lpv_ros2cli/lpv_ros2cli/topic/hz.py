@@ -11,7 +11,7 @@ from lpv_ros2cli.topic.listening import receive, topic_and_class
 _WINDOW = 10000
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
@@ -30,7 +30,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print the rate once a second until interrupted."""
     if arguments.window < 2:
         raise CliError('--window must be at least 2')
@@ -48,7 +48,7 @@ def run(arguments):
         receive(node)
 
 
-def _report(rate):
+def _report(rate) -> None:
     text = rate.describe()
     if text:
         print(text, flush=True)
@@ -63,12 +63,12 @@ class Rate:
         Most intervals that count.
     """
 
-    def __init__(self, window):
+    def __init__(self, window: int) -> None:
         self._intervals = deque(maxlen=window)
         self._last, self._reported = None, 0
         self.count = 0
 
-    def take(self, now):
+    def take(self, now) -> None:
         """Count a message that came at a time [s]."""
         if self._last is not None:
             self._intervals.append(now - self._last)

@@ -4,7 +4,7 @@ from lpv_ros2cli import completion, discovery
 from lpv_ros2cli.names import find_topic
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
@@ -16,7 +16,7 @@ def add_arguments(parser):
     )
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Print type, publishers and subscriptions of a topic."""
     with discovery.command_node() as node:
         name, types = find_topic(node, arguments.topic_name, arguments.spin_time)

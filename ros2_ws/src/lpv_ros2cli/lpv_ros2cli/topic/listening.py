@@ -1,6 +1,8 @@
 """What echo, hz and bw share: a topic's type, and receiving until enough or interrupted."""
 
 import time
+from collections.abc import Callable
+from typing import Any
 
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.interfaces import load
@@ -38,7 +40,7 @@ def topic_and_class(node, arguments):
     return name, load(types[0], 'msg')
 
 
-def receive(node, done=lambda: False, timeout=None):
+def receive(node, done: Callable[..., Any] = lambda: False, timeout: float | None = None) -> bool:
     """Take messages until enough.
 
     Parameters

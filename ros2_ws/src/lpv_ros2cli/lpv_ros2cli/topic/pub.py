@@ -10,7 +10,7 @@ from lpv_ros2cli.interfaces import load
 from lpv_ros2cli.names import absolute
 
 
-def add_arguments(parser):
+def add_arguments(parser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('topic_name', help='topic').completer = completion.topics
@@ -58,7 +58,7 @@ def add_arguments(parser):
     qos.add_arguments(parser, 'default')
 
 
-def run(arguments):
+def run(arguments) -> None:
     """Publish until enough or interrupted."""
     from rclpy.qos import QoSProfile
 
@@ -82,7 +82,7 @@ def run(arguments):
         time.sleep(max(0.0, arguments.keep_alive))
 
 
-def _await_subscriptions(publisher, arguments, count):
+def _await_subscriptions(publisher, arguments, count) -> None:
     wanted = arguments.wait_matching_subscriptions
     wanted = int(count > 0) if wanted is None else wanted
     start = told = time.monotonic()
@@ -99,7 +99,7 @@ def _await_subscriptions(publisher, arguments, count):
         time.sleep(0.02)
 
 
-def _loop(node, publisher, message_class, text, arguments, count):
+def _loop(node, publisher, message_class, text, arguments, count) -> None:
     number, due = 0, time.monotonic()
     while not count or number < count:
         message = message_from_text(message_class, text, node.get_clock().now().to_msg())

@@ -5,7 +5,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 _MOST_LABELS = 4
 
 
-def plain_decades(axis, low, high):
+def plain_decades(axis, low: float, high: float) -> None:
     """Few and plain labels on a logarithmic axis, however short it is.
 
     Parameters

@@ -1,5 +1,7 @@
 """Pictures of detection probability and delay against the size of the fault."""
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import PercentFormatter
@@ -12,7 +14,7 @@ _BOTH = '#009e73'
 _LEAST_DELAY = 1e-3
 
 
-def draw_detection(entries):
+def draw_detection(entries: list[dict[str, Any]]):
     """Probability above delay, a column a kind of fault that has a size.
 
     Parameters
@@ -83,7 +85,7 @@ def _handles(colours, sensors):
     ]
 
 
-def _probability(axis, entry, colour):
+def _probability(axis, entry, colour) -> None:
     classes = entry['classes']
     middle = np.array([c['middle'] for c in classes])
     rate, low, high = (
@@ -107,7 +109,7 @@ def _probability(axis, entry, colour):
     axis.plot(size, 1.0 / (1.0 + np.exp(-np.clip(value, -500.0, 500.0))), color=colour)
 
 
-def _delay(axis, entry, colour):
+def _delay(axis, entry, colour) -> None:
     cases = [
         (s, d) for s, d in zip(entry['cases']['size'], entry['cases']['delay']) if d is not None
     ]

@@ -1,5 +1,7 @@
 """Picture of the error of the fault estimates against the configuration."""
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -9,7 +11,7 @@ from lpv_report.style import BAND, INK, SENSOR, SETTINGS, SOFT
 _MARKERS = 'os^Dv'
 
 
-def draw_estimates(entries):
+def draw_estimates(entries: list[dict[str, Any]]):
     """RMS error and guaranteed threshold over abs(cos(theta)), a panel a sensor.
 
     Parameters
@@ -49,7 +51,7 @@ def draw_estimates(entries):
     return figure
 
 
-def _threshold(axis, entry):
+def _threshold(axis, entry) -> None:
     lines = entry['threshold']
     if not lines:
         return
@@ -78,7 +80,7 @@ def _threshold(axis, entry):
     axis.set_ylim(min(errors) * 0.08, max(*highest, *least) * 1.6)
 
 
-def _error(axis, entry, colour, marker, label):
+def _error(axis, entry, colour, marker, label) -> None:
     classes = [c for c in entry['classes'] if c['runs']['count']]
     if not classes:
         return

@@ -1,5 +1,7 @@
 """Pictures of the ROC curves and of the sweep of the threshold factor."""
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FixedLocator, PercentFormatter
@@ -25,7 +27,7 @@ _LINEAR = 0.01
 """Below this rate the axis of false alarms is linear, so that it begins at 0."""
 
 
-def draw_roc(data):
+def draw_roc(data: dict[str, Any]):
     """ROC curves, a panel a kind of fault.
 
     Parameters
@@ -69,7 +71,7 @@ def draw_roc(data):
     return figure
 
 
-def _curve(axis, curve, colour):
+def _curve(axis, curve, colour) -> None:
     points = curve['points']
     false = points['false_alarm']
     axis.plot(false, points['detection'], color=colour, drawstyle='steps-post', zorder=3)
@@ -112,7 +114,7 @@ def _curve(axis, curve, colour):
     )
 
 
-def _rates(axis):
+def _rates(axis) -> None:
     axis.set_xscale('symlog', linthresh=_LINEAR, linscale=0.6)
     axis.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
     axis.xaxis.set_major_locator(FixedLocator([0.0, 0.01, 0.1, 1.0]))
@@ -121,7 +123,7 @@ def _rates(axis):
     axis.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _legend(figure, sensors):
+def _legend(figure, sensors) -> None:
     handles = [plt.Line2D([], [], color=SENSOR[i % 2], label=s) for i, s in enumerate(sensors)]
     handles += [
         plt.Line2D(
@@ -141,7 +143,7 @@ def _legend(figure, sensors):
     figure.legend(handles=handles, loc='outside upper center', ncols=columns)
 
 
-def draw_sweep(data):
+def draw_sweep(data: dict[str, Any]):
     """Rates against the factor on the threshold.
 
     Parameters
@@ -206,7 +208,7 @@ def _factors(curves):
     return min(low, 0.5) * 0.9, max(high, 2.0) * 1.1
 
 
-def _against_factor(axis, curve, key, **style):
+def _against_factor(axis, curve, key, **style) -> None:
     points = curve['points']
     # The logarithm has no place for factor 0.
     shown = np.array(points['factor']) > 0.0

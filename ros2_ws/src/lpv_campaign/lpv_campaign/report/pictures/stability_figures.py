@@ -1,5 +1,7 @@
 """Maps of where the loop stays stable."""
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
@@ -15,7 +17,7 @@ _COLOURS = LinearSegmentedColormap.from_list(
 )
 
 
-def draw_stability(data):
+def draw_stability(data: dict[str, Any]):
     """Rate of stable runs, a map a pair of factors.
 
     Parameters
@@ -31,7 +33,7 @@ def draw_stability(data):
     return _draw(data['maps'], 'cells', 'stable runs')
 
 
-def draw_going(data):
+def draw_going(data: dict[str, Any]):
     """Rate of stable runs without a safe stop, likewise.
 
     Parameters
@@ -101,7 +103,7 @@ def _draw_map(axis, entry, cells):
     return image
 
 
-def _ticks(axis, factor):
+def _ticks(axis, factor) -> None:
     """Levels in the middle of cells, edges between them."""
     if factor['levels'] is not None:
         axis.set_ticks(range(size_of(factor)), [f'{v:.3g}' for v in factor['levels']])

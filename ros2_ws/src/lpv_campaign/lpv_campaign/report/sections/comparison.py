@@ -1,5 +1,7 @@
 """Designs, compensation modes and other alternatives side by side."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_campaign.report.sections.roc import area
@@ -10,7 +12,7 @@ _LEFT_OUT = ('fault.kind', 'fault.sensor')
 _MOST = 12
 
 
-def comparison(results):
+def comparison(results) -> list[dict[str, Any]]:
     """The main figures for each alternative.
 
     Parameters

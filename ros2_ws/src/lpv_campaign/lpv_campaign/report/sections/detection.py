@@ -1,5 +1,7 @@
 """Detection probability and delay against the size of the fault."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_campaign.report.statistics.intervals import share, spread
@@ -12,7 +14,7 @@ PROBABILITIES = (0.95, 0.99)
 """Of which the smallest size is given."""
 
 
-def detection(results):
+def detection(results) -> list[dict[str, Any]]:
     """Detection of each kind of fault by each sensor.
 
     Parameters
@@ -78,7 +80,7 @@ def _against_size(size, found, delay):
     }
 
 
-def classes(values):
+def classes(values: np.ndarray) -> list[np.ndarray]:
     """Classes of about equal numbers, or one a level where there are few levels.
 
     Parameters

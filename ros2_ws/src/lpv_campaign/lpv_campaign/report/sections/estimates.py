@@ -1,6 +1,7 @@
 """Error of the fault estimates against the configuration, beside what the design guarantees."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ _LEAST_SAMPLES = 20.0
 """A run needs so many samples in a class to count in its spread."""
 
 
-def estimates(results):
+def estimates(results) -> list[dict[str, Any]]:
     """RMS error over classes of abs(cos(theta_i)), by design and sensor.
 
     Parameters

@@ -4,6 +4,7 @@ import json
 import platform
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import numpy as np
 import yaml
@@ -34,7 +35,7 @@ _ORDER = (
 """Of the fields of a campaign file."""
 
 
-def head(results):
+def head(results) -> dict[str, Any]:
     """The head of the report.
 
     Parameters

@@ -1,5 +1,8 @@
 """Confusion matrices: what was wrong, and what the diagnosis said."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from lpv_campaign.plan.spec import BOTH, NO_FAULT
@@ -9,7 +12,7 @@ from lpv_core.simulation.faults import KINDS
 _SAID = (NO_FAULT, *KINDS, 'unclassified', 'inconsistent')
 
 
-def isolation(results):
+def isolation(results) -> dict[str, Any]:
     """Confusion of kinds and of sensors.
 
     Runs without a fault are a row of their own, with false alarms as what was said.
@@ -38,7 +41,9 @@ def isolation(results):
     }
 
 
-def confusion(truth, said, truths, answers):
+def confusion(
+    truth: np.ndarray, said: np.ndarray, truths: Sequence[str], answers: Sequence[str]
+) -> dict[str, Any]:
     """Count what was said of what.
 
     Parameters

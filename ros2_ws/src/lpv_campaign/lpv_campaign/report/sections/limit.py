@@ -1,5 +1,7 @@
 """Estimates beside the best possible ones, in the runs that compared them."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_campaign.limit.accuracy import ESTIMATORS, LIMITS
@@ -10,7 +12,7 @@ QUANTITIES = ('fault', 'angle')
 OURS, BEST = 'ours', 'limit_within_priors'
 
 
-def limit(results):
+def limit(results) -> list[dict[str, Any]]:
     """Root mean squares over all runs of a kind, by estimator and limit.
 
     The bound holds for the mean over runs, not for one run: squares are averaged, not ratios.

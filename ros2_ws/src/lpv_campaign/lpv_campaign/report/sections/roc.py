@@ -1,5 +1,7 @@
 """Detection against false alarms over a sweep of the threshold factor."""
 
+from typing import Any
+
 import numpy as np
 from scipy.stats import rankdata
 
@@ -10,7 +12,7 @@ ALL = 'all'
 """Stands for all kinds, or for both sensors."""
 
 
-def roc(results):
+def roc(results) -> dict[str, Any]:
     """ROC curves by kind of fault and sensor.
 
     Parameters
@@ -65,7 +67,7 @@ def _curve(results, i, chosen):
     }
 
 
-def area(positive, negative):
+def area(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any]:
     """Area under the ROC curve: how often a faulty case scores above a healthy one.
 
     Parameters
@@ -87,7 +89,7 @@ def area(positive, negative):
     return {'area': value, 'area_low': low, 'area_high': high}
 
 
-def sweep(positive, negative):
+def sweep(positive: np.ndarray, negative: np.ndarray):
     """Rates above a threshold that is multiplied by a factor.
 
     Parameters

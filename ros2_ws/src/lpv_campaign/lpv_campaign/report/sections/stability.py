@@ -1,6 +1,7 @@
 """Where in the space of the factors the loop stays stable."""
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ _FIRST = ('payload', 'friction', 'mass_1', 'mass_2', 'command_delay', 'sample_lo
 """Preferred where no factor makes a difference."""
 
 
-def stability(results):
+def stability(results) -> dict[str, Any]:
     """Rate of stable runs over single factors and over pairs of them.
 
     Parameters

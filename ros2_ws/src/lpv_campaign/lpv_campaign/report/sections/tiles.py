@@ -1,9 +1,11 @@
 """The figures on top of the page."""
 
+from typing import Any
+
 from lpv_campaign.report import text
 
 
-def tiles(numbers):
+def tiles(numbers: dict[str, Any]) -> list[dict[str, Any]]:
     """What a reader wants to know first.
 
     Parameters

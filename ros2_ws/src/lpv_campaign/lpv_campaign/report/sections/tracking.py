@@ -1,5 +1,7 @@
 """Tracking with faults and without, and false alarms an hour."""
 
+from typing import Any
+
 import numpy as np
 
 from lpv_campaign.plan.spec import NO_FAULT
@@ -13,7 +15,7 @@ _COLUMNS = {
 }
 
 
-def tracking(results):
+def tracking(results) -> list[dict[str, Any]]:
     """Tracking error by kind of fault and compensation mode.
 
     Parameters
@@ -49,7 +51,7 @@ def tracking(results):
     return entries
 
 
-def false_alarms(results, chosen=None):
+def false_alarms(results, chosen: np.ndarray | None = None) -> dict[str, Any]:
     """False alarms an hour of operation without a fault, with exact intervals.
 
     Parameters

@@ -3,6 +3,7 @@
 import math
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from lpv_campaign.report.statistics.results import dose_of
 _MOST = 10
 
 
-def worst(results, folder):
+def worst(results, folder: str | Path) -> list[dict[str, Any]]:
     """Lists of single runs.
 
     Parameters
@@ -102,7 +103,7 @@ def _run(results, folder, row, value):
     }
 
 
-def command(folder, number):
+def command(folder: str | Path, number: int) -> str:
     """Command that replays a run into a bag.
 
     Parameters

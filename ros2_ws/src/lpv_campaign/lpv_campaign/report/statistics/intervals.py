@@ -1,6 +1,7 @@
 """Confidence intervals of rates, areas and quantiles; 95 % each, two-sided."""
 
 import math
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -11,7 +12,7 @@ LEVEL = 0.95
 _Z = float(norm.ppf(0.5 + LEVEL / 2.0))
 
 
-def wilson(hits, cases):
+def wilson(hits: int | np.ndarray, cases: int | np.ndarray) -> tuple[np.ndarray, ...]:
     """Wilson's interval of a rate.
 
     Written out, because SciPy's comes with a test that takes a thousand times as long.
@@ -35,7 +36,7 @@ def wilson(hits, cases):
     )
 
 
-def proportion(hits, cases):
+def proportion(hits: int, cases: int) -> dict[str, Any]:
     """A rate with Wilson's interval.
 
     Parameters
@@ -61,7 +62,7 @@ def proportion(hits, cases):
     }
 
 
-def share(mask, among=None):
+def share(mask: np.ndarray, among: np.ndarray | None = None) -> dict[str, Any]:
     """Rate of a property, with its interval.
 
     Parameters
@@ -81,7 +82,7 @@ def share(mask, among=None):
     return proportion(int(np.count_nonzero(mask & among)), int(np.count_nonzero(among)))
 
 
-def poisson_rate(events, hours):
+def poisson_rate(events: int, hours: float) -> dict[str, Any]:
     """Rate of events with the exact Poisson interval (Garwood).
 
     Parameters
@@ -107,7 +108,7 @@ def poisson_rate(events, hours):
     return {**result, 'rate': events / hours, 'low': low / hours, 'high': high / hours}
 
 
-def area_interval(area, positive, negative):
+def area_interval(area: float, positive: int, negative: int) -> tuple[float, ...]:
     """Interval of an area under a ROC curve by Newcombe's method 5.
 
     Unlike the usual standard errors it does not shrink to nothing where scores are separated.
@@ -148,7 +149,7 @@ def _one_end(excess, area):
     return 0.0, brentq(excess, 1e-12, 1.0)
 
 
-def spread(values):
+def spread(values: np.ndarray) -> dict[str, Any]:
     """Median and the middle 90 % of some values.
 
     Parameters

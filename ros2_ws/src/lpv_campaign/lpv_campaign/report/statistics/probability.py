@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -37,7 +38,7 @@ class DetectionCurve:
         value = self.intercept + self.slope * np.log(size)
         return 1.0 / (1.0 + np.exp(-np.clip(value, -500.0, 500.0)))
 
-    def size(self, probability):
+    def size(self, probability: float) -> dict[str, Any]:
         """Size at which a probability is reached.
 
         Parameters
@@ -67,7 +68,7 @@ class DetectionCurve:
         return {'size': math.exp(logarithm), 'bound': bound, 'below': False}
 
 
-def detection_curve(sizes, found):
+def detection_curve(sizes: np.ndarray, found: np.ndarray) -> DetectionCurve | None:
     """Fit the curve by Firth's penalised likelihood.
 
     The penalty keeps the fit finite where a size separates all that is found from all that is not,

@@ -39,7 +39,7 @@ _DOSES = {
 _NO_DOSE = Dose('', '', '')
 
 
-def dose_of(kind):
+def dose_of(kind: str) -> Dose:
     """What is called the size of a kind of fault.
 
     Parameters
@@ -79,7 +79,7 @@ class Results:
         Whether there was any.
     """
 
-    def __init__(self, campaign, table):
+    def __init__(self, campaign, table) -> None:
         self.campaign, self._table = campaign, table
         self.count, self.sensors = table.num_rows, campaign.arm.sensor_names
         self.kind, self.sensor = self.text('kind', NO_FAULT), self.text('sensor', NO_FAULT)
@@ -101,7 +101,7 @@ class Results:
             else np.array([math.nan if v is None else v for v in column.to_pylist()], float)
         )
 
-    def text(self, name, empty=''):
+    def text(self, name, empty: str = ''):
         """A column of texts, ``empty`` where there is none; shape (count,)."""
         if name not in self.columns:
             return np.full(self.count, empty, object)
@@ -177,7 +177,7 @@ class Results:
         )
         return np.full(self.count, begin), np.full(self.count, end)
 
-    def varied(self, numeric):
+    def varied(self, numeric: bool) -> list[str]:
         """Factors that differ between rows.
 
         Parameters
