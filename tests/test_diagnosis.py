@@ -10,10 +10,11 @@ from parts import ErrorBound, UnknownTorque, make_estimate
 from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
 from lpv_core.model.dynamics import coupling, inverse_dynamics
 from lpv_core.model.joints import JointMap
-from lpv_core.observer.sampled_observer import NANOSECONDS, Mode, UnknownInputObserver
+from lpv_core.observer.sampled_observer import Mode, UnknownInputObserver
 from lpv_core.residual.change_detection import sigmas_for
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault
+from lpv_core.support.timestamps import NANOSECONDS
 
 TS = 2_000_000
 PARAMETERS = DiagnosisParameters(dwell=0.01, clear_dwell=0.1, hysteresis=0.5)

@@ -1,6 +1,6 @@
 """Time stamps as integers of nanoseconds, the one form that never rounds."""
 
-NANOSECONDS = 1_000_000_000
+from lpv_core.support.timestamps import NANOSECONDS
 
 
 def to_nanoseconds(stamp) -> int:

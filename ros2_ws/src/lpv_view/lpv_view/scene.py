@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from lpv_core.export.urdf import BASE, points, transforms
+from lpv_core.support.timestamps import NANOSECONDS
 
 ARMS = {
     'true': (0.13, 0.55, 0.30, 0.45),
@@ -185,7 +186,7 @@ class Scene:
         )
 
     def _header(self, stamp, frame):
-        time = self._types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
+        time = self._types['builtin_interfaces/msg/Time'](*divmod(stamp, NANOSECONDS))
         return self._types['std_msgs/msg/Header'](time, frame)
 
     def _new(self, name, **fields):

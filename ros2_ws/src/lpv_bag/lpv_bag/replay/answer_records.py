@@ -8,7 +8,7 @@ from lpv_bag.mcap.blocks import RECORD_HEADER
 from lpv_bag.rosbag.cdr_layout import find_layout
 from lpv_bag.rosbag.chunk_writing import RECORD, record_head
 from lpv_core.monitoring.monitor import ANSWER
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
 ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'

@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 
 from lpv_bag.rosbag.message_blocks import read_blocks
 from lpv_bag.rosbag.prefetch import ahead
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 _DEEPEST = 20000
 _LONGEST_NAP = 0.1

@@ -20,8 +20,8 @@ from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
 from lpv_bag.run.record import BagError, find_topic, open_bag
 from lpv_bag.run.stream_tap import Bystander
 from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
 

@@ -13,7 +13,7 @@ from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.rows import RunRows
 from lpv_bag.run.stream_blocks import read_streams
 from lpv_bag.run.streams import ALARM_TYPE, ALARMS, STREAMS, RecordedAlarm, stamp_of
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 __all__ = [
     'BagError',

@@ -6,7 +6,7 @@ import numpy as np
 
 from lpv_core.control.path import Reference
 from lpv_core.model.kinematics import forward
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 _NEAR = 0.05
 """A start within so many radians of the path needs no approach: noise and a resting controller's

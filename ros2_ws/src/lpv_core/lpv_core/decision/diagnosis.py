@@ -30,7 +30,7 @@ from lpv_core.decision.sensor_state import (
     restart_sensor,
 )
 from lpv_core.model.joints import row_dot
-from lpv_core.observer.sampled_observer import NANOSECONDS, Mode
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.residual.change_detection import change_test, sigmas_for
 from lpv_core.residual.dead_reckoning import (
     RECKONING_CONSTANTS,
@@ -49,7 +49,8 @@ from lpv_core.residual.model_consistency import (
 from lpv_core.residual.rate_sensor_test import rate_test
 from lpv_core.residual.sample_buffer import new_history
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _HISTORY = 3.0
 """Past that is kept of each sensor [s]."""

@@ -5,11 +5,11 @@ import math
 from lpv_core.decision.fault_classification import BIAS, NOISE, SCALE, SPIKE, step_of
 from lpv_core.decision.scale_filter import follow_scale
 from lpv_core.decision.sensor_state import IMPOSSIBLE, MEASURED
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.residual.change_detection import least_change
 from lpv_core.residual.onset_estimation import AROUND
 from lpv_core.residual.sample_buffer import first_since
 from lpv_core.support.jit import njit
+from lpv_core.support.timestamps import NANOSECONDS
 
 _APART, _REST_SHARE = 2.0, 0.02
 """A residual that differs from the height of its step by so much in the mean, over the noise of a

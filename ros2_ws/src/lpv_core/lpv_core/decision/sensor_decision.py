@@ -31,13 +31,12 @@ from lpv_core.decision.fault_classification import (
 from lpv_core.decision.fault_magnitude import follow_fault, growth, measure_step, size_error
 from lpv_core.decision.scale_filter import start_scale
 from lpv_core.decision.sensor_state import SPIKES, UNMEASURED
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.residual.change_detection import WINDOWS, change_limit, find_change, least_change
 from lpv_core.residual.onset_estimation import fit_step_or_ramp, has_jumped, take_baseline
 from lpv_core.residual.rate_sensor_test import IMPLICATED, RULED_OUT, UNDECIDED, rate_verdict
 from lpv_core.residual.sample_buffer import ALLOWANCE, READING, add_sample, first_since
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 NOTHING, RAISED, UPDATED, CLEARED = range(-1, 3)
 _SPIKE_TIME = NANOSECONDS

@@ -10,7 +10,8 @@ from lpv_core.decision.scale_filter import SCALE_FILTER
 from lpv_core.residual.change_detection import CHANGE_TEST
 from lpv_core.residual.rate_sensor_test import RATE_TEST
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, record_type
+from lpv_core.support.records import record_type
+from lpv_core.support.timestamps import NEVER
 
 SPIKES = 3
 """So many excursions shorter than the dwell, close together, are a fault of kind spike."""

@@ -31,7 +31,6 @@ from lpv_core.monitoring import message_fields
 from lpv_core.observer.sampled_observer import (
     COUNTERS,
     ESTIMATE,
-    NANOSECONDS,
     OBSERVER_CONSTANTS,
     OBSERVER_STATE,
     Mode,
@@ -43,7 +42,8 @@ from lpv_core.observer.sampled_observer import (
 )
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""

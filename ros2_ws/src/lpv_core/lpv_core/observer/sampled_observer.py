@@ -21,9 +21,8 @@ from lpv_core.observer.observer_step import (
 )
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
-
-NANOSECONDS = 1_000_000_000
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _LARGEST_ANGLE = 1e4
 """A position sensor that reads more [rad] is taken as silent; floats lose microradians there."""

@@ -16,7 +16,8 @@ import numpy as np
 from lpv_core.model.arm import A_11, C_22
 from lpv_core.model.dynamics import coupling
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NEVER
 
 _FILTERS = (0.02, 0.2)
 """Time constants of the averages [s]: a jump of a rate, and a lasting contradiction."""

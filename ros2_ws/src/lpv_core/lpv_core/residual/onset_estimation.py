@@ -1,9 +1,9 @@
 """Where a change of a residual comes from: when it began, and how."""
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.residual.change_detection import WINDOWS, least_change
 from lpv_core.residual.sample_buffer import ALLOWANCE, RESIDUAL, first_since, median_before
 from lpv_core.support.jit import njit
+from lpv_core.support.timestamps import NANOSECONDS
 
 AROUND = 50
 """Samples before a fault that its size is measured from."""

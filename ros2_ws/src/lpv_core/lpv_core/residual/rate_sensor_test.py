@@ -14,11 +14,11 @@ within what the arm file tolerates.
 
 import math
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.residual.model_consistency import tolerated_rates
 from lpv_core.residual.sample_buffer import INNOVATION, RESIDUAL, first_since
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS
 
 _SIGMAS = 3.5
 _WORSE = 9.0

@@ -18,7 +18,6 @@ from lpv_core.control.tracking import (
 from lpv_core.decision.diagnosis import ALARM_EVENT
 from lpv_core.decision.sensor_decision import NOTHING
 from lpv_core.monitoring.monitor import SensorMonitor, copy_event, monitor_step
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.arm_simulator import (
     ArmSimulator,
     brake,
@@ -27,7 +26,8 @@ from lpv_core.simulation.arm_simulator import (
     take_torque,
 )
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _OFF, _CONFIRMED, _ALWAYS = range(len(COMPENSATION))
 _SENSE, _COMMAND, _ADVANCE = range(3)

@@ -6,9 +6,6 @@ function works on, and one call takes any number of quantities.
 
 import numpy as np
 
-NEVER = -(2**63)
-"""Stamp of what has not happened."""
-
 
 def record_type(*fields) -> np.dtype:
     """Type of a record.

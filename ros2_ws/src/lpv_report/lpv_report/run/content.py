@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.guarantees.detectability import summary
 from lpv_report.history.episodes import episodes, missed_faults
 from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, listed
