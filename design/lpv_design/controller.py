@@ -8,7 +8,6 @@ import cvxpy as cp
 import numpy as np
 
 from lpv_core.certificate.lmi import integral_feedback, largest_eigenvalue
-from lpv_core.model.arm import G_1, G_2
 from lpv_design.solve import run, solve, symmetric_below
 
 PUBLISHED_M1 = np.array(
@@ -206,4 +205,4 @@ def solve_loop(
 
 def _torque_unit(arm):
     constants = arm.constants()
-    return constants[[G_1, G_2]]
+    return constants.gravity

@@ -16,7 +16,6 @@ import numpy as np
 
 from lpv_core.bound.unknown_torque import UNKNOWN_TORQUE, healthy_arm, unknown_torque
 from lpv_core.bound.zonotope import COLUMNS, SIZE, extent, map_columns, reduce_columns
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2
 from lpv_core.model.joints import JointMap, row_dot
 from lpv_core.residual.dead_reckoning import RATE_BIAS
 from lpv_core.support.jit import njit
@@ -92,7 +91,7 @@ def error_bound(arm, gains, sigmas: float, friction_uncertainty: float) -> np.re
     observer, constants = gains.observer, arm.constants()
     sensor_matrix = JointMap(arm).sensor_matrix
     spread, noise = np.abs(sensor_matrix), sigmas * np.asarray(observer.fault_sigma)
-    gravity, inertia = constants[[G_1, G_2]], constants[[A_11, C_22]]
+    gravity, inertia = constants.gravity, constants.inertia
     to_angle = np.abs(np.linalg.inv(sensor_matrix))
     params = new_record(
         BOUND_CONSTANTS,
@@ -225,15 +224,15 @@ def error_matrix(
     """
     arm = params.unknown.arm
     cosine, sine = math.cos(theta[0] - theta[1]), math.sin(theta[0] - theta[1])
-    b = params.sign * arm[B_12]
-    couple_1 = -b * (cosine * rate[1] * rate[1] - sine * acc[1]) / arm[A_11]
-    couple_2 = b * (cosine * rate[0] * rate[0] + sine * acc[0]) / arm[C_22]
-    n[0, 2] = 0.0 if held[0] else -params.kappa[0] * arm[A_11]
-    n[1, 3] = 0.0 if held[1] else -params.kappa[1] * arm[C_22]
-    n[2, 0] = params.sign * arm[G_1] * math.cos(theta[0]) / arm[A_11] + couple_1
+    b = params.sign * arm.coupling
+    couple_1 = -b * (cosine * rate[1] * rate[1] - sine * acc[1]) / arm.inertia[0]
+    couple_2 = b * (cosine * rate[0] * rate[0] + sine * acc[0]) / arm.inertia[1]
+    n[0, 2] = 0.0 if held[0] else -params.kappa[0] * arm.inertia[0]
+    n[1, 3] = 0.0 if held[1] else -params.kappa[1] * arm.inertia[1]
+    n[2, 0] = params.sign * arm.gravity[0] * math.cos(theta[0]) / arm.inertia[0] + couple_1
     n[2, 1] = -couple_1
     n[3, 0] = couple_2
-    n[3, 1] = params.sign * arm[G_2] * math.cos(theta[1]) / arm[C_22] - couple_2
+    n[3, 1] = params.sign * arm.gravity[1] * math.cos(theta[1]) / arm.inertia[1] - couple_2
     n[2, 2], n[3, 3] = -params.mu[0], -params.mu[1]
 
 

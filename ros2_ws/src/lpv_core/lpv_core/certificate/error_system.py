@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
 from lpv_core.model.joints import JointMap
 
 
@@ -110,9 +109,11 @@ def link_errors(arm) -> list[LinkError]:
     c = arm.constants()
     s_inverse = np.linalg.inv(JointMap(arm).sensor_matrix)
     noise = s_inverse * arm.velocity_noise * np.sqrt(arm.sample_time)
-    ends = (c[O_12] - c[B_12], c[O_12] + c[B_12])
+    ends = (c.rotor_coupling - c.coupling, c.rotor_coupling + c.coupling)
     links = []
-    for i, (inertia, gravity) in enumerate(((c[A_11], c[G_1]), (c[C_22], c[G_2]))):
+    for i, (inertia, gravity) in enumerate(
+        ((c.inertia[0], c.gravity[0]), (c.inertia[1], c.gravity[1]))
+    ):
         rows = arm.sign * np.array([[inertia, end] if i == 0 else [end, inertia] for end in ends])
         links.append(
             LinkError(

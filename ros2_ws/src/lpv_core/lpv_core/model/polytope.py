@@ -18,7 +18,6 @@ from itertools import product
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
 from lpv_core.support.jit import njit
 
 PHI_1_RANGE = (-1.0, 1.0)
@@ -126,7 +125,7 @@ def inverse_inertia_quadrangle(params: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -134,15 +133,15 @@ def inverse_inertia_quadrangle(params: np.ndarray) -> np.ndarray:
     ndarray, shape (4, 2)
         Corners in circular order: end of the arc, two tangent intersections, other end.
     """
-    low, high = params[O_12] - params[B_12], params[O_12] + params[B_12]
+    low, high = params.rotor_coupling - params.coupling, params.rotor_coupling + params.coupling
     middle = 0.5 * (low + high)
 
     def point(state):
-        det = params[A_11] * params[C_22] - state * state
+        det = params.inertia[0] * params.inertia[1] - state * state
         return np.array([1.0 / det, state / det])
 
     def tangent(state):
-        det = params[A_11] * params[C_22] - state * state
+        det = params.inertia[0] * params.inertia[1] - state * state
         return np.array([2.0 * state / det**2, (det + 2.0 * state * state) / det**2])
 
     def intersection(state, r):
@@ -201,7 +200,7 @@ def exact_state_space(vertex: Sequence[float], params: np.ndarray) -> tuple[np.n
     ----------
     vertex : sequence of four floats
         (1/det Xi, Xi12/det Xi, cos xi_1, cos xi_2).
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -210,10 +209,10 @@ def exact_state_space(vertex: Sequence[float], params: np.ndarray) -> tuple[np.n
         A, shape (4, 4), and B, shape (4, 2); cf. eqs. (27), (28).
     """
     x, y, cos_1, cos_2 = vertex
-    inverse = np.array([[params[C_22] * x, -y], [-y, params[A_11] * x]])
+    inverse = np.array([[params.inertia[1] * x, -y], [-y, params.inertia[0] * x]])
     a = np.zeros((4, 4))
     a[:2, 2:] = np.eye(2)
-    a[2:, :2] = inverse @ np.diag([params[G_1] * cos_1, params[G_2] * cos_2])
+    a[2:, :2] = inverse @ np.diag([params.gravity[0] * cos_1, params.gravity[1] * cos_2])
     b = np.zeros((4, 2))
     b[2:] = inverse
     return a, b

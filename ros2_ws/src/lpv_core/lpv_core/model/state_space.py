@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
 from lpv_core.model.joints import JointMap
 from lpv_core.model.polytope import paper_scheduling, paper_vertices, paper_weights
 from lpv_core.support.jit import njit
@@ -15,7 +14,7 @@ def inertia_matrix(phi_1: float, params: np.ndarray) -> np.ndarray:
     ----------
     phi_1 : float
         cos(theta1 - theta2).
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -23,8 +22,8 @@ def inertia_matrix(phi_1: float, params: np.ndarray) -> np.ndarray:
     ndarray, shape (2, 2)
         Inertia [kg m2].
     """
-    off = params[O_12] + params[B_12] * phi_1
-    return np.array([[params[A_11], off], [off, params[C_22]]])
+    off = params.rotor_coupling + params.coupling * phi_1
+    return np.array([[params.inertia[0], off], [off, params.inertia[1]]])
 
 
 def gravity_matrix(phi_2: float, phi_3: float, params: np.ndarray) -> np.ndarray:
@@ -34,7 +33,7 @@ def gravity_matrix(phi_2: float, phi_3: float, params: np.ndarray) -> np.ndarray
     ----------
     phi_2, phi_3 : float
         sinc(theta1), sinc(theta2).
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -42,7 +41,7 @@ def gravity_matrix(phi_2: float, phi_3: float, params: np.ndarray) -> np.ndarray
     ndarray, shape (2, 2)
         [N m/rad].
     """
-    return -np.diag([params[G_1] * phi_2, params[G_2] * phi_3])
+    return -np.diag([params.gravity[0] * phi_2, params.gravity[1] * phi_3])
 
 
 def vertex_matrices(box: np.ndarray, params: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -52,7 +51,7 @@ def vertex_matrices(box: np.ndarray, params: np.ndarray) -> tuple[np.ndarray, ..
     ----------
     box : array_like, shape (3, 2)
         Ranges of phi1, phi2, phi3.
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
