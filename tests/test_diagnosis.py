@@ -283,7 +283,7 @@ def test_given_time_restarts_when_the_fault_is_gone_then_the_alarm_clears_in_its
     feed(diagnoser, 50_051, 50_060)
     events = diagnoser.update(estimate_at(0, mode=Mode.INITIALISING, interval=0.0)).events
     events += feed(diagnoser, 1, 500)[1]
-    assert not any(s.alarm for s in diagnoser.state.sensors)
+    assert not any(s.alarm.active for s in diagnoser.state.sensors)
 
 
 def test_given_history_when_reset_then_alarms_and_bounds_are_as_new(paper_arm, paper_gains):

@@ -49,7 +49,7 @@ def is_stuck(buffer: SampleBuffer, position_noise: float) -> bool:
         False without enough motion to tell.
     """
     # Noise alone moves a healthy reading from sample to sample.
-    values, count = buffer.values, buffer.count[0]
+    values, count = buffer.values, buffer.used[0]
     first = count - _STUCK_SAMPLES
     if first < 0 or span(values[first:count, READING]) >= _STILL * position_noise:
         return False
@@ -66,7 +66,7 @@ def is_stuck(buffer: SampleBuffer, position_noise: float) -> bool:
 @njit
 def standstill(buffer: SampleBuffer, position_noise: float) -> int:
     """First of the latest rows over which a reading has stood still."""
-    values, row = buffer.values, buffer.count[0] - 1
+    values, row = buffer.values, buffer.used[0] - 1
     last = values[row, READING]
     while row > 0 and abs(values[row - 1, READING] - last) < _STILL * position_noise:
         row -= 1
@@ -114,7 +114,7 @@ def classify(
     int
         Of `lpv_core.decision.fault_kinds.FaultKind`; ``UNCLASSIFIED`` while it cannot be told.
     """
-    stamps, values, end = buffer.stamps, buffer.values, buffer.count[0]
+    stamps, values, end = buffer.stamps, buffer.values, buffer.used[0]
     count = end - first
     if is_stuck(buffer, position_noise):
         return STUCK

@@ -56,7 +56,7 @@ def growth(params: np.record, state: np.record) -> float:
 @njit
 def measure_step(state: np.record, buffer: SampleBuffer) -> None:
     """Measure the height of a step from the samples around it."""
-    step, stamps, count = state.step, buffer.stamps, buffer.count[0]
+    step, stamps, count = state.step, buffer.stamps, buffer.used[0]
     row = first_since(buffer, state.alarm.onset)
     first = max(row - AROUND, 0, count - len(stamps) // 2)
     if row - first < AROUND // 2 or count - row < AROUND // 2:

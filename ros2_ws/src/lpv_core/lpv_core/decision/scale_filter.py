@@ -34,7 +34,7 @@ def start_scale(params: np.record, state: np.record, buffer: SampleBuffer, row: 
     f.used, f.scale, f.walk = True, 0.0, 0.0
     f.variance[0], f.variance[1], f.variance[2] = 1.0, 0.0, 0.1 * params.noise * params.noise
     last = state.before.allowance
-    for k in range(row, buffer.count[0]):
+    for k in range(row, buffer.used[0]):
         change = values[k, RESIDUAL] - state.before.residual
         angle = values[k, READING] - values[k, RESIDUAL] + state.before.residual
         _follow(params, f, angle, change, values[k, ALLOWANCE] - last)

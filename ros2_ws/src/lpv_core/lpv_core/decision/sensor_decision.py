@@ -174,7 +174,7 @@ def _start_check_if_due(state: np.record) -> bool:
 
 @njit
 def _scatter(buffer: SampleBuffer) -> float:
-    count = buffer.count[0]
+    count = buffer.used[0]
     return noise_level(buffer.values[max(0, count - _RECENT) : count])
 
 
@@ -196,8 +196,8 @@ def _handle_missing(params: np.record, state: np.record, buffer: SampleBuffer) -
     if state.alarm.active or not _has_lasted(state.missing_since, sample, params.dwell):
         return NOTHING
     state.before.residual, state.before.allowance = sample.residual, sample.allowance
-    if buffer.count[0] > 0:
-        take_baseline(state, buffer, buffer.count[0] - 1)
+    if buffer.used[0] > 0:
+        take_baseline(state, buffer, buffer.used[0] - 1)
     return _raise(state, DROPOUT, state.missing_since, True, False)
 
 
@@ -310,7 +310,7 @@ def _discard_excursion(params: np.record, state: np.record, buffer: SampleBuffer
 @njit
 def _check_noise_and_stuck(params: np.record, state: np.record, buffer: SampleBuffer) -> int:
     """From time to time: readings that stand still, and noise."""
-    count = buffer.count[0]
+    count = buffer.used[0]
     if not _start_check_if_due(state) or count < _RECENT:
         return NOTHING
     scatter = _scatter(buffer)
@@ -452,7 +452,7 @@ def _is_over(params: np.record, state: np.record, buffer: SampleBuffer, changing
 @njit
 def _has_settled(params: np.record, state: np.record, buffer: SampleBuffer) -> bool:
     """Whether a fault without a lasting size is over."""
-    sample, alarm, count = state.sample, state.alarm, buffer.count[0]
+    sample, alarm, count = state.sample, state.alarm, buffer.used[0]
     recent = buffer.values[max(0, count - _RECENT) : count]
     if len(recent) < 10:
         return False
@@ -506,7 +506,7 @@ def _latest_kind(params: np.record, state: np.record, buffer: SampleBuffer) -> i
     if alarm.is_ambiguous and alarm.by_change:  # no rate sensor makes a reading stuck or noisy
         if is_stuck(buffer, params.noise):
             return STUCK
-        enough = buffer.count[0] >= _RECENT
+        enough = buffer.used[0] >= _RECENT
         return NOISE if enough and _scatter(buffer) > _NOISE_RATIO * params.noise else alarm.kind
     if alarm.kind == SPIKE:
         return NOISE if _scatter(buffer) > _NOISE_RATIO * params.noise else SPIKE
@@ -519,7 +519,7 @@ def _latest_kind(params: np.record, state: np.record, buffer: SampleBuffer) -> i
     # Later time profiles are those of the arm more than of the fault; but motion tells a scale
     # error.
     if alarm.kind != UNCLASSIFIED and _has_lasted(alarm.detected, state.sample, _DECIDED):
-        count = buffer.count[0]
+        count = buffer.used[0]
         time = (buffer.stamps[row:count] - alarm.onset) / NANOSECONDS
         if not fits_better(kind, alarm.kind, time, buffer.values[row:count], baseline):
             return alarm.kind

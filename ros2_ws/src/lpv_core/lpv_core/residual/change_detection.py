@@ -107,7 +107,7 @@ def find_change(
     for window in range(len(WINDOWS)):
         then = sample.stamp - round(WINDOWS[window] * 1e9)
         # Without gaps the present sample would be the next row.
-        guess = buffer.count[0] - round(WINDOWS[window] / params.sample_time)
+        guess = buffer.used[0] - round(WINDOWS[window] / params.sample_time)
         row = index_at(buffer, then, guess)
         if row < 0:
             continue

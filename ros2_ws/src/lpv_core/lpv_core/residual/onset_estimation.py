@@ -52,7 +52,7 @@ def fit_step_or_ramp(state: np.record, buffer: SampleBuffer, row: int) -> tuple[
     count, times, squares = 1.0, 0.0, 0.0  # the present sample, at time zero
     away, products = state.sample.residual - baseline, 0.0
     step, jumped, ramp, speed, began = away * away, now, 0.0, 0.0, now
-    for k in range(buffer.count[0] - 1, row - 1, -1):
+    for k in range(buffer.used[0] - 1, row - 1, -1):
         time, value = (buffer.stamps[k] - now) / NANOSECONDS, buffer.values[k, RESIDUAL] - baseline
         power = squares - 2.0 * time * times + time * time * count
         cross = products - time * away
@@ -83,7 +83,7 @@ def has_jumped(params: np.record, state: np.record, buffer: SampleBuffer) -> boo
         True if r differed between neighbouring samples by more than noise, or between the means of
         a few by more than any error of a rate that would not show at once.
     """
-    limit, values, count = least_change(params.changes), buffer.values, buffer.count[0]
+    limit, values, count = least_change(params.changes), buffer.values, buffer.used[0]
     evidence = state.evidence
     first = first_since(buffer, evidence.since - round(WINDOWS[evidence.window] * NANOSECONDS))
     for k in range(first, count):

@@ -123,7 +123,7 @@ def rate_verdict(params: np.record, buffer: SampleBuffer, movement: Movement) ->
 @njit
 def _is_explained(params: np.record, buffer: SampleBuffer, movement: Movement, best: float) -> bool:
     """Whether the best ramp leaves no more than noise: other motion says nothing of the rate."""
-    row, count = first_since(buffer, movement.onset), buffer.count[0]
+    row, count = first_since(buffer, movement.onset), buffer.used[0]
     energy = 0.0
     for k in range(row, count):
         away = buffer.values[k, RESIDUAL] - movement.baseline
@@ -142,7 +142,7 @@ def _fit(
     begin = movement.onset + round((share * reach - 0.5 * rise) * NANOSECONDS)
     row = first_since(buffer, begin)
     power = cross = 0.0
-    for k in range(row, buffer.count[0]):
+    for k in range(row, buffer.used[0]):
         ramp = _ramp((buffer.stamps[k] - begin) / NANOSECONDS, rise)
         power += ramp * ramp
         cross += ramp * (buffer.values[k, RESIDUAL] - movement.baseline)
@@ -162,7 +162,7 @@ def _matched_filter(
     params: np.record, buffer: SampleBuffer, row: int, rise: float, speed: float
 ) -> int:
     """Verdict if the rate took so long to go wrong, from a row on."""
-    stamps, values, count = buffer.stamps, buffer.values, buffer.count[0]
+    stamps, values, count = buffer.stamps, buffer.values, buffer.used[0]
     first = row - _BEFORE * params.length
     if first < 0 or count - row < _SHORTEST:
         return UNDECIDED

@@ -21,7 +21,7 @@ class SampleBuffer(NamedTuple):
     values: np.ndarray
     """Residual and allowance (`lpv_core.residual.dead_reckoning`) and reading [rad], and innovation
     of the rate [rad/s], shape (2*size, 4)."""
-    count: np.ndarray
+    used: np.ndarray
     """Rows in use, shape (1,); the newest ``size`` of them are certain to be kept."""
 
 
@@ -37,19 +37,19 @@ def new_buffers(sensors: int, size: int) -> SampleBuffer:
 @njit
 def buffer_of(buffers: SampleBuffer, sensor: int) -> SampleBuffer:
     """The buffer of one sensor; it shares the memory."""
-    return SampleBuffer(buffers.stamps[sensor], buffers.values[sensor], buffers.count[sensor])
+    return SampleBuffer(buffers.stamps[sensor], buffers.values[sensor], buffers.used[sensor])
 
 
 @njit
 def clear_buffer(buffer: SampleBuffer) -> None:
     """Forget all samples."""
-    buffer.count[0] = 0
+    buffer.used[0] = 0
 
 
 @njit
 def add_sample(buffer: SampleBuffer, sample: np.record) -> None:
     """Add a sample (`lpv_core.decision.sensor_state.SAMPLE`) that is newer than all others."""
-    stamps, values, count = buffer.stamps, buffer.values, buffer.count[0]
+    stamps, values, count = buffer.stamps, buffer.values, buffer.used[0]
     if count == len(stamps):
         count = len(stamps) // 2
         for k in range(count):
@@ -60,7 +60,7 @@ def add_sample(buffer: SampleBuffer, sample: np.record) -> None:
     row = values[count]
     row[RESIDUAL], row[READING] = sample.residual, sample.reading
     row[ALLOWANCE], row[INNOVATION] = sample.allowance, sample.innovation
-    buffer.count[0] = count + 1
+    buffer.used[0] = count + 1
 
 
 @njit
@@ -69,7 +69,7 @@ def index_at(buffer: SampleBuffer, stamp: int, guess: int) -> int:
 
     A good guess of the row saves time; the result does not depend on it.
     """
-    stamps, count = buffer.stamps, buffer.count[0]
+    stamps, count = buffer.stamps, buffer.used[0]
     oldest = max(0, count - len(stamps) // 2)
     row = min(max(guess, oldest), count - 1)
     while row >= oldest and stamps[row] > stamp:
@@ -82,7 +82,7 @@ def index_at(buffer: SampleBuffer, stamp: int, guess: int) -> int:
 @njit
 def first_since(buffer: SampleBuffer, stamp: int) -> int:
     """First row that is kept and not before a stamp; the number of rows if there is none."""
-    stamps, row = buffer.stamps, buffer.count[0]
+    stamps, row = buffer.stamps, buffer.used[0]
     oldest = max(0, row - len(stamps) // 2)
     while row > oldest and stamps[row - 1] >= stamp:
         row -= 1
