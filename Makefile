@@ -29,7 +29,7 @@ test: setup-test ## run all tests
 	@$(IN_ENV) python -m pytest $(TEST_ARGS)
 
 reference: setup-test ## store what the diagnosis answers now as what it shall answer
-	@$(IN_ENV) python tests/reference.py
+	@$(IN_ENV) python tests/support/reference.py
 
 lint: setup-test ## check style
 	@$(IN_ENV) ruff check .

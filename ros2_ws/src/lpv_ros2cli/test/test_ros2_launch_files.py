@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from places import BRINGUP
 
 pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 
@@ -15,7 +16,6 @@ from lpv_ros2cli.launch.files import launch_files_of  # noqa: E402
 from lpv_ros2cli.launch.substitutions import Substitution, parse  # noqa: E402
 from lpv_ros2cli.packages import share_of  # noqa: E402
 
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 NODE = '<node pkg="lpv_uio" exec="uio"'
 
 

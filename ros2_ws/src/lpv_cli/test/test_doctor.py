@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import ros
+from places import BRINGUP, ROOT
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
@@ -23,8 +24,6 @@ from lpv_cli.main import main  # noqa: E402
 from lpv_core.certificate.gains import save_gains  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
 NODES = ('/lpv/arm_sim', '/lpv/tracker', '/lpv/uio')
 NOW = 1_800_000_000_000_000_000

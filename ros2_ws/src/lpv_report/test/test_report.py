@@ -6,11 +6,11 @@ import io
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import matplotlib.image
 import numpy as np
 import pytest
+from places import BRINGUP
 from rich.console import Console
 from rosbags.highlevel import AnyReader
 from runs import ALL, MEASURED, Recorder, record, rows, text
@@ -22,7 +22,6 @@ from lpv_core.simulation.faults import Fault
 from lpv_report.history.episodes import episodes, missed_faults
 from lpv_report.run import print_table, write_report
 
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 ARM_FILE = str(BRINGUP / 'arms' / 'paper.yaml')
 SIGNALS = ['x1', 'x2', 'x3', 'x4', 'f1', 'f2', 'y1', 'y2', 'e_t1', 'e_t2']
 

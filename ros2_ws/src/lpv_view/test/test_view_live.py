@@ -7,11 +7,11 @@ import shutil
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 import ros
+from places import BRINGUP
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 aiohttp = pytest.importorskip('aiohttp')
@@ -27,7 +27,7 @@ from lpv_msgs.srv import ClearFaults  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
-ARM = Path(__file__).resolve().parents[1] / 'ros2_ws/src/lpv_bringup/arms/paper.yaml'
+ARM = BRINGUP / 'arms' / 'paper.yaml'
 FLAGS = (
     '--headless',
     '--no-sandbox',

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ros
+from places import BRINGUP
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
@@ -35,7 +36,6 @@ from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 TYPESTORE = make_typestore()
 PERIOD = 4_000_000

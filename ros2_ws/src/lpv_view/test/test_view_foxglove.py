@@ -4,9 +4,9 @@ import asyncio
 import json
 import socket
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
+from places import PACKAGES
 
 aiohttp = pytest.importorskip('aiohttp')
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
@@ -205,14 +205,7 @@ def test_given_the_layout_when_read_then_every_topic_in_it_is_forwarded():
 
     made = {'arm_markers', 'robot_description', 'true_robot_description', 'fault_band'}
     known = {'/lpv/' + name for name in made | {t.name for t in LISTENED}} | {'/diagnostics'}
-    file = (
-        Path(__file__).resolve().parents[1]
-        / 'ros2_ws'
-        / 'src'
-        / 'lpv_view'
-        / 'layout'
-        / 'lpv_foxglove.json'
-    )
+    file = PACKAGES / 'lpv_view' / 'layout' / 'lpv_foxglove.json'
     named = set()
 
     def walk(value):

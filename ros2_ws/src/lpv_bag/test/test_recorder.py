@@ -3,11 +3,11 @@
 import os
 import signal
 import time
-from pathlib import Path
 
 import pytest
 import ros
 from bags import contents
+from places import BRINGUP
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
@@ -24,9 +24,7 @@ pytestmark = pytest.mark.ros
 TOPIC = '/lpv/joint_states'
 RELIABLE = QoSProfile(depth=1000)
 PERIOD = 0.002
-GAINS = (
-    Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup' / 'gains' / 'paper.yaml'
-)
+GAINS = BRINGUP / 'gains' / 'paper.yaml'
 
 
 class Source:

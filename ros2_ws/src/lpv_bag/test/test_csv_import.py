@@ -2,20 +2,18 @@
 
 import math
 import random
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from places import BRINGUP
 from rosbags.highlevel import AnyReader
 
 from lpv_bag.run.csv_import import CsvError, import_csv, load_column_map
 from lpv_bag.run.record import load_run
 from lpv_cli.main import main
 from lpv_core.support.errors import ConfigError
-
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 
 COLUMNS = """
 time: {column: t, unit: s}

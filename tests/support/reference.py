@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from places import DATA
 from rosbags.highlevel import AnyReader
 
 from lpv_bag.replay.replay import Replay
@@ -30,7 +31,7 @@ from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.resources import bringup_file
 from lpv_report.comparison import Tolerances, compare_runs
 
-BAG = Path(__file__).resolve().parent / 'data' / 'reference'
+BAG = DATA / 'reference'
 TOLERANCES = Tolerances(mise=1e-3, delay=0.0, signal=1e-6, flags=0.0, missing=1.0)
 """Processors round differently in the last digits; everything else is a change of behaviour."""
 _THINNED = 20

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from places import BRINGUP, ROOT
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import lpv_campaign.fleet.archive as fleet
@@ -35,8 +36,6 @@ from lpv_core.decision.diagnosis import Alarm, AlarmEvent
 from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.support.errors import ConfigError
 
-ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 DATA = Path(os.environ.get('LPV_REAL_ARM_DATA') or ROOT.parent / 'shared' / 'data' / 'real_arm')
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'

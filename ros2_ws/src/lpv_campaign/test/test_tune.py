@@ -2,11 +2,11 @@
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from places import ROOT
 
 from lpv_campaign.plan.factors import Range
 from lpv_campaign.tune.cost import cost, excesses, pick
@@ -25,7 +25,7 @@ from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
-STUDIES = Path(__file__).resolve().parents[1] / 'design' / 'studies'
+STUDIES = ROOT / 'design' / 'studies'
 # A poor base: it believes in so much noise that a fault from the first sample on is learnt late.
 BASE = {
     'observer': {

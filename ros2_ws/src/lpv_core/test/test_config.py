@@ -3,11 +3,11 @@
 import math
 import re
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from places import BRINGUP
 
 from lpv_core.certificate.gains import gains_to_dict, load_gains, parse_gains, save_gains
 from lpv_core.model.arm import Link, load_arm, parse_arm
@@ -16,8 +16,6 @@ from lpv_core.simulation.scenario import load_scenario, parse_scenario
 from lpv_core.support import config
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError, LpvError
-
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 
 ARM = yaml.safe_load((BRINGUP / 'arms' / 'paper.yaml').read_text())
 SCENARIO = yaml.safe_load((BRINGUP / 'scenarios' / 'two_faults.yaml').read_text())

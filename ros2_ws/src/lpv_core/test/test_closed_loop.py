@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import BRINGUP
 
 import lpv_core
 from lpv_core.certificate.gains import save_gains
@@ -24,7 +25,6 @@ from lpv_core.simulation.metrics import mise
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import COMPILED
 
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 SIGNALS = (
     'time',
     'position',

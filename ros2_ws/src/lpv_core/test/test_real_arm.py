@@ -3,17 +3,15 @@
 import csv
 import math
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser
 from lpv_core.observer.sampled_observer import Counters, UnknownInputObserver
 
-DATA = os.environ.get('LPV_REAL_ARM_DATA') or str(
-    Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'real_arm'
-)
+DATA = os.environ.get('LPV_REAL_ARM_DATA') or str(RECORDINGS / 'real_arm')
 RECORDINGS = ('run_143601.csv', 'run_144115.csv')
 
 pytestmark = pytest.mark.skipif(

@@ -7,14 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import BRINGUP, ROOT
 
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.exact_proof import prove
 from lpv_core.certificate.gains import load_gains
 from lpv_core.model.arm import load_arm
 
-ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 BIN = Path(sys.prefix) / 'bin'
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from places import BRINGUP, ROOT
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
 
@@ -28,8 +29,6 @@ from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.support.errors import ConfigError
 
-ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 PAPER_ARM = str(BRINGUP / 'arms' / 'paper.yaml')
 RECORDINGS = Path(
     os.environ.get('LPV_REAL_ARM_DATA') or ROOT.parent / 'shared' / 'data' / 'real_arm'

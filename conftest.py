@@ -3,13 +3,10 @@
 import importlib.util
 import signal
 import sys
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
-
-ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
+from places import BRINGUP, ROOT
 
 for _name, _place in (
     ('lpv_core', ROOT / 'ros2_ws' / 'src' / 'lpv_core'),

@@ -4,13 +4,13 @@ import subprocess
 import sys
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from places import ROOT
 
 from lpv_cli.main import main
 from lpv_core.certificate.conditions import corner_arms, delayed_radius, verify
@@ -22,7 +22,6 @@ from lpv_core.support.errors import ConfigError
 from lpv_design.exact_observer import torque_gains
 from lpv_design.guarantee import draw, guarantee
 
-ROOT = Path(__file__).resolve().parents[1]
 ARMS = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup' / 'arms'
 REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
 
