@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 from lpv_node.qos import stream  # noqa: E402
-from lpv_ros2cli import discovery  # noqa: E402
+from lpv_ros2cli.graph import discovery  # noqa: E402
 from lpv_ros2cli.main import main  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 
-from lpv_ros2cli.interrupts import raising_signals  # noqa: E402
+from lpv_ros2cli.command_line.interrupts import raising_signals  # noqa: E402
 
 
 class Dropped:

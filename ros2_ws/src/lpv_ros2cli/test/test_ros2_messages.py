@@ -17,9 +17,9 @@ from std_msgs.msg import String, UInt8MultiArray  # noqa: E402
 from lpv_msgs.msg import FaultEstimate  # noqa: E402
 from lpv_msgs.srv import InjectFault  # noqa: E402
 from lpv_ros2cli.errors import CliError  # noqa: E402
-from lpv_ros2cli.fill import message_from_text  # noqa: E402
-from lpv_ros2cli.interfaces import full_type, load  # noqa: E402
-from lpv_ros2cli.render import Style, field_of, to_csv, to_yaml  # noqa: E402
+from lpv_ros2cli.message.from_text import message_from_text  # noqa: E402
+from lpv_ros2cli.message.to_text import Style, field_of, to_csv, to_yaml  # noqa: E402
+from lpv_ros2cli.message.types import full_type, load  # noqa: E402
 from lpv_ros2cli.topic.bw import Bandwidth  # noqa: E402
 from lpv_ros2cli.topic.hz import Rate  # noqa: E402
 

@@ -3,6 +3,7 @@
 import importlib
 import re
 from collections.abc import Iterable
+from typing import Any
 
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.packages import prefix_of, resources
@@ -13,25 +14,7 @@ KINDS = {'msg': 'Messages', 'srv': 'Services', 'action': 'Actions'}
 
 
 def full_type(text: str, kind: str | None = None) -> str:
-    """Full name of an interface type.
-
-    Parameters
-    ----------
-    text : str
-        ``package/Name`` or ``package/kind/Name``.
-    kind : {'msg', 'srv'}, optional
-        Kind that is expected.
-
-    Returns
-    -------
-    str
-        ``package/kind/Name``.
-
-    Raises
-    ------
-    CliError
-        If it is no such name.
-    """
+    """Full name of an interface type."""
     parts = text.split('/')
     if len(parts) == 2 and kind is not None:
         parts.insert(1, kind)
@@ -41,31 +24,13 @@ def full_type(text: str, kind: str | None = None) -> str:
         or (kind is not None and parts[1] != kind)
         or not all(_NAME.fullmatch(part) for part in parts)
     ):
-        example = {'srv': 'std_srvs/srv/Trigger'}.get(kind, 'std_msgs/msg/String')
+        example = 'std_srvs/srv/Trigger' if kind == 'srv' else 'std_msgs/msg/String'
         raise CliError(f"The passed type '{text}' is invalid: it should look like {example}")
     return '/'.join(parts)
 
 
-def load(text: str, kind: str):
-    """Class of an interface type.
-
-    Parameters
-    ----------
-    text : str
-        Name.
-    kind : {'msg', 'srv'}
-        Kind.
-
-    Returns
-    -------
-    type
-        Message or service class.
-
-    Raises
-    ------
-    CliError
-        If it is not installed.
-    """
+def load(text: str, kind: str) -> Any:
+    """Class of an interface type."""
     package, kind, name = full_type(text, kind).split('/')
     try:
         return getattr(importlib.import_module(f'{package}.{kind}'), name)
@@ -74,18 +39,7 @@ def load(text: str, kind: str):
 
 
 def installed(packages: Iterable[str] | None = None) -> list[str]:
-    """Interface types that are installed.
-
-    Parameters
-    ----------
-    packages : iterable of str, optional
-        Only of these packages.
-
-    Returns
-    -------
-    list of str
-        Full names, sorted.
-    """
+    """Interface types that are installed."""
     found = set()
     for package, prefix in resources('rosidl_interfaces').items():
         if packages is not None and package not in packages:
@@ -99,23 +53,7 @@ def installed(packages: Iterable[str] | None = None) -> list[str]:
 
 
 def definition(name: str) -> str:
-    """Text of an interface's definition file.
-
-    Parameters
-    ----------
-    name : str
-        Full name.
-
-    Returns
-    -------
-    str
-        Its content.
-
-    Raises
-    ------
-    CliError
-        If it is not installed.
-    """
+    """Text of an interface's definition file."""
     package, kind, short = full_type(name).split('/')
     path = prefix_of(package) / 'share' / package / kind / f'{short}.{kind}'
     try:

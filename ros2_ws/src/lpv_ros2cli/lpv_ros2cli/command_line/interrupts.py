@@ -3,32 +3,30 @@
 import contextlib
 import signal
 import sys
+from collections.abc import Iterator
+from types import FrameType
+from typing import NoReturn
 
 _AGAIN = 0.01
-"""A signal whose exception was lost raises another one after so long [s]."""
+"""Delay after which a signal whose exception was lost raises another one [s]."""
 
 
 @contextlib.contextmanager
-def raising_signals():
+def raising_signals() -> Iterator[list[int]]:
     """Context in which SIGINT raises KeyboardInterrupt and SIGTERM SystemExit.
 
     A signal that falls into a destructor or into a callback of a weak reference raises where
     Python can only print the exception and goes on: a command that waits for messages, which
     makes and drops many such objects, would then wait for ever.  The exception is raised again,
     in what the command does next.
-
-    Yields
-    ------
-    list of int
-        Numbers of the signals so far.
     """
-    received = []
+    received: list[int] = []
 
-    def receive(number, _frame) -> None:
+    def receive(number: int, _frame: FrameType | None) -> None:
         received.append(number)
         _raise(number)
 
-    def report(unraisable) -> None:
+    def report(unraisable: 'sys.UnraisableHookArgs') -> None:
         if not received or not issubclass(unraisable.exc_type, (KeyboardInterrupt, SystemExit)):
             hook(unraisable)
         else:  # not from here, where it would be lost again
@@ -50,7 +48,7 @@ def raising_signals():
             signal.signal(number, handler)
 
 
-def _raise(number) -> None:
+def _raise(number: int) -> NoReturn:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)  # through the clean-up of contexts and nodes

@@ -8,36 +8,35 @@ found as have ports open on this machine, and goes on until then.
 import contextlib
 import os
 import time
-from collections.abc import Callable
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
 from lpv_ros2cli.errors import CliError
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+Found = TypeVar('Found')
 LONGEST = 10.0
 """Longest wait for a name of the graph, or for the whole graph [s]."""
 _QUIET = 0.4
-"""A graph that has not changed for so long is taken as known [s]."""
+"""A graph that has not changed for this long is taken as known [s]."""
 _SURELY_QUIET = 1.0
 """The same, before something is said to be missing: a busy machine is slower [s]."""
 _POLL = 0.02
 _EVERY_NODE_PUBLISHES = '/parameter_events'
 
 
-def add_arguments(parser) -> None:
-    """Declare the options of commands that look at the graph.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: ArgumentParser) -> None:
+    """Declare the options of commands that query the graph."""
     parser.add_argument(
         '--spin-time',
         type=float,
         default=None,
         metavar='SECONDS',
-        help='wait for the graph so long (until all nodes of this machine are '
+        help='time to discover the graph (until all nodes of this machine are '
         f'known, at most {LONGEST:g} s)',
     )
     parser.add_argument(
@@ -48,24 +47,8 @@ def add_arguments(parser) -> None:
 
 
 @contextlib.contextmanager
-def command_node(name: str | None = None):
-    """Context with a hidden node.
-
-    Parameters
-    ----------
-    name : str, optional
-        Node name; otherwise hidden and of this process.
-
-    Yields
-    ------
-    rclpy.node.Node
-        The node; SIGINT raises KeyboardInterrupt.
-
-    Raises
-    ------
-    CliError
-        If the node cannot be made.
-    """
+def command_node(name: str | None = None) -> Iterator['Node']:
+    """Context with a hidden node."""
     import rclpy
     from rclpy.exceptions import InvalidNodeNameException
     from rclpy.signals import SignalHandlerOptions
@@ -85,44 +68,22 @@ def command_node(name: str | None = None):
         rclpy.try_shutdown()
 
 
-def settle(node, spin_time: float | None = None) -> None:
-    """Wait until the graph is known.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Looks.
-    spin_time : float, optional
-        Wait so long [s] instead.
-    """
+def settle(node: 'Node', spin_time: float | None = None) -> None:
+    """Wait until the graph is known."""
     find(node, lambda: None, spin_time, _QUIET)
 
 
 def find(
-    node, look: Callable[..., Any], spin_time: float | None = None, quiet: float = _SURELY_QUIET
-) -> object:
-    """Look for something until it is found or the whole graph is known.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Looks.
-    look : callable
-        Returns something true when it is there.
-    spin_time : float, optional
-        Look so long [s] instead, whether the graph is known or not.
-    quiet : float, optional
-        A graph that has not changed for so long is taken as known [s].
-
-    Returns
-    -------
-    object
-        What ``look`` returned last.
-    """
+    node: 'Node',
+    query: Callable[[], Found],
+    spin_time: float | None = None,
+    quiet: float = _SURELY_QUIET,
+) -> Found:
+    """Repeat a query until it finds something or the whole graph is known."""
     start = changed = time.monotonic()
     known = None
     while True:
-        found, now = look(), time.monotonic()
+        found, now = query(), time.monotonic()
         if found or now > start + (LONGEST if spin_time is None else spin_time):
             return found
         seen = (
@@ -137,28 +98,15 @@ def find(
         time.sleep(_POLL)
 
 
-def wait_for(condition: Callable[..., Any], timeout: float = LONGEST) -> object:
-    """Wait for something that the graph is known to have.
-
-    Parameters
-    ----------
-    condition : callable
-        Returns something true when it is there.
-    timeout : float, optional
-        [s].
-
-    Returns
-    -------
-    object
-        What the condition returned last.
-    """
+def wait_for(condition: Callable[[], Found], timeout: float = LONGEST) -> Found:
+    """Wait for something that the graph is known to have."""
     deadline = time.monotonic() + timeout
     while not (found := condition()) and time.monotonic() < deadline:
         time.sleep(_POLL)
     return found
 
 
-def _all_found(node) -> bool:
+def _all_found(node: 'Node') -> bool:
     """Whether every participant of this machine was found, and of others probably."""
     if os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') != 'LOCALHOST':
         return False  # who is on the network cannot be known: take the whole time
@@ -170,7 +118,7 @@ def _all_found(node) -> bool:
     return min(len(participants), len(node.get_node_names())) >= wanted
 
 
-def _local_participants(domain):
+def _local_participants(domain: int) -> int:
     """Number of DDS participants on this machine by their ports; 0 where that cannot be told."""
     first = 7400 + 250 * domain + 10  # of the specification: base, domain gain, offset d1
     try:

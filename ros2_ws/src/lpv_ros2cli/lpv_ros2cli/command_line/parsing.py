@@ -2,9 +2,11 @@
 
 import argparse
 import importlib
+from argparse import ArgumentParser
+from typing import Any
 
+from lpv_ros2cli.command_line.registry import COMMANDS, VERBS, canonical, module_of
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.registry import COMMANDS, VERBS, canonical, module_of
 
 NOT_COVERED = 'is not covered by this ros2, a small stand-in for machines without ros2cli; '
 USAGE_ERROR = 2
@@ -14,29 +16,12 @@ USAGE_ERROR = 2
 class _Parser(argparse.ArgumentParser):
     """Refuses abbreviated options: they would change their meaning with the next option."""
 
-    def __init__(self, *args, **kwargs) -> None:
-        super().__init__(*args, allow_abbrev=False, **kwargs)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
 
 
 def parse(argv: list[str]) -> argparse.Namespace:
-    """Parse a command line.
-
-    Parameters
-    ----------
-    argv : list of str
-        Arguments without the program name.
-
-    Returns
-    -------
-    argparse.Namespace
-        With ``run``, the function that does what was asked; None where help is to be shown, with
-        ``parser``.
-
-    Raises
-    ------
-    CliError
-        If a command, verb or option is not known here.
-    """
+    """Parse a command line."""
     parser = build_parser(*chosen(argv))
     arguments, unknown = parser.parse_known_args(argv)
     options = [argument for argument in unknown if argument.startswith('-')]
@@ -49,24 +34,8 @@ def parse(argv: list[str]) -> argparse.Namespace:
     return arguments
 
 
-def chosen(argv: list[str]):
-    """Command and verb of a command line.
-
-    Parameters
-    ----------
-    argv : list of str
-        Arguments without the program name.
-
-    Returns
-    -------
-    command, verb : str or None
-        Known ones.
-
-    Raises
-    ------
-    CliError
-        If there is a command or verb that is not known here.
-    """
+def chosen(argv: list[str]) -> tuple[str | None, str | None]:
+    """Command and verb of a command line."""
     if not argv or argv[0].startswith('-'):
         return None, None
     command = canonical(argv[0])
@@ -86,18 +55,7 @@ def chosen(argv: list[str]):
 
 
 def build_parser(command: str | None = None, verb: str | None = None) -> argparse.ArgumentParser:
-    """Parser in which only the chosen verb's module is imported.
-
-    Parameters
-    ----------
-    command, verb : str, optional
-        What the command line asks for.
-
-    Returns
-    -------
-    argparse.ArgumentParser
-        Ready to parse.
-    """
+    """Parser in which only the chosen verb's module is imported."""
     parser = _Parser(
         prog='ros2',
         description='The everyday part of the ros2 command, for '
@@ -120,7 +78,7 @@ def build_parser(command: str | None = None, verb: str | None = None) -> argpars
     return parser
 
 
-def _add_verbs(parser, command, chosen_verb) -> None:
+def _add_verbs(parser: ArgumentParser, command: str, chosen_verb: str | None) -> None:
     verbs = parser.add_subparsers(metavar='VERB', parser_class=_Parser)
     for name, text in VERBS[command][1].items():
         sub = verbs.add_parser(name, help=text, description=_sentence(text))
@@ -129,11 +87,11 @@ def _add_verbs(parser, command, chosen_verb) -> None:
             _implement(sub, module_of(command, name))
 
 
-def _implement(parser, module) -> None:
+def _implement(parser: ArgumentParser, module: str) -> None:
     implementation = importlib.import_module(module)
     implementation.add_arguments(parser)
     parser.set_defaults(run=implementation.run)
 
 
-def _sentence(text):
+def _sentence(text: str) -> str:
     return f'{text[0].upper()}{text[1:]}.'

@@ -1,40 +1,24 @@
 """Messages from values of a command line."""
 
 import array
+from typing import TYPE_CHECKING, Any
 
+from lpv_ros2cli.command_line.yaml_text import parse_yaml
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.yaml_text import parse_yaml
+
+if TYPE_CHECKING:
+    from builtin_interfaces.msg import Time
 
 
-def message_from_text(message_class, text: str, now=None) -> object:
-    """Message from YAML.
-
-    Parameters
-    ----------
-    message_class : type
-        Class of the message.
-    text : str
-        Mapping of its fields, empty for defaults.
-    now : builtin_interfaces.msg.Time, optional
-        What ``stamp: now`` and ``header: auto`` stand for.
-
-    Returns
-    -------
-    object
-        The message.
-
-    Raises
-    ------
-    CliError
-        If the text is no YAML, or does not fit the type.
-    """
+def message_from_text(message_class: Any, text: str, now: 'Time | None' = None) -> Any:
+    """Message from YAML."""
     values = parse_yaml(text, 'the message')
     message = message_class()
     _fill(message, {} if values is None else values, '', now)
     return message
 
 
-def _fill(message, values, prefix, now) -> None:
+def _fill(message: Any, values: object, prefix: str, now: 'Time | None') -> None:
     kinds = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES))
     if not isinstance(values, dict):
         raise CliError(
@@ -50,7 +34,7 @@ def _fill(message, values, prefix, now) -> None:
         setattr(message, name, _value(kinds[name], value, f'{prefix}{name}', now))
 
 
-def _value(kind, value, path, now):
+def _value(kind: Any, value: Any, path: str, now: 'Time | None') -> object:
     from rosidl_parser import definition as idl
 
     if isinstance(kind, idl.AbstractNestedType):
@@ -62,8 +46,8 @@ def _value(kind, value, path, now):
     return _number(kind.typename, value, path)
 
 
-def _nested(kind, value, path, now):
-    from lpv_ros2cli.interfaces import load
+def _nested(kind: Any, value: object, path: str, now: 'Time | None') -> object:
+    from lpv_ros2cli.message.types import load
 
     name = '/'.join(kind.namespaced_name())
     if now is not None and name == 'builtin_interfaces/msg/Time' and value == 'now':
@@ -76,7 +60,7 @@ def _nested(kind, value, path, now):
     return message
 
 
-def _sequence(kind, value, path, now):
+def _sequence(kind: Any, value: Any, path: str, now: 'Time | None') -> list[object]:
     from rosidl_parser import definition as idl
 
     if isinstance(value, str) and getattr(kind.value_type, 'typename', '') in ('octet', 'uint8'):
@@ -96,7 +80,7 @@ def _sequence(kind, value, path, now):
     return items
 
 
-def _text(kind, value, path):
+def _text(kind: Any, value: object, path: str) -> str:
     if isinstance(value, (dict, list)) or value is None:
         raise _error(path, 'takes a text', value)
     text = value if isinstance(value, str) else str(value)
@@ -128,7 +112,7 @@ _INTEGERS = {
 }
 
 
-def _number(typename, value, path):
+def _number(typename: str, value: Any, path: str) -> object:
     if typename == 'boolean':
         if not isinstance(value, bool):
             raise _error(path, 'takes true or false', value)
@@ -149,15 +133,15 @@ def _number(typename, value, path):
     return bytes([checked]) if typename == 'octet' else checked
 
 
-def _whole(value):
+def _whole(value: float) -> int:
     if not value.is_integer():
         raise ValueError('not whole')
     return int(value)
 
 
-def _name(message):
+def _name(message: object) -> str:
     return f'{type(message).__module__.split(".")[0]}/{type(message).__name__}'
 
 
-def _error(path, what, value):
+def _error(path: str, what: str, value: object) -> CliError:
     return CliError(f'Failed to populate field: {path} {what}, got {value!r}')

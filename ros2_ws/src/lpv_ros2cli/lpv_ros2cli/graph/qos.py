@@ -1,6 +1,13 @@
 """Quality of service on the command line, and what fits the publishers that are there."""
 
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING
+
 from lpv_ros2cli.errors import CliError
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
 
 _PROFILES = ('default', 'sensor_data', 'services_default', 'parameters', 'system_default')
 _RELIABILITY = ('reliable', 'best_effort', 'system_default')
@@ -8,16 +15,8 @@ _DURABILITY = ('volatile', 'transient_local', 'system_default')
 _HISTORY = ('keep_last', 'keep_all', 'system_default')
 
 
-def add_arguments(parser, default: str) -> None:
-    """Declare the QoS options.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    default : str
-        What is taken without them, for the help.
-    """
+def add_arguments(parser: ArgumentParser, default: str) -> None:
+    """Declare the QoS options."""
     parser.add_argument(
         '--qos-profile', choices=_PROFILES, default=None, help=f'profile to start from ({default})'
     )
@@ -27,26 +26,8 @@ def add_arguments(parser, default: str) -> None:
     parser.add_argument('--qos-durability', choices=_DURABILITY, default=None)
 
 
-def chosen_profile(arguments, base):
-    """Profile with what the options ask for.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-    base : rclpy.qos.QoSProfile
-        Taken where no profile was named.
-
-    Returns
-    -------
-    rclpy.qos.QoSProfile
-        A new profile.
-
-    Raises
-    ------
-    CliError
-        If the depth is negative.
-    """
+def chosen_profile(arguments: Namespace, base: 'QoSProfile') -> 'QoSProfile':
+    """Profile with what the options ask for."""
     from rclpy import qos
 
     if arguments.qos_profile is not None:
@@ -70,23 +51,8 @@ def chosen_profile(arguments, base):
     return profile
 
 
-def fitting(node, topic: str, depth: int = 10):
-    """Profile that hears every publisher of a topic.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Looks at the publishers.
-    topic : str
-        Absolute name.
-    depth : int, optional
-        Queue length.
-
-    Returns
-    -------
-    rclpy.qos.QoSProfile
-        Reliable and transient local only where all publishers are.
-    """
+def fitting(node: 'Node', topic: str, depth: int = 10) -> 'QoSProfile':
+    """Profile that is compatible with every publisher of a topic."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     profiles = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]

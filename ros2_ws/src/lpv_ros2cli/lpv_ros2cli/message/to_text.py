@@ -2,7 +2,9 @@
 
 import array
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import yaml
@@ -15,46 +17,23 @@ DEFAULT_LENGTH = 128
 
 @dataclass(frozen=True)
 class Style:
-    """How messages are shown.
+    """How messages are shown."""
 
-    Attributes
-    ----------
-    truncate : int or None
-        Longest list, text or bytes; None shows all.
-    no_arr, no_str : bool
-        Do not show arrays; do not show texts.
-    flow : bool
-        One line a message.
-    """
-
-    truncate: int = DEFAULT_LENGTH
-    no_arr: bool = False
-    no_str: bool = False
-    flow: bool = False
+    truncate: int | None = DEFAULT_LENGTH  # longest list, text or bytes; None shows all
+    no_arr: bool = False  # a remark in place of arrays
+    no_str: bool = False  # a remark in place of texts
+    flow: bool = False  # one line per message
 
 
 class _Dumper(yaml.SafeDumper):
     """Block style, lists not indented, no aliases."""
 
-    def ignore_aliases(self, data) -> bool:
+    def ignore_aliases(self, data: object) -> bool:
         return True
 
 
-def to_yaml(value: object, style: Style = Style()) -> str:  # noqa: B008 - immutable
-    """A message, or a field of one, as YAML.
-
-    Parameters
-    ----------
-    value : object
-        Message or value of a field.
-    style : Style, optional
-        How.
-
-    Returns
-    -------
-    str
-        Ends with a newline.
-    """
+def to_yaml(value: Any, style: Style = Style()) -> str:  # noqa: B008 - immutable
+    """A message, or a field of one, as YAML."""
     plain = to_plain(value, style)
     text = yaml.dump(
         plain,
@@ -67,21 +46,8 @@ def to_yaml(value: object, style: Style = Style()) -> str:  # noqa: B008 - immut
     return text.removesuffix('...\n')  # the end mark of a bare scalar
 
 
-def to_plain(value: object, style: Style = Style()) -> object:  # noqa: B008 - immutable
-    """A message as nested dicts, lists and scalars.
-
-    Parameters
-    ----------
-    value : object
-        Message or value of a field.
-    style : Style, optional
-        What is left out.
-
-    Returns
-    -------
-    object
-        Plain value.
-    """
+def to_plain(value: Any, style: Style = Style()) -> object:  # noqa: B008 - immutable
+    """A message as nested dicts, lists and scalars."""
     if is_message(value):
         kinds = value.get_fields_and_field_types()
         return {name: _field(getattr(value, name), kind, style) for name, kind in kinds.items()}
@@ -94,7 +60,7 @@ def to_plain(value: object, style: Style = Style()) -> object:  # noqa: B008 - i
     return value
 
 
-def _field(value, kind, style):
+def _field(value: Any, kind: str, style: Style) -> object:
     if style.no_arr and kind.startswith('sequence<'):
         element, _, bound = kind.removeprefix('sequence<').removesuffix('>').partition(', ')
         return f'<sequence type: {element}{f"[{bound}]" if bound else ""}, length: {len(value)}>'
@@ -105,7 +71,7 @@ def _field(value, kind, style):
     return to_plain(value, style)
 
 
-def _list(values, style):
+def _list(values: Any, style: Style) -> list[object]:
     limit = style.truncate
     shown = values if limit is None else values[:limit]
     shown = shown.tolist() if isinstance(shown, (np.ndarray, array.array)) else shown
@@ -113,25 +79,12 @@ def _list(values, style):
     return plain if len(plain) == len(values) else [*plain, '...']
 
 
-def to_csv(value: object, style: Style = Style()) -> str:  # noqa: B008 - immutable
-    """A message, or a field of one, as comma-separated values of all its fields.
-
-    Parameters
-    ----------
-    value : object
-        Message or value of a field.
-    style : Style, optional
-        What is left out.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+def to_csv(value: Any, style: Style = Style()) -> str:  # noqa: B008 - immutable
+    """A message, or a field of one, as comma-separated values of all its fields."""
     return ','.join(_flat(to_plain(value, style)))
 
 
-def _flat(plain):
+def _flat(plain: object) -> Iterator[str]:
     if isinstance(plain, dict):
         plain = plain.values()
     elif not isinstance(plain, list):
@@ -141,26 +94,8 @@ def _flat(plain):
         yield from _flat(item)
 
 
-def field_of(message: object, path: str) -> object:
-    """A field of a message.
-
-    Parameters
-    ----------
-    message : object
-        Message.
-    path : str
-        ``field.subfield``, with ``[i]`` for elements of arrays.
-
-    Returns
-    -------
-    object
-        Its value.
-
-    Raises
-    ------
-    CliError
-        If there is no such field.
-    """
+def field_of(message: Any, path: str) -> object:
+    """A field of a message."""
     value = message
     for part in path.replace('[', '.[').split('.'):
         try:
@@ -179,16 +114,5 @@ def field_of(message: object, path: str) -> object:
 
 
 def is_message(value: object) -> bool:
-    """Whether a value is a message.
-
-    Parameters
-    ----------
-    value : object
-        Anything.
-
-    Returns
-    -------
-    bool
-        True for instances of message classes.
-    """
+    """Whether a value is a message."""
     return hasattr(value, 'get_fields_and_field_types')

@@ -4,7 +4,7 @@ _PACKAGE = 'lpv_ros2cli'
 
 VERBS = {
     'bag': (
-        'record, play and look into bags',
+        'record, play and inspect bags',
         {
             'info': 'print information about a bag',
             'play': 'publish the messages of a bag',
@@ -78,18 +78,7 @@ _SYNONYMS = {'wtf': 'doctor'}
 
 
 def canonical(command: str) -> str:
-    """Name of a command, without synonyms.
-
-    Parameters
-    ----------
-    command : str
-        As typed.
-
-    Returns
-    -------
-    str
-        A command, or what was typed.
-    """
+    """Name of a command, without synonyms."""
     return _SYNONYMS.get(command, command)
 
 
@@ -97,18 +86,6 @@ def module_of(command: str, verb: str | None = None) -> str:
     """Module that implements a command or a verb.
 
     It has ``add_arguments(parser)`` and ``run(arguments)``, which returns an exit code or None.
-
-    Parameters
-    ----------
-    command : str
-        A key of `VERBS` or `COMMANDS`.
-    verb : str, optional
-        A verb of it.
-
-    Returns
-    -------
-    str
-        Dotted name.
     """
     if verb is not None:
         return f'{_PACKAGE}.{command}.{verb}'

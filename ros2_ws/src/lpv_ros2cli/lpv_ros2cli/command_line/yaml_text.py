@@ -11,25 +11,7 @@ MAX_BYTES = 4 << 20
 
 
 def parse_yaml(text: str, what: str) -> object:
-    """Value of a YAML text.
-
-    Parameters
-    ----------
-    text : str
-        The text.
-    what : str
-        What it is, for the error.
-
-    Returns
-    -------
-    object
-        Nested dicts, lists and scalars.
-
-    Raises
-    ------
-    CliError
-        If it is not YAML.
-    """
+    """Value of a YAML text."""
     if len(text) > MAX_BYTES:
         raise CliError(f'{what} is longer than {MAX_BYTES} bytes')
     try:
@@ -39,48 +21,12 @@ def parse_yaml(text: str, what: str) -> object:
 
 
 def read_yaml(path: str | Path, what: str) -> object:
-    """Value of a YAML file.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file.
-    what : str
-        What it is, for the error.
-
-    Returns
-    -------
-    object
-        Nested dicts, lists and scalars.
-
-    Raises
-    ------
-    CliError
-        If it cannot be read or is not YAML.
-    """
+    """Value of a YAML file."""
     return parse_yaml(read_text(path, what), f'{what} {path}')
 
 
 def read_text(path: str | Path, what: str) -> str:
-    """Text of a file.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file.
-    what : str
-        What it is, for the error.
-
-    Returns
-    -------
-    str
-        Its content; at most ``MAX_BYTES``.
-
-    Raises
-    ------
-    CliError
-        If it cannot be read.
-    """
+    """Text of a file."""
     try:
         with open(path, 'rb') as file:
             data = file.read(MAX_BYTES + 1)
