@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -46,6 +47,13 @@ def _classes():
     }
 
 
+def _has(owner, name):
+    """Whether a module or class has a name, one that its instances get included."""
+    if hasattr(owner, name) or name in getattr(owner, '__annotations__', {}):
+        return True
+    return inspect.isclass(owner) and f'self.{name}' in inspect.getsource(owner)
+
+
 def _resolves(reference):
     parts = reference.split('.')
     for cut in range(len(parts), 0, -1):
@@ -54,7 +62,7 @@ def _resolves(reference):
         except ImportError:
             continue
         for name in parts[cut:]:
-            if not hasattr(found, name) and name not in getattr(found, '__annotations__', {}):
+            if not _has(found, name):
                 return False
             found = getattr(found, name, None)
         return True
