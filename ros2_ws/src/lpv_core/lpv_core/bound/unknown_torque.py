@@ -4,40 +4,25 @@ import math
 
 import numpy as np
 
-from lpv_core.model.arm import ARM_CONSTANTS
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import coupling
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
 
 UNKNOWN_TORQUE = record_type(
     ('arm', ARM_CONSTANTS),
-    ('model_error', 'f8'),
-    ('payload', 'f8'),
-    ('lengths', 'f8', (2,)),
-    ('gravity', 'f8'),
-    ('friction', 'f8'),
-    ('push', 'f8', (2,)),
+    ('model_error', 'f8'),  # relative error of masses and inertias
+    ('payload', 'f8'),  # largest unknown mass at the tip [kg]
+    ('lengths', 'f8', (2,)),  # L1, L2 [m]
+    ('gravity', 'f8'),  # g [m/s2]
+    ('friction', 'f8'),  # relative uncertainty of Coulomb friction at speed; unknown at rest
+    ('push', 'f8', (2,)),  # mean disturbance Bd2 abs(d) [rad/s2]
 )
-"""Constants of the arm; relative error of masses and inertias; largest unknown mass at the tip
-[kg]; L1, L2 [m]; g [m/s2]; relative uncertainty of Coulomb friction at speed (at rest it is unknown
-altogether); mean disturbance Bd2 abs(d) [rad/s2]."""
+"""What a healthy arm may do that its model does not say."""
 
 
-def healthy_arm(arm, friction_uncertainty: float) -> np.record:
-    """What a healthy arm may do that its model does not say.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Model error, payload, friction and disturbance.
-    friction_uncertainty : float
-        Relative uncertainty of Coulomb friction.
-
-    Returns
-    -------
-    numpy.record
-        Of type `UNKNOWN_TORQUE`.
-    """
+def healthy_arm(arm: ArmParameters, friction_uncertainty: float) -> np.record:
+    """What a healthy arm may do that its model does not say."""
     return new_record(
         UNKNOWN_TORQUE,
         arm=arm.constants(),

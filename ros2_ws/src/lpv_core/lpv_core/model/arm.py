@@ -140,12 +140,12 @@ class ArmParameters:
     sample_time: float = 0.002
 
     @property
-    def lengths(self):
+    def lengths(self) -> tuple[float, float]:
         """Link lengths (L1, L2) [m]."""
         return self.links[0].length, self.links[1].length
 
     @property
-    def sign(self):
+    def sign(self) -> float:
         """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
         return 1.0 if self.orientation == 'upright' else -1.0
 
@@ -240,28 +240,29 @@ class ArmParameters:
         )
         return replace(self, links=links)
 
-    def is_physical(self):
+    def is_physical(self) -> bool:
         """Whether Xi is positive definite in every configuration; identified links need not be."""
         values = self.constants()
         coupling = abs(values.rotor_coupling) + values.coupling
         return bool(values.inertia[0] * values.inertia[1] > coupling**2)
 
-    def to_json(self):
+    def to_json(self) -> str:
         """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
         return json.dumps(asdict(self), sort_keys=True)
 
-    def sha256(self):
+    def sha256(self) -> str:
         """Hash of every parameter: gains carry it, so that they fit one arm only."""
         return sha256_of(asdict(self))
 
 
 def constants_vector(constants: np.record) -> np.ndarray:
     """Numbers of `ARM_CONSTANTS` in their order, for what is linear in all of them."""
-    return np.concatenate([np.ravel(constants[name]) for name in ARM_CONSTANTS.names])
+    return np.concatenate([np.ravel(constants[name]) for name in ARM_CONSTANTS.names or ()])
 
 
 def vector_slice(name: str) -> slice:
     """Where a field of `ARM_CONSTANTS` is in `constants_vector`."""
+    assert ARM_CONSTANTS.fields is not None
     kind, offset = ARM_CONSTANTS.fields[name][:2]
     return slice(offset // 8, (offset + kind.itemsize) // 8)
 
@@ -299,12 +300,10 @@ def arm_from_json(text: str) -> ArmParameters:
     try:
         data = json.loads(text)
         data['links'] = tuple(Link(**link) for link in data['links'])
-        return ArmParameters(
-            **{
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in data.items()
-            }
-        )
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in data.items()
+        }
+        return ArmParameters(**fields)
     except (ValueError, TypeError, KeyError) as error:
         raise ConfigError('arm', f'is not the description of an arm ({error})') from error
 
@@ -351,7 +350,10 @@ def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
         As `load_arm`.
     """
     top = Section(data, source)
-    fields = {'name': top.text('name'), 'gravity': top.number('gravity', 9.81, above=0.0)}
+    fields: dict[str, Any] = {
+        'name': top.text('name'),
+        'gravity': top.number('gravity', 9.81, above=0.0),
+    }
     fields['inertia_reference'] = top.text(
         'inertia_reference', 'center_of_mass', ('center_of_mass', 'joint')
     )
@@ -373,7 +375,7 @@ def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
     return arm
 
 
-def _check_inertia(arm, top) -> None:
+def _check_inertia(arm: ArmParameters, top: Section) -> None:
     if not arm.is_physical():
         raise top.error(
             'links',
@@ -382,7 +384,7 @@ def _check_inertia(arm, top) -> None:
         )
 
 
-def _links(top):
+def _links(top: Section) -> tuple[Link, Link]:
     sections = top.sections('links')
     if len(sections) != 2:
         raise top.error('links', f'must describe exactly two links, got {len(sections)}')
@@ -396,10 +398,10 @@ def _links(top):
         )
         section.finish()
         links.append(link)
-    return tuple(links)
+    return links[0], links[1]
 
 
-def _drive(top):
+def _drive(top: Section) -> dict[str, Any]:
     rotor = top.section('rotor', required=False)
     friction = top.section('friction', required=False)
     fields = {
@@ -415,7 +417,7 @@ def _drive(top):
     return fields
 
 
-def _joints_and_sensors(top):
+def _joints_and_sensors(top: Section) -> dict[str, Any]:
     joints = top.section('joints')
     sensors = top.section('sensors')
     fields = {
@@ -433,7 +435,7 @@ def _joints_and_sensors(top):
     return fields
 
 
-def _disturbance(top):
+def _disturbance(top: Section) -> dict[str, Any]:
     section = top.section('disturbance')
     fields = {
         'disturbance_direction': section.pair('direction'),

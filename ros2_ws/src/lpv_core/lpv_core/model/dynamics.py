@@ -8,19 +8,21 @@ All functions take the record of :meth:`lpv_core.model.arm.ArmParameters.constan
 
 import math
 
+import numpy as np
+
 from lpv_core.support.jit import njit
 
 _TWO_OVER_PI = 2.0 / math.pi
 
 
 @njit
-def coupling(theta_1, theta_2, params):
+def coupling(theta_1: float, theta_2: float, params: np.record) -> float:
     """Off-diagonal inertia Xi12 = o + m2*L1*Lc2*phi1, phi1 = cos(theta1 - theta2), eq. (6)."""
     return params.rotor_coupling + params.coupling * math.cos(theta_1 - theta_2)
 
 
 @njit
-def friction(rate_1: float, rate_2: float, params) -> tuple[float, ...]:
+def friction(rate_1: float, rate_2: float, params: np.record) -> tuple[float, ...]:
     """Joint friction as generalised torques of the absolute angles.
 
     Parameters
@@ -53,7 +55,7 @@ def acceleration(
     rate_2: float,
     torque_1: float,
     torque_2: float,
-    params,
+    params: np.record,
 ) -> tuple[float, ...]:
     """Absolute accelerations without disturbance, eq. (1) solved for theta''.
 
@@ -91,7 +93,13 @@ def acceleration(
 
 @njit
 def inverse_dynamics(
-    theta_1: float, theta_2: float, rate_1: float, rate_2: float, acc_1: float, acc_2: float, params
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    acc_1: float,
+    acc_2: float,
+    params: np.record,
 ) -> tuple[float, ...]:
     """Generalised torques Q that produce the given motion (feed-forward), eq. (1).
 
@@ -125,7 +133,9 @@ def inverse_dynamics(
 
 
 @njit
-def energy(theta_1, theta_2, rate_1, rate_2, params):
+def energy(
+    theta_1: float, theta_2: float, rate_1: float, rate_2: float, params: np.record
+) -> float:
     """Kinetic plus potential energy [J]; conserved without torque, friction and disturbance."""
     off = coupling(theta_1, theta_2, params)
     kinetic = 0.5 * (params.inertia[0] * rate_1 * rate_1 + params.inertia[1] * rate_2 * rate_2)
@@ -138,7 +148,17 @@ def energy(theta_1, theta_2, rate_1, rate_2, params):
 
 
 @njit
-def _nonlinear_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, params):
+def _nonlinear_rates(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    torque_1: float,
+    torque_2: float,
+    push_1: float,
+    push_2: float,
+    params: np.record,
+) -> tuple[float, float, float, float]:
     acc_1, acc_2 = acceleration(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, params)
     return rate_1, rate_2, acc_1 + push_1, acc_2 + push_2
 
@@ -154,7 +174,7 @@ def rk4_step(
     push_1: float,
     push_2: float,
     dt: float,
-    params,
+    params: np.record,
 ) -> tuple[float, ...]:
     """Advance the nonlinear arm by one Runge-Kutta step with torques held.
 
