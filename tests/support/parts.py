@@ -34,7 +34,9 @@ class History:
         return int(self.buffer.used[0])
 
     def add(self, stamp, residual, reading, allowance=0.0, innovation=0.0):
-        fields = dict(residual=residual, reading=reading, allowance=allowance, innovation=innovation)
+        fields = dict(
+            residual=residual, reading=reading, allowance=allowance, innovation=innovation
+        )
         sample = new_record(sensor_state.SAMPLE, stamp=stamp, **fields)
         sample_buffer.add_sample(self.buffer, sample)
 

@@ -20,9 +20,9 @@ from lpv_core.residual.dead_reckoning import (
 )
 from lpv_core.residual.rate_sensor_test import (
     IMPLICATED,
-    Movement,
     RULED_OUT,
     UNDECIDED,
+    Movement,
     rate_test,
     rate_verdict,
 )

@@ -227,7 +227,9 @@ def test_given_an_alarm_by_level_when_raised_then_compensation_fades_in_at_its_r
     applied = np.array(
         [diagnoser.update(estimate_at(k, (0.4, 0.0))).confirmed_fault for k in range(1200)]
     )
-    assert diagnoser.state.sensors[0].alarm.active and not diagnoser.state.sensors[0].alarm.by_change
+    assert (
+        diagnoser.state.sensors[0].alarm.active and not diagnoser.state.sensors[0].alarm.by_change
+    )
     steps = np.diff(applied[:, 0])
     np.testing.assert_array_equal(applied[:5], 0.0)
     assert np.all(steps[5:780] == pytest.approx(0.25 * 0.002))
@@ -249,7 +251,9 @@ def test_given_a_fault_that_outgrows_the_compensation_rate_when_faded_in_then_it
             for k, size in enumerate(ramp, 300)
         ]
     )
-    assert diagnoser.state.sensors[0].alarm.by_change and not diagnoser.state.sensors[0].alarm.stepped
+    assert (
+        diagnoser.state.sensors[0].alarm.by_change and not diagnoser.state.sensors[0].alarm.stepped
+    )
     first = np.flatnonzero(applied)[0]
     # What the fault adds is removed at once, what it was before at the rate.
     steps = np.diff(applied[first + 10 : first + 40])

@@ -157,9 +157,7 @@ def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38
     z = rng.normal(scale=0.3, size=6)
     other = z.copy()
     x = np.zeros(6)
-    constants = new_record(
-        PAPER_CONSTANTS, t1=t1, t2=t2, c=d.c, box=box, k=gains, a=d.a, b=d.b
-    )
+    constants = new_record(PAPER_CONSTANTS, t1=t1, t2=t2, c=d.c, box=box, k=gains, a=d.a, b=d.b)
     state = new_record(PAPER_STATE, z=z)
     y_old = rng.normal(scale=0.3, size=4)
     for _ in range(20):

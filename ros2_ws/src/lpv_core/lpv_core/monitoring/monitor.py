@@ -421,7 +421,9 @@ class SensorMonitor:
     ) -> None:
         monitor_step(*self.parts, stamp, position, velocity, effort)
 
-    def take(self, stamp: int, message, torque: Sequence[float] | None = None) -> Answer | None:
+    def take(
+        self, stamp: int, message: Any, torque: Sequence[float] | None = None
+    ) -> Answer | None:
         """Use one measurement.
 
         Parameters
@@ -445,11 +447,15 @@ class SensorMonitor:
         """
         try:
             position, velocity, effort = self._order.pick(message)
-            effort = pair(effort if torque is None else torque, 'torque')
+            measured = (
+                pair(position, 'position'),
+                pair(velocity, 'velocity'),
+                pair(effort if torque is None else torque, 'torque'),
+            )
         except SampleError:
             self.rejected += 1
             raise
-        self._step(stamp, pair(position, 'position'), pair(velocity, 'velocity'), effort)
+        self._step(stamp, *measured)
         now = self._answer
         if not now.answered:
             return None
@@ -496,12 +502,20 @@ class SensorMonitor:
         events, reports = (np.zeros(_BUFFER, kind).view(np.recarray) for kind in (_EVENT, _REPORT))
         found, row = np.zeros(2, np.int64), 0
         results = _Results(answers, events, reports, found)
-        names = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault')
-        answered = Answers(*(answers[name] for name in names), [], [])
+        answered = Answers(
+            answers.answered,
+            answers.has_fault,
+            answers.restarted,
+            answers.inconsistent,
+            answers.state,
+            answers.fault,
+            events=[],
+            reports=[],
+        )
         while row < len(stamps):
             row = _steps(self._constants, self._state, self._buffers, measured, row, results)
             new = events[: found[0]]
-            answered.events += zip(new.row.tolist(), self.alarms(e.event for e in new))
+            answered.events += zip(new['row'].tolist(), self.alarms(e.event for e in new))
             answered.reports += [(int(r.row), self._status(r)) for r in reports[: found[1]]]
         return answered
 

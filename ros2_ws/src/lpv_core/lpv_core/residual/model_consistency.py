@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from lpv_core.certificate.gains import Gains
+from lpv_core.certificate.gains import ExactObserverGains, Gains
 from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import coupling
 from lpv_core.support.jit import njit
@@ -41,7 +41,7 @@ CONSISTENCY_STATE = record_type(
 
 def consistency_test(arm: ArmParameters, gains: Gains, sigmas: float) -> np.record:
     """`CONSISTENCY_CONSTANTS` for one arm; method ``exact`` only; ``sigmas`` of noise in limits."""
-    if gains.observer.method != 'exact':
+    if not isinstance(gains.observer, ExactObserverGains):
         return new_record(CONSISTENCY_CONSTANTS)
     constants = arm.constants()
     inertia = constants.inertia
@@ -58,14 +58,14 @@ def consistency_test(arm: ArmParameters, gains: Gains, sigmas: float) -> np.reco
         arm=constants,
         inertia=inertia,
         noise=noise,
-        tolerance=tolerated_rates(arm, gains),
+        tolerance=tolerated_rates(arm, gains.observer),
     )
 
 
-def tolerated_rates(arm: ArmParameters, gains: Gains) -> np.ndarray:
+def tolerated_rates(arm: ArmParameters, observer: ExactObserverGains) -> np.ndarray:
     """Momentum innovation that tolerated torques make with method ``exact``, by link [rad/s]."""
     inertia = arm.constants().inertia
-    return np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
+    return np.asarray(arm.torque_tolerance) / (np.asarray(observer.mu) * inertia)
 
 
 @njit

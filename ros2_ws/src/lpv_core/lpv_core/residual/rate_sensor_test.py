@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv_core.certificate.gains import Gains
+from lpv_core.certificate.gains import ExactObserverGains, Gains
 from lpv_core.model.arm import ArmParameters
 from lpv_core.residual.model_consistency import tolerated_rates
 from lpv_core.residual.sample_buffer import INNOVATION, RESIDUAL, SampleBuffer, first_since
@@ -66,7 +66,7 @@ class Movement(NamedTuple):
 
 def rate_test(arm: ArmParameters, gains: Gains) -> np.record:
     """`RATE_TEST` for one arm; the test can only be made for method ``exact``."""
-    if gains.observer.method != 'exact':
+    if not isinstance(gains.observer, ExactObserverGains):
         return new_record(RATE_TEST)
     share = max(gains.observer.mu) * arm.sample_time
     return new_record(
@@ -75,7 +75,7 @@ def rate_test(arm: ArmParameters, gains: Gains) -> np.record:
         fall=math.exp(-share),
         length=math.ceil(_LENGTH / share),
         noise=arm.velocity_noise,
-        smallest=2.0 * tolerated_rates(arm, gains).max(),
+        smallest=2.0 * tolerated_rates(arm, gains.observer).max(),
         reading=arm.position_noise,
     )
 
