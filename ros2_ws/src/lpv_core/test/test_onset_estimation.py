@@ -83,7 +83,7 @@ class Moving:
                 inconsistent=False,
             )
             removed = (
-                removable(self.decision.constants, self.decision.state)
+                removable(self.decision.state)
                 if self.decision.alarm
                 else 0.0
             )
