@@ -1,7 +1,6 @@
 """Managed (lifecycle) nodes that start themselves, say why they cannot, and stop cleanly."""
 
 import functools
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -18,6 +17,7 @@ from lpv_core.support.errors import LpvError
 from lpv_node.arguments import initialise
 from lpv_node.discovery import announce_often
 from lpv_node.parameters import Spec, declare
+from lpv_node.signals import StopRequest
 
 ONLOOKER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""
@@ -260,7 +260,7 @@ def run_node(node_class, argv: list[str] | None = None) -> int:
     int
         Exit code: 0 after SIGINT, SIGTERM or a finished run; 1 if the node could not start.
     """
-    stop = _StopRequest()
+    stop = StopRequest()
     node, code = None, 1
     try:
         announce_often()
@@ -277,18 +277,6 @@ def run_node(node_class, argv: list[str] | None = None) -> int:
     return code
 
 
-class _StopRequest:
-    """SIGINT and SIGTERM as a flag."""
-
-    def __init__(self) -> None:
-        self.set = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._raise)
-
-    def _raise(self, _number, _frame) -> None:
-        self.set = True
-
-
 def _spin(node, stop):
     if node.get_parameter('autostart').value:
         started = (
@@ -300,7 +288,7 @@ def _spin(node, stop):
     executor = _executor()
     executor.add_node(node)
     # A time-out lets Python see signals; without one EventsExecutor ignores them.
-    while rclpy.ok() and not (node.finished or stop.set):
+    while rclpy.ok() and not (node.finished or stop.is_set):
         executor.spin_once(timeout_sec=0.2)
     node.stopping()
     _drain(node, executor)
