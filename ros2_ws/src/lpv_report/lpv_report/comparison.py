@@ -29,27 +29,13 @@ _SMALLEST = 1e-7
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What still counts as the same; at zero, every bit must agree.
+    """What still counts as the same; at zero, every bit must agree."""
 
-    Attributes
-    ----------
-    mise : float
-        Relative change of a figure of the table.
-    delay : float
-        Change of the time of an alarm event [s].
-    signal : float
-        Largest difference of estimates, bounds and thresholds [rad], [rad/s].
-    flags : float
-        Share of samples whose mode, state or alarm differs.
-    missing : float
-        Share of answers that only one of the runs has.
-    """
-
-    mise: float = 0.05
-    delay: float = 0.02
-    signal: float = 1e-3
-    flags: float = 0.002
-    missing: float = 0.0
+    mise: float = 0.05  # relative change of a figure of the table
+    delay: float = 0.02  # change of the time of an alarm event [s]
+    signal: float = 1e-3  # largest difference of estimates, bounds and thresholds [rad], [rad/s]
+    flags: float = 0.002  # share of samples whose mode, state or alarm differs
+    missing: float = 0.0  # share of answers that only one of the runs has
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -59,23 +45,13 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of both runs.
+    """One figure of both runs."""
 
-    Attributes
-    ----------
-    name, unit : str
-        What it is.
-    first, second : float or None
-        Values; None where a run does not have it.
-    same : bool
-        Within the tolerance.
-    """
-
-    name: str
-    unit: str
-    first: float
-    second: float
-    same: bool
+    name: str  # what it is
+    unit: str  # what it is
+    first: float  # values; None where a run does not have it
+    second: float  # values; None where a run does not have it
+    same: bool  # within the tolerance
 
 
 @dataclass(frozen=True)
@@ -89,26 +65,16 @@ class AlarmPair:
 
 @dataclass
 class Comparison:
-    """Result.
+    """Result."""
 
-    Attributes
-    ----------
-    figures : list of Figure
-        MISE or, without ground truth, sizes of the fault estimates.
-    differences : list of Figure
-        By signal the largest difference (``second``) against its tolerance (``first``).
-    alarms : list of AlarmPair
-        In the order of time.
-    common, only_first, only_second : int
-        Answers with the same stamp in both runs, and others.
-    """
-
+    # MISE or, without ground truth, sizes of the fault estimates
     figures: list = field(default_factory=list)
+    # by signal the largest difference (``second``) against its tolerance (``first``)
     differences: list = field(default_factory=list)
-    alarms: list = field(default_factory=list)
-    common: int = 0
-    only_first: int = 0
-    only_second: int = 0
+    alarms: list = field(default_factory=list)  # in the order of time
+    common: int = 0  # answers with the same stamp in both runs, and others
+    only_first: int = 0  # answers with the same stamp in both runs, and others
+    only_second: int = 0  # answers with the same stamp in both runs, and others
     missing_allowed: float = 0.0
 
     @property

@@ -10,20 +10,7 @@ _SIZE = (8.6, 5.2)
 
 
 def draw_comparison(first, second, arm):
-    """Fault estimates of both runs, and how far they are apart.
-
-    Parameters
-    ----------
-    first, second : RunRecord
-        The runs.
-    arm : ArmParameters
-        Names of its sensors.
-
-    Yields
-    ------
-    tuple of str and matplotlib.figure.Figure
-        Name and figure; the figure is closed afterwards.
-    """
+    """Fault estimates of both runs, and how far they are apart."""
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
     for name, draw in (('faults', _faults), ('differences', _differences)):

@@ -58,18 +58,7 @@ _POINTS = 1500
 
 
 def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Fewer points that look the same: of every bin the lowest and the highest one.
-
-    Parameters
-    ----------
-    time, values : ndarray, shape (n,)
-        A curve; NaN makes gaps.
-
-    Returns
-    -------
-    tuple of ndarray
-        time and values of about 3000 points; shorter curves are returned as they are.
-    """
+    """Fewer points that look the same: of every bin the lowest and the highest one."""
     size = len(values) // _POINTS
     if size < 3:
         return time, values
@@ -88,18 +77,7 @@ def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def png(figure: matplotlib.figure.Figure) -> bytes:
-    """Picture of a figure as PNG.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        The figure.
-
-    Returns
-    -------
-    bytes
-        PNG, light theme.
-    """
+    """Picture of a figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format='png', dpi=160)
     return buffer.getvalue()

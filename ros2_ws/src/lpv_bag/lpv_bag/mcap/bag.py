@@ -30,33 +30,7 @@ _FORMATS = {
 
 
 class McapBag:
-    """Reads the messages of a bag; goes on behind what is damaged, and says so.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory or MCAP file.
-    metadata : BagMetadata, optional
-        Of the directory.
-    damage : str, optional
-        What is wrong with the directory itself.
-
-    Attributes
-    ----------
-    connections : list of rosbags.interfaces.Connection
-        Topics; their ``msgcount`` is what can be read, as far as that is known without reading.
-    warnings : list of str
-        What is wrong with the bag; grows while damaged chunks are met.
-    parts : list of tuple
-        `McapFile` and `Survey` of each file.
-    known : dict of str to dict of str to int
-        What the recorder knew of each topic (lost, late, gaps).
-
-    Raises
-    ------
-    BagError
-        If nothing can be read.
-    """
+    """Reads the messages of a bag; goes on behind what is damaged, and says so."""
 
     def __init__(self, path: str | Path, metadata=None, damage: str | None = None) -> None:
         self.path, self.metadata = Path(path), metadata
@@ -210,37 +184,13 @@ class McapBag:
         return max((b.end + 1 for _, found in self.parts for b in found.blocks), default=0)
 
     def connections_of(self, part: int):
-        """Connection by the channel number of a file.
-
-        Parameters
-        ----------
-        part : int
-            Index into ``parts``.
-
-        Returns
-        -------
-        dict of int to rosbags.interfaces.Connection
-            Of all its channels.
-        """
+        """Connection by the channel number of a file."""
         return self._maps[part]
 
     # -------------------------------------------------------------- messages
 
     def messages(self, connections=(), start: int | None = None, stop: int | None = None):
-        """Messages in the order of their log times.
-
-        Parameters
-        ----------
-        connections : collection of rosbags.interfaces.Connection, optional
-            Wanted ones; all if empty.
-        start, stop : int, optional
-            First log time, and the one before which to end [ns].
-
-        Yields
-        ------
-        tuple
-            Connection, log time [ns], raw data.
-        """
+        """Messages in the order of their log times."""
         wanted = {connection.id for connection in connections or self.connections}
         for connection, message in self._merged(wanted, start, stop):
             if (start is None or message.log_time >= start) and (

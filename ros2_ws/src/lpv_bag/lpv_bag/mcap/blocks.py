@@ -21,30 +21,7 @@ class Unsuitable(Exception):
 
 
 def bag_blocks(bag, connections, start: int | None, stop: int | None, block_size: int):
-    """Messages of a bag.
-
-    Parameters
-    ----------
-    bag : lpv_bag.mcap.bag.McapBag
-        Open bag.
-    connections : list of rosbags connections
-        Wanted ones.
-    start, stop : int or None
-        First log time, and first one after the end [ns].
-    block_size : int
-        How many bytes a block should have.
-
-    Yields
-    ------
-    tuple of ndarray
-        Data, index of the connection, log time, start and size of messages, as in
-        `lpv_bag.rosbag.message_blocks.Block`.
-
-    Raises
-    ------
-    Unsuitable
-        If something is not as it should be.
-    """
+    """Messages of a bag."""
     if any(found.damages for _, found in bag.parts):
         raise Unsuitable
     wanted = [_numbers(bag.connections_of(part), connections) for part in range(len(bag.parts))]

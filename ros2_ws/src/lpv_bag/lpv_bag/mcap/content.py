@@ -59,27 +59,7 @@ class _Lz4Stream:
 
 
 def inflate(data, compression: str, size: int, crc: int) -> bytes:
-    """Content of a whole chunk, checked.
-
-    Parameters
-    ----------
-    data : bytes or memoryview
-        As stored.
-    compression : str
-        '', 'zstd' or 'lz4'.
-    size, crc : int
-        Of the content; a checksum of 0 is none.
-
-    Returns
-    -------
-    bytes
-        Content.
-
-    Raises
-    ------
-    DamageError
-        If it cannot be decompressed, or size or checksum differ.
-    """
+    """Content of a whole chunk, checked."""
     if size > MAX_CHUNK:
         raise DamageError(f'a chunk claims to hold {size} bytes')
     if compression:
@@ -96,22 +76,7 @@ def inflate(data, compression: str, size: int, crc: int) -> bytes:
 
 
 def inflate_part(data, compression: str, size: int) -> bytes:
-    """The beginning of a chunk's content, as far as it can be had.
-
-    Parameters
-    ----------
-    data : bytes or memoryview
-        As stored, cut off somewhere.
-    compression : str
-        '', 'zstd' or 'lz4'.
-    size : int
-        Claimed size of the content.
-
-    Returns
-    -------
-    bytes
-        At most ``size`` of them.
-    """
+    """The beginning of a chunk's content, as far as it can be had."""
     if not compression:
         return bytes(data[:size])
     try:
@@ -121,21 +86,7 @@ def inflate_part(data, compression: str, size: int) -> bytes:
 
 
 def records(content: bytes, wanted: set[int] | None = None) -> tuple[Any, ...]:
-    """Messages, schemas and channels of a chunk's content.
-
-    Parameters
-    ----------
-    content : bytes
-        Decompressed.
-    wanted : set of int, optional
-        Channels whose messages are wanted; all if not given.
-
-    Returns
-    -------
-    tuple
-        List of `Message` in the order of the content, list of `Schema` and `Channel` as they
-        came, and None or the text of what is wrong behind them.
-    """
+    """Messages, schemas and channels of a chunk's content."""
     messages, definitions, at, size = [], [], 0, len(content)
     unpack_header, unpack_message = HEADER.unpack_from, MESSAGE.unpack_from
     try:

@@ -10,74 +10,36 @@ from lpv_bag.rosbag.errors import BagError, DamageError
 
 @dataclass
 class Block:
-    """A part of the file that holds messages: a chunk, or messages outside of chunks.
+    """A part of the file that holds messages: a chunk, or messages outside of chunks."""
 
-    Attributes
-    ----------
-    offset, length : int
-        Of the stored data.
-    compression : str
-        '', 'zstd' or 'lz4'.
-    size, crc : int
-        Of the content; a checksum of 0 is none.
-    start, end : int
-        Least and greatest log time [ns].
-    counts : dict of int to int
-        Messages by channel, where known.
-    cut : bool
-        Whether the file ends within it.
-    loose : bool
-        Whether its messages are outside of chunks.
-    """
-
-    offset: int
-    length: int
-    compression: str
-    size: int
-    crc: int
-    start: int = 0
-    end: int = 0
-    counts: dict = field(default_factory=dict)
-    cut: bool = False
-    loose: bool = False
+    offset: int  # of the stored data
+    length: int  # of the stored data
+    compression: str  # '', 'zstd' or 'lz4'
+    size: int  # of the content; a checksum of 0 is none
+    crc: int  # of the content; a checksum of 0 is none
+    start: int = 0  # least and greatest log time [ns]
+    end: int = 0  # least and greatest log time [ns]
+    counts: dict = field(default_factory=dict)  # messages by channel, where known
+    cut: bool = False  # whether the file ends within it
+    loose: bool = False  # whether its messages are outside of chunks
 
 
 @dataclass
 class Survey:
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes
-    ----------
-    schemas, channels : dict of int
-        `Schema` and `Channel` by their numbers.
-    blocks : list of Block
-        In the order of the file; in a damaged file only those that can be read.
-    lost_blocks : list of Block
-        Chunks that cannot be read.
-    metadata : list of tuple
-        Offset, name and dict of each metadata record (of an undamaged file: offset, name, None).
-    attachments : int
-        Attachments in the file.
-    counts : dict of int to int or None
-        Messages by channel by the file's own statistics.
-    complete : bool
-        Whether the recording was finished: no messages are missing at the end.
-    damages : list of str
-        What is wrong; empty for a good file.
-    library : str
-        What wrote the file.
-    """
-
-    schemas: dict = field(default_factory=dict)
-    channels: dict = field(default_factory=dict)
+    schemas: dict = field(default_factory=dict)  # `Schema` and `Channel` by their numbers
+    channels: dict = field(default_factory=dict)  # `Schema` and `Channel` by their numbers
+    # in the order of the file; in a damaged file only those that can be read
     blocks: list = field(default_factory=list)
-    lost_blocks: list = field(default_factory=list)
+    lost_blocks: list = field(default_factory=list)  # chunks that cannot be read
+    # offset, name and dict of each metadata record (of an undamaged file: offset, name, None)
     metadata: list = field(default_factory=list)
-    attachments: int = 0
-    counts: dict = None
-    complete: bool = False
-    damages: list = field(default_factory=list)
-    library: str = ''
+    attachments: int = 0  # attachments in the file
+    counts: dict = None  # messages by channel by the file's own statistics
+    complete: bool = False  # whether the recording was finished: no messages are missing at the end
+    damages: list = field(default_factory=list)  # what is wrong; empty for a good file
+    library: str = ''  # what wrote the file
 
     def define(self, record) -> None:
         """Take a schema or channel; DamageError if its number means something else already."""
@@ -87,30 +49,13 @@ class Survey:
 
 
 def release(data: mmap.mmap | bytes) -> None:
-    """Unmap the pages of a mapped file that have been read: they count as memory otherwise.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file; it can be read on.
-    """
+    """Unmap the pages of a mapped file that have been read: they count as memory otherwise."""
     if hasattr(data, 'madvise') and hasattr(mmap, 'MADV_DONTNEED'):
         data.madvise(mmap.MADV_DONTNEED)
 
 
 class McapFile:
-    """The bytes of a file, mapped.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        File.
-
-    Raises
-    ------
-    BagError
-        If it cannot be read or is empty.
-    """
+    """The bytes of a file, mapped."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -126,23 +71,7 @@ class McapFile:
         self.data.close()
 
     def content(self, block: Block) -> bytes:
-        """Checked content of a block.
-
-        Parameters
-        ----------
-        block : Block
-            Of this file.
-
-        Returns
-        -------
-        bytes
-            Content; of a block that is cut off, as much as can be had.
-
-        Raises
-        ------
-        DamageError
-            If it is damaged.
-        """
+        """Checked content of a block."""
         data = self.data[block.offset : block.offset + block.length]
         release(self.data)
         if block.cut:

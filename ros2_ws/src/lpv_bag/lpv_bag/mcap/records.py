@@ -79,13 +79,7 @@ class ChunkIndex(NamedTuple):
 
 
 class Cursor:
-    """Reads a record's content from its beginning to its end.
-
-    Parameters
-    ----------
-    content : bytes or memoryview
-        Of one record.
-    """
+    """Reads a record's content from its beginning to its end."""
 
     def __init__(self, content) -> None:
         self._content, self.at = memoryview(content), 0
@@ -155,15 +149,7 @@ def parse_channel(content):
 
 
 def parse_chunk(content, whole: bool = True):
-    """`Chunk` from a record's content; DamageError if it is none.
-
-    Parameters
-    ----------
-    content : bytes or memoryview
-        Of the record, or the beginning of it.
-    whole : bool, optional
-        Whether the data must be there completely, and end with the content.
-    """
+    """`Chunk` from a record's content; DamageError if it is none."""
     cursor = Cursor(content)
     times_size_crc, compression = cursor.numbers('QQQI'), cursor.text()
     result = Chunk(*times_size_crc, compression, cursor.at + 8, cursor.number('Q'))

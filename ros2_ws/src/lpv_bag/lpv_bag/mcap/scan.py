@@ -21,25 +21,7 @@ _CANDIDATE = re.compile(rb'[\x01-\x0f][\s\S]{4}\x00{4}')
 
 
 def scan(file, reason: str) -> Survey:
-    """Read a file without its summary, all of it, going on behind what is damaged.
-
-    Parameters
-    ----------
-    file : McapFile
-        The file.
-    reason : str
-        Why the summary is not used.
-
-    Returns
-    -------
-    Survey
-        What was found.
-
-    Raises
-    ------
-    BagError
-        If nothing can be used.
-    """
+    """Read a file without its summary, all of it, going on behind what is damaged."""
     result = _Scan(file, reason).run()
     if not result.blocks and not result.lost_blocks:
         # No chunk and no message was met before the damage: it may be a file without chunks.

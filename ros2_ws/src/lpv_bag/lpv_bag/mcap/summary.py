@@ -31,23 +31,7 @@ class Unindexed(DamageError):
 
 
 def summary_span(data) -> tuple[int, ...]:
-    """Where the summary is.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file.
-
-    Returns
-    -------
-    tuple of int
-        First byte of the summary, and of the footer behind it.
-
-    Raises
-    ------
-    DamageError
-        If there is none, or its checksum is wrong.
-    """
+    """Where the summary is."""
     if len(data) < 16 + FOOTER_SIZE or data[-8:] != MAGIC:
         raise DamageError('it does not end as a finished MCAP file')
     footer = len(data) - 8 - FOOTER_SIZE
@@ -62,25 +46,7 @@ def summary_span(data) -> tuple[int, ...]:
 
 
 def walk_summary(data, at: int, end: int):
-    """Records of a summary.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file.
-    at, end : int
-        As of `summary_span`.
-
-    Yields
-    ------
-    tuple
-        Opcode and content.
-
-    Raises
-    ------
-    DamageError
-        If a record's length is wrong.
-    """
+    """Records of a summary."""
     while at < end:
         if end - at < 9:
             raise DamageError('its summary ends within a record')
@@ -95,21 +61,6 @@ def from_summary(data) -> Survey:
     """What a file holds by its summary.
 
     Checksums of chunks stand in their heads, and what the heads say must be what the summary says.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file.
-
-    Returns
-    -------
-    Survey
-        Without damages.
-
-    Raises
-    ------
-    DamageError
-        If the summary is not whole, or does not say where the messages are.
     """
     if data[:8] != MAGIC:
         raise DamageError('it does not begin as an MCAP file')

@@ -12,23 +12,7 @@ from lpv_bag.rosbag.errors import DamageError
 
 
 def survey(file):
-    """What a file holds: by its summary if that is whole, else by all its data.
-
-    Parameters
-    ----------
-    file : McapFile
-        The file.
-
-    Returns
-    -------
-    Survey
-        What was found; ``damages`` says what is wrong.
-
-    Raises
-    ------
-    BagError
-        If this is no MCAP file, or nothing of it can be used.
-    """
+    """What a file holds: by its summary if that is whole, else by all its data."""
     try:
         result = from_summary(file.data)
     except DamageError as error:
@@ -60,20 +44,7 @@ def _library(data):
 
 
 def read_metadata(file, found) -> list[tuple[Any, ...]]:
-    """Metadata records of a survey, by name; those that are damaged are left out.
-
-    Parameters
-    ----------
-    file : McapFile
-        The file.
-    found : Survey
-        Of it.
-
-    Returns
-    -------
-    list of tuple
-        Name and dict.
-    """
+    """Metadata records of a survey, by name; those that are damaged are left out."""
     result = []
     for offset, name, content in found.metadata:
         try:

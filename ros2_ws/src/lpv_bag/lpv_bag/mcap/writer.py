@@ -40,18 +40,10 @@ _REPEAT = 64
 
 
 class Preset(NamedTuple):
-    """How chunks are compressed.
+    """How chunks are compressed."""
 
-    Attributes
-    ----------
-    level : int or None
-        Of zstd; None stores as is.
-    chunk_size : int
-        Content after which a chunk is cut [bytes].
-    """
-
-    level: int
-    chunk_size: int
+    level: int  # of zstd; None stores as is
+    chunk_size: int  # content after which a chunk is cut [bytes]
 
 
 PRESETS = {
@@ -63,34 +55,7 @@ PRESETS = {
 
 
 class McapWriter:
-    """One file of a bag.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        File to create.
-    preset : str, optional
-        Key of `PRESETS`.
-    fsync : bool, optional
-        Wait, after each chunk, until it is on the disk: a power failure then loses no more than a
-        crash.
-
-    Attributes
-    ----------
-    size : int
-        Bytes handed to the operating system.
-    start, end : int
-        Least and greatest log time [ns]; 0 without messages.
-    counts : dict of int to int
-        Messages by channel.
-    pending : int
-        Bytes of the chunk that is not yet cut.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be made.
-    """
+    """One file of a bag."""
 
     def __init__(self, path: str | Path, preset: str = 'none', fsync: bool = False) -> None:
         self.path, self._preset, self._fsync = path, PRESETS[preset], fsync
@@ -136,24 +101,7 @@ class McapWriter:
     def write(
         self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> None:
-        """Take a message; a chunk that is full is cut.
-
-        Parameters
-        ----------
-        channel : int
-            As of `add_channel`.
-        log_time, publish_time : int
-            [ns].
-        data : bytes
-            CDR.
-        sequence : int
-            Number of the message on its topic, from 1 on: gaps show what was lost.
-
-        Raises
-        ------
-        OSError
-            If a chunk cannot be written.
-        """
+        """Take a message; a chunk that is full is cut."""
         content = self._content
         if self._new:
             self._define()
@@ -182,13 +130,7 @@ class McapWriter:
         self._new = []
 
     def cut(self) -> None:
-        """End the chunk, if it has messages, and hand it to the operating system.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written; the file then ends with the chunk before it.
-        """
+        """End the chunk, if it has messages, and hand it to the operating system."""
         if not self._entries:
             return
         content, entries = bytes(self._content), self._entries
@@ -198,20 +140,7 @@ class McapWriter:
         )
 
     def put_chunk(self, content, entries: dict[int, np.ndarray]) -> None:
-        """Write a chunk that is ready.
-
-        Parameters
-        ----------
-        content : bytes-like
-            Records of messages.
-        entries : dict of int to ndarray
-            By channel, log time [ns] and offset into ``content`` of each message in turn.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Write a chunk that is ready."""
         self.cut()
         if self._new:
             self._put(b''.join(map(_bytes, self._new)))
@@ -270,20 +199,7 @@ class McapWriter:
     # -------------------------------------------------------------- end
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Write a metadata record.
-
-        Parameters
-        ----------
-        name : str
-            Of the record.
-        values : dict of str to str
-            Content.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Write a metadata record."""
         record = _bytes(Metadata(name=name, metadata=values))
         index = MetadataIndex(self.size, len(record), name)
         self._put(record)
@@ -304,11 +220,6 @@ class McapWriter:
 
         Where there is no room for it, the file is ended without a summary, so that it can be read
         from the front; where there is not even room for that, it is left as it is.
-
-        Returns
-        -------
-        str
-            '', or what is missing at the end.
         """
         try:
             return self._finish()

@@ -24,47 +24,22 @@ _SYSTEM_TIME = ('/rosout', '/parameter_events')
 
 
 class Heard(NamedTuple):
-    """A message as it came.
+    """A message as it came."""
 
-    Attributes
-    ----------
-    received : int
-        System time at which it arrived in this process [ns].
-    topic : str
-        Its topic.
-    data : bytes
-        CDR.
-    sent : int
-        System time at which it was published [ns]; 0 where unknown.
-    publisher : bytes
-        Who sent it; None where unknown.
-    sequence : int
-        The publisher's number of it; None where unknown.
-    stamp : int
-        Stamp at its beginning [ns]; None for types without.
-    """
-
-    received: int
-    topic: str
-    data: bytes
-    sent: int
-    publisher: bytes
-    sequence: int
-    stamp: int
+    received: int  # system time at which it arrived in this process [ns]
+    topic: str  # its topic
+    data: bytes  # CDR
+    sent: int  # system time at which it was published [ns]; 0 where unknown
+    publisher: bytes  # who sent it; None where unknown
+    sequence: int  # the publisher's number of it; None where unknown
+    stamp: int  # stamp at its beginning [ns]; None for types without
 
 
 class Selection(NamedTuple):
-    """Which topics are wanted.
+    """Which topics are wanted."""
 
-    Attributes
-    ----------
-    names : frozenset of str
-        Full names; empty for all.
-    excluded : tuple of str
-        Patterns of shells, against full names; they hold for all topics, not for named ones.
-    """
-
-    names: frozenset
+    names: frozenset  # full names; empty for all
+    # patterns of shells, against full names; they hold for all topics, not for named ones
     excluded: tuple = ()
 
     def chosen(self, topics):
@@ -84,15 +59,6 @@ class RecorderInput:
 
     An executor hands over one message at a time, and without the numbers that its publisher gave
     it, by which lost ones are known.  Hence a node of its own, that no executor has.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The recorder, for the graph, the names and the context.
-    selection : Selection
-        Wanted topics.
-    check_type : callable
-        Takes a type's name; raises ValueError where its definition is not installed.
     """
 
     def __init__(
@@ -124,13 +90,7 @@ class RecorderInput:
     # -------------------------------------------------------------- subscribing
 
     def search(self) -> list[tuple[Any, ...]]:
-        """Subscribe to wanted topics that have a publisher now.
-
-        Returns
-        -------
-        list of tuple
-            Topic, type and offered QoS of each new one.
-        """
+        """Subscribe to wanted topics that have a publisher now."""
         types = dict(self._node.get_topic_names_and_types())
         found, self._searches = [], self._searches + 1
         for topic in self._selection.chosen(types):
@@ -202,13 +162,7 @@ class RecorderInput:
     # -------------------------------------------------------------- taking
 
     def poll(self) -> list[Heard]:
-        """Everything that has come since the last time.
-
-        Returns
-        -------
-        list of Heard
-            In the order of arrival.
-        """
+        """Everything that has come since the last time."""
         found = []  # with the time by which to sort: a topic keeps its order if the clock is set
         for topic, (subscription, stamped, *_) in self._subscriptions.items():
             with subscription.handle:
@@ -263,18 +217,7 @@ def _starts_with_time(message_class) -> bool:
 
 
 def leading_stamp(data: bytes) -> int | None:
-    """Stamp of a CDR message whose first field is a Header or a Time.
-
-    Parameters
-    ----------
-    data : bytes
-        CDR.
-
-    Returns
-    -------
-    int or None
-        [ns]; None if the message is too short to have one.
-    """
+    """Stamp of a CDR message whose first field is a Header or a Time."""
     if len(data) < 12:
         return None
     order = '<' if data[1] & 1 else '>'

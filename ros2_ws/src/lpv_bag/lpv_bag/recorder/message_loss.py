@@ -13,39 +13,20 @@ _REGULAR = 0.9
 
 @dataclass
 class TopicCount:
-    """Counts of one topic.
+    """Counts of one topic."""
 
-    Attributes
-    ----------
-    messages : int
-        Messages taken.
-    lost : int
-        Messages that were published and did not arrive, by the publishers' sequence numbers.
-    late : int
-        Messages whose stamp is older than one that came before.
-    gaps : int
-        Stamps that are missing, where stamps come at a regular period.
-    """
-
-    messages: int = 0
+    messages: int = 0  # messages taken
+    # messages that were published and did not arrive, by the publishers' sequence numbers
     lost: int = 0
-    late: int = 0
-    gaps: int = 0
+    late: int = 0  # messages whose stamp is older than one that came before
+    gaps: int = 0  # stamps that are missing, where stamps come at a regular period
     _newest: int = None
     _sequences: dict = field(default_factory=dict)
     _steps: deque = field(default_factory=lambda: deque(maxlen=_WINDOW))
     _period: int = 0
 
     def take(self, publisher: bytes | None = None, sequence: int | None = None) -> None:
-        """Count a message.
-
-        Parameters
-        ----------
-        publisher : bytes, optional
-            Who sent it.
-        sequence : int, optional
-            The publisher's number of it; a publisher's first one is where counting begins.
-        """
+        """Count a message."""
         self.messages += 1
         if sequence is None:
             return
@@ -98,18 +79,7 @@ def as_metadata(known):
 
 
 def from_metadata(values: dict[str, str]) -> dict[str, dict[str, int]]:
-    """Counts by topic from a metadata record.
-
-    Parameters
-    ----------
-    values : dict of str to str
-        Of the record.
-
-    Returns
-    -------
-    dict of str to dict of str to int
-        Counts by topic; empty if the record is damaged.
-    """
+    """Counts by topic from a metadata record."""
     text = values.get('topics', '')
     if values.get('crc32') != f'{zlib.crc32(text.encode()):08x}':
         return {}

@@ -16,11 +16,6 @@ class StampOrder:
 
     In lockstep all messages of one stamp are published before those of the next, but a recorder
     hears several publishers in an order that differs from run to run.
-
-    Parameters
-    ----------
-    write : callable
-        Takes topic, stamp [ns] and data of each message, in order.
     """
 
     def __init__(self, write: Callable[..., Any]) -> None:
@@ -30,17 +25,7 @@ class StampOrder:
         self._newest = 0
 
     def add(self, topic: str, stamp: int, data: bytes) -> None:
-        """Take one message.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        stamp : int
-            Its stamp [ns].
-        data : bytes
-            CDR.
-        """
+        """Take one message."""
         # The counter keeps messages of one topic and stamp in the order of their arrival.
         heapq.heappush(self._heap, (stamp, topic, self._count, data))
         self._count += 1

@@ -16,22 +16,7 @@ DIAGNOSTICS_TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
 
 
 def padded_cdr(typestore, message: object, msgtype: str) -> bytes:
-    """CDR of a message, padded to four bytes.
-
-    Parameters
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-    message : object
-        Of the typestore.
-    msgtype : str
-        Its type.
-
-    Returns
-    -------
-    bytes
-        DDS pads samples, and so does a recorder: bags can then be compared.
-    """
+    """CDR of a message, padded to four bytes."""
     data = bytes(typestore.serialize_cdr(message, msgtype))
     return data + bytes(-len(data) % 4)
 
@@ -40,17 +25,6 @@ class RecordTemplate:
     """Records of one message type of which only header stamp and numbers change.
 
     All numbers have to be given in every call, or in none: memory is used again.
-
-    Parameters
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-    message : object
-        An example.
-    msgtype : str
-        Its type.
-    channel : int
-        Id of the channel.
     """
 
     def __init__(self, typestore, message: object, msgtype: str, channel: int) -> None:
@@ -73,20 +47,7 @@ class RecordTemplate:
         self._fields, self._records = layout.fields, np.empty(0, self._dtype)
 
     def fill(self, time: np.ndarray, stamp: np.ndarray, values) -> np.ndarray:
-        """Records of messages.
-
-        Parameters
-        ----------
-        time, stamp : ndarray of int64, shape (n,)
-            Log times and header stamps [ns].
-        values : dict of str to ndarray, or structured ndarray of shape (n,)
-            Numbers by field.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Records, of a structured type; they are lost with the next call.
-        """
+        """Records of messages."""
         if len(self._records) < len(time):
             size = len(self._record)
             self._records = np.full(
@@ -140,19 +101,7 @@ def _piece(array, offset, size):
 
 
 class AnswerEncoder:
-    """Encodes the answers of one monitor.
-
-    Parameters
-    ----------
-    messages : BagMessages
-        Message factory.
-    typestore : rosbags.typesys.store.Typestore
-        Of the new bag.
-    sensor_names : sequence of str
-        Sensors of the arm.
-    channels : dict of str to int
-        Channel ids of ``state``, ``fault``, ``alarm`` and ``diagnostics``.
-    """
+    """Encodes the answers of one monitor."""
 
     def __init__(
         self, messages, typestore, sensor_names: Sequence[str], channels: dict[str, int]

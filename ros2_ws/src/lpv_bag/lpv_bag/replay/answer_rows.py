@@ -9,24 +9,7 @@ _ARRAYS = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault
 
 
 def take_all(monitor, measured, torque: np.ndarray, rejected):
-    """Answers to the measurements of a block.
-
-    Parameters
-    ----------
-    monitor : SensorMonitor
-        Its state goes on from block to block.
-    measured : Measurements
-        n measurements.
-    torque : ndarray, shape (n, 2), or None
-        In place of the measured efforts [N m].
-    rejected : collections.Counter
-        Receives the reasons of measurements that could not be used.
-
-    Returns
-    -------
-    lpv_core.monitoring.monitor.Answers
-        One row a measurement.
-    """
+    """Answers to the measurements of a block."""
     effort = measured.effort if torque is None else torque
 
     def regular(a, b):

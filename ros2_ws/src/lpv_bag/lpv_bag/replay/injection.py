@@ -11,15 +11,7 @@ CHANGED = ('position', 'velocity')
 
 
 class BlockInjector:
-    """Adds faults to the measurements of block after block.
-
-    Parameters
-    ----------
-    injector : FaultInjector
-        The faults; their times count from the first measurement.
-    monitor : SensorMonitor
-        Knows the arm.
-    """
+    """Adds faults to the measurements of block after block."""
 
     def __init__(self, injector, monitor) -> None:
         self._injector = injector
@@ -29,24 +21,7 @@ class BlockInjector:
     def apply(
         self, block, positions: np.ndarray, measured, places: dict[str, np.ndarray]
     ) -> dict[int, object]:
-        """Change measurements, in their arrays and in the bytes that will be copied.
-
-        Parameters
-        ----------
-        block : Block
-            Its data are replaced by changed ones.
-        positions : ndarray of int, shape (n,)
-            Measurements in the block.
-        measured : Measurements
-            They, decoded.
-        places : dict of str to ndarray of int, shape (n, 2)
-            Where their values are in the block's data, by the names in `CHANGED`.
-
-        Returns
-        -------
-        dict of int to object
-            Odd messages by row that were changed.
-        """
+        """Change measurements, in their arrays and in the bytes that will be copied."""
         if not len(positions):
             return {}
         if self._start is None:

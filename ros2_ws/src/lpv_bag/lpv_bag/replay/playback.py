@@ -21,25 +21,7 @@ _LONGEST_NAP = 0.1
 
 
 class Playback:
-    """Publishes messages of an open bag, byte for byte.
-
-    Parameters
-    ----------
-    reader : lpv_bag.rosbag.reading.BagReader
-        Open bag.
-    connections : list of rosbags connections
-        What is played.
-    publishers : dict of str to rclpy.publisher.Publisher
-        By the topic's name in the bag.
-    rate : float, optional
-        Speed; 2 is twice as fast as recorded.
-    clock : rclpy.publisher.Publisher, optional
-        Of /clock.
-    tick : int, optional
-        Time between its messages, on the clock of the bag [ns].
-    going_on : callable, optional
-        False when the player is to end.
-    """
+    """Publishes messages of an open bag, byte for byte."""
 
     def __init__(
         self,
@@ -58,25 +40,7 @@ class Playback:
     def run(
         self, start: int | None = None, stop: int | None = None, origin: int | None = None
     ) -> int:
-        """Play once.
-
-        Parameters
-        ----------
-        start, stop : int, optional
-            First log time, and first one after the end [ns].
-        origin : int, optional
-            Time of the bag with which to begin [ns]; that of the first message if not given.
-
-        Returns
-        -------
-        int
-            Messages published.
-
-        Raises
-        ------
-        BagError
-            If the bag is damaged.
-        """
+        """Play once."""
         wall, published, tick = time.monotonic(), 0, None
         for connection, stamp, data in self._messages(start, stop):
             if tick is None:
@@ -110,33 +74,14 @@ class Playback:
 
 
 def await_acknowledgement(publishers, longest: float) -> None:
-    """Let slow subscribers take the last messages.
-
-    Parameters
-    ----------
-    publishers : iterable of rclpy.publisher.Publisher
-        Those that are reliable are waited for.
-    longest : float
-        For each of them [s].
-    """
+    """Let slow subscribers take the last messages."""
     for publisher in publishers:
         if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
             publisher.wait_for_all_acked(Duration(seconds=longest))
 
 
 def recorded_qos(connections):
-    """The QoS with which a topic was offered when it was recorded.
-
-    Parameters
-    ----------
-    connections : list of rosbags connections
-        All of one topic.
-
-    Returns
-    -------
-    rclpy.qos.QoSProfile
-        Reliable unless a publisher was best effort, latched if all were; the deepest queue.
-    """
+    """The QoS with which a topic was offered when it was recorded."""
     offered = [q for c in connections for q in (c.ext.offered_qos_profiles or ())]
     reliable = not any(q.reliability == QosReliability.BEST_EFFORT for q in offered)
     latched = bool(offered) and all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)

@@ -28,69 +28,35 @@ _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """What is replayed, and what is written.
+    """What is replayed, and what is written."""
 
-    Attributes
-    ----------
-    topic : str or None
-        Topic of the measurements, where the bag has several of type JointState.
-    effort_topic : str or None
-        Topic of torques to use in place of the measured efforts; its type is one of
-        `lpv_bag.run.torque_reader.EFFORT_TYPES`.
-    torque_from_command : bool
-        Take torques from the recorded commands.
-    start, end : float or None
-        Only messages in this interval, counted from the first message of the bag [s].
-    estimates_only : bool
-        Write the answers alone; otherwise all topics are copied, too.
-    preset : str
-        Compression of the new bag, key of `lpv_bag.mcap.writer.PRESETS`.
-    fast : bool
-        False reads message by message whatever the file is like.
-    """
-
-    topic: str = None
+    topic: str = None  # topic of the measurements, where the bag has several of type JointState
+    # topic of torques to use in place of the measured efforts; its type is one of
+    # `lpv_bag.run.torque_reader.EFFORT_TYPES`
     effort_topic: str = None
-    torque_from_command: bool = False
+    torque_from_command: bool = False  # take torques from the recorded commands
+    # only messages in this interval, counted from the first message of the bag [s]
     start: float = None
+    # only messages in this interval, counted from the first message of the bag [s]
     end: float = None
-    estimates_only: bool = False
-    preset: str = 'none'
-    fast: bool = True
+    estimates_only: bool = False  # write the answers alone; otherwise all topics are copied, too
+    preset: str = 'none'  # compression of the new bag, key of `lpv_bag.mcap.writer.PRESETS`
+    fast: bool = True  # false reads message by message whatever the file is like
 
 
 @dataclass
 class ReplayResult:
-    """What a replay found.
+    """What a replay found."""
 
-    Attributes
-    ----------
-    measurements : int
-        Samples read.
-    rejected : collections.Counter
-        Reasons of samples that could not be used, with how often.
-    events : list of Alarm
-        Alarm events.
-    seconds : dict of str to float
-        Processor time by stage [s].
-    topic : str
-        Of the measurements.
-    streams : set of str
-        Other streams that were asked for and are there.
-    warnings : list of str
-        What is wrong with the bag, and was put up with.
-    lost : int
-        Measurements that the recorder says it has lost.
-    """
-
-    measurements: int = 0
+    measurements: int = 0  # samples read
+    # reasons of samples that could not be used, with how often
     rejected: Counter = field(default_factory=Counter)
-    events: list = field(default_factory=list)
-    seconds: dict = field(default_factory=Counter)
-    topic: str = ''
-    streams: set = field(default_factory=set)
-    warnings: list = field(default_factory=list)
-    lost: int = 0
+    events: list = field(default_factory=list)  # alarm events
+    seconds: dict = field(default_factory=Counter)  # processor time by stage [s]
+    topic: str = ''  # of the measurements
+    streams: set = field(default_factory=set)  # other streams that were asked for and are there
+    warnings: list = field(default_factory=list)  # what is wrong with the bag, and was put up with
+    lost: int = 0  # measurements that the recorder says it has lost
 
     @contextmanager
     def stage(self, name):

@@ -34,24 +34,7 @@ _SLOTS = 4
 
 
 class ReplayWriter:
-    """Writes the new bag.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Bag to create.
-    monitor : SensorMonitor
-        Whose answers are written; its name is that of the node in diagnostics.
-    prefix : str
-        Namespace of the answers.
-    preset : str
-        Compression, key of `lpv_bag.mcap.writer.PRESETS`.
-
-    Raises
-    ------
-    ConfigError
-        If the bag exists already or cannot be made.
-    """
+    """Writes the new bag."""
 
     def __init__(self, path: str | Path, monitor, prefix: str, preset: str) -> None:
         self._monitor, self._prefix = monitor, prefix
@@ -62,15 +45,7 @@ class ReplayWriter:
         self._copied, self._buffer = set(), Buffer()
 
     def announce(self, connections, copy: bool) -> None:
-        """Announce topics.
-
-        Parameters
-        ----------
-        connections : list of rosbags connections
-            Of the recorded bag.
-        copy : bool
-            Whether they are copied; those of answers of this monitor never are.
-        """
+        """Announce topics."""
         for connection in connections if copy else ():
             if connection.topic not in self._own:
                 self._bag.copy_topic(connection)
@@ -96,22 +71,7 @@ class ReplayWriter:
         return connection.topic in self._copied
 
     def choose(self, reader, connections, block):
-        """Which messages of a block are copied, and to which channels.
-
-        Parameters
-        ----------
-        reader : BagReader
-            To look into diagnostics: our own ones are replaced.
-        connections : list of rosbags connections
-            Of the block.
-        block : Block
-            Messages.
-
-        Returns
-        -------
-        tuple of ndarray of int
-            Positions and channel ids.
-        """
+        """Which messages of a block are copied, and to which channels."""
         channels = np.array(
             [self._bag.channel(c.topic) if self.is_copied(c) else -1 for c in connections]
         )[block.connection]
@@ -125,17 +85,7 @@ class ReplayWriter:
         return copied, channels[copied]
 
     def write(self, batch: object, answers: object, result) -> None:
-        """Write copies and answers of one block.
-
-        Parameters
-        ----------
-        batch : object
-            Block with its measurements and copies.
-        answers : object
-            As of `SensorMonitor.take_many`.
-        result : ReplayResult
-            Counts the time.
-        """
+        """Write copies and answers of one block."""
         with result.stage('encoding'):
             data, index = self._assemble(batch, answers)
         with result.stage('writing'):
@@ -192,13 +142,7 @@ class ReplayWriter:
         assembly.add_copies(_SLOTS * copied + _COPY, batch.block, copied, channels)
 
     def close(self) -> None:
-        """Finish the bag.
-
-        Raises
-        ------
-        ConfigError
-            If the end of it cannot be written.
-        """
+        """Finish the bag."""
         missing = self._bag.close()
         if missing:
             raise ConfigError(

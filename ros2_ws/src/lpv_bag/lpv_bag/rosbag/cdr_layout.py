@@ -40,67 +40,22 @@ class _NoLayout(Exception):
 
 @dataclass(frozen=True)
 class Field:
-    """Numbers at a fixed place.
+    """Numbers at a fixed place."""
 
-    Attributes
-    ----------
-    offset : int
-        From the beginning of the message, representation identifier included [bytes].
-    dtype : str
-        NumPy's name of one number.
-    count : int
-        How many.
-    """
-
-    offset: int
-    dtype: str
-    count: int
+    offset: int  # from the beginning of the message, representation identifier included [bytes]
+    dtype: str  # numPy's name of one number
+    count: int  # how many
 
 
 def rows(buffer: np.ndarray, dtype: np.dtype, starts: np.ndarray | None = None) -> np.ndarray:
-    """Parts of a buffer that start at any byte, as an array of their type.
-
-    Parameters
-    ----------
-    buffer : ndarray of uint8, shape (n,)
-        The bytes.
-    dtype : numpy.dtype
-        Type of a part.
-    starts : ndarray of int, optional
-        Where parts start; every part must end inside the buffer.
-
-    Returns
-    -------
-    ndarray
-        Copies of the parts; without ``starts`` a view that has one part for every byte, to be
-        written to.
-    """
+    """Parts of a buffer that start at any byte, as an array of their type."""
     dtype = np.dtype(dtype)
     view = np.ndarray((max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,))
     return view if starts is None else view[starts]
 
 
 class Layout:
-    """Shape of one message and of all that are like it.
-
-    Parameters
-    ----------
-    data : bytes
-        Little-endian CDR.
-    msgtype : str
-        Its type.
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-
-    Attributes
-    ----------
-    size : int
-        Size of the message [bytes].
-    fields : dict of str to Field
-        Numbers by their dotted path, e.g. ``header.stamp.sec``.
-    strings : dict of str to list of str
-        Strings by their path; they are part of the shape.
-    """
+    """Shape of one message and of all that are like it."""
 
     def __init__(self, data: bytes, msgtype: str, typestore) -> None:
         self.size, self.fields, self.strings = len(data), {}, {}
@@ -116,20 +71,7 @@ class Layout:
         del self._data, self._typestore, self._position
 
     def match(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-        """Which messages have this shape.
-
-        Parameters
-        ----------
-        buffer : ndarray of uint8, shape (n,)
-            Bytes that hold the messages.
-        starts, sizes : ndarray of int, shape (k,)
-            Where each begins and how long it is [bytes].
-
-        Returns
-        -------
-        ndarray of bool, shape (k,)
-            One element a message.
-        """
+        """Which messages have this shape."""
         found = sizes == self.size
         if not found.all():
             starts = starts[found]
@@ -140,22 +82,7 @@ class Layout:
         return found
 
     def read(self, buffer: np.ndarray, starts: np.ndarray, name: str) -> np.ndarray:
-        """Numbers of messages of this shape.
-
-        Parameters
-        ----------
-        buffer : ndarray of uint8, shape (n,)
-            Bytes that hold the messages.
-        starts : ndarray of int, shape (k,)
-            Where each begins.
-        name : str
-            Key of `fields`.
-
-        Returns
-        -------
-        ndarray, shape (k, count)
-            The numbers.
-        """
+        """Numbers of messages of this shape."""
         field = self.fields[name]
         if field.count == 0:
             return np.empty((len(starts), 0), field.dtype)
@@ -243,22 +170,7 @@ class Layout:
 
 
 def find_layout(data: bytes, msgtype: str, typestore) -> Layout | None:
-    """Layout of a message.
-
-    Parameters
-    ----------
-    data : bytes
-        CDR.
-    msgtype : str
-        Its type.
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-
-    Returns
-    -------
-    Layout or None
-        None where there is none: another byte order, a long or damaged message.
-    """
+    """Layout of a message."""
     if len(data) > _LARGEST:
         return None
     try:

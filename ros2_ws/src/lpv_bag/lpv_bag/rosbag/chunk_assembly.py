@@ -24,65 +24,25 @@ class Buffer:
 
 
 class ChunkAssembly:
-    """Records that are added in any order and come out sorted by their slots.
-
-    Parameters
-    ----------
-    slots : int
-        How many places there are; each holds as many records as are added to it, or none.
-    buffer : Buffer, optional
-        Memory for the chunk.
-    """
+    """Records that are added in any order and come out sorted by their slots."""
 
     def __init__(self, slots: int, buffer: Buffer | None = None) -> None:
         self._sizes, self._buffer = np.zeros(slots, np.int64), buffer
         self._arrays, self._single = [], []
 
     def add_rows(self, slots: np.ndarray, records: np.ndarray) -> None:
-        """Add records of one size and channel.
-
-        Parameters
-        ----------
-        slots : ndarray of int, shape (n,)
-            Place of each; all different and empty as yet.
-        records : ndarray, shape (n,)
-            Whole records; a structured type with the fields of `RECORD`.
-        """
+        """Add records of one size and channel."""
         if len(slots):
             self._sizes[slots] = records.dtype.itemsize
             self._arrays.append((slots, records))
 
     def add_message(self, slot: int, channel: int, time: int, data: bytes) -> None:
-        """Add one message behind those that are in a slot already.
-
-        Parameters
-        ----------
-        slot : int
-            Its place.
-        channel : int
-            Id of its channel.
-        time : int
-            Log time [ns].
-        data : bytes
-            CDR.
-        """
+        """Add one message behind those that are in a slot already."""
         self._single.append((slot, int(self._sizes[slot]), channel, time, data))
         self._sizes[slot] += RECORD_HEADER + len(data)
 
     def add_copies(self, slots: np.ndarray, block, chosen: np.ndarray, channel: np.ndarray) -> None:
-        """Add messages of a block.
-
-        Parameters
-        ----------
-        slots : ndarray of int, shape (n,)
-            Place of each; all different and empty as yet.
-        block : Block
-            Messages.
-        chosen : ndarray of int, shape (n,)
-            Which of them.
-        channel : ndarray of int, shape (n,)
-            Ids of their new channels.
-        """
+        """Add messages of a block."""
         sizes = block.size[chosen]
         for size in np.unique(sizes):
             same = np.flatnonzero(sizes == size)
@@ -107,14 +67,7 @@ class ChunkAssembly:
             self._arrays.append((slots[same], records))
 
     def finish(self):
-        """The chunk.
-
-        Returns
-        -------
-        tuple of ndarray of uint8 and dict
-            Bytes and index, as `ChunkWriter.write_chunk` takes them; the index is empty if no
-            record was added.
-        """
+        """The chunk."""
         ends = np.cumsum(self._sizes)
         starts = ends - self._sizes
         total = int(ends[-1]) if len(ends) else 0

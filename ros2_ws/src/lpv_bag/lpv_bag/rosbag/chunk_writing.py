@@ -24,42 +24,12 @@ _SEQUENCE = RECORD.fields['sequence'][1]
 
 
 def record_head(channel: int, time: int, size: int) -> bytes:
-    """Head of a message's record.
-
-    Parameters
-    ----------
-    channel : int
-        Id of the channel.
-    time : int
-        Log time [ns].
-    size : int
-        Of the message [bytes].
-
-    Returns
-    -------
-    bytes
-        To be followed by the message.
-    """
+    """Head of a message's record."""
     return struct.pack('<BQHIQQ', Opcode.MESSAGE, size + 22, channel, 0, time, time)
 
 
 class ChunkBagWriter(BagWriter):
-    """A bag writer that also takes chunks which are ready.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Directory to create.
-    preset : str, optional
-        Compression, key of `lpv_bag.mcap.writer.PRESETS`.
-    custom_data : dict of str to str, optional
-        To be stored in metadata.yaml.
-
-    Raises
-    ------
-    ConfigError
-        If it exists already or cannot be made.
-    """
+    """A bag writer that also takes chunks which are ready."""
 
     def __init__(
         self, path: str | Path, preset: str = 'none', custom_data: dict[str, str] | None = None
@@ -72,21 +42,7 @@ class ChunkBagWriter(BagWriter):
         return self._channels[topic]
 
     def write_chunk(self, data: np.ndarray, index) -> None:
-        """Write a chunk.
-
-        Parameters
-        ----------
-        data : ndarray of uint8
-            Records of messages; their sequence numbers are set here.
-        index : dict of int to tuple of two ndarray of int64
-            Log times [ns] and offsets into ``data`` of the messages of each channel, in the order
-            of their offsets.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Write a chunk."""
         self.flush()
         for topic, channel in self._channels.items():
             if channel in index:

@@ -13,20 +13,6 @@ def check_definition(reader, msgtype: str, fields: Iterable[str]) -> None:
     """Check that fields of a message type are there, and are what they are expected to be.
 
     A definition may have more fields: bags outlive the version that wrote them.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    msgtype : str
-        Message type.
-    fields : iterable of str
-        Fields that are needed.
-
-    Raises
-    ------
-    BagError
-        If the bag defines them differently.
     """
     bag, own = reader.typestore_of(msgtype).fielddefs, _own_types()
     wanted = {msgtype: tuple(fields), **(_STAMP if 'header' in fields else {})}

@@ -10,19 +10,7 @@ from lpv_core.support.errors import ConfigError
 
 
 def share_folders(package: str) -> list[Path]:
-    """Folders that may hold a package's interface files, in order of preference.
-
-    Parameters
-    ----------
-    package : str
-        ROS package.
-
-    Returns
-    -------
-    list of pathlib.Path
-        ``<prefix>/share/<package>`` of sourced prefixes, of this Python's prefix, and the source
-        tree's own folder.
-    """
+    """Folders that may hold a package's interface files, in order of preference."""
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
     folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix)]
     folders.append(Path(__file__).resolve().parents[3] / package)
@@ -30,23 +18,7 @@ def share_folders(package: str) -> list[Path]:
 
 
 def message_text(msgtype: str) -> str:
-    """Definition of a message type from its ``.msg`` file.
-
-    Parameters
-    ----------
-    msgtype : str
-        For instance ``lpv_msgs/msg/FaultEstimate``.
-
-    Returns
-    -------
-    str
-        Content of the file.
-
-    Raises
-    ------
-    ConfigError
-        If no installed package has it.
-    """
+    """Definition of a message type from its ``.msg`` file."""
     package, _, name = msgtype.split('/')
     for folder in share_folders(package):
         path = folder / 'msg' / f'{name}.msg'

@@ -14,25 +14,15 @@ BLOCK_SIZE = 2 << 20
 
 @dataclass
 class Block:
-    """Consecutive messages.
+    """Consecutive messages."""
 
-    Attributes
-    ----------
-    data : ndarray of uint8
-        Bytes that hold all messages; before each are at least `RECORD_HEADER` other bytes.
-    connection : ndarray of int, shape (n,)
-        Index of each message's connection in the list that was asked for.
-    time : ndarray of int64, shape (n,)
-        Log times [ns], in order.
-    start, size : ndarray of int64, shape (n,)
-        Where in ``data`` each message begins, and its length [bytes].
-    """
-
+    # bytes that hold all messages; before each are at least `RECORD_HEADER` other bytes
     data: np.ndarray
+    # index of each message's connection in the list that was asked for; shape (n,)
     connection: np.ndarray
-    time: np.ndarray
-    start: np.ndarray
-    size: np.ndarray
+    time: np.ndarray  # log times [ns], in order; shape (n,)
+    start: np.ndarray  # where in ``data`` each message begins, and its length [bytes]; shape (n,)
+    size: np.ndarray  # where in ``data`` each message begins, and its length [bytes]; shape (n,)
 
     def __len__(self):
         return len(self.time)

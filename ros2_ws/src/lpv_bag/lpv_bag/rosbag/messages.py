@@ -10,15 +10,7 @@ _DTYPES = {'state': np.uint8, 'alarm': np.bool_}
 
 
 class BagMessages:
-    """Message factory of one typestore.
-
-    Parameters
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        As of `lpv_bag.rosbag.interfaces.make_typestore`.
-    frame_id : str
-        Of every header.
-    """
+    """Message factory of one typestore."""
 
     def __init__(self, typestore, frame_id: str) -> None:
         self._types, self._frame_id = typestore.types, frame_id
@@ -33,22 +25,7 @@ class BagMessages:
         return self._types['std_msgs/msg/Header'](self.time(stamp), frame_id)
 
     def make(self, msgtype: str, stamp: int, fields: dict[str, Any]) -> object:
-        """A message of lpv_msgs.
-
-        Parameters
-        ----------
-        msgtype : str
-            Message type whose first field is a header.
-        stamp : int
-            [ns].
-        fields : dict
-            Other fields; arrays as any sequence, ``onset`` and ``detected`` in nanoseconds.
-
-        Returns
-        -------
-        object
-            Message.
-        """
+        """A message of lpv_msgs."""
         values = {}
         for name, value in fields.items():
             if name in ('onset', 'detected'):

@@ -13,20 +13,7 @@ _FOREVER = QosTime(2147483647, 4294967295)
 
 
 def qos_profile(reliable: bool, transient_local: bool, depth: int):
-    """Offered QoS as stored beside a topic.
-
-    Parameters
-    ----------
-    reliable, transient_local : bool
-        Policies; best effort and volatile otherwise.
-    depth : int
-        History depth.
-
-    Returns
-    -------
-    rosbags.interfaces.Qos
-        The profile.
-    """
+    """Offered QoS as stored beside a topic."""
     return Qos(
         QosHistory.KEEP_LAST,
         depth,

@@ -14,20 +14,7 @@ class _Failure:
 
 
 def ahead(items, depth: int = 2):
-    """Items of an iterable that is advanced by another thread.
-
-    Parameters
-    ----------
-    items : iterable
-        Used by the other thread alone.
-    depth : int, optional
-        How many items may wait.
-
-    Yields
-    ------
-    object
-        The items; what the iterable raises is raised here.
-    """
+    """Items of an iterable that is advanced by another thread."""
     waiting, stop = queue.Queue(depth), threading.Event()
 
     def put(item) -> None:
@@ -70,13 +57,6 @@ class Behind:
 
     What the function raises is raised by the next call or at the end.  If the block itself ends
     with an exception, calls that wait are dropped.
-
-    Parameters
-    ----------
-    function : callable
-        What to call.
-    depth : int, optional
-        How many calls may wait.
     """
 
     def __init__(self, function: Callable[..., Any], depth: int = 2) -> None:

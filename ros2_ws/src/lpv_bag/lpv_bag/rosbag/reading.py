@@ -16,19 +16,7 @@ from lpv_core.support.errors import LpvError
 
 
 class BagReader:
-    """A bag that is open for reading.
-
-    Attributes
-    ----------
-    paths : list of pathlib.Path
-        The bag.
-    connections : list of rosbags.interfaces.Connection
-        Its topics.
-    warnings : list of str
-        What is wrong with it; may grow while it is read.
-    known : dict of str to dict of str to int
-        What the recorder stored of each topic: ``lost``, ``late``, ``gaps``.
-    """
+    """A bag that is open for reading."""
 
     def __init__(self, path, source, typestore) -> None:
         self.paths, self._source, self._typestore = [path], source, typestore
@@ -176,13 +164,7 @@ def _types(msgtype, kind, text):
 
 @contextlib.contextmanager
 def damage(path: Path):
-    """What readers, parsers and decompressors raise, as a BagError that names the bag.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The bag.
-    """
+    """What readers, parsers and decompressors raise, as a BagError that names the bag."""
     try:
         yield
     except DamageError as error:

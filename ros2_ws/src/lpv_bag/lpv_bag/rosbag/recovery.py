@@ -19,43 +19,22 @@ _ORDER = 1 << 31
 
 @dataclass
 class TopicRecovery:
-    """What became of one topic.
+    """What became of one topic."""
 
-    Attributes
-    ----------
-    recovered : int
-        Messages in the new bag.
-    lost : int
-        Messages that were recorded and are not; at least, where the end is missing.
-    """
-
-    recovered: int = 0
-    lost: int = 0
+    recovered: int = 0  # messages in the new bag
+    lost: int = 0  # messages that were recorded and are not; at least, where the end is missing
 
 
 @dataclass
 class Recovery:
-    """Outcome of a recovery.
+    """Outcome of a recovery."""
 
-    Attributes
-    ----------
-    topics : dict of str to TopicRecovery
-        By topic.
-    damages : list of str
-        What was wrong.
-    end_missing : bool
-        Whether the recording was not finished: how much came after the last message is not known.
-    end : int
-        Log time of the last message that was recovered [ns]; 0 without messages.
-    attachments : int
-        Attachments that were left out.
-    """
-
-    topics: dict = field(default_factory=dict)
-    damages: list = field(default_factory=list)
+    topics: dict = field(default_factory=dict)  # by topic
+    damages: list = field(default_factory=list)  # what was wrong
+    # whether the recording was not finished: how much came after the last message is not known
     end_missing: bool = False
-    end: int = 0
-    attachments: int = 0
+    end: int = 0  # log time of the last message that was recovered [ns]; 0 without messages
+    attachments: int = 0  # attachments that were left out
 
     @property
     def lost(self):

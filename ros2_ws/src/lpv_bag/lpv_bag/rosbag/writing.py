@@ -109,18 +109,7 @@ class BagWriter:
     # -------------------------------------------------------------- topics
 
     def check_type(self, msgtype: str) -> None:
-        """Make sure that a type's definition can be stored.
-
-        Parameters
-        ----------
-        msgtype : str
-            Message type.
-
-        Raises
-        ------
-        ConfigError
-            If its definition is not installed.
-        """
+        """Make sure that a type's definition can be stored."""
         add_type(self.typestore, msgtype)
 
     def add_topic(self, topic: str, msgtype: str, profiles=()) -> None:
@@ -149,18 +138,7 @@ class BagWriter:
         )
 
     def copy_topic(self, connection) -> None:
-        """Announce a topic as another bag has it, with its own message definition.
-
-        Parameters
-        ----------
-        connection : rosbags.interfaces.Connection
-            Of the other bag; further connections of one topic are the same topic here.
-
-        Raises
-        ------
-        ConfigError
-            If the topic is known with another type, or the definition is nowhere.
-        """
+        """Announce a topic as another bag has it, with its own message definition."""
         known = self._topics.get(connection.topic)
         if known is not None:
             if known.msgtype != connection.msgtype:
@@ -214,18 +192,6 @@ class BagWriter:
         """A serialised message with zeros between its fields.
 
         What is there has no meaning, and some serialisers leave there what was in memory.
-
-        Parameters
-        ----------
-        msgtype : str
-            Known message type.
-        data : bytes
-            CDR.
-
-        Returns
-        -------
-        bytes
-            CDR of the same message; the data itself if it is not what the type says.
         """
         if len(data) < 4 or not data[1] & 1:
             return data
@@ -300,25 +266,11 @@ class BagWriter:
         self.write_raw(topic, timestamp, _padded(data))
 
     def flush(self) -> None:
-        """Hand everything to the operating system: a crash after this loses nothing before it.
-
-        Raises
-        ------
-        OSError
-            As `write_raw`.
-        """
+        """Hand everything to the operating system: a crash after this loses nothing before it."""
         self._file.cut()
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Store a metadata record in the present file.
-
-        Parameters
-        ----------
-        name : str
-            Of the record.
-        values : dict of str to str
-            Content.
-        """
+        """Store a metadata record in the present file."""
         self._file.add_metadata(name, values)
 
     @property
@@ -332,13 +284,7 @@ class BagWriter:
         return len(self._files) + (self._file is not None)
 
     def room(self) -> int:
-        """Bytes that can still be written before the summary would not fit any more.
-
-        Returns
-        -------
-        int
-            By the free space of the disk and the process's limit of a file's size.
-        """
+        """Bytes that can still be written before the summary would not fit any more."""
         disk = os.statvfs(self.path)
         limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         room = disk.f_bavail * disk.f_frsize
@@ -358,13 +304,7 @@ class BagWriter:
             self._define(topic)
 
     def split(self) -> None:
-        """Finish the file and begin the next one.
-
-        Raises
-        ------
-        OSError
-            As `write_raw`.
-        """
+        """Finish the file and begin the next one."""
         self._finish_file({})
         self._begin_file()
 

@@ -24,27 +24,13 @@ class CsvError(LpvError):
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Which column means what.
+    """Which column means what."""
 
-    Attributes
-    ----------
-    time : str
-        Column of the time.
-    time_unit : str
-        Key of `TIME_UNITS`.
-    start : float or None
-        Stamp of the first sample [s]; None keeps the times of the file as stamps.
-    angle_unit : str
-        Key of `ANGLE_UNITS`, for positions and rates.
-    joints : dict of str to tuple of str
-        Columns of position, velocity and effort by joint name; the effort may be ''.
-    """
-
-    time: str
-    time_unit: str
-    start: float
-    angle_unit: str
-    joints: dict
+    time: str  # column of the time
+    time_unit: str  # key of `TIME_UNITS`
+    start: float  # stamp of the first sample [s]; None keeps the times of the file as stamps
+    angle_unit: str  # key of `ANGLE_UNITS`, for positions and rates
+    joints: dict  # columns of position, velocity and effort by joint name; the effort may be ''
 
     @property
     def columns(self):

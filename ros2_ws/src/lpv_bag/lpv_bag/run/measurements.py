@@ -17,36 +17,19 @@ _MOST_LAYOUTS = 8
 
 @dataclass
 class Measurements:
-    """Measurements of a block; n of them, joints in the order of the arm file.
+    """Measurements of a block; n of them, joints in the order of the arm file."""
 
-    Attributes
-    ----------
-    stamp : ndarray of int64, shape (n,)
-        Header stamps [ns].
-    position, velocity, effort : ndarray, shape (n, 2)
-        [rad], [rad/s], [N m]; zero for the odd ones.
-    odd : dict of int to object
-        Deserialised messages by row, where joints are not those of the arm, sizes are wrong, or
-        the message is not like those before.
-    """
-
-    stamp: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    effort: np.ndarray
+    stamp: np.ndarray  # header stamps [ns]; shape (n,)
+    position: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
+    velocity: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
+    effort: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
+    # deserialised messages by row, where joints are not those of the arm, sizes are wrong, or the
+    # message is not like those before
     odd: dict = field(default_factory=dict)
 
 
 class MeasurementReader:
-    """Reads measurements of one arm.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    joint_names : sequence of str
-        Joints of the arm.
-    """
+    """Reads measurements of one arm."""
 
     def __init__(self, reader, joint_names: Sequence[str]) -> None:
         self._reader = reader
@@ -54,25 +37,7 @@ class MeasurementReader:
         self._layouts = []
 
     def read(self, block, positions: np.ndarray) -> Measurements:
-        """Measurements at some positions of a block.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-        positions : ndarray of int, shape (n,)
-            Which of them are measurements.
-
-        Returns
-        -------
-        Measurements
-            One row a position.
-
-        Raises
-        ------
-        BagError
-            If a message is damaged.
-        """
+        """Measurements at some positions of a block."""
         count = len(positions)
         result = Measurements(np.zeros(count, np.int64), *(np.zeros((count, 2)) for _ in _VECTORS))
         left = np.arange(count)
@@ -91,22 +56,7 @@ class MeasurementReader:
         return result
 
     def places(self, block, positions: np.ndarray, name: str) -> np.ndarray:
-        """Where values of the arm's joints are, for those who change them.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-        positions : ndarray of int, shape (n,)
-            Which of them are measurements.
-        name : {'position', 'velocity', 'effort'}
-            Which values.
-
-        Returns
-        -------
-        ndarray of int, shape (n, 2)
-            Offsets into the block's data; -1 for odd ones.
-        """
+        """Where values of the arm's joints are, for those who change them."""
         found = np.full((len(positions), 2), -1)
         starts, sizes = block.start[positions], block.size[positions]
         for layout, index in self._layouts:

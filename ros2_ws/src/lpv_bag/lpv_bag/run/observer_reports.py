@@ -13,21 +13,11 @@ _OBSERVER = ': observer'
 
 @dataclass(frozen=True)
 class ObserverReport:
-    """One report of an observer.
+    """One report of an observer."""
 
-    Attributes
-    ----------
-    stamp : int
-        [ns].
-    level : int
-        As in diagnostic_msgs/DiagnosticStatus.
-    message : str
-        Its text.
-    """
-
-    stamp: int
-    level: int
-    message: str
+    stamp: int  # [ns]
+    level: int  # as in diagnostic_msgs/DiagnosticStatus
+    message: str  # its text
 
 
 def observer_reports(path: str | Path, namespace: str) -> list[ObserverReport]:

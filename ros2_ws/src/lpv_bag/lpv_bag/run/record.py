@@ -51,34 +51,19 @@ class RunRecord:
 
     Rows of a stream are in the order of their header stamps; of several messages with the same
     stamp the last one counts.
-
-    Attributes
-    ----------
-    stamps : dict of str to ndarray of int64, shape (n,)
-        Header stamps [ns] by stream name of `STREAMS`, increasing; absent streams are missing.
-    streams : dict of str to dict of str to ndarray
-        Fields by stream name, one row a stamp; units as in the message definitions.
-    alarms : list of RecordedAlarm
-        Alarm events in the order of their stamps.
-    counts : dict of str to int
-        Messages in the bag by topic, of all topics.
-    topics : dict of str to str
-        Topic by stream name.
-    joint_names : tuple of str
-        Joints of the columns of joint_states.
-    sensor_names : tuple of str
-        Sensors of the columns of fault_estimate; empty without that stream.
-    warnings : list of str
-        What is wrong with the bag or its messages, and was put up with.
     """
 
+    # header stamps [ns] by stream name of `STREAMS`, increasing; absent streams are missing; shape
+    # (n,)
     stamps: dict = field(default_factory=dict)
+    # fields by stream name, one row a stamp; units as in the message definitions
     streams: dict = field(default_factory=dict)
-    alarms: list = field(default_factory=list)
-    counts: dict = field(default_factory=dict)
-    topics: dict = field(default_factory=dict)
-    joint_names: tuple = ()
-    sensor_names: tuple = ()
+    alarms: list = field(default_factory=list)  # alarm events in the order of their stamps
+    counts: dict = field(default_factory=dict)  # messages in the bag by topic, of all topics
+    topics: dict = field(default_factory=dict)  # topic by stream name
+    joint_names: tuple = ()  # joints of the columns of joint_states
+    sensor_names: tuple = ()  # sensors of the columns of fault_estimate; empty without that stream
+    # what is wrong with the bag or its messages, and was put up with
     warnings: list = field(default_factory=list)
 
     def get(self, stream: str, name: str) -> np.ndarray | None:
@@ -185,21 +170,6 @@ def find_connections(reader, msgtype, name, wanted=None, required: bool = True, 
     """All connections of the one topic that carries a stream.
 
     A topic has several connections if several publishers with different QoS wrote to it.
-
-    Parameters
-    ----------
-    reader, msgtype, name, wanted, required, namespace
-        As `find_topic`.
-
-    Returns
-    -------
-    list of rosbags connections
-        Of one topic; empty if it is absent and not required.
-
-    Raises
-    ------
-    BagError
-        As `find_topic`.
     """
     found = [c for c in reader.connections if c.msgtype == msgtype]
     if namespace is not None:

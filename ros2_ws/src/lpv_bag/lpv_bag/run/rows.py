@@ -11,20 +11,7 @@ from lpv_core.observer.sampled_observer import Mode
 
 
 class RunRows:
-    """Gathers messages one by one or many at a time, then fills the arrays of a record.
-
-    Parameters
-    ----------
-    record : RunRecord
-        Receives arrays, alarms and names.
-    joint_names : sequence of str, optional
-        Joints to take from joint_states, in this order; those of the first message if not given.
-
-    Attributes
-    ----------
-    warnings : list of str
-        What is wrong with the messages.
-    """
+    """Gathers messages one by one or many at a time, then fills the arrays of a record."""
 
     def __init__(self, record, joint_names: Sequence[str] | None = None) -> None:
         self._record = record
@@ -35,22 +22,7 @@ class RunRows:
         self.warnings = []
 
     def add(self, name: str, number: int, message: object) -> None:
-        """Take one message.
-
-        Parameters
-        ----------
-        name : str
-            Stream.
-        number : int
-            Its number among all messages: of equal stamps the last message counts.
-        message : object
-            Deserialised.
-
-        Raises
-        ------
-        BagError
-            If an alarm event is unknown.
-        """
+        """Take one message."""
         if name == ALARMS:
             alarm = _alarm(message)
             # Latched events are delivered again to late subscribers.
@@ -79,19 +51,7 @@ class RunRows:
     def add_many(
         self, name: str, numbers: Sequence[int], stamps: Sequence[int], columns: list[np.ndarray]
     ) -> None:
-        """Take the values of many messages of one stream.
-
-        Parameters
-        ----------
-        name : str
-            Stream.
-        numbers : sequence of int, shape (n,)
-            As in `add`.
-        stamps : sequence of int, shape (n,)
-            Header stamps [ns].
-        columns : list of ndarray, shapes (n, ...)
-            Its fields.
-        """
+        """Take the values of many messages of one stream."""
         if name == 'state_estimate':
             known = columns[STREAMS[name][1].index('mode')] != Mode.NO_ESTIMATE
             if not known.all():
@@ -118,18 +78,7 @@ class RunRows:
         return self._index
 
     def finish(self, answers_only: bool) -> None:
-        """Fill the record.
-
-        Parameters
-        ----------
-        answers_only : bool
-            Whether measurements may be missing.
-
-        Raises
-        ------
-        BagError
-            If there are none, or a joint is missing.
-        """
+        """Fill the record."""
         for name in STREAMS:
             parts = self._parts.get(name)
             if not parts:

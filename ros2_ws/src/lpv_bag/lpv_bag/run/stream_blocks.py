@@ -14,22 +14,7 @@ _MOST_ATTEMPTS = 32
 
 
 def read_streams(reader, chosen, rows) -> None:
-    """Read all messages of some streams.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    chosen : dict of str to list of rosbags connections
-        Connections by stream.
-    rows : lpv_bag.run.rows.RunRows
-        Receives messages and values.
-
-    Raises
-    ------
-    BagError
-        If the bag or a message is damaged.
-    """
+    """Read all messages of some streams."""
     pairs = [(name, c) for name, connections in chosen.items() for c in connections]
     readers = [_StreamReader(reader, name, c.msgtype, rows) for name, c in pairs]
     number = 0

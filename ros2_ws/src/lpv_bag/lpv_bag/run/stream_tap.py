@@ -12,22 +12,7 @@ _NONE = np.empty(0, np.int64)
 
 
 class Bystander:
-    """Reads streams from the blocks that a replay reads; takes the place of its writer.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    prefix : str
-        Namespace of the measurements; streams of others do not count.
-    streams : sequence of str
-        Wanted ones, names of `lpv_bag.run.record.STREAMS`.
-
-    Attributes
-    ----------
-    present : set of str
-        Those that the bag has.
-    """
+    """Reads streams from the blocks that a replay reads; takes the place of its writer."""
 
     def __init__(self, reader, prefix: str, streams: Sequence[str]) -> None:
         self._readers, self._connections = {}, ()
@@ -50,24 +35,7 @@ class Bystander:
         return _NONE, _NONE
 
     def read(self, block) -> dict[str, tuple[Any, ...]] | None:
-        """Messages of the streams in a block.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-
-        Returns
-        -------
-        dict of str to tuple or None
-            By stream that the bag has: header stamps [ns], shape (n,), and arrays by field, n rows
-            each; None where the block has no message of it.
-
-        Raises
-        ------
-        BagError
-            If a message is damaged.
-        """
+        """Messages of the streams in a block."""
         found = dict.fromkeys(self._readers)
         for name, stream in self._readers.items():
             mine = np.array([c.topic == stream.topic for c in self._connections])

@@ -41,28 +41,11 @@ ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
 
 @dataclass(frozen=True)
 class RecordedAlarm(Alarm):
-    """An alarm event with the stamp of the measurement that decided.
+    """An alarm event with the stamp of the measurement that decided."""
 
-    Attributes
-    ----------
-    stamp : int
-        [ns].
-    """
-
-    stamp: int = 0
+    stamp: int = 0  # [ns]
 
 
 def stamp_of(stamp: object) -> int:
-    """Nanoseconds of a builtin_interfaces/Time as rosbags gives it.
-
-    Parameters
-    ----------
-    stamp : object
-        With ``sec`` and ``nanosec``.
-
-    Returns
-    -------
-    int
-        [ns].
-    """
+    """Nanoseconds of a builtin_interfaces/Time as rosbags gives it."""
     return stamp.sec * NANOSECONDS + stamp.nanosec

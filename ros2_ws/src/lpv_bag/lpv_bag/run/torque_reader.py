@@ -20,27 +20,7 @@ the arm file."""
 
 
 def locate(message: object, msgtype: str, joints: Sequence[str]):
-    """Torques of an arm in a message.
-
-    Parameters
-    ----------
-    message : object
-        Deserialised.
-    msgtype : str
-        Key of `EFFORT_TYPES`.
-    joints : sequence of str
-        Wanted joints.
-
-    Returns
-    -------
-    tuple of list of int and list of float
-        Indices into the message's torques, and the torques [N m].
-
-    Raises
-    ------
-    SampleError
-        If they are not there.
-    """
+    """Torques of an arm in a message."""
     path, names = EFFORT_TYPES[msgtype]
     values = message
     for part in path.split('.'):
@@ -67,22 +47,7 @@ def locate(message: object, msgtype: str, joints: Sequence[str]):
 
 
 class EffortReader:
-    """The latest torques before each measurement.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    msgtype : str
-        Key of `EFFORT_TYPES`.
-    joints : sequence of str
-        Joints of the arm.
-
-    Attributes
-    ----------
-    rejected : list of str
-        Why messages could not be used; emptied by whoever counts them.
-    """
+    """The latest torques before each measurement."""
 
     def __init__(self, reader, msgtype: str, joints: Sequence[str]) -> None:
         self._reader = reader
@@ -93,20 +58,7 @@ class EffortReader:
         self.rejected = []
 
     def before(self, block, positions: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        """Torques that were the latest ones at each measurement.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-        positions, measured : ndarray of int
-            Which of them carry torques, and which are measurements.
-
-        Returns
-        -------
-        ndarray, shape (len(measured), 2)
-            [N m]; NaN before the first message.
-        """
+        """Torques that were the latest ones at each measurement."""
         values, valid = self._read(block, positions)
         values = np.concatenate([self._latest[None], values[valid]])
         self._latest = values[-1].copy()

@@ -18,58 +18,36 @@ _SOURCES = (('ground_truth', 'true'), ('state_estimate', 'estimated'), ('joint_s
 
 @dataclass(frozen=True)
 class Grid:
-    """Detectability over configurations.
+    """Detectability over configurations."""
 
-    Attributes
-    ----------
-    one, two : ndarray, shapes (n,) and (m,)
-        Angles of link 1 and 2 from the vertical of the region [rad].
-    detectable : ndarray or None, shape (n, m, 2)
-        Smallest lasting fault of each sensor that is detected for certain at rest [rad]; None
-        without gains.
-    lost : ndarray of bool, shape (n, m, 2)
-        Where a sensor is not diagnosable: a link that it sees is outside the certified region.
-    """
-
+    # angles of link 1 and 2 from the vertical of the region [rad]; shapes (n,) and (m,)
     one: np.ndarray
+    # angles of link 1 and 2 from the vertical of the region [rad]; shapes (n,) and (m,)
     two: np.ndarray
+    # smallest lasting fault of each sensor that is detected for certain at rest [rad]; None without
+    # gains; shape (n, m, 2)
     detectable: np.ndarray
+    # where a sensor is not diagnosable: a link that it sees is outside the certified region; shape
+    # (n, m, 2)
     lost: np.ndarray
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """What could be detected during a run.
+    """What could be detected during a run."""
 
-    Attributes
-    ----------
-    source : str
-        Whose angles they are: true, estimated or measured.
-    time : ndarray, shape (n,)
-        Of each measurement [s].
-    deviation : ndarray, shape (n, 2)
-        Angles of the links from the vertical of the region [rad]; NaN where unknown.
-    moving : ndarray or None, shape (n, 2)
-        Threshold plus bound as recorded [rad]: they know motion and past.
-    not_diagnosable : ndarray of bool, shape (n, 2)
-        As recorded.
-    places : ndarray of int, shape (k,)
-        Rows for which the following was computed; empty without gains.
-    resting : ndarray, shape (k, 2)
-        Threshold plus bound of the design at rest in the configuration [rad]; infinite where
-        gravity cannot bound the error.
-    gains : Gains or None
-        What `configurations` needs.
-    """
-
-    source: str
-    time: np.ndarray
+    source: str  # whose angles they are: true, estimated or measured
+    time: np.ndarray  # of each measurement [s]; shape (n,)
+    # angles of the links from the vertical of the region [rad]; NaN where unknown; shape (n, 2)
     deviation: np.ndarray
+    # threshold plus bound as recorded [rad]: they know motion and past; shape (n, 2)
     moving: np.ndarray
-    not_diagnosable: np.ndarray
-    places: np.ndarray
+    not_diagnosable: np.ndarray  # as recorded; shape (n, 2)
+    places: np.ndarray  # rows for which the following was computed; empty without gains; shape (k,)
+    # threshold plus bound of the design at rest in the configuration [rad]; infinite where gravity
+    # cannot bound the error; shape (k, 2)
     resting: np.ndarray
-    gains: object
+    gains: object  # what `configurations` needs
 
 
 def detectability(record, arm, gains=None) -> Detectability | None:
@@ -134,20 +112,7 @@ def _near_zero(angles):
 
 
 def configurations(found: Detectability, arm) -> Grid:
-    """Detectability at rest over all configurations around the path.
-
-    Parameters
-    ----------
-    found : Detectability
-        Path, and gains if they are known.
-    arm : ArmParameters
-        The arm.
-
-    Returns
-    -------
-    Grid
-        Covers path and certified region.
-    """
+    """Detectability at rest over all configurations around the path."""
     deviation, gains, limits = found.deviation, found.gains, np.arccos(arm.cos_min)
     axes = []
     for i in range(2):
@@ -164,47 +129,25 @@ def configurations(found: Detectability, arm) -> Grid:
 
 @dataclass(frozen=True)
 class DetectabilityRow:
-    """Summary for one sensor; None where there is nothing to tell.
+    """Summary for one sensor; None where there is nothing to tell."""
 
-    Attributes
-    ----------
-    sensor : str
-        Its name.
-    smallest, middle, largest : float or None
-        Recorded threshold plus bound while it was diagnosable: least, median, greatest [rad].
-    rest_smallest, rest_largest : float or None
-        At rest in the configurations of the path, as far as gravity bounds the error [rad].
-    unbounded : float or None
-        Share of the path in which gravity does not bound the error at rest.
-    lost : float or None
-        Share of the time in which the sensor was not diagnosable.
-    """
-
-    sensor: str
+    sensor: str  # its name
+    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
     smallest: float = None
+    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
     middle: float = None
+    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
     largest: float = None
+    # at rest in the configurations of the path, as far as gravity bounds the error [rad]
     rest_smallest: float = None
+    # at rest in the configurations of the path, as far as gravity bounds the error [rad]
     rest_largest: float = None
-    unbounded: float = None
-    lost: float = None
+    unbounded: float = None  # share of the path in which gravity does not bound the error at rest
+    lost: float = None  # share of the time in which the sensor was not diagnosable
 
 
 def summary(found: Detectability, sensor_names: Sequence[str]) -> list[DetectabilityRow]:
-    """Summary for all sensors.
-
-    Parameters
-    ----------
-    found : Detectability
-        Of `detectability`.
-    sensor_names : sequence of str
-        Names of the sensors.
-
-    Returns
-    -------
-    list of DetectabilityRow
-        One a sensor.
-    """
+    """Summary for all sensors."""
     return [
         DetectabilityRow(name, **_recorded(found, i), **_resting(found, i))
         for i, name in enumerate(sensor_names)

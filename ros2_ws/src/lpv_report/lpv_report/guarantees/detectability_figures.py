@@ -19,22 +19,7 @@ _ALERT = '#d01c3b'
 
 
 def over_time(found, record, sensor_names: Sequence[str]):
-    """Smallest lasting fault that is detected for certain, by time.
-
-    Parameters
-    ----------
-    found : Detectability
-        What could be detected.
-    record : RunRecord
-        The run, for the true faults.
-    sensor_names : sequence of str
-        Names of the sensors.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+    """Smallest lasting fault that is detected for certain, by time."""
     figure, axes = plt.subplots(2, sharex=True, figsize=(_WIDTH, 3.9))
     truth = record.aligned('ground_truth', 'fault')
     for i, axis in enumerate(axes):
@@ -126,20 +111,7 @@ def _hatch(axis, found, i) -> None:
 
 
 def over_configurations(found, arm):
-    """The same over the configurations of the arm, with the path of the run.
-
-    Parameters
-    ----------
-    found : Detectability
-        What could be detected.
-    arm : ArmParameters
-        Names of the sensors.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+    """The same over the configurations of the arm, with the path of the run."""
     grid = configurations(found, arm)
     figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.15), sharex=True, sharey=True)
     for i, axis in enumerate(axes):

@@ -16,24 +16,12 @@ _SAME = {'rtol': 1e-4, 'atol': 1e-8}
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One inequality.
+    """One inequality."""
 
-    Attributes
-    ----------
-    name : str
-        What it is.
-    margin : float
-        Rebuilt now; negative where it holds.
-    stored : float or None
-        The margin that the file claims; None where it claims none.
-    holds : bool
-        Whether it is satisfied now.
-    """
-
-    name: str
-    margin: float
-    stored: float
-    holds: bool
+    name: str  # what it is
+    margin: float  # rebuilt now; negative where it holds
+    stored: float  # the margin that the file claims; None where it claims none
+    holds: bool  # whether it is satisfied now
 
     @property
     def changed(self):
@@ -43,30 +31,14 @@ class CheckRow:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What the gains prove, as far as it was rebuilt.
+    """What the gains prove, as far as it was rebuilt."""
 
-    Attributes
-    ----------
-    facts : list of tuple of str
-        Name and value.
-    checks : list of CheckRow
-        All inequalities.
-    proved : int
-        How many were proved in exact rational arithmetic.
-    refuted : list of str
-        Those that exact arithmetic refutes.
-    seconds : float
-        Time that all of it took [s].
-    problem : str
-        Why nothing could be rebuilt; empty otherwise.
-    """
-
-    facts: list
-    checks: list
-    proved: int
-    refuted: list
-    seconds: float
-    problem: str = ''
+    facts: list  # name and value
+    checks: list  # all inequalities
+    proved: int  # how many were proved in exact rational arithmetic
+    refuted: list  # those that exact arithmetic refutes
+    seconds: float  # time that all of it took [s]
+    problem: str = ''  # why nothing could be rebuilt; empty otherwise
 
     @property
     def failed(self):

@@ -13,24 +13,12 @@ from lpv_core.support.errors import ConfigError
 
 @dataclass(frozen=True)
 class UsedGains:
-    """Gains of a run, or why they are not known.
+    """Gains of a run, or why they are not known."""
 
-    Attributes
-    ----------
-    gains : Gains or None
-        None where they are not known.
-    source : str
-        Where they come from, for the reader.
-    digest : str
-        SHA-256 of their file.
-    problem : str
-        Why they are not known; empty where they are.
-    """
-
-    gains: Gains = None
-    source: str = ''
-    digest: str = ''
-    problem: str = ''
+    gains: Gains = None  # none where they are not known
+    source: str = ''  # where they come from, for the reader
+    digest: str = ''  # SHA-256 of their file
+    problem: str = ''  # why they are not known; empty where they are
 
 
 UNKNOWN = UsedGains(problem='The bag carries no gains, and none were given.')

@@ -14,18 +14,10 @@ _MOST = 200_000
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Comparison of recorded and recomputed fault estimates.
+    """Comparison of recorded and recomputed fault estimates."""
 
-    Attributes
-    ----------
-    samples : int
-        Compared ones.
-    largest : float
-        Largest difference of a fault estimate [rad].
-    """
-
-    samples: int
-    largest: float
+    samples: int  # compared ones
+    largest: float  # largest difference of a fault estimate [rad]
 
     @property
     def same(self) -> bool:
@@ -49,22 +41,7 @@ class Reproduction:
 
 
 def reproduce(record, arm, gains) -> Reproduction | None:
-    """Run the observer again over the measurements of a run.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    gains : Gains
-        Gains of this arm.
-
-    Returns
-    -------
-    Reproduction or None
-        None if the bag holds no fault estimates that could be compared.
-    """
+    """Run the observer again over the measurements of a run."""
     recorded = record.aligned('fault_estimate', 'estimate')
     if recorded is None:
         return None

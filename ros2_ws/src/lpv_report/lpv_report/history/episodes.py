@@ -10,43 +10,21 @@ from lpv_core.decision.diagnosis import AlarmEvent
 
 @dataclass(frozen=True)
 class Episode:
-    """One alarm of one sensor; times since the first measurement [s].
+    """One alarm of one sensor; times since the first measurement [s]."""
 
-    Attributes
-    ----------
-    sensor : str
-        Name of the sensor.
-    sensor_index : int
-        Its column.
-    onset : float
-        First sample above the threshold, as diagnosed.
-    raised : float
-        When the fault was confirmed.
-    cleared : float or None
-        When the alarm ended; None if it lasted to the end of the run.
-    size, bound : float
-        Fault estimate when the alarm was raised, and the bound of its error [rad].
-    largest : float
-        Fault estimate of largest magnitude during the alarm [rad]; NaN without fault estimates.
-    kind : str
-        Latest classification.
-    confidence : float
-        Latest confidence.
-    true_onset : float or None
-        Start of the true fault at the time of the alarm; NaN if there was none (false alarm),
-        None without ground truth.
-    """
-
-    sensor: str
-    sensor_index: int
-    onset: float
-    raised: float
-    cleared: float
-    size: float
-    bound: float
+    sensor: str  # name of the sensor
+    sensor_index: int  # its column
+    onset: float  # first sample above the threshold, as diagnosed
+    raised: float  # when the fault was confirmed
+    cleared: float  # when the alarm ended; None if it lasted to the end of the run
+    size: float  # fault estimate when the alarm was raised, and the bound of its error [rad]
+    bound: float  # fault estimate when the alarm was raised, and the bound of its error [rad]
+    # fault estimate of largest magnitude during the alarm [rad]; NaN without fault estimates
     largest: float
-    kind: str
-    confidence: float
+    kind: str  # latest classification
+    confidence: float  # latest confidence
+    # start of the true fault at the time of the alarm; NaN if there was none (false alarm), None
+    # without ground truth
     true_onset: float = None
 
     @property
@@ -64,38 +42,17 @@ class Episode:
 
 @dataclass(frozen=True)
 class Interval:
-    """A stretch of time of one sensor.
+    """A stretch of time of one sensor."""
 
-    Attributes
-    ----------
-    sensor_index : int
-        Column of the sensor.
-    start, end : float
-        [s] since the first measurement; the end is that of the record if it lasted so long.
-    """
-
-    sensor_index: int
+    sensor_index: int  # column of the sensor
+    # [s] since the first measurement; the end is that of the record if it lasted so long
     start: float
+    # [s] since the first measurement; the end is that of the record if it lasted so long
     end: float
 
 
 def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list[Interval]:
-    """Stretches in which a mask is true.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (n,)
-        The mask.
-    time : ndarray, shape (n,)
-        [s].
-    sensor_index : int, optional
-        Passed on.
-
-    Returns
-    -------
-    list of Interval
-        In the order of time; each ends at the first sample that is outside.
-    """
+    """Stretches in which a mask is true."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(int))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return [
@@ -105,18 +62,7 @@ def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list
 
 
 def true_faults(record) -> list[Interval] | None:
-    """When faults really acted.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-
-    Returns
-    -------
-    list of Interval or None
-        By sensor and time; None without ground truth.
-    """
+    """When faults really acted."""
     truth = record.get('ground_truth', 'fault')
     if truth is None:
         return None

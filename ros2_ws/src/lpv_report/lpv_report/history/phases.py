@@ -28,22 +28,12 @@ _MOST = 8
 
 @dataclass(frozen=True)
 class Phase:
-    """One stretch.
+    """One stretch."""
 
-    Attributes
-    ----------
-    what : str
-        One of the words of this module.
-    sensor : str
-        Of which sensor; empty for the whole arm.
-    start, end : float
-        [s] since the first measurement.
-    """
-
-    what: str
-    sensor: str
-    start: float
-    end: float
+    what: str  # one of the words of this module
+    sensor: str  # of which sensor; empty for the whole arm
+    start: float  # [s] since the first measurement
+    end: float  # [s] since the first measurement
 
     @property
     def meaning(self):
@@ -58,22 +48,12 @@ class Phase:
 
 @dataclass(frozen=True)
 class Rest:
-    """Stretches that are not listed one by one.
+    """Stretches that are not listed one by one."""
 
-    Attributes
-    ----------
-    what, sensor : str
-        As in `Phase`.
-    count : int
-        How many.
-    duration : float
-        Of all of them together [s].
-    """
-
-    what: str
-    sensor: str
-    count: int
-    duration: float
+    what: str  # as in `Phase`
+    sensor: str  # as in `Phase`
+    count: int  # how many
+    duration: float  # of all of them together [s]
 
 
 def phases(record, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
@@ -108,20 +88,7 @@ def phases(record, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
 
 
 def starting(record, stamps: np.ndarray) -> np.ndarray:
-    """Which samples are the first ones, of which nobody expects an answer.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    stamps : ndarray of int64, shape (n,)
-        Their stamps [ns].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True where the observer was initialising.
-    """
+    """Which samples are the first ones, of which nobody expects an answer."""
     mode = record.get('state_estimate', 'mode')
     if mode is None:
         return np.zeros(len(stamps), bool)
@@ -156,18 +123,7 @@ def _of_commands(record):
 
 
 def listed(found: list[Phase]) -> tuple[list[Any], ...]:
-    """What a reader can take in: the longest stretches of each kind, and the sum of the others.
-
-    Parameters
-    ----------
-    found : list of Phase
-        Of `phases`.
-
-    Returns
-    -------
-    tuple of list
-        Phases in the order of time, and a `Rest` for each kind that has more.
-    """
+    """What a reader can take in: the longest stretches of each kind, and the sum of the others."""
     kept, rests = [], []
     for key in sorted({(p.what, p.sensor) for p in found}):
         same = sorted((p for p in found if (p.what, p.sensor) == key), key=lambda p: -p.duration)

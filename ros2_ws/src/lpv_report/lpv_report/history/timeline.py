@@ -19,24 +19,7 @@ _LINES = (
 
 
 def timeline(record, found, faults, sensor_names: Sequence[str]):
-    """States over time as bars.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    found : list of Phase
-        Of `lpv_report.history.phases.phases`.
-    faults : list of Interval or None
-        True faults; None where they are not known.
-    sensor_names : sequence of str
-        Names of the sensors.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without fault estimates.
-    """
+    """States over time as bars."""
     states = record.get('fault_estimate', 'state')
     if states is None:
         return None

@@ -16,53 +16,18 @@ _CALENDAR = 946684800 * NANOSECONDS
 
 
 class Tile(NamedTuple):
-    """A figure on top of the page.
+    """A figure on top of the page."""
 
-    Attributes
-    ----------
-    name, value, note : str
-        What it is, the figure, and a remark.
-    look : str
-        '', good, bad or warn.
-    """
-
-    name: str
-    value: str
-    note: str = ''
-    look: str = ''
+    name: str  # what it is, the figure, and a remark
+    value: str  # what it is, the figure, and a remark
+    note: str = ''  # what it is, the figure, and a remark
+    look: str = ''  # '', good, bad or warn
 
 
 def content(
     record, arm, title: str, table, used, certificate, reproduction, able, found
 ) -> dict[str, Any]:
-    """Values for the template.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    title : str
-        Heading.
-    table : list of Row
-        Of `lpv_report.run.table.make_table`.
-    used : UsedGains
-        Gains, or why they are not known.
-    certificate : Certificate or None
-        Of the gains.
-    reproduction : Reproduction or None
-        Whether the gains give the recorded estimates.
-    able : Detectability or None
-        What could be detected.
-    found : list of Phase
-        Stretches without an answer.
-
-    Returns
-    -------
-    dict
-        Names of the template.
-    """
+    """Values for the template."""
     alarms = episodes(record)
     names = record.sensor_names or arm.sensor_names
     missed = missed_faults(record, alarms)

@@ -10,26 +10,7 @@ from lpv_report.run.style import SETTINGS
 
 
 def draw_all(record, arm, path=None, found=(), able=None):
-    """Draw everything that a run has to show.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    path : CartesianPath, optional
-        Reference path with its obstacle.
-    found : list of Phase, optional
-        Stretches without an answer.
-    able : Detectability, optional
-        What could be detected.
-
-    Yields
-    ------
-    tuple of str and matplotlib.figure.Figure
-        Name and figure; the figure is closed afterwards.
-    """
+    """Draw everything that a run has to show."""
     names = arm.sensor_names
     makers = {
         'timeline': lambda: timeline(record, found, true_faults(record), names),

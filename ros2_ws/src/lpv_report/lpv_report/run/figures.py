@@ -72,22 +72,7 @@ def _tip(record, arm, stream, name: str = 'position'):
 
 
 def cartesian(record, arm, path=None):
-    """Fig. 4: reference path, true path, and the path that the measurements claim.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    path : CartesianPath, optional
-        Supplies the obstacle, and the reference if the run has none.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+    """Fig. 4: reference path, true path, and the path that the measurements claim."""
     figure, axis = plt.subplots(figsize=(_WIDTH, 4.6))
     reference = record.aligned('reference', 'tip_position')
     if reference is None and path is not None:
@@ -158,20 +143,7 @@ def _mark_ends(axis, points) -> None:
 
 
 def faults(record, sensor_names: Sequence[str] | None = None):
-    """Fig. 5: sensor faults and their estimates, thresholds and alarms.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    sensor_names : sequence of str, optional
-        Names instead of the recorded ones.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without fault estimates.
-    """
+    """Fig. 5: sensor faults and their estimates, thresholds and alarms."""
     if 'fault_estimate' not in record.streams:
         return None
     names = sensor_names or record.sensor_names
@@ -234,18 +206,7 @@ def _shade(axis, record, sensor, alarms) -> None:
 
 
 def measured(record):
-    """Fig. 6: measured joint positions, with faults, and their references.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+    """Fig. 6: measured joint positions, with faults, and their references."""
     figure, axes = _axes(2, height=2.4)
     for i, axis in enumerate(axes[:, 0]):
         _draw(
@@ -278,18 +239,7 @@ def measured(record):
 
 
 def states(record):
-    """Fig. 7: joint positions and rates with their estimates.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run; without ground truth the measurement takes its place.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without state estimates.
-    """
+    """Fig. 7: joint positions and rates with their estimates."""
     if 'state_estimate' not in record.streams:
         return None
     truth = 'ground_truth' if 'ground_truth' in record.streams else 'joint_states'
@@ -312,18 +262,7 @@ def states(record):
 
 
 def torques(record):
-    """Fig. 8: torques of both joints.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None if neither commands nor efforts are recorded.
-    """
+    """Fig. 8: torques of both joints."""
     figure, axes = _axes(2, height=2.2)
     drawn = False
     for i, axis in enumerate(axes[:, 0]):

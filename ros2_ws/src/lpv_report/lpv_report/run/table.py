@@ -28,23 +28,13 @@ PAPER = {
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table.
+    """One line of a table."""
 
-    Attributes
-    ----------
-    signal, meaning, unit : str
-        What it is.
-    value : float
-        Ours.
-    paper : float or None
-        The paper's.
-    """
-
-    signal: str
-    meaning: str
-    unit: str
-    value: float
-    paper: float = None
+    signal: str  # what it is
+    meaning: str  # what it is
+    unit: str  # what it is
+    value: float  # ours
+    paper: float = None  # the paper's
 
 
 def make_table(record, arm) -> list[Row]:
@@ -122,15 +112,7 @@ def _times(row):
 
 
 def print_table(rows: list[Row], console=None) -> None:
-    """Show a table on the terminal.
-
-    Parameters
-    ----------
-    rows : list of Row
-        From `make_table`.
-    console : rich.console.Console, optional
-        Where.
-    """
+    """Show a table on the terminal."""
     with_paper = any(row.paper is not None for row in rows)
     table = Table(title='MISE, eq. (70)' if with_paper else None, box=box.SIMPLE_HEAD)
     for name in ('signal', 'meaning', 'unit'):

@@ -14,13 +14,7 @@ _PACKAGES = (
 
 
 def installed_versions() -> list[tuple[str, ...]]:
-    """Versions of the software that reads, computes and draws.
-
-    Returns
-    -------
-    list of tuple of str
-        Name and version.
-    """
+    """Versions of the software that reads, computes and draws."""
     found = [(title, _version(name)) for name, title in _PACKAGES]
     return [found[0], ('Python', platform.python_version()), *found[1:]]
 

@@ -33,24 +33,12 @@ _CAPTIONS = {
 
 @dataclass(frozen=True)
 class ReportResult:
-    """What was written.
+    """What was written."""
 
-    Attributes
-    ----------
-    html : pathlib.Path
-        The report.
-    pictures : list of pathlib.Path
-        PNG files.
-    table : list of Row
-        Its table.
-    certificate : Certificate or None
-        Of the gains; None where they are not known.
-    """
-
-    html: Path
-    pictures: list
-    table: list
-    certificate: object = None
+    html: Path  # the report
+    pictures: list  # PNG files
+    table: list  # its table
+    certificate: object = None  # of the gains; None where they are not known
 
 
 def write_report(
