@@ -1,13 +1,17 @@
 """What two runs of one recording have in common, and where they differ."""
 
 import math
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import LpvError
-from lpv_report.history.episodes import episodes
+from lpv_report.history.episodes import Episode, episodes
 from lpv_report.run.table import make_table
 
 SIGNALS = {
@@ -86,16 +90,16 @@ class Comparison:
         )
 
     @property
-    def same(self):
+    def same(self) -> bool:
         """Whether nothing differs beyond the tolerances."""
         return self.complete and all(
             entry.same for entry in (*self.figures, *self.differences, *self.alarms)
         )
 
-    def as_dict(self):
+    def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
 
-        def plain(value):
+        def plain(value: Any) -> Any:
             if isinstance(value, dict):
                 return {k: plain(v) for k, v in value.items()}
             if isinstance(value, list):
@@ -121,11 +125,13 @@ class Comparison:
         )
 
 
-def _alarm(episode):
+def _alarm(episode: Episode | None) -> dict[str, Any] | None:
     return None if episode is None else {**asdict(episode), 'delay': episode.delay}
 
 
-def compare_runs(first, second, arm, tolerances: Tolerances | None = None) -> Comparison:
+def compare_runs(
+    first: RunRecord, second: RunRecord, arm: ArmParameters, tolerances: Tolerances | None = None
+) -> Comparison:
     """Compare the answers of two runs of one recording.
 
     Parameters
@@ -162,14 +168,14 @@ def compare_runs(first, second, arm, tolerances: Tolerances | None = None) -> Co
     return result
 
 
-def answer_stamps(record):
+def answer_stamps(record: RunRecord) -> np.ndarray:
     """Stamps of the answers of a run [ns]."""
     return record.stamps[
         'fault_estimate' if 'fault_estimate' in record.stamps else 'state_estimate'
     ]
 
 
-def _restricted(record, common):
+def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:
     """The record with answers at common stamps alone: others must not count for one run only."""
     result = copy(record)
     result.stamps, result.streams = dict(record.stamps), dict(record.streams)
@@ -181,7 +187,9 @@ def _restricted(record, common):
     return result
 
 
-def _figures(first, second, arm, tolerance):
+def _figures(
+    first: RunRecord, second: RunRecord, arm: ArmParameters, tolerance: float
+) -> list[Figure]:
     tables = [
         {(row.signal, row.meaning): row for row in make_table(record, arm)}
         for record in (first, second)
@@ -197,7 +205,7 @@ def _figures(first, second, arm, tolerance):
     return found
 
 
-def _close(first, second, tolerance) -> bool:
+def _close(first: float | None, second: float | None, tolerance: float) -> bool:
     if first is None or second is None:
         return False
     if first == second or (math.isnan(first) and math.isnan(second)):
@@ -206,7 +214,7 @@ def _close(first, second, tolerance) -> bool:
     return abs(first - second) <= (max(allowed, _SMALLEST) if tolerance else 0.0)
 
 
-def _differences(first, second, tolerances):
+def _differences(first: RunRecord, second: RunRecord, tolerances: Tolerances) -> list[Figure]:
     found = []
     for name, a, b in _aligned(first, second, SIGNALS):
         for i in range(a.shape[1]):
@@ -227,7 +235,7 @@ def _differences(first, second, tolerances):
     return found
 
 
-def _flag_changes(first, second, tolerances):
+def _flag_changes(first: RunRecord, second: RunRecord, tolerances: Tolerances) -> list[Figure]:
     found = []
     for name, a, b in _aligned(first, second, _FLAGS):
         share = float(np.mean((a != b).any(axis=1))) if len(a) else 0.0
@@ -239,7 +247,9 @@ def _flag_changes(first, second, tolerances):
     return found
 
 
-def _aligned(first, second, names):
+def _aligned(
+    first: RunRecord, second: RunRecord, names: dict[str, tuple[str, ...]]
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     for stream, fields in names.items():
         if stream not in first.stamps or stream not in second.stamps:
             continue
@@ -249,7 +259,7 @@ def _aligned(first, second, names):
             yield name, *(v.reshape(len(v), -1) for v in values)
 
 
-def _pairs(first, second, tolerance):
+def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmPair]:
     """Alarms of one sensor that are nearest in time belong together."""
     left, pairs = list(episodes(second)), []
     shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
@@ -265,12 +275,12 @@ def _pairs(first, second, tolerance):
     return sorted(pairs, key=lambda p: (p.first or p.second).raised)
 
 
-def _overlap(one, other, shift) -> bool:
+def _overlap(one: Episode, other: Episode, shift: float) -> bool:
     ends = [math.inf if e.cleared is None else e.cleared for e in (one, other)]
     return one.raised <= ends[1] + shift + 0.5 and other.raised + shift <= ends[0] + 0.5
 
 
-def _same_alarm(one, other, shift, tolerance):
+def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: float) -> bool:
     if other is None or one.kind != other.kind:
         return False
     if (one.cleared is None) != (other.cleared is None):

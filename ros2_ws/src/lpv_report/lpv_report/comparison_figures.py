@@ -1,15 +1,23 @@
 """Pictures of two runs of one recording."""
 
+from collections.abc import Iterator
+
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_report.history.episodes import episodes
 from lpv_report.run.style import INK, PALE, SENSOR, SETTINGS, thin
 
 _SIZE = (8.6, 5.2)
 
 
-def draw_comparison(first, second, arm):
+def draw_comparison(
+    first: RunRecord, second: RunRecord, arm: ArmParameters
+) -> Iterator[tuple[str, Figure]]:
     """Fault estimates of both runs, and how far they are apart."""
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
@@ -28,11 +36,11 @@ def draw_comparison(first, second, arm):
             plt.close(figure)
 
 
-def _seconds(record, stamps, first):
+def _seconds(record: RunRecord, stamps: np.ndarray, first: RunRecord) -> np.ndarray:
     return (stamps - first.stamps['joint_states'][0]) / 1e9
 
 
-def _faults(axis, first, second, i) -> None:
+def _faults(axis: Axes, first: RunRecord, second: RunRecord, i: int) -> None:
     runs = (
         (first, 'first', {'color': PALE[i], 'linewidth': 3.4}),
         (second, 'second', {'color': SENSOR[i], 'linewidth': 1.1}),
@@ -61,7 +69,7 @@ def _faults(axis, first, second, i) -> None:
     axis.set_ylabel('fault [rad]')
 
 
-def _differences(axis, first, second, i) -> None:
+def _differences(axis: Axes, first: RunRecord, second: RunRecord, i: int) -> None:
     stamps, a, b = np.intersect1d(
         first.stamps['fault_estimate'], second.stamps['fault_estimate'], return_indices=True
     )

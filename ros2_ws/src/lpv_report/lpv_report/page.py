@@ -4,6 +4,7 @@ import base64
 from pathlib import Path
 
 import jinja2
+from matplotlib.figure import Figure
 
 from lpv_report.style import png
 
@@ -44,7 +45,7 @@ def environment(folder: str | Path) -> jinja2.Environment:
     return found
 
 
-def embedded(figure) -> str:
+def embedded(figure: Figure | bytes) -> str:
     """A figure as text that stands in a page."""
     data = figure if isinstance(figure, bytes) else png(figure)
     return 'data:image/png;base64,' + base64.b64encode(data).decode()

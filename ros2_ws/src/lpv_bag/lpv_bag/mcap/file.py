@@ -3,8 +3,10 @@
 import mmap
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from lpv_bag.mcap.content import inflate, inflate_part
+from lpv_bag.mcap.records import Channel, Schema
 from lpv_bag.rosbag.errors import BagError, DamageError
 
 
@@ -12,14 +14,14 @@ from lpv_bag.rosbag.errors import BagError, DamageError
 class Block:
     """A part of the file that holds messages: a chunk, or messages outside of chunks."""
 
-    offset: int  # of the stored data
-    length: int  # of the stored data
+    offset: int  # of the stored data [bytes]
+    length: int  # of the stored data [bytes]
     compression: str  # '', 'zstd' or 'lz4'
-    size: int  # of the content; a checksum of 0 is none
-    crc: int  # of the content; a checksum of 0 is none
-    start: int = 0  # least and greatest log time [ns]
-    end: int = 0  # least and greatest log time [ns]
-    counts: dict = field(default_factory=dict)  # messages by channel, where known
+    size: int  # of the content [bytes]
+    crc: int  # checksum of the content; 0 is none
+    start: int = 0  # least log time [ns]
+    end: int = 0  # greatest log time [ns]
+    counts: dict[int, int] = field(default_factory=dict)  # messages by channel, where known
     cut: bool = False  # whether the file ends within it
     loose: bool = False  # whether its messages are outside of chunks
 
@@ -28,22 +30,22 @@ class Block:
 class Survey:
     """What a file holds."""
 
-    schemas: dict = field(default_factory=dict)  # `Schema` and `Channel` by their numbers
-    channels: dict = field(default_factory=dict)  # `Schema` and `Channel` by their numbers
+    schemas: dict[int, Schema] = field(default_factory=dict)  # by their numbers
+    channels: dict[int, Channel] = field(default_factory=dict)  # by their numbers
     # in the order of the file; in a damaged file only those that can be read
-    blocks: list = field(default_factory=list)
-    lost_blocks: list = field(default_factory=list)  # chunks that cannot be read
+    blocks: list[Block] = field(default_factory=list)
+    lost_blocks: list[Block] = field(default_factory=list)  # chunks that cannot be read
     # offset, name and dict of each metadata record (of an undamaged file: offset, name, None)
-    metadata: list = field(default_factory=list)
+    metadata: list[tuple[int, str, dict[str, str] | None]] = field(default_factory=list)
     attachments: int = 0  # attachments in the file
-    counts: dict = None  # messages by channel by the file's own statistics
+    counts: dict[int, int] | None = None  # messages by channel by the file's own statistics
     complete: bool = False  # whether the recording was finished: no messages are missing at the end
-    damages: list = field(default_factory=list)  # what is wrong; empty for a good file
+    damages: list[str] = field(default_factory=list)  # what is wrong; empty for a good file
     library: str = ''  # what wrote the file
 
-    def define(self, record) -> None:
+    def define(self, record: Schema | Channel) -> None:
         """Take a schema or channel; DamageError if its number means something else already."""
-        known = self.channels if hasattr(record, 'topic') else self.schemas
+        known: dict[int, Any] = self.channels if isinstance(record, Channel) else self.schemas
         if known.setdefault(record.id, record) != record:
             raise DamageError(f'the number {record.id} means two different topics or schemas')
 

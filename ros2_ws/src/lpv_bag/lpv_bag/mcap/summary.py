@@ -1,6 +1,8 @@
 """The summary at the end of an MCAP file: what it says, where it can be trusted."""
 
+import mmap
 import zlib
+from collections.abc import Iterator
 
 from mcap.opcode import Opcode
 
@@ -30,7 +32,7 @@ class Unindexed(DamageError):
     """A summary is whole, but one has to read all data to find the messages."""
 
 
-def summary_span(data) -> tuple[int, ...]:
+def summary_span(data: mmap.mmap | bytes) -> tuple[int, int]:
     """Where the summary is."""
     if len(data) < 16 + FOOTER_SIZE or data[-8:] != MAGIC:
         raise DamageError('it does not end as a finished MCAP file')
@@ -45,7 +47,7 @@ def summary_span(data) -> tuple[int, ...]:
     return start, footer
 
 
-def walk_summary(data, at: int, end: int):
+def walk_summary(data: mmap.mmap | bytes, at: int, end: int) -> Iterator[tuple[int, bytes]]:
     """Records of a summary."""
     while at < end:
         if end - at < 9:
@@ -57,7 +59,7 @@ def walk_summary(data, at: int, end: int):
         at += 9 + length
 
 
-def from_summary(data) -> Survey:
+def from_summary(data: mmap.mmap | bytes) -> Survey:
     """What a file holds by its summary.
 
     Checksums of chunks stand in their heads, and what the heads say must be what the summary says.
@@ -72,7 +74,7 @@ def from_summary(data) -> Survey:
     return result
 
 
-def _take_summary(result, opcode, content) -> None:
+def _take_summary(result: Survey, opcode: int, content: bytes) -> None:
     if opcode == Opcode.SCHEMA:
         result.define(parse_schema(content))
     elif opcode == Opcode.CHANNEL:
@@ -105,12 +107,12 @@ def _take_summary(result, opcode, content) -> None:
         raise DamageError(f'its summary holds a record of kind {opcode}')
 
 
-def _check_blocks(data, result, end) -> None:
+def _check_blocks(data: mmap.mmap | bytes, result: Survey, end: int) -> None:
     """Take the checksums of the chunks, and hold their heads against the index.
 
     A file without statistics, or with messages outside of chunks, is read as a whole.
     """
-    if result.counts is None or (sum(result.counts.values()) and not result.blocks):
+    if result.counts is None or (any(result.counts.values()) and not result.blocks):
         raise Unindexed('its summary does not say where the messages are')
     if not set(result.counts) <= set(result.channels):
         raise DamageError('its summary counts messages of unknown topics')

@@ -22,6 +22,7 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
+    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
@@ -31,6 +32,7 @@ from mcap.records import (
 
 from lpv_bag.mcap.records import HEADER, MAGIC
 
+Buffer = bytes | bytearray | memoryview
 _MESSAGE = struct.Struct('<BQHIQQ')
 _INDEX = struct.Struct('<BQHI')
 _CHUNK = struct.Struct('<BQQQQII')
@@ -42,7 +44,7 @@ _REPEAT = 64
 class Preset(NamedTuple):
     """How chunks are compressed."""
 
-    level: int  # of zstd; None stores as is
+    level: int | None  # of zstd; None stores as is
     chunk_size: int  # content after which a chunk is cut [bytes]
 
 
@@ -58,37 +60,40 @@ class McapWriter:
     """One file of a bag."""
 
     def __init__(self, path: str | Path, preset: str = 'none', fsync: bool = False) -> None:
-        self.path, self._preset, self._fsync = path, PRESETS[preset], fsync
+        self.path, self._preset, self._fsync = Path(path), PRESETS[preset], fsync
         self._compress = None
         if self._preset.level is not None:
             self._compress = zstandard.ZstdCompressor(self._preset.level).compress
         self.size = self.start = self.end = 0
-        self.counts = {}
-        self._schemas, self._channels, self._new = [], [], []
-        self._indexes, self._metadata = [], []
+        self.counts: dict[int, int] = {}
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._new: list[Schema | Channel] = []
+        self._indexes: list[ChunkIndex] = []
+        self._metadata: list[MetadataIndex] = []
         self._begin_chunk()
         self._file = open(path, 'xb', buffering=0)  # noqa: SIM115
         self._put(MAGIC + _bytes(Header('ros2', LIBRARY)))
 
     def _begin_chunk(self) -> None:
-        self._content, self._chunk_start, self._chunk_end = bytearray(), None, 0
-        self._entries = {}
+        self._content = bytearray()
+        self._entries: dict[int, list[int]] = {}
 
     @property
-    def pending(self):
+    def pending(self) -> int:
         """Bytes of the chunk that is not yet cut."""
         return len(self._content)
 
     # -------------------------------------------------------------- definitions
 
-    def add_schema(self, name, encoding, data):
+    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Define a message type; its number."""
         schema = Schema(len(self._schemas) + 1, data, encoding, name)
         self._schemas.append(schema)
         self._new.append(schema)
         return schema.id
 
-    def add_channel(self, topic, schema, metadata):
+    def add_channel(self, topic: str, schema: int, metadata: dict[str, str]) -> int:
         """Define a topic; its number."""
         channel = Channel(len(self._channels) + 1, topic, 'cdr', metadata, schema)
         self._channels.append(channel)
@@ -105,12 +110,6 @@ class McapWriter:
         content = self._content
         if self._new:
             self._define()
-        if self._chunk_start is None:
-            self._chunk_start = self._chunk_end = log_time
-        elif log_time < self._chunk_start:
-            self._chunk_start = log_time
-        elif log_time > self._chunk_end:
-            self._chunk_end = log_time
         entry = self._entries.get(channel)
         if entry is None:
             entry = self._entries[channel] = []
@@ -139,7 +138,7 @@ class McapWriter:
             content, {channel: np.array(values, '<u8') for channel, values in entries.items()}
         )
 
-    def put_chunk(self, content, entries: dict[int, np.ndarray]) -> None:
+    def put_chunk(self, content: Buffer, entries: dict[int, np.ndarray]) -> None:
         """Write a chunk that is ready."""
         self.cut()
         if self._new:
@@ -147,7 +146,7 @@ class McapWriter:
             self._new = []
         self._put_chunk(content, entries)
 
-    def _put_chunk(self, content, entries) -> None:
+    def _put_chunk(self, content: Buffer, entries: dict[int, np.ndarray]) -> None:
         if _is_repeated(len(self._indexes) + 1):
             self._new = [*self._schemas, *self._channels]
         start = min(int(values[::2].min()) for values in entries.values())
@@ -181,7 +180,7 @@ class McapWriter:
         for channel, values in entries.items():
             self.counts[channel] += len(values) // 2
 
-    def _put(self, *parts) -> None:
+    def _put(self, *parts: Buffer) -> None:
         """Write all of it or nothing: half a record would hide what comes behind it."""
         try:
             for part in parts:
@@ -206,7 +205,7 @@ class McapWriter:
         self._metadata.append(index)
 
     @property
-    def tail_size(self):
+    def tail_size(self) -> int:
         """Bytes that `finish` will need, about."""
         return (
             sum(200 + len(s.data) for s in self._schemas)
@@ -226,7 +225,7 @@ class McapWriter:
         finally:
             self._file.close()
 
-    def _finish(self):
+    def _finish(self) -> str:
         error = None
         try:
             self.cut()
@@ -240,13 +239,13 @@ class McapWriter:
             else:
                 break
         else:
-            return f'the end ({error.strerror})'
+            return f'the end ({error.strerror if error else None})'
         return f'the last messages or the summary ({error.strerror})' if error else ''
 
-    def _bare_end(self):
+    def _bare_end(self) -> bytes:
         return _bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MAGIC
 
-    def _summary(self):
+    def _summary(self) -> bytes:
         end = _bytes(DataEnd(0))
         start = self.size + len(end)
         groups = (
@@ -268,7 +267,7 @@ class McapWriter:
         crc = zlib.crc32(summary + footer[: HEADER.size + 16])
         return bytes(end + summary + _bytes(Footer(start, offset_start, crc)) + MAGIC)
 
-    def _statistics(self):
+    def _statistics(self) -> Statistics:
         return Statistics(
             0,
             len(self._channels),
@@ -282,12 +281,12 @@ class McapWriter:
         )
 
 
-def _is_repeated(chunk) -> bool:
+def _is_repeated(chunk: int) -> bool:
     """Whether a chunk repeats all definitions: no damaged one then costs the others theirs."""
     return chunk % _REPEAT == 0 or chunk & (chunk - 1) == 0
 
 
-def _bytes(record):
+def _bytes(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

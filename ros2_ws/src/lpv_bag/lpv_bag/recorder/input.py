@@ -5,12 +5,14 @@ from __future__ import annotations
 import fnmatch
 import importlib
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rosbags.interfaces import Qos
 
 from lpv_bag.rosbag.writing import qos_profile
 
@@ -30,19 +32,19 @@ class Heard(NamedTuple):
     topic: str  # its topic
     data: bytes  # CDR
     sent: int  # system time at which it was published [ns]; 0 where unknown
-    publisher: bytes  # who sent it; None where unknown
-    sequence: int  # the publisher's number of it; None where unknown
-    stamp: int  # stamp at its beginning [ns]; None for types without
+    publisher: bytes | None  # who sent it; None where unknown
+    sequence: int | None  # the publisher's number of it; None where unknown
+    stamp: int | None  # stamp at its beginning [ns]; None for types without
 
 
 class Selection(NamedTuple):
     """Which topics are wanted."""
 
-    names: frozenset  # full names; empty for all
+    names: frozenset[str]  # full names; empty for all
     # patterns of shells, against full names; they hold for all topics, not for named ones
-    excluded: tuple = ()
+    excluded: tuple[str, ...] = ()
 
-    def chosen(self, topics):
+    def chosen(self, topics: Iterable[str]) -> list[str]:
         """Those of some topics that are wanted, sorted."""
         if self.names:
             return sorted(self.names.intersection(topics))
@@ -73,12 +75,13 @@ class RecorderInput:
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self._subscriptions, self._refused = {}, set()
-        self._complained = set()
+        self._subscriptions: dict[str, tuple[Any, bool, str, bool, bool]] = {}
+        self._refused: set[str] = set()
+        self._complained: set[tuple[str, str]] = set()
         self._searches = 0
 
     @property
-    def topics(self):
+    def topics(self) -> list[str]:
         """Names of the topics that are listened to."""
         return list(self._subscriptions)
 
@@ -89,7 +92,7 @@ class RecorderInput:
 
     # -------------------------------------------------------------- subscribing
 
-    def search(self) -> list[tuple[Any, ...]]:
+    def search(self) -> list[tuple[str, str, Qos]]:
         """Subscribe to wanted topics that have a publisher now."""
         types = dict(self._node.get_topic_names_and_types())
         found, self._searches = [], self._searches + 1
@@ -109,13 +112,15 @@ class RecorderInput:
                 found += [entry] if entry else []
         return found
 
-    def _is_recorder(self, publisher) -> bool:
+    def _is_recorder(self, publisher: TopicEndpointInfo) -> bool:
         return (
             publisher.node_name == self._node.get_name()
             and publisher.node_namespace == self._node.get_namespace()
         )
 
-    def _subscribe(self, topic, publishers):
+    def _subscribe(
+        self, topic: str, publishers: list[TopicEndpointInfo]
+    ) -> tuple[str, str, Qos] | None:
         msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
         reliable = all(_reliable(p) for p in publishers)
         latched = all(_latched(p) for p in publishers)
@@ -137,7 +142,7 @@ class RecorderInput:
         self._subscriptions[topic] = (subscription, stamped, msgtype, reliable, latched)
         return topic, msgtype, qos_profile(reliable, latched, depth)
 
-    def _check_match(self, topic, publishers) -> None:
+    def _check_match(self, topic: str, publishers: list[TopicEndpointInfo]) -> None:
         """A publisher that came later may offer less than was asked for, or another type."""
         _, _, msgtype, reliable, latched = self._subscriptions[topic]
         for publisher in publishers:
@@ -155,7 +160,7 @@ class RecorderInput:
                 )
 
     @property
-    def complaints(self):
+    def complaints(self) -> int:
         """Number of topics and publishers that are not recorded though they are wanted."""
         return len(self._refused) + len(self._complained)
 
@@ -188,30 +193,30 @@ class RecorderInput:
         return [heard for _, heard in found]
 
 
-def _nobody(_) -> None:
+def _nobody(_: object) -> None:
     """Callback that is never called."""
 
 
-def _publisher(info):
+def _publisher(info: dict[str, Any]) -> bytes | None:
     """The publisher's identity; distributions before Kilted do not tell it."""
     gid = info.get('publisher_gid')
     return gid.get('data') if isinstance(gid, dict) else gid
 
 
-def _reliable(publisher) -> bool:
+def _reliable(publisher: TopicEndpointInfo) -> bool:
     return publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
 
 
-def _latched(publisher) -> bool:
+def _latched(publisher: TopicEndpointInfo) -> bool:
     return publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
-def _message_class(msgtype):
+def _message_class(msgtype: str) -> type:
     package, kind, name = msgtype.split('/')
     return getattr(importlib.import_module(f'{package}.{kind}'), name)
 
 
-def _starts_with_time(message_class) -> bool:
+def _starts_with_time(message_class: Any) -> bool:
     first = next(iter(message_class.get_fields_and_field_types().values()), '')
     return first in ('std_msgs/Header', 'builtin_interfaces/Time')
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 RECORD_NAME = 'lpv_recorder'
 """Name of the metadata record of a file, and key of the custom data of a bag."""
+Known = dict[str, dict[str, int]]
+"""What a recorder knows of each topic: messages, lost, late, gaps."""
 _WINDOW = 64
 _REGULAR = 0.9
 
@@ -20,9 +22,9 @@ class TopicCount:
     lost: int = 0
     late: int = 0  # messages whose stamp is older than one that came before
     gaps: int = 0  # stamps that are missing, where stamps come at a regular period
-    _newest: int = None
-    _sequences: dict = field(default_factory=dict)
-    _steps: deque = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    _newest: int | None = None
+    _sequences: dict[bytes | None, int] = field(default_factory=dict)
+    _steps: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     _period: int = 0
 
     def take(self, publisher: bytes | None = None, sequence: int | None = None) -> None:
@@ -38,7 +40,7 @@ class TopicCount:
         else:  # it was counted as lost when the next one came
             self.lost = max(0, self.lost - 1)
 
-    def stamp(self, stamp) -> None:
+    def stamp(self, stamp: int) -> None:
         """Take note of a message's stamp [ns]."""
         if self._newest is None:
             self._newest = stamp
@@ -62,23 +64,23 @@ class TopicCount:
         near = sum(abs(step - period) <= period / 4 for step in steps)
         self._period = period if period > 0 and near >= _REGULAR * _WINDOW else 0
 
-    def known(self):
+    def known(self) -> dict[str, int]:
         """Counts by name."""
         return {'messages': self.messages, 'lost': self.lost, 'late': self.late, 'gaps': self.gaps}
 
 
-def as_text(known):
+def as_text(known: Known) -> str:
     """JSON of the counts of all topics."""
     return json.dumps(known, sort_keys=True, separators=(',', ':'))
 
 
-def as_metadata(known):
+def as_metadata(known: Known) -> dict[str, str]:
     """Counts as a metadata record, which has no checksum of its own."""
     text = as_text(known)
     return {'topics': text, 'crc32': f'{zlib.crc32(text.encode()):08x}'}
 
 
-def from_metadata(values: dict[str, str]) -> dict[str, dict[str, int]]:
+def from_metadata(values: dict[str, str]) -> Known:
     """Counts by topic from a metadata record."""
     text = values.get('topics', '')
     if values.get('crc32') != f'{zlib.crc32(text.encode()):08x}':

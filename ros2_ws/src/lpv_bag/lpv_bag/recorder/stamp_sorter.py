@@ -20,7 +20,7 @@ class StampOrder:
 
     def __init__(self, write: Callable[..., Any]) -> None:
         self._write = write
-        self._heap = []
+        self._heap: list[tuple[int, str, int, bytes]] = []
         self._count = 0
         self._newest = 0
 

@@ -2,17 +2,20 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
 from lpv_bag.rosbag.message_blocks import read_blocks
+from lpv_bag.rosbag.offered_qos import offered_qos
 from lpv_bag.rosbag.prefetch import ahead
+from lpv_bag.rosbag.reading import BagReader
 from lpv_core.observer.sampled_observer import NANOSECONDS
 
 _DEEPEST = 20000
@@ -25,11 +28,11 @@ class Playback:
 
     def __init__(
         self,
-        reader,
-        connections,
-        publishers,
+        reader: BagReader,
+        connections: Sequence[Connection],
+        publishers: dict[str, Publisher],
         rate: float = 1.0,
-        clock=None,
+        clock: Publisher | None = None,
         tick: int | None = None,
         going_on: Callable[..., Any] = lambda: True,
     ) -> None:
@@ -41,29 +44,36 @@ class Playback:
         self, start: int | None = None, stop: int | None = None, origin: int | None = None
     ) -> int:
         """Play once."""
-        wall, published, tick = time.monotonic(), 0, None
+        wall, published = time.monotonic(), 0
+        tick: float | None = None  # of the next message on /clock [ns]
         for connection, stamp, data in self._messages(start, stop):
             if tick is None:
                 wall, origin = time.monotonic(), stamp if origin is None else origin
                 tick = origin if self._clock is not None else math.inf
+            assert origin is not None
             while tick <= stamp and self._sleep(wall, tick - origin):
-                self._clock.publish(
-                    Clock(clock=Time(sec=tick // NANOSECONDS, nanosec=tick % NANOSECONDS))
-                )
-                tick += self._tick
+                tick += self._publish_clock(int(tick))
             if not self._sleep(wall, stamp - origin):
                 break
             self._publishers[connection.topic].publish(data)
             published += 1
         return published
 
-    def _messages(self, start, stop):
+    def _publish_clock(self, now: int) -> int:
+        """Publish a time [ns] on /clock; the time until the next one [ns]."""
+        assert self._clock is not None and self._tick is not None
+        self._clock.publish(Clock(clock=Time(sec=now // NANOSECONDS, nanosec=now % NANOSECONDS)))
+        return self._tick
+
+    def _messages(
+        self, start: int | None, stop: int | None
+    ) -> Iterator[tuple[Connection, int, bytes]]:
         """Messages one by one, unpacked ahead of their time."""
         for block in ahead(read_blocks(self._reader, self._connections, start, stop)):
             for i in range(len(block)):
                 yield (self._connections[block.connection[i]], int(block.time[i]), block.message(i))
 
-    def _sleep(self, wall, elapsed) -> bool:
+    def _sleep(self, wall: float, elapsed: float) -> bool:
         """Sleep until a time of the bag has come; False if the player is to end."""
         while self._going_on():
             rest = wall + elapsed / NANOSECONDS / self._rate - time.monotonic()
@@ -73,16 +83,16 @@ class Playback:
         return False
 
 
-def await_acknowledgement(publishers, longest: float) -> None:
+def await_acknowledgement(publishers: Iterable[Publisher], longest: float) -> None:
     """Let slow subscribers take the last messages."""
     for publisher in publishers:
         if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
             publisher.wait_for_all_acked(Duration(seconds=longest))
 
 
-def recorded_qos(connections):
+def recorded_qos(connections: Sequence[Connection]) -> QoSProfile:
     """The QoS with which a topic was offered when it was recorded."""
-    offered = [q for c in connections for q in (c.ext.offered_qos_profiles or ())]
+    offered = [q for c in connections for q in offered_qos(c)]
     reliable = not any(q.reliability == QosReliability.BEST_EFFORT for q in offered)
     latched = bool(offered) and all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
     return QoSProfile(

@@ -8,8 +8,10 @@ then every number is at a known place, and a whole chunk of messages is read at 
 
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from rosbags.typesys.store import Typestore
 
 _NAME, _ARRAY, _SEQUENCE = 2, 3, 4  # rosbags.interfaces.Nodetype; 1 is a plain value
 _SIZES = {
@@ -47,7 +49,7 @@ class Field:
     count: int  # how many
 
 
-def rows(buffer: np.ndarray, dtype: np.dtype, starts: np.ndarray | None = None) -> np.ndarray:
+def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = None) -> np.ndarray:
     """Parts of a buffer that start at any byte, as an array of their type."""
     dtype = np.dtype(dtype)
     view = np.ndarray((max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,))
@@ -57,8 +59,10 @@ def rows(buffer: np.ndarray, dtype: np.dtype, starts: np.ndarray | None = None) 
 class Layout:
     """Shape of one message and of all that are like it."""
 
-    def __init__(self, data: bytes, msgtype: str, typestore) -> None:
-        self.size, self.fields, self.strings = len(data), {}, {}
+    def __init__(self, data: bytes, msgtype: str, typestore: Typestore) -> None:
+        self.size = len(data)
+        self.fields: dict[str, Field] = {}
+        self.strings: dict[str, list[str]] = {}
         self._data, self._typestore = bytes(data), typestore
         self._fixed = [(0, 2)]
         if data[:2] != _LITTLE_ENDIAN:
@@ -90,12 +94,14 @@ class Layout:
         found = rows(buffer, f'V{size}', starts + field.offset)
         return found.view(field.dtype).reshape(len(starts), field.count)
 
-    def stamps(self, buffer, starts, name: str = 'header.stamp'):
+    def stamps(
+        self, buffer: np.ndarray, starts: np.ndarray, name: str = 'header.stamp'
+    ) -> np.ndarray:
         """Times of messages of this shape as nanoseconds, int64, shape (k,)."""
         seconds = self.read(buffer, starts, f'{name}.sec')[:, 0].astype(np.int64)
         return seconds * 1_000_000_000 + self.read(buffer, starts, f'{name}.nanosec')[:, 0]
 
-    def _constant_words(self):
+    def _constant_words(self) -> list[tuple[int, np.unsignedinteger]]:
         """What all messages of the shape have in common, as few numbers to compare."""
         found = []
         for start, end in self._fixed:
@@ -106,11 +112,11 @@ class Layout:
                 start += size
         return found
 
-    def _message(self, path, msgtype) -> None:
+    def _message(self, path: str, msgtype: str) -> None:
         for name, node in self._typestore.fielddefs[msgtype][1]:
             self._node(f'{path}.{name}' if path else name, node)
 
-    def _node(self, path, node) -> None:
+    def _node(self, path: str, node: Any) -> None:
         kind, what = int(node[0]), node[1]
         if kind == _NAME:
             self._message(path, what)
@@ -123,7 +129,7 @@ class Layout:
         else:
             self._numbers(path, what[0], 1)
 
-    def _elements(self, path, node, count) -> None:
+    def _elements(self, path: str, node: Any, count: int) -> None:
         kind, what = int(node[0]), node[1]
         if kind == _NAME:
             for i in range(count):
@@ -135,22 +141,22 @@ class Layout:
         else:
             self._numbers(path, what[0], count)
 
-    def _align(self, size) -> None:
+    def _align(self, size: int) -> None:
         self._position += -(self._position - _HEADER) % size
 
-    def _advance(self, size):
+    def _advance(self, size: int) -> int:
         start, self._position = self._position, self._position + size
         if not start <= self._position <= self.size:
             raise _NoLayout
         return start
 
-    def _length(self):
+    def _length(self) -> int:
         self._align(4)
         start = self._advance(4)
         self._fixed.append((start, start + 4))
         return struct.unpack_from('<I', self._data, start)[0]
 
-    def _string(self, path) -> None:
+    def _string(self, path: str) -> None:
         length = self._length()
         start = self._advance(length)
         if length == 0 or self._data[start + length - 1] != 0:
@@ -160,7 +166,7 @@ class Layout:
         text = self._data[start : start + length - 1].decode()
         self.strings.setdefault(path, []).append(text)
 
-    def _numbers(self, path, kind, count) -> None:
+    def _numbers(self, path: str, kind: str, count: int) -> None:
         if kind not in _SIZES:
             raise _NoLayout
         size = np.dtype(_SIZES[kind]).itemsize
@@ -169,7 +175,7 @@ class Layout:
         self.fields[path] = Field(self._advance(size * count), _SIZES[kind], count)
 
 
-def find_layout(data: bytes, msgtype: str, typestore) -> Layout | None:
+def find_layout(data: bytes, msgtype: str, typestore: Typestore) -> Layout | None:
     """Layout of a message."""
     if len(data) > _LARGEST:
         return None

@@ -2,12 +2,14 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
 
+from lpv_bag.recorder.message_loss import Known
 from lpv_bag.rosbag.cdr_layout import rows
-from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.rosbag.writing import BagWriter, FinishedFile
 
 RECORD = np.dtype(
     [
@@ -20,7 +22,8 @@ RECORD = np.dtype(
     ]
 )
 """Head of a message's record."""
-_SEQUENCE = RECORD.fields['sequence'][1]
+OFFSETS = {name: place[1] for name, place in (RECORD.fields or {}).items()}
+"""Of the fields of `RECORD` [bytes]."""
 
 
 def record_head(channel: int, time: int, size: int) -> bytes:
@@ -37,29 +40,31 @@ class ChunkBagWriter(BagWriter):
         self._custom_data = custom_data or {}
         super().__init__(path, preset)
 
-    def channel(self, topic):
+    def channel(self, topic: str) -> int:
         """Channel id of an announced topic."""
         return self._channels[topic]
 
-    def write_chunk(self, data: np.ndarray, index) -> None:
+    def write_chunk(
+        self, data: np.ndarray, index: dict[int, tuple[np.ndarray, np.ndarray]]
+    ) -> None:
         """Write a chunk."""
         self.flush()
         for topic, channel in self._channels.items():
             if channel in index:
                 places = index[channel][1]
                 numbers = np.arange(1, len(places) + 1) + self.counts[topic]
-                rows(data, '<u4')[places + _SEQUENCE] = numbers & 0xFFFFFFFF
+                rows(data, '<u4')[places + OFFSETS['sequence']] = numbers & 0xFFFFFFFF
                 self.counts[topic] += len(places)
         # Signed and unsigned numbers together would become floats, and lose nanoseconds.
         self._file.put_chunk(
-            data,
+            data.data,
             {
                 channel: np.column_stack([c.astype('<u8') for c in columns]).ravel()
                 for channel, columns in index.items()
             },
         )
 
-    def _information(self, files, known):
+    def _information(self, files: list[FinishedFile], known: Known) -> dict[str, Any]:
         found = super()._information(files, known)
         found['custom_data'] = {**(found.get('custom_data') or {}), **self._custom_data}
         return found

@@ -2,14 +2,16 @@
 
 import functools
 from collections.abc import Iterable
+from typing import Any
 
 from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.interfaces import make_typestore
+from lpv_bag.rosbag.reading import BagReader
 
 _STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
 
 
-def check_definition(reader, msgtype: str, fields: Iterable[str]) -> None:
+def check_definition(reader: BagReader, msgtype: str, fields: Iterable[str]) -> None:
     """Check that fields of a message type are there, and are what they are expected to be.
 
     A definition may have more fields: bags outlive the version that wrote them.
@@ -28,5 +30,5 @@ def check_definition(reader, msgtype: str, fields: Iterable[str]) -> None:
 
 
 @functools.lru_cache(maxsize=1)
-def _own_types():
+def _own_types() -> Any:
     return make_typestore().fielddefs

@@ -3,8 +3,10 @@
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from lpv_core.support.errors import ConfigError
 
@@ -30,7 +32,7 @@ def message_text(msgtype: str) -> str:
     )
 
 
-def add_type(typestore, msgtype: str) -> None:
+def add_type(typestore: Typestore, msgtype: str) -> None:
     """Make a type known to a typestore, with the types that it uses.
 
     Parameters
@@ -55,10 +57,10 @@ def add_type(typestore, msgtype: str) -> None:
         missing += [used for used in _used_types(found[name]) if used not in typestore.fielddefs]
 
 
-def _used_types(definition):
+def _used_types(definition: Any) -> list[str]:
     """Names of nested message types; a field is (name, (kind, what)) and arrays nest one level."""
 
-    def names(kind):
+    def names(kind: Any) -> list[str]:
         node, what = kind
         if int(node) == 2:  # Nodetype.NAME
             return [what]
@@ -79,7 +81,7 @@ LPV_TYPES = (
 )
 
 
-def make_typestore():
+def make_typestore() -> Typestore:
     """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs.
 
     Returns

@@ -1,11 +1,13 @@
 """metadata.yaml of rosbag2 bags."""
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from lpv_bag.rosbag.errors import DamageError
@@ -52,11 +54,11 @@ def read_metadata(folder: str | Path) -> BagMetadata:
         ) from None
 
 
-def _parse(data):
+def _parse(data: Any) -> BagMetadata:
     if int(data['version']) > VERSION:
         raise ValueError(f'version {data["version"]} is not known')
     topics = data['topics_with_message_count'] or []
-    counts = {}
+    counts: dict[str, int] = {}
     for entry in topics:
         name = entry['topic_metadata']['name']
         counts[name] = counts.get(name, 0) + int(entry['message_count'])
@@ -76,7 +78,7 @@ def _parse(data):
     )
 
 
-def qos_data(profiles) -> list[dict[str, Any]]:
+def qos_data(profiles: Iterable[Qos]) -> list[Any]:
     """Offered QoS as metadata.yaml has them."""
     return dump_qos_v9(list(profiles))
 

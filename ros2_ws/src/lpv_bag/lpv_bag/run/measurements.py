@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from lpv_bag.rosbag.cdr_layout import find_layout
+from lpv_bag.rosbag.cdr_layout import Layout, find_layout
+from lpv_bag.rosbag.message_blocks import Block
+from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.record import stamp_of
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.support.errors import SampleError
@@ -25,21 +28,26 @@ class Measurements:
     effort: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
     # deserialised messages by row, where joints are not those of the arm, sizes are wrong, or the
     # message is not like those before
-    odd: dict = field(default_factory=dict)
+    odd: dict[int, Any] = field(default_factory=dict)
 
 
 class MeasurementReader:
     """Reads measurements of one arm."""
 
-    def __init__(self, reader, joint_names: Sequence[str]) -> None:
+    def __init__(self, reader: BagReader, joint_names: Sequence[str]) -> None:
         self._reader = reader
         self._order = JointOrder(joint_names)
-        self._layouts = []
+        self._layouts: list[tuple[Layout, list[int]]] = []
 
-    def read(self, block, positions: np.ndarray) -> Measurements:
+    def read(self, block: Block, positions: np.ndarray) -> Measurements:
         """Measurements at some positions of a block."""
         count = len(positions)
-        result = Measurements(np.zeros(count, np.int64), *(np.zeros((count, 2)) for _ in _VECTORS))
+        result = Measurements(
+            np.zeros(count, np.int64),
+            np.zeros((count, 2)),
+            np.zeros((count, 2)),
+            np.zeros((count, 2)),
+        )
         left = np.arange(count)
         for layout, index in self._layouts:
             left = self._fill(result, block, positions, left, layout, index)
@@ -55,7 +63,7 @@ class MeasurementReader:
                 left = left[1:]
         return result
 
-    def places(self, block, positions: np.ndarray, name: str) -> np.ndarray:
+    def places(self, block: Block, positions: np.ndarray, name: str) -> np.ndarray:
         """Where values of the arm's joints are, for those who change them."""
         found = np.full((len(positions), 2), -1)
         starts, sizes = block.start[positions], block.size[positions]
@@ -65,7 +73,15 @@ class MeasurementReader:
             found[rows] = first[:, None] + 8 * np.array(index)
         return found
 
-    def _fill(self, result, block, positions, rows, layout, index):
+    def _fill(
+        self,
+        result: Measurements,
+        block: Block,
+        positions: np.ndarray,
+        rows: np.ndarray,
+        layout: Layout,
+        index: list[int],
+    ) -> np.ndarray:
         """Fill in those rows that have a layout; the rows that have not."""
         if not len(rows):
             return rows
@@ -81,7 +97,7 @@ class MeasurementReader:
             getattr(result, name)[chosen] = values[:, index] if values.shape[1] else np.nan
         return rows[~same]
 
-    def _learn(self, data, message):
+    def _learn(self, data: bytes, message: Any) -> bool:
         """Add the layout of a message, if it has one; whether it has."""
         if len(self._layouts) == _MOST_LAYOUTS:
             return False

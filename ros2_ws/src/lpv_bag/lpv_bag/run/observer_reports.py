@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.reading import open_bag
@@ -56,7 +57,7 @@ def observer_reports(path: str | Path, namespace: str) -> list[ObserverReport]:
     return sorted(found, key=lambda report: report.stamp)
 
 
-def _level(value):
+def _level(value: Any) -> int:
     """Levels are bytes in some versions of the definition and numbers in others."""
     if isinstance(value, (bytes, bytearray)):
         if len(value) != 1:

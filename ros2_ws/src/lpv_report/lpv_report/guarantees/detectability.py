@@ -5,7 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.certificate.gains import Gains
 from lpv_core.decision.diagnosis import SensorState
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_design.guarantee import at_rest, vertical
 from lpv_report.history.phases import starting
@@ -50,7 +53,9 @@ class Detectability:
     gains: object  # what `configurations` needs
 
 
-def detectability(record, arm, gains=None) -> Detectability | None:
+def detectability(
+    record: RunRecord, arm: ArmParameters, gains: Gains | None = None
+) -> Detectability | None:
     """Detectability of a run.
 
     Parameters
@@ -90,7 +95,7 @@ def detectability(record, arm, gains=None) -> Detectability | None:
     return Detectability(source, record.time, deviation, moving, lost, places, resting, gains)
 
 
-def _angles(record, arm):
+def _angles(record: RunRecord, arm: ArmParameters) -> tuple[str, np.ndarray]:
     for stream, text in _SOURCES:
         position = record.aligned(stream, 'position')
         if position is not None:
@@ -98,7 +103,7 @@ def _angles(record, arm):
     raise AssertionError('a run has measurements')
 
 
-def _near_zero(angles):
+def _near_zero(angles: np.ndarray) -> np.ndarray:
     """Whole turns taken off, so that the path lies around the vertical without jumps."""
     result = np.array(angles)
     for column in result.T:
@@ -111,7 +116,7 @@ def _near_zero(angles):
     return result
 
 
-def configurations(found: Detectability, arm) -> Grid:
+def configurations(found: Detectability, arm: ArmParameters) -> Grid:
     """Detectability at rest over all configurations around the path."""
     deviation, gains, limits = found.deviation, found.gains, np.arccos(arm.cos_min)
     axes = []
@@ -154,7 +159,7 @@ def summary(found: Detectability, sensor_names: Sequence[str]) -> list[Detectabi
     ]
 
 
-def _recorded(found, i):
+def _recorded(found: Detectability, i: int) -> dict[str, float]:
     if found.moving is None:
         return {}
     lost = found.not_diagnosable[:, i]
@@ -171,7 +176,7 @@ def _recorded(found, i):
     }
 
 
-def _resting(found, i):
+def _resting(found: Detectability, i: int) -> dict[str, float]:
     values = found.resting[:, i]
     if not values.size:
         return {}

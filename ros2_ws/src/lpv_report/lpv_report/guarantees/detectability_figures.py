@@ -4,10 +4,14 @@ from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from lpv_report.guarantees.detectability import configurations
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
+from lpv_report.guarantees.detectability import Detectability, Grid, configurations
 from lpv_report.history.episodes import intervals
 from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT, thin
 
@@ -18,7 +22,7 @@ _COLORS = plt.get_cmap('viridis').with_extremes(over=BAND)
 _ALERT = '#d01c3b'
 
 
-def over_time(found, record, sensor_names: Sequence[str]):
+def over_time(found: Detectability, record: RunRecord, sensor_names: Sequence[str]) -> Figure:
     """Smallest lasting fault that is detected for certain, by time."""
     figure, axes = plt.subplots(2, sharex=True, figsize=(_WIDTH, 3.9))
     truth = record.aligned('ground_truth', 'fault')
@@ -72,7 +76,7 @@ def over_time(found, record, sensor_names: Sequence[str]):
     return figure
 
 
-def _scale(axis, found, i) -> None:
+def _scale(axis: Axes, found: Detectability, i: int) -> None:
     """Limits by what could be detected; true faults start from nothing."""
     parts = [found.resting[:, i]] + ([] if found.moving is None else [found.moving[:, i]])
     values = np.concatenate(parts)
@@ -84,7 +88,7 @@ def _scale(axis, found, i) -> None:
     axis.minorticks_off()
 
 
-def _unbounded(axis, found, i) -> None:
+def _unbounded(axis: Axes, found: Detectability, i: int) -> None:
     label = 'no bound at rest'
     time = found.time[found.places]
     for part in intervals(~np.isfinite(found.resting[:, i]), time) if len(time) else ():
@@ -94,7 +98,7 @@ def _unbounded(axis, found, i) -> None:
         label = None
 
 
-def _hatch(axis, found, i) -> None:
+def _hatch(axis: Axes, found: Detectability, i: int) -> None:
     label = 'not diagnosable'
     for part in intervals(found.not_diagnosable[:, i], found.time):
         axis.axvspan(
@@ -110,7 +114,7 @@ def _hatch(axis, found, i) -> None:
         label = None
 
 
-def over_configurations(found, arm):
+def over_configurations(found: Detectability, arm: ArmParameters) -> Figure:
     """The same over the configurations of the arm, with the path of the run."""
     grid = configurations(found, arm)
     figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.15), sharex=True, sharey=True)
@@ -145,7 +149,7 @@ def over_configurations(found, arm):
     return figure
 
 
-def _background(axis, grid, i) -> None:
+def _background(axis: Axes, grid: Grid, i: int) -> None:
     one, two = np.degrees(grid.one), np.degrees(grid.two)
     values = grid.detectable[:, :, i].T
     finite = values <= _LEVELS[-1]
@@ -173,7 +177,7 @@ def _background(axis, grid, i) -> None:
         axis.clabel(lines, fontsize=7.5, fmt='%g')
 
 
-def _region(axis, grid, i) -> None:
+def _region(axis: Axes, grid: Grid, i: int) -> None:
     """Hatch what lies outside the region that this sensor needs."""
     one, two, lost = np.degrees(grid.one), np.degrees(grid.two), grid.lost[:, :, i].T
     axis.set(xlim=one[[0, -1]], ylim=two[[0, -1]])
@@ -192,7 +196,7 @@ def _region(axis, grid, i) -> None:
     )
 
 
-def _path(axis, found, i) -> None:
+def _path(axis: Axes, found: Detectability, i: int) -> None:
     known = np.degrees(found.deviation[_spread(found.deviation)])
     lost = found.not_diagnosable[_spread(found.deviation), i]
     axis.plot(*known.T, color='white', linewidth=3.2, solid_capstyle='round')
@@ -222,7 +226,7 @@ def _path(axis, found, i) -> None:
         )
 
 
-def _colored_path(axis, found, i) -> None:
+def _colored_path(axis: Axes, found: Detectability, i: int) -> None:
     """Without gains, what is known is known on the path alone."""
     rows = _spread(found.deviation)
     at, lost = np.degrees(found.deviation[rows]), found.not_diagnosable[rows, i]
@@ -235,5 +239,5 @@ def _colored_path(axis, found, i) -> None:
         )
 
 
-def _spread(deviation, most=3000):
+def _spread(deviation: np.ndarray, most: int = 3000) -> np.ndarray:
     return np.unique(np.linspace(0, len(deviation) - 1, most).astype(int))

@@ -2,13 +2,17 @@
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.error_system import link_errors
 from lpv_core.certificate.exact_proof import prove
+from lpv_core.certificate.gains import Gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import LpvError
+from lpv_report.guarantees.gains_source import UsedGains
 
 _SAME = {'rtol': 1e-4, 'atol': 1e-8}
 """By how much margins may differ from those in the file: processors round differently."""
@@ -24,7 +28,7 @@ class CheckRow:
     holds: bool  # whether it is satisfied now
 
     @property
-    def changed(self):
+    def changed(self) -> bool:
         """Whether the file claims another margin than its gains have."""
         return self.stored is None or not np.isclose(self.margin, self.stored, **_SAME)
 
@@ -41,23 +45,23 @@ class Certificate:
     problem: str = ''  # why nothing could be rebuilt; empty otherwise
 
     @property
-    def failed(self):
+    def failed(self) -> list[str]:
         """Names of the inequalities that do not hold."""
         names = [check.name for check in self.checks if not check.holds]
         return names + [name for name in self.refuted if name not in names]
 
     @property
-    def changed(self):
+    def changed(self) -> bool:
         """Whether margins in the file are not those of its gains."""
         return any(check.changed for check in self.checks)
 
     @property
-    def holds(self):
+    def holds(self) -> bool:
         """Whether the certificate holds now, and is the one that the design wrote."""
         return not (self.problem or self.failed or self.changed) and bool(self.checks)
 
 
-def examine(used, arm) -> Certificate:
+def examine(used: UsedGains, arm: ArmParameters) -> Certificate:
     """Rebuild the certificate of some gains, without any solver.
 
     Parameters
@@ -94,11 +98,11 @@ def examine(used, arm) -> Certificate:
     )
 
 
-def _number(value):
+def _number(value: object) -> float | None:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-def _origin(used):
+def _origin(used: UsedGains) -> list[tuple[str, str]]:
     gains, kept = used.gains, used.gains.certificate
     versions = [
         f'{name.removesuffix("_version")} {value}'
@@ -121,7 +125,7 @@ def _origin(used):
     ]
 
 
-def _properties(arm, gains):
+def _properties(arm: ArmParameters, gains: Gains) -> list[tuple[str, str]]:
     observer, controller = gains.observer, gains.controller
     sigma = ', '.join(f'{value:.4f}' for value in observer.fault_sigma)
     return [
@@ -132,7 +136,7 @@ def _properties(arm, gains):
     ]
 
 
-def _region(arm):
+def _region(arm: ArmParameters) -> str:
     limits = [
         f'link {i + 1} within {np.degrees(np.arccos(low)):.1f}\u00b0 (cos \u03b8 \u2265 {low:g})'
         for i, low in enumerate(arm.cos_min)
@@ -141,7 +145,7 @@ def _region(arm):
     return f'{", ".join(limits)} of the vertical {way}'
 
 
-def _exact(arm, observer):
+def _exact(arm: ArmParameters, observer: Any) -> list[tuple[str, str]]:
     torque = ', '.join(f'{1.0 / link.slopes[0]:.3g}' for link in link_errors(arm))
     return [
         (
@@ -152,7 +156,7 @@ def _exact(arm, observer):
     ]
 
 
-def _paper(_, observer):
+def _paper(_: ArmParameters, observer: Any) -> list[tuple[str, str]]:
     box = ', '.join(f'[{low:g}, {high:g}]' for low, high in observer.box)
     return [
         (

@@ -7,7 +7,7 @@ from pathlib import Path
 from lpv_bag.recorder.output_folder import GAINS_NAME
 from lpv_bag.rosbag.errors import BagError
 from lpv_core.certificate.gains import Gains, load_gains
-from lpv_core.model.arm import arm_from_json
+from lpv_core.model.arm import ArmParameters, arm_from_json
 from lpv_core.support.errors import ConfigError
 
 
@@ -87,7 +87,7 @@ def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGai
         return UsedGains(problem=f'The gains in the bag cannot be used: {error}')
 
 
-def arm_of(gains: Gains):
+def arm_of(gains: Gains) -> ArmParameters:
     """The arm that a gains file describes.
 
     Parameters

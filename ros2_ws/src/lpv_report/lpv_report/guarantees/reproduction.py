@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.certificate.gains import Gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor
 
 _SAME = 1e-6
@@ -25,7 +28,7 @@ class Reproduction:
         return self.largest <= _SAME
 
     @property
-    def text(self):
+    def text(self) -> str:
         """One sentence for the reader."""
         if self.same:
             return (
@@ -40,7 +43,7 @@ class Reproduction:
         )
 
 
-def reproduce(record, arm, gains) -> Reproduction | None:
+def reproduce(record: RunRecord, arm: ArmParameters, gains: Gains) -> Reproduction | None:
     """Run the observer again over the measurements of a run."""
     recorded = record.aligned('fault_estimate', 'estimate')
     if recorded is None:

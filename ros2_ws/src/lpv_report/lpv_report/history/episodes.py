@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lpv_bag.run.streams import RecordedAlarm, RunRecord
 from lpv_core.decision.diagnosis import AlarmEvent
 
 
@@ -28,14 +29,14 @@ class Episode:
     true_onset: float = None
 
     @property
-    def delay(self):
+    def delay(self) -> float | None:
         """Time from the true fault's onset to the alarm [s]; None where that is unknown."""
         if self.true_onset is None or math.isnan(self.true_onset):
             return None
         return self.raised - self.true_onset
 
     @property
-    def false_alarm(self):
+    def false_alarm(self) -> bool:
         """Whether ground truth says that there was no fault."""
         return self.true_onset is not None and math.isnan(self.true_onset)
 
@@ -61,7 +62,7 @@ def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list
     ]
 
 
-def true_faults(record) -> list[Interval] | None:
+def true_faults(record: RunRecord) -> list[Interval] | None:
     """When faults really acted."""
     truth = record.get('ground_truth', 'fault')
     if truth is None:
@@ -75,7 +76,7 @@ def true_faults(record) -> list[Interval] | None:
     ]
 
 
-def episodes(record) -> list[Episode]:
+def episodes(record: RunRecord) -> list[Episode]:
     """Alarms of a run.
 
     Parameters
@@ -105,7 +106,7 @@ def episodes(record) -> list[Episode]:
     return sorted(found, key=lambda e: (e.raised, e.sensor_index))
 
 
-def missed_faults(record, found: list[Episode]) -> list[Interval]:
+def missed_faults(record: RunRecord, found: list[Episode]) -> list[Interval]:
     """True faults during which no alarm was raised or active.
 
     Parameters
@@ -132,7 +133,7 @@ def missed_faults(record, found: list[Episode]) -> list[Interval]:
     ]
 
 
-def _start(record, event, faults):
+def _start(record: RunRecord, event: RecordedAlarm, faults: list[Interval] | None) -> Episode:
     raised = record.seconds(event.detected)
     return Episode(
         event.sensor,
@@ -149,7 +150,7 @@ def _start(record, event, faults):
     )
 
 
-def _true_onset(faults, sensor_index, raised):
+def _true_onset(faults: list[Interval] | None, sensor_index: int, raised: float) -> float | None:
     if faults is None:
         return None
     begun = [
@@ -158,7 +159,7 @@ def _true_onset(faults, sensor_index, raised):
     return begun[-1] if begun else math.nan
 
 
-def _with_largest(record, episode):
+def _with_largest(record: RunRecord, episode: Episode) -> Episode:
     estimate = record.get('fault_estimate', 'estimate')
     if estimate is None or not 0 <= episode.sensor_index < estimate.shape[1]:
         return episode

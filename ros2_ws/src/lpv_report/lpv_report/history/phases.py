@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lpv_bag.run.observer_reports import observer_reports
+from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import SensorState
 from lpv_core.observer.sampled_observer import Mode
 from lpv_report.history.episodes import intervals
@@ -36,12 +37,12 @@ class Phase:
     end: float  # [s] since the first measurement
 
     @property
-    def meaning(self):
+    def meaning(self) -> str:
         """What the word means."""
         return _MEANING[self.what]
 
     @property
-    def duration(self):
+    def duration(self) -> float:
         """[s]."""
         return self.end - self.start
 
@@ -56,7 +57,7 @@ class Rest:
     duration: float  # of all of them together [s]
 
 
-def phases(record, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
+def phases(record: RunRecord, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
     """All stretches of a run.
 
     Parameters
@@ -87,7 +88,7 @@ def phases(record, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
     return sorted(found, key=lambda p: (p.start, p.what, p.sensor))
 
 
-def starting(record, stamps: np.ndarray) -> np.ndarray:
+def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
     """Which samples are the first ones, of which nobody expects an answer."""
     mode = record.get('state_estimate', 'mode')
     if mode is None:
@@ -95,7 +96,7 @@ def starting(record, stamps: np.ndarray) -> np.ndarray:
     return np.isin(stamps, record.stamps['state_estimate'][mode == Mode.INITIALISING])
 
 
-def _of_reports(record, bag):
+def _of_reports(record: RunRecord, bag: str | Path) -> list[Phase]:
     """Reports come once a second and with every alarm: times are as exact as that."""
     topic = record.topics.get('fault_estimate') or record.topics.get('state_estimate')
     if topic is None:
@@ -112,7 +113,7 @@ def _of_reports(record, bag):
     ]
 
 
-def _of_commands(record):
+def _of_commands(record: RunRecord) -> list[Phase]:
     stopped = record.get('torque_command', 'safe_stop')
     if stopped is None:
         return []

@@ -4,10 +4,13 @@ from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import SensorState
-from lpv_report.history.episodes import intervals
-from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, starting
+from lpv_report.history.episodes import Interval, intervals
+from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, Phase, starting
 from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT
 
 _HALF = 0.32
@@ -18,7 +21,12 @@ _LINES = (
 )
 
 
-def timeline(record, found, faults, sensor_names: Sequence[str]):
+def timeline(
+    record: RunRecord,
+    found: Sequence[Phase],
+    faults: Sequence[Interval] | None,
+    sensor_names: Sequence[str],
+) -> Figure | None:
     """States over time as bars."""
     states = record.get('fault_estimate', 'state')
     if states is None:
@@ -57,7 +65,7 @@ def timeline(record, found, faults, sensor_names: Sequence[str]):
     return figure
 
 
-def _sensor(axis, time, state, i) -> None:
+def _sensor(axis: Axes, time: np.ndarray, state: np.ndarray, i: int) -> None:
     looks = (
         (SensorState.OK, 'watched, no fault', {'facecolor': '#e4e9ee'}),
         (SensorState.WARN, 'suspected', {'facecolor': PALE[i]}),
@@ -75,7 +83,7 @@ def _sensor(axis, time, state, i) -> None:
             axis.broken_barh(parts, (i - _HALF, 2 * _HALF), label=label, **look)
 
 
-def _legend(figure, axis) -> None:
+def _legend(figure: Figure, axis: Axes) -> None:
     found = {}
     for handle, label in zip(*axis.get_legend_handles_labels()):
         found.setdefault(label, handle)

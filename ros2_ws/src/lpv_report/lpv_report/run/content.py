@@ -1,14 +1,18 @@
 """What a report says, as plain values for its template."""
 
 import time
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_report.guarantees.detectability import summary
-from lpv_report.history.episodes import episodes, missed_faults
-from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, listed
+from lpv_report.guarantees.examination import Certificate
+from lpv_report.history.episodes import Episode, Interval, episodes, missed_faults
+from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, Phase, listed
 from lpv_report.run.versions import installed_versions
 
 _CALENDAR = 946684800 * NANOSECONDS
@@ -67,23 +71,29 @@ def content(
     }
 
 
-def _period(record):
+def _period(record: RunRecord) -> str:
     stamps = record.stamps['joint_states']
     return f'{np.median(np.diff(stamps)) / 1e6:.3g}' if len(stamps) > 1 else ''
 
 
-def _begin(record):
+def _begin(record: RunRecord) -> str:
     stamp = int(record.stamps['joint_states'][0])
     if stamp < _CALENDAR:
         return ''
     return time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(stamp // NANOSECONDS))
 
 
-def _count(number, one, many):
+def _count(number: int, one: str, many: str) -> str:
     return f'{number or "no"} {one if number == 1 else many}'
 
 
-def _verdict(alarms, missed, found, truth, recorded):
+def _verdict(
+    alarms: list[Episode],
+    missed: list[Interval],
+    found: Sequence[Phase],
+    truth: bool,
+    recorded: bool,
+) -> str:
     """The answer in a sentence or two."""
     stops = sum(phase.what == SAFE_STOP for phase in found)
     odd = sum(phase.what == INCONSISTENT for phase in found)
@@ -106,7 +116,14 @@ def _verdict(alarms, missed, found, truth, recorded):
     return '; '.join(parts)
 
 
-def _tiles(record, alarms, missed, truth, certificate, found):
+def _tiles(
+    record: RunRecord,
+    alarms: list[Episode],
+    missed: list[Interval],
+    truth: bool,
+    certificate: Certificate | None,
+    found: Sequence[Phase],
+) -> list[Tile]:
     tiles = [Tile('alarms', str(len(alarms)), _ongoing(alarms))]
     if truth:
         false = sum(alarm.false_alarm for alarm in alarms)
@@ -123,12 +140,12 @@ def _tiles(record, alarms, missed, truth, certificate, found):
     return [*tiles, _certificate_tile(certificate)]
 
 
-def _ongoing(alarms):
+def _ongoing(alarms: list[Episode]) -> str:
     active = sum(alarm.cleared is None for alarm in alarms)
     return f'{active} to the end' if active else ''
 
 
-def _certificate_tile(certificate):
+def _certificate_tile(certificate: Certificate | None) -> Tile:
     if certificate is None:
         return Tile('certificate', 'unknown', look='warn')
     if certificate.holds:
@@ -140,7 +157,7 @@ def _certificate_tile(certificate):
     )
 
 
-def _arm_facts(arm):
+def _arm_facts(arm: ArmParameters) -> list[tuple[str, str]]:
     return [
         ('name', arm.name),
         ('SHA-256', arm.sha256()),

@@ -1,15 +1,29 @@
 """All figures of a report, in the order of the page."""
 
-import matplotlib.pyplot as plt
+from collections.abc import Iterator, Sequence
 
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from lpv_bag.run.streams import RunRecord
+from lpv_core.control.path import CartesianPath
+from lpv_core.model.arm import ArmParameters
+from lpv_report.guarantees.detectability import Detectability
 from lpv_report.guarantees.detectability_figures import over_configurations, over_time
 from lpv_report.history.episodes import true_faults
+from lpv_report.history.phases import Phase
 from lpv_report.history.timeline import timeline
 from lpv_report.run.figures import cartesian, faults, measured, states, torques
 from lpv_report.run.style import SETTINGS
 
 
-def draw_all(record, arm, path=None, found=(), able=None):
+def draw_all(
+    record: RunRecord,
+    arm: ArmParameters,
+    path: CartesianPath | None = None,
+    found: Sequence[Phase] = (),
+    able: Detectability | None = None,
+) -> Iterator[tuple[str, Figure]]:
     """Draw everything that a run has to show."""
     names = arm.sensor_names
     makers = {

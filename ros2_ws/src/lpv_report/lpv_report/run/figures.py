@@ -6,13 +6,19 @@ reference, thin lines what is measured or estimated.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.control.path import CartesianPath
 from lpv_core.decision.diagnosis import SensorState
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import forward
-from lpv_report.history.episodes import episodes, intervals
+from lpv_report.history.episodes import Episode, episodes, intervals
 from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT, thin
 
 _WIDTH = 8.6
@@ -21,7 +27,9 @@ _THIN = {'linewidth': 1.1}
 _DASHED = {'linewidth': 1.1, 'linestyle': (0, (4, 2.5))}
 
 
-def _axes(rows, columns=1, height=2.15, **options):
+def _axes(
+    rows: int, columns: int = 1, height: float = 2.15, **options: Any
+) -> tuple[Figure, np.ndarray]:
     figure, axes = plt.subplots(
         rows, columns, sharex=True, squeeze=False, figsize=(_WIDTH, height * rows + 0.3), **options
     )
@@ -30,7 +38,9 @@ def _axes(rows, columns=1, height=2.15, **options):
     return figure, axes
 
 
-def _draw(axis, time, values, label, color, **options):
+def _draw(
+    axis: Axes, time: np.ndarray, values: np.ndarray | None, label: str, color: str, **options: Any
+) -> bool:
     """A curve, if there is any: returns whether it was drawn."""
     if values is None or not np.isfinite(values).any():
         return False
@@ -38,7 +48,7 @@ def _draw(axis, time, values, label, color, **options):
     return True
 
 
-def _finish(axis, record, title) -> None:
+def _finish(axis: Axes, record: RunRecord, title: str) -> None:
     """Title on the left, legend on the right, both above the data."""
     axis.set_title(title, pad=7)
     handles, labels = axis.get_legend_handles_labels()
@@ -58,12 +68,14 @@ def _finish(axis, record, title) -> None:
     axis.margins(y=0.08)
 
 
-def _column(record, stream, name, index):
+def _column(record: RunRecord, stream: str, name: str, index: int) -> np.ndarray | None:
     values = record.aligned(stream, name)
     return None if values is None else values[:, index]
 
 
-def _tip(record, arm, stream, name: str = 'position'):
+def _tip(
+    record: RunRecord, arm: ArmParameters, stream: str, name: str = 'position'
+) -> np.ndarray | None:
     q = record.aligned(stream, name)
     if q is None:
         return None
@@ -71,7 +83,7 @@ def _tip(record, arm, stream, name: str = 'position'):
     return forward(q + np.array([arm.zero_angle + np.pi / 2, 0.0]), arm.lengths)
 
 
-def cartesian(record, arm, path=None):
+def cartesian(record: RunRecord, arm: ArmParameters, path: CartesianPath | None = None) -> Figure:
     """Fig. 4: reference path, true path, and the path that the measurements claim."""
     figure, axis = plt.subplots(figsize=(_WIDTH, 4.6))
     reference = record.aligned('reference', 'tip_position')
@@ -119,7 +131,7 @@ def cartesian(record, arm, path=None):
     return figure
 
 
-def _thin_path(points, step=0.5e-3):
+def _thin_path(points: np.ndarray, step: float = 0.5e-3) -> np.ndarray:
     """x and y without samples that are closer than a line's width to the one before [m]."""
     points = points[np.isfinite(points).all(axis=1)]
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
@@ -127,7 +139,7 @@ def _thin_path(points, step=0.5e-3):
     return points[index].T
 
 
-def _mark_ends(axis, points) -> None:
+def _mark_ends(axis: Axes, points: np.ndarray) -> None:
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return
@@ -142,7 +154,7 @@ def _mark_ends(axis, points) -> None:
         )
 
 
-def faults(record, sensor_names: Sequence[str] | None = None):
+def faults(record: RunRecord, sensor_names: Sequence[str] | None = None) -> Figure | None:
     """Fig. 5: sensor faults and their estimates, thresholds and alarms."""
     if 'fault_estimate' not in record.streams:
         return None
@@ -169,12 +181,12 @@ def faults(record, sensor_names: Sequence[str] | None = None):
     return figure
 
 
-def _band(time, threshold):
+def _band(time: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, ...]:
     at, high = thin(time, threshold)
     return at, -high, high
 
 
-def _shade(axis, record, sensor, alarms) -> None:
+def _shade(axis: Axes, record: RunRecord, sensor: int, alarms: list[Episode]) -> None:
     """Alarms as shaded, stretches without diagnosis as hatched intervals."""
     end, label = record.time[-1], 'alarm'
     for episode in alarms:
@@ -205,7 +217,7 @@ def _shade(axis, record, sensor, alarms) -> None:
         label = None
 
 
-def measured(record):
+def measured(record: RunRecord) -> Figure:
     """Fig. 6: measured joint positions, with faults, and their references."""
     figure, axes = _axes(2, height=2.4)
     for i, axis in enumerate(axes[:, 0]):
@@ -238,7 +250,7 @@ def measured(record):
     return figure
 
 
-def states(record):
+def states(record: RunRecord) -> Figure | None:
     """Fig. 7: joint positions and rates with their estimates."""
     if 'state_estimate' not in record.streams:
         return None
@@ -261,7 +273,7 @@ def states(record):
     return figure
 
 
-def torques(record):
+def torques(record: RunRecord) -> Figure | None:
     """Fig. 8: torques of both joints."""
     figure, axes = _axes(2, height=2.2)
     drawn = False

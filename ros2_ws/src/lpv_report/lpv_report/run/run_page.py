@@ -12,7 +12,7 @@ def number(value: float | None, form: str) -> str:
     return form % value if value is not None and math.isfinite(value) else '-'
 
 
-def share(value):
+def share(value: float | None) -> str:
     """A share from 0 to 1 as percentage; a dash for None."""
     return '-' if value is None else f'{100.0 * value:.1f} %'
 

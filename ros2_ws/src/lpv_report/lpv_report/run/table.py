@@ -7,6 +7,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.metrics import mise
 
@@ -37,7 +39,7 @@ class Row:
     paper: float = None  # the paper's
 
 
-def make_table(record, arm) -> list[Row]:
+def make_table(record: RunRecord, arm: ArmParameters) -> list[Row]:
     """MISE against ground truth, or the size of fault estimates where there is none.
 
     Parameters
@@ -57,7 +59,7 @@ def make_table(record, arm) -> list[Row]:
     return _without_truth(record)
 
 
-def _against_truth(record, joints):
+def _against_truth(record: RunRecord, joints: JointMap) -> list[Row]:
     get = record.aligned
     truth = joints.absolute_position(get('ground_truth', 'position'))
     errors = {
@@ -83,7 +85,7 @@ def _against_truth(record, joints):
     ]
 
 
-def _without_truth(record):
+def _without_truth(record: RunRecord) -> list[Row]:
     estimate = record.aligned('fault_estimate', 'estimate')
     if estimate is None:
         return []
@@ -104,14 +106,14 @@ def _without_truth(record):
     return rows
 
 
-def _times(row):
+def _times(row: Row) -> str:
     if not row.value > 0.0:
         return '-'
     ratio = row.paper / row.value
     return f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
 
 
-def print_table(rows: list[Row], console=None) -> None:
+def print_table(rows: list[Row], console: Console | None = None) -> None:
     """Show a table on the terminal."""
     with_paper = any(row.paper is not None for row in rows)
     table = Table(title='MISE, eq. (70)' if with_paper else None, box=box.SIMPLE_HEAD)

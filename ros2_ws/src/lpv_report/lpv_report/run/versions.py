@@ -19,7 +19,7 @@ def installed_versions() -> list[tuple[str, ...]]:
     return [found[0], ('Python', platform.python_version()), *found[1:]]
 
 
-def _version(name):
+def _version(name: str) -> str:
     try:
         return version(name)
     except PackageNotFoundError:

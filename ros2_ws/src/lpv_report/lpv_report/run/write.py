@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lpv_bag.run.record import load_run
+from lpv_core.control.path import CartesianPath
+from lpv_core.model.arm import ArmParameters
 from lpv_report.guarantees.detectability import detectability
 from lpv_report.guarantees.examination import examine
-from lpv_report.guarantees.gains_source import find_used_gains
+from lpv_report.guarantees.gains_source import UsedGains, find_used_gains
 from lpv_report.guarantees.reproduction import reproduce
 from lpv_report.history.phases import phases
 from lpv_report.run.content import content
@@ -42,7 +44,12 @@ class ReportResult:
 
 
 def write_report(
-    bag: str | Path, out: str | Path, arm, path=None, title: str = 'Run', used=None
+    bag: str | Path,
+    out: str | Path,
+    arm: ArmParameters,
+    path: CartesianPath | None = None,
+    title: str = 'Run',
+    used: UsedGains | None = None,
 ) -> ReportResult:
     """Write the report of a bag.
 
