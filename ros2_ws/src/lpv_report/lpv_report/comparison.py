@@ -1,7 +1,7 @@
 """What two runs of one recording have in common, and where they differ."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -53,8 +53,8 @@ class Figure:
 
     name: str  # what it is
     unit: str  # what it is
-    first: float  # values; None where a run does not have it
-    second: float  # values; None where a run does not have it
+    first: float | None  # values; None where a run does not have it
+    second: float | None  # values; None where a run does not have it
     same: bool  # within the tolerance
 
 
@@ -62,8 +62,8 @@ class Figure:
 class AlarmPair:
     """An alarm of one run and that of the other which corresponds to it, or None."""
 
-    first: object
-    second: object
+    first: Episode | None
+    second: Episode | None
     same: bool
 
 
@@ -72,10 +72,10 @@ class Comparison:
     """Result."""
 
     # MISE or, without ground truth, sizes of the fault estimates
-    figures: list = field(default_factory=list)
+    figures: list[Figure] = field(default_factory=list)
     # by signal the largest difference (``second``) against its tolerance (``first``)
-    differences: list = field(default_factory=list)
-    alarms: list = field(default_factory=list)  # in the order of time
+    differences: list[Figure] = field(default_factory=list)
+    alarms: list[AlarmPair] = field(default_factory=list)  # in the order of time
     common: int = 0  # answers with the same stamp in both runs, and others
     only_first: int = 0  # answers with the same stamp in both runs, and others
     only_second: int = 0  # answers with the same stamp in both runs, and others
@@ -92,8 +92,9 @@ class Comparison:
     @property
     def same(self) -> bool:
         """Whether nothing differs beyond the tolerances."""
-        return self.complete and all(
-            entry.same for entry in (*self.figures, *self.differences, *self.alarms)
+        parts = (*self.figures, *self.differences)
+        return (
+            self.complete and all(part.same for part in parts) and all(a.same for a in self.alarms)
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -156,15 +157,18 @@ def compare_runs(
     tolerances = tolerances or Tolerances()
     result = Comparison(missing_allowed=tolerances.missing)
     stamps = [answer_stamps(record) for record in (first, second)]
-    common = np.intersect1d(*stamps)
+    common = np.intersect1d(stamps[0], stamps[1])
     result.common = len(common)
     result.only_first, result.only_second = (len(s) - len(common) for s in stamps)
     if not len(common):
         raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
-    both = [_restricted(record, common) for record in (first, second)]
-    result.figures = _figures(*both, arm, tolerances.mise)
-    result.differences = [*_differences(*both, tolerances), *_flag_changes(*both, tolerances)]
     result.alarms = _pairs(first, second, tolerances.delay)
+    first, second = _restricted(first, common), _restricted(second, common)
+    result.figures = _figures(first, second, arm, tolerances.mise)
+    result.differences = [
+        *_differences(first, second, tolerances),
+        *_flag_changes(first, second, tolerances),
+    ]
     return result
 
 
@@ -195,13 +199,10 @@ def _figures(
         for record in (first, second)
     ]
     found = []
-    for key in dict.fromkeys((*tables[0], *tables[1])):
-        rows = [table.get(key) for table in tables]
-        values = [None if row is None else float(row.value) for row in rows]
-        row = rows[0] or rows[1]
-        found.append(
-            Figure(f'{row.signal}: {row.meaning}', row.unit, *values, _close(*values, tolerance))
-        )
+    units = {key: row.unit for table in tables for key, row in table.items()}
+    for key, unit in units.items():
+        a, b = (float(table[key].value) if key in table else None for table in tables)
+        found.append(Figure(': '.join(key), unit, a, b, _close(a, b, tolerance)))
     return found
 
 
@@ -248,15 +249,15 @@ def _flag_changes(first: RunRecord, second: RunRecord, tolerances: Tolerances) -
 
 
 def _aligned(
-    first: RunRecord, second: RunRecord, names: dict[str, tuple[str, ...]]
+    first: RunRecord, second: RunRecord, names: Mapping[str, tuple[str, ...]]
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     for stream, fields in names.items():
         if stream not in first.stamps or stream not in second.stamps:
             continue
         _, i, j = np.intersect1d(first.stamps[stream], second.stamps[stream], return_indices=True)
         for name in fields:
-            values = [r.get(stream, name)[k] for r, k in ((first, i), (second, j))]
-            yield name, *(v.reshape(len(v), -1) for v in values)
+            a, b = first.streams[stream][name][i], second.streams[stream][name][j]
+            yield name, a.reshape(len(a), -1), b.reshape(len(b), -1)
 
 
 def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmPair]:
@@ -272,7 +273,13 @@ def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmP
             other = None
         pairs.append(AlarmPair(alarm, other, _same_alarm(alarm, other, shift, tolerance)))
     pairs += [AlarmPair(None, other, False) for other in left]
-    return sorted(pairs, key=lambda p: (p.first or p.second).raised)
+    return sorted(pairs, key=_begin)
+
+
+def _begin(pair: AlarmPair) -> float:
+    alarm = pair.first or pair.second
+    assert alarm is not None
+    return alarm.raised
 
 
 def _overlap(one: Episode, other: Episode, shift: float) -> bool:
@@ -286,6 +293,7 @@ def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: fl
     if (one.cleared is None) != (other.cleared is None):
         return False
     times = [(one.raised, other.raised)]
-    times += [(one.cleared, other.cleared)] if one.cleared is not None else []
+    if one.cleared is not None and other.cleared is not None:
+        times.append((one.cleared, other.cleared))
     # Differences of seconds as floats have nanoseconds of rounding.
     return all(abs(a - b - shift) <= tolerance + 1e-9 for a, b in times)

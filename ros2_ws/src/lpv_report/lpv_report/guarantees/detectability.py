@@ -29,7 +29,7 @@ class Grid:
     two: np.ndarray
     # smallest lasting fault of each sensor that is detected for certain at rest [rad]; None without
     # gains; shape (n, m, 2)
-    detectable: np.ndarray
+    detectable: np.ndarray | None
     # where a sensor is not diagnosable: a link that it sees is outside the certified region; shape
     # (n, m, 2)
     lost: np.ndarray
@@ -44,7 +44,7 @@ class Detectability:
     # angles of the links from the vertical of the region [rad]; NaN where unknown; shape (n, 2)
     deviation: np.ndarray
     # threshold plus bound as recorded [rad]: they know motion and past; shape (n, 2)
-    moving: np.ndarray
+    moving: np.ndarray | None
     not_diagnosable: np.ndarray  # as recorded; shape (n, 2)
     places: np.ndarray  # rows for which the following was computed; empty without gains; shape (k,)
     # threshold plus bound of the design at rest in the configuration [rad]; infinite where gravity
@@ -91,7 +91,7 @@ def detectability(
             if len(known)
             else known
         )
-        resting = sum(at_rest(arm, gains, deviation[places] + vertical(arm)))
+        resting = np.add(*at_rest(arm, gains, deviation[places] + vertical(arm)))
     return Detectability(source, record.time, deviation, moving, lost, places, resting, gains)
 
 
@@ -128,8 +128,8 @@ def configurations(found: Detectability, arm: ArmParameters) -> Grid:
     outside = np.cos(both) < np.asarray(arm.cos_min)
     seen = np.abs(JointMap(arm).sensor_matrix) > 0.0
     lost = np.stack([(outside & row).any(axis=-1) for row in seen], axis=-1)
-    able = None if gains is None else sum(at_rest(arm, gains, both + vertical(arm)))
-    return Grid(*axes, able, lost)
+    able = None if gains is None else np.add(*at_rest(arm, gains, both + vertical(arm)))
+    return Grid(axes[0], axes[1], able, lost)
 
 
 @dataclass(frozen=True)
@@ -138,17 +138,19 @@ class DetectabilityRow:
 
     sensor: str  # its name
     # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
-    smallest: float = None
+    smallest: float | None = None
     # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
-    middle: float = None
+    middle: float | None = None
     # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
-    largest: float = None
+    largest: float | None = None
     # at rest in the configurations of the path, as far as gravity bounds the error [rad]
-    rest_smallest: float = None
+    rest_smallest: float | None = None
     # at rest in the configurations of the path, as far as gravity bounds the error [rad]
-    rest_largest: float = None
-    unbounded: float = None  # share of the path in which gravity does not bound the error at rest
-    lost: float = None  # share of the time in which the sensor was not diagnosable
+    rest_largest: float | None = None
+    unbounded: float | None = (
+        None  # share of the path in which gravity does not bound the error at rest
+    )
+    lost: float | None = None  # share of the time in which the sensor was not diagnosable
 
 
 def summary(found: Detectability, sensor_names: Sequence[str]) -> list[DetectabilityRow]:

@@ -1,6 +1,7 @@
 """Pictures of what could be detected: over time, and over configurations with the path."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,7 +14,7 @@ from lpv_bag.run.streams import RunRecord
 from lpv_core.model.arm import ArmParameters
 from lpv_report.guarantees.detectability import Detectability, Grid, configurations
 from lpv_report.history.episodes import intervals
-from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT, thin
+from lpv_report.style import BAND, HATCHED, INK, PALE, SENSOR, SOFT, legend_above, shade, thin
 
 _WIDTH = 8.6
 _LEVELS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
@@ -58,19 +59,7 @@ def over_time(found: Detectability, record: RunRecord, sensor_names: Sequence[st
         _hatch(axis, found, i)
         axis.set_ylabel('fault [rad]')
         axis.set_title(sensor_names[i], pad=7)
-        handles, labels = axis.get_legend_handles_labels()
-        if handles:
-            axis.legend(
-                handles,
-                labels,
-                loc='lower right',
-                bbox_to_anchor=(1.0, 1.0),
-                ncols=len(handles),
-                borderaxespad=0.25,
-                handlelength=1.7,
-                columnspacing=1.3,
-                handletextpad=0.5,
-            )
+        legend_above(axis)
         axis.set_xlim(0.0, found.time[-1])
     axes[-1].set_xlabel('time [s]')
     return figure
@@ -89,29 +78,14 @@ def _scale(axis: Axes, found: Detectability, i: int) -> None:
 
 
 def _unbounded(axis: Axes, found: Detectability, i: int) -> None:
-    label = 'no bound at rest'
     time = found.time[found.places]
-    for part in intervals(~np.isfinite(found.resting[:, i]), time) if len(time) else ():
-        axis.axvspan(
-            part.start, part.end, color=BAND, alpha=0.45, linewidth=0, label=label, zorder=0
-        )
-        label = None
+    parts = intervals(~np.isfinite(found.resting[:, i]), time) if len(time) else []
+    shade(axis, [(p.start, p.end) for p in parts], 'no bound at rest', color=BAND, alpha=0.45)
 
 
 def _hatch(axis: Axes, found: Detectability, i: int) -> None:
-    label = 'not diagnosable'
-    for part in intervals(found.not_diagnosable[:, i], found.time):
-        axis.axvspan(
-            part.start,
-            part.end,
-            facecolor='none',
-            edgecolor=SOFT,
-            hatch='////',
-            linewidth=0,
-            label=label,
-            zorder=0,
-        )
-        label = None
+    parts = intervals(found.not_diagnosable[:, i], found.time)
+    shade(axis, [(p.start, p.end) for p in parts], 'not diagnosable', **HATCHED)
 
 
 def over_configurations(found: Detectability, arm: ArmParameters) -> Figure:
@@ -230,13 +204,13 @@ def _colored_path(axis: Axes, found: Detectability, i: int) -> None:
     """Without gains, what is known is known on the path alone."""
     rows = _spread(found.deviation)
     at, lost = np.degrees(found.deviation[rows]), found.not_diagnosable[rows, i]
-    axis.scatter(
-        *at[~lost].T, c=found.moving[rows, i][~lost], norm=_NORM, cmap=_COLORS, s=9.0, linewidths=0
-    )
+    look: dict[str, Any] = {'s': 9.0, 'linewidths': 0}
+    if found.moving is not None:
+        shades = found.moving[rows, i][~lost]
+        axis.scatter(at[~lost, 0], at[~lost, 1], c=shades, norm=_NORM, cmap=_COLORS, **look)
     if lost.any():
-        axis.scatter(
-            *at[lost].T, color=_ALERT, s=9.0, linewidths=0, label='reported as not diagnosable'
-        )
+        label = 'reported as not diagnosable'
+        axis.scatter(at[lost, 0], at[lost, 1], color=_ALERT, label=label, **look)
 
 
 def _spread(deviation: np.ndarray, most: int = 3000) -> np.ndarray:

@@ -14,7 +14,7 @@ from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import LpvError
 from lpv_report.guarantees.gains_source import UsedGains
 
-_SAME = {'rtol': 1e-4, 'atol': 1e-8}
+_RELATIVE, _ABSOLUTE = 1e-4, 1e-8
 """By how much margins may differ from those in the file: processors round differently."""
 
 
@@ -24,13 +24,15 @@ class CheckRow:
 
     name: str  # what it is
     margin: float  # rebuilt now; negative where it holds
-    stored: float  # the margin that the file claims; None where it claims none
+    stored: float | None  # the margin that the file claims; None where it claims none
     holds: bool  # whether it is satisfied now
 
     @property
     def changed(self) -> bool:
         """Whether the file claims another margin than its gains have."""
-        return self.stored is None or not np.isclose(self.margin, self.stored, **_SAME)
+        return self.stored is None or not np.isclose(
+            self.margin, self.stored, rtol=_RELATIVE, atol=_ABSOLUTE
+        )
 
 
 @dataclass(frozen=True)
@@ -61,28 +63,31 @@ class Certificate:
         return not (self.problem or self.failed or self.changed) and bool(self.checks)
 
 
-def examine(used: UsedGains, arm: ArmParameters) -> Certificate:
+def examine(used: UsedGains, arm: ArmParameters) -> Certificate | None:
     """Rebuild the certificate of some gains, without any solver.
 
     Parameters
     ----------
     used : UsedGains
-        With gains.
+        The gains.
     arm : ArmParameters
         The arm of the run.
 
     Returns
     -------
-    Certificate
-        What holds now.
+    Certificate or None
+        What holds now; None if the gains are not known.
     """
     gains, begin = used.gains, time.perf_counter()
+    if gains is None:
+        return None
+    origin = _origin(used, gains)
     try:
         gains.check_arm(arm, used.source)
         checks = verify(arm, gains)
         exact = prove(arm, gains)
     except (LpvError, ArithmeticError, np.linalg.LinAlgError) as error:
-        return Certificate(_origin(used), [], 0, [], time.perf_counter() - begin, str(error))
+        return Certificate(origin, [], 0, [], time.perf_counter() - begin, str(error))
     stored = gains.certificate.get('margins')
     stored = stored if isinstance(stored, dict) else {}
     rows = [
@@ -90,7 +95,7 @@ def examine(used: UsedGains, arm: ArmParameters) -> Certificate:
         for c in checks
     ]
     return Certificate(
-        [*_origin(used), *_properties(arm, gains)],
+        [*origin, *_properties(arm, gains)],
         rows,
         sum(exact.values()),
         [name for name, holds in exact.items() if not holds],
@@ -102,8 +107,10 @@ def _number(value: object) -> float | None:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-def _origin(used: UsedGains) -> list[tuple[str, str]]:
-    gains, kept = used.gains, used.gains.certificate
+def _origin(used: UsedGains, gains: Gains) -> list[tuple[str, str]]:
+    kept: dict[str, Any] = gains.certificate
+    observer: Any = gains.observer
+    controller: Any = gains.controller
     versions = [
         f'{name.removesuffix("_version")} {value}'
         for name, value in kept.items()
@@ -119,14 +126,15 @@ def _origin(used: UsedGains) -> list[tuple[str, str]]:
         ('SHA-256 of the file', used.digest),
         ('designed for arm', gains.arm_name),
         ('SHA-256 of the arm', gains.arm_sha256),
-        ('method', f'observer {gains.observer.method}, controller {gains.controller.method}'),
+        ('method', f'observer {observer.method}, controller {controller.method}'),
         ('solver', ', '.join([str(kept.get('solver', 'unknown')), *versions])),
         ('solver said', '; '.join(status) or 'nothing'),
     ]
 
 
 def _properties(arm: ArmParameters, gains: Gains) -> list[tuple[str, str]]:
-    observer, controller = gains.observer, gains.controller
+    observer: Any = gains.observer
+    controller: Any = gains.controller
     sigma = ', '.join(f'{value:.4f}' for value in observer.fault_sigma)
     return [
         ('certified region', _region(arm)),

@@ -15,7 +15,7 @@ from lpv_core.support.errors import ConfigError
 class UsedGains:
     """Gains of a run, or why they are not known."""
 
-    gains: Gains = None  # none where they are not known
+    gains: Gains | None = None  # none where they are not known
     source: str = ''  # where they come from, for the reader
     digest: str = ''  # SHA-256 of their file
     problem: str = ''  # why they are not known; empty where they are

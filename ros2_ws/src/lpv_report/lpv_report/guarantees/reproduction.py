@@ -52,7 +52,10 @@ def reproduce(record: RunRecord, arm: ArmParameters, gains: Gains) -> Reproducti
     monitor = SensorMonitor('', arm, gains)
     answers = monitor.take_many(
         record.stamps['joint_states'][:_MOST],
-        *(record.get('joint_states', name)[:_MOST] for name in ('position', 'velocity', 'effort')),
+        *(
+            record.streams['joint_states'][name][:_MOST]
+            for name in ('position', 'velocity', 'effort')
+        ),
     )
     both = answers.has_fault & np.isfinite(recorded).all(axis=1)
     if not both.any():

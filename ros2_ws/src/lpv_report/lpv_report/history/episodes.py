@@ -17,7 +17,7 @@ class Episode:
     sensor_index: int  # its column
     onset: float  # first sample above the threshold, as diagnosed
     raised: float  # when the fault was confirmed
-    cleared: float  # when the alarm ended; None if it lasted to the end of the run
+    cleared: float | None  # when the alarm ended; None if it lasted to the end of the run
     size: float  # fault estimate when the alarm was raised, and the bound of its error [rad]
     bound: float  # fault estimate when the alarm was raised, and the bound of its error [rad]
     # fault estimate of largest magnitude during the alarm [rad]; NaN without fault estimates
@@ -26,7 +26,7 @@ class Episode:
     confidence: float  # latest confidence
     # start of the true fault at the time of the alarm; NaN if there was none (false alarm), None
     # without ground truth
-    true_onset: float = None
+    true_onset: float | None = None
 
     @property
     def delay(self) -> float | None:
@@ -53,13 +53,11 @@ class Interval:
 
 
 def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list[Interval]:
-    """Stretches in which a mask is true."""
+    """Intervals in which a mask is true; each ends at the first sample outside."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(int))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [
-        Interval(sensor_index, float(time[a]), float(time[min(b, len(time) - 1)]))
-        for a, b in zip(starts, ends)
-    ]
+    ends = np.minimum(ends, len(time) - 1)
+    return [Interval(sensor_index, float(time[a]), float(time[b])) for a, b in zip(starts, ends)]
 
 
 def true_faults(record: RunRecord) -> list[Interval] | None:
@@ -90,7 +88,9 @@ def episodes(record: RunRecord) -> list[Episode]:
         In the order in which they were raised.  An alarm whose start is not in the bag (an event
         that clears or updates it is) is taken from that event.
     """
-    faults, closed, running = true_faults(record), [], {}
+    faults = true_faults(record)
+    closed: list[Episode] = []
+    running: dict[int, Episode] = {}
     for event in record.alarms:
         episode = running.pop(event.sensor_index, None)
         if episode is None or event.event == AlarmEvent.RAISED:

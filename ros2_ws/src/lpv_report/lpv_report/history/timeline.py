@@ -1,6 +1,7 @@
 """One picture of what happened when: states of the sensors, stops, contradictions."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,7 +12,7 @@ from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import SensorState
 from lpv_report.history.episodes import Interval, intervals
 from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, Phase, starting
-from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT
+from lpv_report.style import BAND, INK, PALE, SENSOR, SOFT
 
 _HALF = 0.32
 _LINES = (
@@ -84,12 +85,12 @@ def _sensor(axis: Axes, time: np.ndarray, state: np.ndarray, i: int) -> None:
 
 
 def _legend(figure: Figure, axis: Axes) -> None:
-    found = {}
+    found: dict[str, Any] = {}
     for handle, label in zip(*axis.get_legend_handles_labels()):
         found.setdefault(label, handle)
     figure.legend(
-        found.values(),
-        found.keys(),
+        list(found.values()),
+        list(found),
         loc='outside upper right',
         ncols=len(found),
         handlelength=1.4,

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,10 +10,13 @@ import numpy as np
 from lpv_bag.run.streams import RunRecord
 from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import NANOSECONDS
-from lpv_report.guarantees.detectability import summary
+from lpv_report.guarantees.detectability import Detectability, summary
 from lpv_report.guarantees.examination import Certificate
+from lpv_report.guarantees.gains_source import UsedGains
+from lpv_report.guarantees.reproduction import Reproduction
 from lpv_report.history.episodes import Episode, Interval, episodes, missed_faults
 from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, Phase, listed
+from lpv_report.run.table import Row
 from lpv_report.run.versions import installed_versions
 
 _CALENDAR = 946684800 * NANOSECONDS
@@ -22,23 +26,38 @@ _CALENDAR = 946684800 * NANOSECONDS
 class Tile(NamedTuple):
     """A figure on top of the page."""
 
-    name: str  # what it is, the figure, and a remark
-    value: str  # what it is, the figure, and a remark
-    note: str = ''  # what it is, the figure, and a remark
+    name: str  # what it is
+    value: str  # the figure
+    note: str = ''  # a remark
     look: str = ''  # '', good, bad or warn
 
 
-def content(
-    record, arm, title: str, table, used, certificate, reproduction, able, found
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Findings:
+    """All that a report is made of."""
+
+    record: RunRecord  # the run
+    arm: ArmParameters  # its arm
+    title: str  # heading
+    table: list[Row]  # of `lpv_report.run.table.make_table`
+    used: UsedGains  # gains of the run, or why they are not known
+    certificate: Certificate | None  # of the gains
+    reproduction: Reproduction | None  # whether the gains give the recorded estimates
+    detectable: Detectability | None  # what could be detected
+    phases: list[Phase]  # intervals without an answer, and stops
+
+
+def content(findings: Findings) -> dict[str, Any]:
     """Values for the template."""
+    record, arm, certificate = findings.record, findings.arm, findings.certificate
+    found, able = findings.phases, findings.detectable
     alarms = episodes(record)
     names = record.sensor_names or arm.sensor_names
     missed = missed_faults(record, alarms)
     truth = 'ground_truth' in record.streams
     shown, rests = listed(found)
     return {
-        'title': title,
+        'title': findings.title,
         'duration': record.time[-1],
         'samples': len(record.time),
         'period': _period(record),
@@ -53,13 +72,13 @@ def content(
         'rests': rests,
         'from_reports': (INCONSISTENT, UNSAFE),
         'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
-        'table': table,
-        'compare': any(row.paper is not None for row in table),
+        'table': findings.table,
+        'compare': any(row.paper is not None for row in findings.table),
         'detectable': summary(able, arm.sensor_names) if able is not None else [],
         'resting': able is not None and able.gains is not None,
         'certificate': certificate,
-        'no_gains': used.problem,
-        'reproduction': reproduction,
+        'no_gains': findings.used.problem,
+        'reproduction': findings.reproduction,
         'no_design': (
             'The gains are not known.'
             if certificate is None

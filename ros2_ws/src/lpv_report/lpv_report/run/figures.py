@@ -19,12 +19,12 @@ from lpv_core.decision.diagnosis import SensorState
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import forward
 from lpv_report.history.episodes import Episode, episodes, intervals
-from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT, thin
+from lpv_report.style import BAND, HATCHED, INK, PALE, SENSOR, SOFT, legend_above, shade, thin
 
 _WIDTH = 8.6
-_WIDE = {'linewidth': 3.4}
-_THIN = {'linewidth': 1.1}
-_DASHED = {'linewidth': 1.1, 'linestyle': (0, (4, 2.5))}
+_WIDE: dict[str, Any] = {'linewidth': 3.4}
+_THIN: dict[str, Any] = {'linewidth': 1.1}
+_DASHED: dict[str, Any] = {'linewidth': 1.1, 'linestyle': (0, (4, 2.5))}
 
 
 def _axes(
@@ -51,19 +51,7 @@ def _draw(
 def _finish(axis: Axes, record: RunRecord, title: str) -> None:
     """Title on the left, legend on the right, both above the data."""
     axis.set_title(title, pad=7)
-    handles, labels = axis.get_legend_handles_labels()
-    if handles:
-        axis.legend(
-            handles,
-            labels,
-            loc='lower right',
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=len(handles),
-            borderaxespad=0.25,
-            handlelength=1.7,
-            columnspacing=1.3,
-            handletextpad=0.5,
-        )
+    legend_above(axis)
     axis.set_xlim(0.0, record.time[-1])
     axis.margins(y=0.08)
 
@@ -92,19 +80,15 @@ def cartesian(record: RunRecord, arm: ArmParameters, path: CartesianPath | None 
     actual, label = _tip(record, arm, 'ground_truth'), 'true tip'
     if actual is None:
         actual, label = _tip(record, arm, 'state_estimate'), 'tip as estimated'
+    tip = _tip(record, arm, 'joint_states')
     curves = (
-        (
-            _tip(record, arm, 'joint_states'),
-            'tip as measured, with faults',
-            SENSOR[1],
-            {'linewidth': 0.8},
-        ),
-        (reference, 'reference path', BAND, {'linewidth': 6.0}),
-        (actual, label, SENSOR[0], {'linewidth': 1.4}),
+        (tip, 'tip as measured, with faults', SENSOR[1], 0.8),
+        (reference, 'reference path', BAND, 6.0),
+        (actual, label, SENSOR[0], 1.4),
     )
-    for points, text, color, options in curves:
+    for points, text, color, width in curves:
         if points is not None:
-            axis.plot(*_thin_path(points), label=text, color=color, **options)
+            axis.plot(*_thin_path(points), label=text, color=color, linewidth=width)
     if path is not None and path.obstacle is not None:
         axis.add_patch(
             plt.Circle(
@@ -116,8 +100,9 @@ def cartesian(record: RunRecord, arm: ArmParameters, path: CartesianPath | None 
                 label='obstacle',
             )
         )
-    first = actual if actual is not None else _tip(record, arm, 'joint_states')
-    _mark_ends(axis, first)
+    marked = actual if actual is not None else tip
+    if marked is not None:
+        _mark_ends(axis, marked)
     axis.set(xlabel='x [m]', ylabel='y [m]')
     axis.set_aspect('equal', adjustable='datalim')
     axis.margins(0.05)
@@ -163,9 +148,10 @@ def faults(record: RunRecord, sensor_names: Sequence[str] | None = None) -> Figu
     figure, axes = _axes(2, height=2.5)
     for i, axis in enumerate(axes[:, 0]):
         threshold = _column(record, 'fault_estimate', 'threshold', i)
-        axis.fill_between(
-            *_band(time, threshold), color=BAND, alpha=0.45, linewidth=0, label='below threshold'
-        )
+        if threshold is not None:
+            at, high = thin(time, threshold)
+            look: dict[str, Any] = {'color': BAND, 'alpha': 0.45, 'linewidth': 0}
+            axis.fill_between(at, -high, high, label='below threshold', **look)
         _draw(axis, time, _column(record, 'ground_truth', 'fault', i), 'fault', PALE[i], **_WIDE)
         _draw(
             axis,
@@ -181,40 +167,16 @@ def faults(record: RunRecord, sensor_names: Sequence[str] | None = None) -> Figu
     return figure
 
 
-def _band(time: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, ...]:
-    at, high = thin(time, threshold)
-    return at, -high, high
-
-
 def _shade(axis: Axes, record: RunRecord, sensor: int, alarms: list[Episode]) -> None:
-    """Alarms as shaded, stretches without diagnosis as hatched intervals."""
-    end, label = record.time[-1], 'alarm'
-    for episode in alarms:
-        if episode.sensor_index == sensor:
-            stop = end if episode.cleared is None else episode.cleared
-            axis.axvspan(
-                episode.raised,
-                stop,
-                color=SENSOR[sensor],
-                alpha=0.12,
-                linewidth=0,
-                label=label,
-                zorder=0,
-            )
-            label = None
-    state, label = _column(record, 'fault_estimate', 'state', sensor), 'not diagnosable'
-    for lost in intervals(state == SensorState.NOT_DIAGNOSABLE, record.time):
-        axis.axvspan(
-            lost.start,
-            lost.end,
-            facecolor='none',
-            edgecolor=SOFT,
-            hatch='////',
-            linewidth=0,
-            label=label,
-            zorder=0,
-        )
-        label = None
+    """Alarms as shaded, intervals without diagnosis as hatched intervals."""
+    end = float(record.time[-1])
+    mine = [e for e in alarms if e.sensor_index == sensor]
+    spans = [(e.raised, end if e.cleared is None else e.cleared) for e in mine]
+    shade(axis, spans, 'alarm', color=SENSOR[sensor], alpha=0.12)
+    state = _column(record, 'fault_estimate', 'state', sensor)
+    if state is not None:
+        lost = intervals(state == SensorState.NOT_DIAGNOSABLE, record.time)
+        shade(axis, [(part.start, part.end) for part in lost], 'not diagnosable', **HATCHED)
 
 
 def measured(record: RunRecord) -> Figure:

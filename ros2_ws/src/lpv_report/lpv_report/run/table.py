@@ -36,7 +36,7 @@ class Row:
     meaning: str  # what it is
     unit: str  # what it is
     value: float  # ours
-    paper: float = None  # the paper's
+    paper: float | None = None  # the paper's
 
 
 def make_table(record: RunRecord, arm: ArmParameters) -> list[Row]:
@@ -60,7 +60,12 @@ def make_table(record: RunRecord, arm: ArmParameters) -> list[Row]:
 
 
 def _against_truth(record: RunRecord, joints: JointMap) -> list[Row]:
-    get = record.aligned
+
+    def get(stream: str, name: str) -> np.ndarray:
+        values = record.aligned(stream, name)
+        assert values is not None  # of streams that are there
+        return values
+
     truth = joints.absolute_position(get('ground_truth', 'position'))
     errors = {
         'x1': truth - joints.absolute_position(get('state_estimate', 'position')),
@@ -77,7 +82,7 @@ def _against_truth(record: RunRecord, joints: JointMap) -> list[Row]:
     pairs = {'x1': 'x2', 'x3': 'x4', 'f1': 'f2', 'y1': 'y2', 'e_t1': 'e_t2'}
     values = {}
     for first, error in errors.items():
-        values[first], values[pairs[first]] = (float(v) for v in mise(error))
+        values[first], values[pairs[first]] = np.asarray(mise(error)).tolist()
     return [
         Row(name, *PAPER[name][:2], values[name], PAPER[name][2])
         for name in PAPER
@@ -107,7 +112,7 @@ def _without_truth(record: RunRecord) -> list[Row]:
 
 
 def _times(row: Row) -> str:
-    if not row.value > 0.0:
+    if row.paper is None or not row.value > 0.0:
         return '-'
     ratio = row.paper / row.value
     return f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
