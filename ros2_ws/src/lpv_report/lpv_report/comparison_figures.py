@@ -1,4 +1,4 @@
-"""Pictures of two runs of one recording."""
+"""Figures of two runs of one recording."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,4 +1,4 @@
-"""Pages that need nothing from elsewhere: templates, embedded pictures."""
+"""Self-contained pages: templates, embedded pictures."""
 
 import base64
 from pathlib import Path
@@ -46,6 +46,6 @@ def environment(folder: str | Path) -> jinja2.Environment:
 
 
 def embedded(figure: Figure | bytes) -> str:
-    """A figure as text that stands in a page."""
+    """A figure as a data URL."""
     data = figure if isinstance(figure, bytes) else png(figure)
     return 'data:image/png;base64,' + base64.b64encode(data).decode()

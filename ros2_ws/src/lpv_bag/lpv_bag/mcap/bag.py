@@ -34,7 +34,7 @@ _FORMATS = {
 
 
 class McapBag:
-    """Reads the messages of a bag; goes on behind what is damaged, and says so."""
+    """Reads the messages of a bag; continues after damaged parts, and reports them."""
 
     def __init__(
         self, path: str | Path, metadata: BagMetadata | None = None, damage: str | None = None
@@ -66,7 +66,7 @@ class McapBag:
         self._compare_counts()
 
     def close(self) -> None:
-        """Give the files back."""
+        """Close the files."""
         for file, _ in self.parts:
             file.close()
         self.parts = []
@@ -172,7 +172,7 @@ class McapBag:
         )
 
     def _compare_counts(self) -> None:
-        """Messages that are announced in metadata.yaml and are not there."""
+        """Warn of messages that metadata.yaml announces and the files do not hold."""
         if self.metadata is None:
             return
         there: Counter[str] = Counter()
@@ -217,7 +217,7 @@ class McapBag:
     def _merged(
         self, wanted: set[int], start: int | None, stop: int | None
     ) -> Iterator[tuple[Connection, Message]]:
-        """Messages by log time; blocks are read when their time has come, not before."""
+        """Messages by log time; each block is read only when its time has come."""
         blocks = []
         for part, (_, found) in enumerate(self.parts):
             for block in found.blocks:
@@ -284,7 +284,7 @@ class McapBag:
 
 @functools.lru_cache(maxsize=256)
 def _profiles(text: str) -> tuple[Qos, ...]:
-    """Offered QoS; none where the text is damaged: it matters to nothing that is computed."""
+    """Offered QoS; none where the text is damaged: no result depends on it."""
     try:
         return tuple(parse_qos(text))
     except Exception:  # many kinds
@@ -292,7 +292,7 @@ def _profiles(text: str) -> tuple[Qos, ...]:
 
 
 def _counts(result: Survey) -> dict[int, int]:
-    """Messages by channel: of a good file as it says itself, of a damaged one as they were met."""
+    """Messages by channel: by the statistics of a good file, as counted in a damaged one."""
     if not result.damages:
         return result.counts or {}
     found: Counter[int] = Counter()

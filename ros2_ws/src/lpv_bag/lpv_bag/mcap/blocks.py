@@ -29,7 +29,7 @@ Content = tuple[int, np.ndarray, int, int]
 
 
 class Unsuitable(Exception):
-    """The bag is damaged, or of a kind that is not read here."""
+    """The bag is damaged, or of a kind that this module does not read."""
 
 
 def bag_blocks(
@@ -124,7 +124,7 @@ def _record_offsets(data: np.ndarray) -> np.ndarray:
 
 
 def _scan(data: np.ndarray, offsets: np.ndarray) -> tuple[int, int]:
-    """Walk over records; their count, and the end of the last one that is complete, or -1."""
+    """Number of message records, and the end of the last complete one; -1 if one is damaged."""
     if len(data) < 9:
         return 0, 0
     # Every byte as the beginning of a number: lengths are anywhere.

@@ -1,4 +1,4 @@
-"""Contents of chunks: decompression in bounds, and the records in them."""
+"""Contents of chunks: bounded decompression, and the records in them."""
 
 import zlib
 from typing import Any, NamedTuple
@@ -84,7 +84,7 @@ def inflate(data: bytes | memoryview, compression: str, size: int, crc: int) -> 
 
 
 def inflate_part(data: bytes | memoryview, compression: str, size: int) -> bytes:
-    """The beginning of a chunk's content, as far as it can be had."""
+    """The beginning of a chunk's content, as far as it is readable."""
     if not compression:
         return bytes(data[:size])
     try:

@@ -44,14 +44,14 @@ class Survey:
     library: str = ''  # what wrote the file
 
     def define(self, record: Schema | Channel) -> None:
-        """Take a schema or channel; DamageError if its number means something else already."""
+        """Add a schema or channel; DamageError if its number is in use for another one."""
         known: dict[int, Any] = self.channels if isinstance(record, Channel) else self.schemas
         if known.setdefault(record.id, record) != record:
             raise DamageError(f'the number {record.id} means two different topics or schemas')
 
 
 def release(data: mmap.mmap | bytes) -> None:
-    """Unmap the pages of a mapped file that have been read: they count as memory otherwise."""
+    """Release the pages of a mapped file that have been read: they would count as memory."""
     if hasattr(data, 'madvise') and hasattr(mmap, 'MADV_DONTNEED'):
         data.madvise(mmap.MADV_DONTNEED)
 
@@ -69,7 +69,7 @@ class McapFile:
             raise BagError(f'{path}: {reason}') from None
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self.data.close()
 
     def content(self, block: Block) -> bytes:

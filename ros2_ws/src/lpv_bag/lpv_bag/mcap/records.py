@@ -1,7 +1,7 @@
-"""Records of the MCAP format, parsed from bytes that nobody vouches for.
+"""Records of the MCAP format, parsed from bytes that may be damaged.
 
-Every length is held against the bytes that are there before anything is taken, and a record must
-be used up exactly: a flipped bit in a length is then seen in the record that has it.
+Every length is checked against the bytes that are there before anything is read, and a record must
+be consumed exactly: a flipped bit in a length is then noticed in the record that has it.
 """
 
 import struct
@@ -69,7 +69,7 @@ class ChunkIndex(NamedTuple):
     size: int
 
     def counts(self) -> dict[int, int]:
-        """Messages by channel, from the lengths of the message indexes behind the chunk."""
+        """Messages by channel, from the lengths of the message indexes after the chunk."""
         ends = sorted(self.message_indexes.values())[1:]
         ends.append(self.offset + self.length + self.index_length)
         order = sorted(self.message_indexes, key=self.message_indexes.__getitem__)
@@ -80,7 +80,7 @@ class ChunkIndex(NamedTuple):
 
 
 class Cursor:
-    """Reads a record's content from its beginning to its end."""
+    """Sequential reader of a record's content."""
 
     def __init__(self, content: bytes | memoryview) -> None:
         self._content, self.at = memoryview(content), 0
@@ -88,7 +88,7 @@ class Cursor:
     def take(self, count: int) -> memoryview:
         """The next bytes."""
         if count > len(self._content) - self.at:
-            raise DamageError('a length points behind the end of its record')
+            raise DamageError('a length points past the end of its record')
         self.at += count
         return self._content[self.at - count : self.at]
 
@@ -101,14 +101,14 @@ class Cursor:
         return self.numbers(layout)[0]
 
     def text(self) -> str:
-        """A string behind its length."""
+        """A string, preceded by its length."""
         try:
             return str(self.take(self.number('I')), 'utf-8')
         except UnicodeDecodeError:
             raise DamageError('a string is not UTF-8') from None
 
     def block(self) -> 'Cursor':
-        """A cursor over what a length of 4 bytes announces."""
+        """A cursor over a block, preceded by its length of 4 bytes."""
         return Cursor(self.take(self.number('I')))
 
     @property
@@ -117,7 +117,7 @@ class Cursor:
         return len(self._content) - self.at
 
     def finish(self) -> None:
-        """Check that the content is used up."""
+        """Check that the content was read to its end."""
         if self.left:
             raise DamageError('a record is longer than its content')
 

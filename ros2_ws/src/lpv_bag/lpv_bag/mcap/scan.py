@@ -1,4 +1,4 @@
-"""An MCAP file without its summary: all of it is read, and what is damaged is gone around.
+"""An MCAP file without its summary: all of it is read, and damaged parts are skipped.
 
 What is used stands under a checksum where the file has checksums: in the contents of chunks.  What
 only the unprotected rest says (times in the head of a chunk, message indexes) is used for nothing
@@ -21,7 +21,7 @@ _CANDIDATE = re.compile(rb'[\x01-\x0f][\s\S]{4}\x00{4}')
 
 
 def scan(file: McapFile, reason: str) -> Survey:
-    """Read a file without its summary, all of it, going on behind what is damaged."""
+    """Read a whole file without its summary, and continue after damaged parts."""
     result = _Scan(file, reason).run()
     if not result.blocks and not result.lost_blocks:
         # No chunk and no message was met before the damage: it may be a file without chunks.
@@ -36,7 +36,7 @@ def scan(file: McapFile, reason: str) -> Survey:
 
 
 class _Scan:
-    """One pass over a file, from record to record; behind damage, to the next good record."""
+    """One pass over a file, from record to record; after damage, to the next good record."""
 
     def __init__(self, file: McapFile, reason: str, loose: bool = False) -> None:
         self._file, self._data = file, file.data
@@ -60,7 +60,7 @@ class _Scan:
         return self._result
 
     def _record(self, at: int) -> int:
-        """Take the record at a place; the place of the next one."""
+        """Read the record at an offset; the offset of the next one."""
         data = self._data
         if len(data) - at < 9:
             raise DamageError('the file ends within a record')
@@ -121,7 +121,7 @@ class _Scan:
             self._last_chunk = block
 
     def _cut_chunk(self, at: int) -> None:
-        """The file ends within a chunk: its beginning can often be had."""
+        """The file ends within a chunk, whose beginning can often be read."""
         try:
             head = parse_chunk(self._data[at : at + 64], whole=False)
         except DamageError:
@@ -141,7 +141,7 @@ class _Scan:
             self._use(block, self._file.content(block))
 
     def _use(self, block: Block, content: bytes) -> None:
-        """Take a chunk's definitions; its times by its messages, its head has no checksum."""
+        """Read definitions; times are those of the messages, the head has no checksum."""
         messages, definitions, wrong = records(content)
         if wrong and not block.cut:
             raise DamageError(wrong)
@@ -218,7 +218,7 @@ class _Scan:
         return True
 
     def _is_loose(self, at: int, end: int) -> bool:
-        """Messages are told from garbage by their topic, and by another record behind them."""
+        """Whether a message has a known topic, and another record after it: garbage has not."""
         if not self._has_loose:
             return False
         if PARSERS[Opcode.MESSAGE](self._data[at + 9 : end])[0] not in self._result.channels:

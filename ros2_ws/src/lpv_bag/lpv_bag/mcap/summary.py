@@ -25,11 +25,11 @@ FOOTER_SIZE = 29
 
 
 _RELEASED = 256
-"""After so many chunk heads, the pages that hold them are given back."""
+"""Number of chunk heads after which the pages that hold them are released."""
 
 
 class Unindexed(DamageError):
-    """A summary is whole, but one has to read all data to find the messages."""
+    """The summary is whole, but finding the messages needs a pass over all data."""
 
 
 def summary_span(data: mmap.mmap | bytes) -> tuple[int, int]:
@@ -108,7 +108,7 @@ def _take_summary(result: Survey, opcode: int, content: bytes) -> None:
 
 
 def _check_blocks(data: mmap.mmap | bytes, result: Survey, end: int) -> None:
-    """Take the checksums of the chunks, and hold their heads against the index.
+    """Read the checksums of the chunks, and compare their heads with the index.
 
     A file without statistics, or with messages outside of chunks, is read as a whole.
     """

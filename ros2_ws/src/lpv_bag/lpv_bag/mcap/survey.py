@@ -27,7 +27,7 @@ def survey(file: McapFile) -> Survey:
 
 
 def _met(result: Survey) -> Counter[int]:
-    """Messages by channel as they were met."""
+    """Messages by channel, counted."""
     counts: Counter[int] = Counter()
     for block in result.blocks:
         counts.update(block.counts)

@@ -1,9 +1,9 @@
-"""Writing of one MCAP file so that at any moment what is written can be read.
+"""Writing of one MCAP file that can be read at any moment while it is written.
 
-The records are those of the mcap package.  Chunks are cut by whoever writes: `McapWriter.cut`
-hands everything to the operating system, and nothing that is written later changes it.  The
-package's own writer has one level of compression, keeps what it could not write in a state that
-nobody can go on from, and defines topics in the first chunk alone.
+The records are those of the mcap package.  The caller ends chunks: `McapWriter.cut` hands
+everything to the operating system, and later writes do not change it.  The package's own writer has
+one level of compression, cannot be used after a failed write, and defines topics in the first chunk
+alone.
 """
 
 import os
@@ -81,7 +81,7 @@ class McapWriter:
 
     @property
     def pending(self) -> int:
-        """Bytes of the chunk that is not yet cut."""
+        """Size of the chunk that has not ended yet [bytes]."""
         return len(self._content)
 
     # -------------------------------------------------------------- definitions
@@ -106,7 +106,7 @@ class McapWriter:
     def write(
         self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> None:
-        """Take a message; a chunk that is full is cut."""
+        """Add a message; a full chunk is written."""
         content = self._content
         if self._new:
             self._define()
@@ -139,7 +139,7 @@ class McapWriter:
         )
 
     def put_chunk(self, content: Buffer, entries: dict[int, np.ndarray]) -> None:
-        """Write a chunk that is ready."""
+        """Write a chunk that was assembled elsewhere."""
         self.cut()
         if self._new:
             self._put(b''.join(map(_bytes, self._new)))
@@ -181,7 +181,7 @@ class McapWriter:
             self.counts[channel] += len(values) // 2
 
     def _put(self, *parts: Buffer) -> None:
-        """Write all of it or nothing: half a record would hide what comes behind it."""
+        """Write all of it or nothing: half a record would hide the records after it."""
         try:
             for part in parts:
                 view = memoryview(part)
@@ -206,7 +206,7 @@ class McapWriter:
 
     @property
     def tail_size(self) -> int:
-        """Bytes that `finish` will need, about."""
+        """Approximate size of what `finish` writes [bytes]."""
         return (
             sum(200 + len(s.data) for s in self._schemas)
             + 1000 * len(self._channels)
@@ -282,7 +282,7 @@ class McapWriter:
 
 
 def _is_repeated(chunk: int) -> bool:
-    """Whether a chunk repeats all definitions: no damaged one then costs the others theirs."""
+    """Whether a chunk repeats all definitions, so that damage to one chunk does not lose them."""
     return chunk % _REPEAT == 0 or chunk & (chunk - 1) == 0
 
 

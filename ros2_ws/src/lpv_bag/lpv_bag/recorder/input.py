@@ -1,4 +1,4 @@
-"""What a recorder hears: raw messages of topics that come and go."""
+"""Input of a recorder: raw messages of topics that appear and disappear."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SYSTEM_TIME = ('/rosout', '/parameter_events')
 
 
 class Heard(NamedTuple):
-    """A message as it came."""
+    """A message as received."""
 
     received: int  # system time at which it arrived in this process [ns]
     topic: str  # its topic
@@ -57,7 +57,7 @@ class Selection(NamedTuple):
 
 
 class RecorderInput:
-    """Subscriptions that are emptied when asked, not by an executor.
+    """Subscriptions that are polled, not served by an executor.
 
     An executor hands over one message at a time, and without the numbers that its publisher gave
     it, by which lost ones are known.  Hence a node of its own, that no executor has.
@@ -167,7 +167,7 @@ class RecorderInput:
     # -------------------------------------------------------------- taking
 
     def poll(self) -> list[Heard]:
-        """Everything that has come since the last time."""
+        """Messages received since the last call, in the order of arrival."""
         found = []  # with the time by which to sort: a topic keeps its order if the clock is set
         for topic, (subscription, stamped, *_) in self._subscriptions.items():
             with subscription.handle:
@@ -198,7 +198,7 @@ def _nobody(_: object) -> None:
 
 
 def _publisher(info: dict[str, Any]) -> bytes | None:
-    """The publisher's identity; distributions before Kilted do not tell it."""
+    """The publisher's identity; not known in distributions before Kilted."""
     gid = info.get('publisher_gid')
     return gid.get('data') if isinstance(gid, dict) else gid
 

@@ -1,4 +1,4 @@
-"""Recorder node: topics into a rosbag2 directory, exact bytes as they came."""
+"""Recorder node: topics into a rosbag2 directory, byte for byte as received."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lpv_bag.mcap.writer import PRESETS
 from lpv_bag.recorder.input import Heard, RecorderInput, Selection
 from lpv_bag.recorder.message_loss import TopicCount
 from lpv_bag.recorder.output_folder import copy_gains, free_path, read_gains_file
-from lpv_bag.recorder.stamp_sorter import StampOrder
+from lpv_bag.recorder.stamp_sorter import StampSorter
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
@@ -59,7 +59,7 @@ SPECS = (
     Spec(
         'split_size',
         0,
-        'a new file is begun at so many MiB; 0 for never',
+        'size at which a new file is begun; 0 for never [MiB]',
         0,
         1 << 20,
         read_only=True,
@@ -67,7 +67,7 @@ SPECS = (
     Spec(
         'split_duration',
         0.0,
-        'a new file is begun after so many seconds of log time; 0 for never [s]',
+        'log time after which a new file is begun; 0 for never [s]',
         0.0,
         1e6,
         read_only=True,
@@ -105,7 +105,7 @@ class RecorderNode(ManagedNode):
     """Records topics as soon as they have a publisher, with its QoS.
 
     Messages are stored as they came, and the log time is the time of reception.  In lockstep it is
-    the message's own stamp, messages are sorted, and what lies between their fields is zeroed, so
+    the message's own stamp, messages are sorted, and the padding between their fields is zeroed, so
     that runs with the same seed give the same bag byte by byte.
     """
 
@@ -119,7 +119,7 @@ class RecorderNode(ManagedNode):
         self._announced: dict[str, tuple[str, Qos]] = {}
         self._types: dict[str, str] = {}
         self._counts: dict[str, TopicCount] = {}
-        self._order = StampOrder(self._write)
+        self._order = StampSorter(self._write)
         self._taken, self._flushed = 0, 0.0
         self._stopping: int | None = None
         self._failure = ''
@@ -166,7 +166,7 @@ class RecorderNode(ManagedNode):
         self.get_logger().info(f'recording {what} into {self._writer.path}')
 
     def stopping(self) -> None:
-        """What was published until now is to be recorded."""
+        """Note the time: what was published until now is still recorded."""
         self._stopping = time.time_ns()
 
     def progress(self) -> int:
@@ -238,7 +238,7 @@ class RecorderNode(ManagedNode):
             self._fail(error.strerror or str(error))
 
     def _announce_all(self, writer: BagWriter) -> None:
-        """Topics in the order of their names, however they were found."""
+        """Announce new topics in the order of their names, not of their discovery."""
         for topic in sorted(self._announced):
             msgtype, offered = self._announced.pop(topic)
             writer.add_topic(topic, msgtype, [offered])
@@ -256,7 +256,7 @@ class RecorderNode(ManagedNode):
     # -------------------------------------------------------------- end
 
     def _fail(self, reason: str) -> None:
-        """Stop recording; the node lives on to say so."""
+        """Stop recording; the node continues and reports it."""
         if self._failure:
             return
         self._failure, self.exit_code = reason, 1

@@ -1,4 +1,4 @@
-"""Where a recorder puts its bag, and what it lays beside the recorded files."""
+"""Output folder of a recorder, and the files that accompany the recording."""
 
 import os
 from itertools import count
@@ -12,7 +12,7 @@ GAINS_NAME = 'gains.yaml'
 
 
 def free_path(path: str | Path) -> Path:
-    """The path itself, or the first of ``path_1``, ``path_2``, ... that nothing is at."""
+    """The path itself, or the first of ``path_1``, ``path_2``, ... that does not exist."""
     path = Path(path)
     if not os.path.lexists(path):
         return path
@@ -30,7 +30,7 @@ def read_gains_file(path: str | Path) -> bytes:
 
 
 def copy_gains(data: bytes, folder: Path) -> None:
-    """Lay a gains file beside the files of a bag."""
+    """Copy a gains file into the folder of a bag."""
     try:
         (folder / GAINS_NAME).write_bytes(data)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Messages of a lockstep run in an order that does not depend on who was heard first."""
+"""Messages of a lockstep run in an order that does not depend on the order of arrival."""
 
 import heapq
 from collections.abc import Callable
@@ -11,7 +11,7 @@ What is held back is lost if the recorder is killed.  In a loop that waits for e
 comes some ten milliseconds of stamps late at the most."""
 
 
-class StampOrder:
+class StampSorter:
     """Releases messages sorted by stamp, then topic.
 
     In lockstep all messages of one stamp are published before those of the next, but a recorder

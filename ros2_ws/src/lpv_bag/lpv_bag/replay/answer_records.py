@@ -25,7 +25,7 @@ def padded_cdr(typestore: Typestore, message: object, msgtype: str) -> bytes:
 
 
 class RecordTemplate:
-    """Records of one message type of which only header stamp and numbers change.
+    """Records of one message type in which only the header stamp and numbers change.
 
     All numbers have to be given in every call, or in none: memory is used again.
     """
@@ -75,7 +75,7 @@ class RecordTemplate:
         records[name] = np.frombuffer(values, self._dtype[name]) if len(values) else ()
 
     def _copy(self, values: np.ndarray, records: np.ndarray) -> None:
-        """Fields that follow each other here and there are one piece."""
+        """Copy fields; those that are contiguous in both layouts are copied as one piece."""
         runs: list[list[int]] = []
         for name, (kind, start, *_) in (values.dtype.fields or {}).items():
             field = self._fields[name]

@@ -42,7 +42,7 @@ class BlockInjector:
             active |= (times >= fault.onset) & (
                 (times < fault.onset + fault.duration) | (fault.duration <= 0.0)
             )
-        # One sample after a fault: what has frozen must thaw.
+        # One sample after a fault, too: a stuck sensor is released.
         after = active | np.concatenate([[self._active], active[:-1]])
         self._active = bool(active[-1])
         changed = {}
@@ -71,7 +71,7 @@ class BlockInjector:
     def _faulty(
         self, position: np.ndarray, velocity: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Position and rate with what the faults make of them."""
+        """Position and rate with the faults added."""
         reading = self._joints.sensor_position(position)
         faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
         bias = [rate_bias(self._injector.records, i, float(time)) for i in range(2)]

@@ -1,4 +1,4 @@
-"""Messages of a bag in their rhythm: what all players of this software have in common."""
+"""Messages of a bag at their recorded times: common to all players of this software."""
 
 import math
 import time
@@ -34,11 +34,11 @@ class Playback:
         rate: float = 1.0,
         clock: Publisher | None = None,
         tick: int | None = None,
-        going_on: Callable[..., Any] = lambda: True,
+        keep_going: Callable[..., Any] = lambda: True,
     ) -> None:
         self._reader, self._connections, self._publishers = reader, connections, publishers
         self._rate, self._clock, self._tick = rate, clock, tick
-        self._going_on = going_on
+        self._keep_going = keep_going
 
     def run(
         self, start: int | None = None, stop: int | None = None, origin: int | None = None
@@ -75,7 +75,7 @@ class Playback:
 
     def _sleep(self, wall: float, elapsed: float) -> bool:
         """Sleep until a time of the bag has come; False if the player is to end."""
-        while self._going_on():
+        while self._keep_going():
             rest = wall + elapsed / NANOSECONDS / self._rate - time.monotonic()
             if rest <= 0.0:
                 return True
@@ -84,7 +84,7 @@ class Playback:
 
 
 def await_acknowledgement(publishers: Iterable[Publisher], longest: float) -> None:
-    """Let slow subscribers take the last messages."""
+    """Wait until slow subscribers have received the last messages."""
     for publisher in publishers:
         if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
             publisher.wait_for_all_acked(Duration(seconds=longest))

@@ -23,14 +23,14 @@ from lpv_core.support.errors import ConfigError
 
 _CLOCK = '/clock'
 _SETTLING = 1.0
-"""Subscribers find publishers one after the other: so long after the latest one [s]."""
+"""Subscribers find publishers one after the other: time to wait after the latest one [s]."""
 
 _LAST_CALL = 5.0
 """How long slow subscribers may take for the last messages [s]."""
 
 
 class Player:
-    """Publishes the messages of a bag, byte for byte, in their rhythm.
+    """Publishes the messages of a bag, byte for byte, at their recorded times.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class Player:
         say : callable, optional
             Receives lines for the user.
         rounds : int, optional
-            End a loop after so many.
+            Number of rounds after which a loop ends.
 
         Returns
         -------

@@ -50,7 +50,7 @@ class BagReader:
         return self._source.end_time
 
     def log_time(self, seconds: float | None) -> int | None:
-        """Log time so many seconds after the first message [ns]; None stays None."""
+        """Log time of a moment counted from the first message [ns]; None stays None."""
         return None if seconds is None else self.start_time + round(seconds * NANOSECONDS)
 
     @functools.cached_property
@@ -199,7 +199,7 @@ def open_bag(path: str | Path, typestore: Typestore | None = None) -> Iterator[B
     """Open a bag; whatever goes wrong in reading is a BagError with a message.
 
     MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
-    and in ``warnings`` of the reader) and read as far as checksums vouch for what is there.
+    and in ``warnings`` of the reader) and read as far as its checksums are right.
 
     Parameters
     ----------

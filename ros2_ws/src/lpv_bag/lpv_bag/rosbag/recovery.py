@@ -1,4 +1,4 @@
-"""Recovery of MCAP bags: everything that can be had into a new bag, and what was lost."""
+"""Recovery of MCAP bags: everything that is readable into a new bag, and what was lost."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
     """Write what can be read of a bag into a new one.
 
     Messages keep their times and their order.  A chunk whose checksum is wrong is left out as a
-    whole: one of its messages is wrong, and nobody can say which one.  Of a chunk in which the
+    whole: one of its messages is wrong, and there is no telling which.  Of a chunk in which the
     file ends, the messages before the end are kept.
 
     Parameters
@@ -114,7 +114,7 @@ def _write(bag: McapBag, tally: '_Tally', out: str | Path, preset: str) -> Path:
 
 
 def _copy_gains(bag: Path, out: Path) -> list[str]:
-    """Copy the gains that a run was answered with, if they lie in the bag; what is wrong."""
+    """Copy the gains of the run, if the bag has them; what is wrong with them."""
     file = bag / GAINS_NAME
     if not file.is_file():
         return []

@@ -52,9 +52,9 @@ class BagWriter:
     preset : str, optional
         Compression, a key of `lpv_bag.mcap.writer.PRESETS`.
     split_size : int, optional
-        A new file is begun when one has so many bytes; 0 for never.
+        Size at which a new file is begun [bytes]; 0 for never.
     split_time : int, optional
-        A new file is begun when the log times of one span so much [ns]; 0 for never.
+        Span of log times at which a new file is begun [ns]; 0 for never.
     chunk_time : int, optional
         A chunk is cut when log times enter the next multiple of this [ns]; 0 for never.  What a
         chunk holds then depends on the messages alone, not on when they came.
@@ -235,7 +235,7 @@ class BagWriter:
         )
 
     def _advance(self, timestamp: int) -> None:
-        """Cut chunks and begin files where they are due, before a message of this time."""
+        """End chunks and begin files where they are due, before a message of this time."""
         if self._first is None:
             self._first = timestamp
         if self._chunk_time:
@@ -268,7 +268,7 @@ class BagWriter:
         self.write_raw(topic, timestamp, _padded(data))
 
     def flush(self) -> None:
-        """Hand everything to the operating system: a crash after this loses nothing before it."""
+        """Pass everything to the operating system: a later crash does not lose it."""
         self._file.cut()
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
@@ -286,7 +286,7 @@ class BagWriter:
         return len(self._files) + (not self._finished)
 
     def room(self) -> int:
-        """Bytes that can still be written before the summary would not fit any more."""
+        """Bytes that can be written while there is still room for the summary."""
         disk = os.statvfs(self.path)
         limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         room = disk.f_bavail * disk.f_frsize
@@ -386,7 +386,7 @@ def _hash(connection: Connection) -> str:
 
 
 def _write_whole(path: Path, text: str, fsync: bool) -> None:
-    """The file is there completely or not at all."""
+    """Write a file completely or not at all."""
     new = path.with_name(path.name + '.new')
     with open(new, 'w', encoding='utf-8') as file:
         file.write(text)

@@ -148,7 +148,7 @@ def _write(rows: '_Rows', columns: ColumnMap, out: str | Path, topic: str) -> in
 
 
 class _Rows:
-    """Samples of a CSV file, one by one: a long recording is never in memory as a whole."""
+    """Samples of a CSV file, one by one: a long recording is never held in memory as a whole."""
 
     def __init__(self, source: str | Path, columns: ColumnMap, delimiter: str) -> None:
         self.source, self._columns = Path(source), columns

@@ -64,7 +64,7 @@ class MeasurementReader:
         return result
 
     def places(self, block: Block, positions: np.ndarray, name: str) -> np.ndarray:
-        """Where values of the arm's joints are, for those who change them."""
+        """Offsets of the values of the arm's joints, for callers that change them."""
         found = np.full((len(positions), 2), -1)
         starts, sizes = block.start[positions], block.size[positions]
         for layout, index in self._layouts:
@@ -82,7 +82,7 @@ class MeasurementReader:
         layout: Layout,
         index: list[int],
     ) -> np.ndarray:
-        """Fill in those rows that have a layout; the rows that have not."""
+        """Fill in the rows that match a layout; the rows that do not."""
         if not len(rows):
             return rows
         starts = block.start[positions[rows]]
@@ -98,7 +98,7 @@ class MeasurementReader:
         return rows[~same]
 
     def _learn(self, data: bytes, message: Any) -> bool:
-        """Add the layout of a message, if it has one; whether it has."""
+        """Learn the layout of a message; whether it has one."""
         if len(self._layouts) == _MOST_LAYOUTS:
             return False
         try:
@@ -110,7 +110,7 @@ class MeasurementReader:
             return False
         index = list(self._order.indices(message.name))
         bytes_ = np.frombuffer(data, np.uint8)
-        # The general reader has the last word on what the bytes mean.
+        # The general reader decides what the bytes mean.
         same = layout.stamps(bytes_, np.zeros(1, int))[0] == stamp_of(message.header.stamp)
         for name, values in zip(_VECTORS, expected):
             found = layout.read(bytes_, np.zeros(1, int), name)[0]

@@ -1,4 +1,4 @@
-"""What the observer said of itself on /diagnostics."""
+"""The observer's own reports on /diagnostics."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -119,7 +119,7 @@ class RunRows:
             )
 
     def _judge(self, name: str, stamps: np.ndarray) -> None:
-        """Say where stamps run backwards or stand still."""
+        """Warn where stamps run backwards or stand still."""
         backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
         same = len(stamps) - len(np.unique(stamps))
         topic = self._record.topics[name]

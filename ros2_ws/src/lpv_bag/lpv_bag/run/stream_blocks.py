@@ -59,7 +59,7 @@ class _StreamReader:
     def _take(
         self, block: Block, positions: np.ndarray, first: int, layout: Layout, index: JointIndex
     ) -> np.ndarray:
-        """Take those that have a layout; the others."""
+        """Read the messages that match a layout; the positions of the others."""
         if not len(positions):
             return positions
         starts = block.start[positions]
@@ -96,7 +96,7 @@ class _StreamReader:
         return len(layout.strings.get('name', ()))
 
     def _learn(self, data: bytes, message: Any) -> bool:
-        """Add the layout of a message, if it has one; whether it has.
+        """Learn the layout of a message; whether it has one.
 
         With it goes the index of the wanted joints: None for other streams, False if a message of
         this shape is of other joints.
@@ -114,7 +114,7 @@ class _StreamReader:
             index = False if columns is None else list(columns)
         elif expected is None:
             return False
-        # The general reader has the last word on what the bytes mean.
+        # The general reader decides what the bytes mean.
         bytes_, start = np.frombuffer(data, np.uint8), np.zeros(1, int)
         if layout.stamps(bytes_, start)[0] != stamp_of(message.header.stamp):
             return False

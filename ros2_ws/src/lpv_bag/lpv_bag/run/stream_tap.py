@@ -1,4 +1,4 @@
-"""Other streams of a bag beside its measurements, for those who replay without writing."""
+"""Other streams of a bag beside its measurements, for replays that write nothing."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Streams of a recorded run: which messages they are made of, and what an alarm is."""
+"""A recorded run: its streams, the messages they come from, and its alarms."""
 
 from dataclasses import dataclass, field
 from typing import Any

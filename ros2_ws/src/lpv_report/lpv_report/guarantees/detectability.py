@@ -104,7 +104,7 @@ def _angles(record: RunRecord, arm: ArmParameters) -> tuple[str, np.ndarray]:
 
 
 def _near_zero(angles: np.ndarray) -> np.ndarray:
-    """Whole turns taken off, so that the path lies around the vertical without jumps."""
+    """Angles without whole turns, so that the path is near the vertical and has no jumps."""
     result = np.array(angles)
     for column in result.T:
         known = np.isfinite(column)
@@ -134,7 +134,7 @@ def configurations(found: Detectability, arm: ArmParameters) -> Grid:
 
 @dataclass(frozen=True)
 class DetectabilityRow:
-    """Summary for one sensor; None where there is nothing to tell."""
+    """Summary for one sensor; None where a figure is not known."""
 
     sensor: str  # its name
     # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]

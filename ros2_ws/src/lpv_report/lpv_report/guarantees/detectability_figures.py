@@ -1,4 +1,4 @@
-"""Pictures of what could be detected: over time, and over configurations with the path."""
+"""Figures of what could be detected: over time, and over configurations with the path."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -97,7 +97,7 @@ def over_configurations(found: Detectability, arm: ArmParameters) -> Figure:
         if grid.detectable is None:
             _colored_path(axis, found, i)
         else:
-            _background(axis, grid, i)
+            _background(axis, grid, grid.detectable, i)
             _path(axis, found, i)
         _region(axis, grid, i)
         axis.set_title(f'Sensor {i + 1}: {arm.sensor_names[i]}', pad=7)
@@ -123,9 +123,9 @@ def over_configurations(found: Detectability, arm: ArmParameters) -> Figure:
     return figure
 
 
-def _background(axis: Axes, grid: Grid, i: int) -> None:
+def _background(axis: Axes, grid: Grid, detectable: np.ndarray, i: int) -> None:
     one, two = np.degrees(grid.one), np.degrees(grid.two)
-    values = grid.detectable[:, :, i].T
+    values = detectable[:, :, i].T
     finite = values <= _LEVELS[-1]
     axis.contourf(
         one,
@@ -139,7 +139,7 @@ def _background(axis: Axes, grid: Grid, i: int) -> None:
     if not finite.all():
         axis.fill([], [], facecolor=BAND, label='no bound at rest')
     if finite.any():
-        # Only where there is a bound: at its border all lines would lie upon each other.
+        # Only where there is a bound: at its border all lines would coincide.
         lines = axis.contour(
             one,
             two,

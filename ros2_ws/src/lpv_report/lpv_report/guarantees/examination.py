@@ -1,4 +1,4 @@
-"""The certificate of the gains that a run was answered with, examined anew."""
+"""The certificate of the gains of a run, verified again."""
 
 import time
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class CheckRow:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What the gains prove, as far as it was rebuilt."""
+    """What the gains prove, as far as it could be verified."""
 
     facts: list  # name and value
     checks: list  # all inequalities
@@ -64,7 +64,7 @@ class Certificate:
 
 
 def examine(used: UsedGains, arm: ArmParameters) -> Certificate | None:
-    """Rebuild the certificate of some gains, without any solver.
+    """Verify the certificate of some gains, without any solver.
 
     Parameters
     ----------

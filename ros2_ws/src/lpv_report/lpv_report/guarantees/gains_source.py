@@ -1,4 +1,4 @@
-"""Which gains a bag was answered with."""
+"""Which gains a run was made with."""
 
 import hashlib
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ def read_used_gains(path: str | Path, source: str = '') -> UsedGains:
 
 
 def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGains:
-    """Gains that a bag was answered with: those given, or those that lie in the bag.
+    """Gains of a recorded run: those given, or those in the bag.
 
     Parameters
     ----------

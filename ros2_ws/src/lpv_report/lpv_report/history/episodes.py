@@ -43,7 +43,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class Interval:
-    """A stretch of time of one sensor."""
+    """An interval of time of one sensor."""
 
     sensor_index: int  # column of the sensor
     # [s] since the first measurement; the end is that of the record if it lasted so long
@@ -61,7 +61,7 @@ def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list
 
 
 def true_faults(record: RunRecord) -> list[Interval] | None:
-    """When faults really acted."""
+    """Intervals in which faults acted; None without ground truth."""
     truth = record.get('ground_truth', 'fault')
     if truth is None:
         return None

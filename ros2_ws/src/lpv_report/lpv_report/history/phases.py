@@ -1,4 +1,4 @@
-"""Stretches of a run in which the diagnosis could not answer, or the arm was stopped."""
+"""Intervals of a run in which the diagnosis could not answer, or the arm was stopped."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ _MEANING = {
     NO_DATA: 'no usable reading',
 }
 _MOST = 8
-"""Stretches of one kind that are listed one by one."""
+"""Intervals of one kind that are listed individually."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """One stretch."""
+    """One interval."""
 
     what: str  # one of the words of this module
     sensor: str  # of which sensor; empty for the whole arm
@@ -49,7 +49,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Rest:
-    """Stretches that are not listed one by one."""
+    """Intervals that are not listed individually."""
 
     what: str  # as in `Phase`
     sensor: str  # as in `Phase`
@@ -58,7 +58,7 @@ class Rest:
 
 
 def phases(record: RunRecord, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
-    """All stretches of a run.
+    """All such intervals of a run.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def phases(record: RunRecord, bag: str | Path, sensor_names: Sequence[str]) -> l
 
 
 def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
-    """Which samples are the first ones, of which nobody expects an answer."""
+    """Which samples are the first ones, when no answer is expected yet."""
     mode = record.get('state_estimate', 'mode')
     if mode is None:
         return np.zeros(len(stamps), bool)
@@ -124,7 +124,7 @@ def _of_commands(record: RunRecord) -> list[Phase]:
 
 
 def listed(found: list[Phase]) -> tuple[list[Any], ...]:
-    """What a reader can take in: the longest stretches of each kind, and the sum of the others."""
+    """The longest intervals of each kind, and the sum of the others."""
     kept, rests = [], []
     for key in sorted({(p.what, p.sensor) for p in found}):
         same = sorted((p for p in found if (p.what, p.sensor) == key), key=lambda p: -p.duration)

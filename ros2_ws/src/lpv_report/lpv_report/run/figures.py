@@ -1,4 +1,4 @@
-"""Counterparts of the paper's figures 4 to 8; one function a figure.
+"""Counterparts of the paper's figures 4 to 8; one function per figure.
 
 Every function returns a Matplotlib figure, or None where the run has nothing to show in it.
 Joint or sensor 1 is blue and 2 is vermilion throughout; wide pale lines are the truth or the
@@ -72,7 +72,7 @@ def _tip(
 
 
 def cartesian(record: RunRecord, arm: ArmParameters, path: CartesianPath | None = None) -> Figure:
-    """Fig. 4: reference path, true path, and the path that the measurements claim."""
+    """Fig. 4: reference path, true path, and the path according to the measurements."""
     figure, axis = plt.subplots(figsize=(_WIDTH, 4.6))
     reference = record.aligned('reference', 'tip_position')
     if reference is None and path is not None:
