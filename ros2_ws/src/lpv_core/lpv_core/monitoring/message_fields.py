@@ -156,6 +156,8 @@ def diagnostic_fields(
                 'threshold [rad]': f'{fault.threshold[i]:.6f}',
             }
         level, message = _LEVELS[sensor_state]
+        if sensor_state == SensorState.WARN and abs(fault.estimate[i]) <= fault.threshold[i]:
+            message = _INCONSISTENT
         if findings.warnings[i]:
             level = max(level, WARN)
             message = '; '.join([message, *findings.warnings[i].values()])
