@@ -1,6 +1,8 @@
 """The documentation says what the code says: references resolve, the index of equations is complete."""
 
+import functools
 import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -15,18 +17,41 @@ PAGES = sorted((ROOT / 'docs').glob('*.md')) + [
 WITHOUT_CODE = {69}
 """Equations that nothing implements: the paper's remark on a choice of alpha."""
 
-_REFERENCE = re.compile(r'`((?:lpv\w*|[a-z]\w*)(?:\.[A-Za-z_]\w*)+)(?:\(\))?`')
-_FILES = ('yaml', 'yml', 'md', 'py', 'png', 'html', 'csv', 'mcap', 'json', 'xml', 'txt', 'db3', 'urdf')
+_REFERENCE = re.compile(r'`([A-Za-z]\w*(?:\.[A-Za-z_]\w*)+)(?:\(\))?`')
+_FILES = (
+    'yaml',
+    'yml',
+    'md',
+    'py',
+    'png',
+    'html',
+    'csv',
+    'mcap',
+    'json',
+    'xml',
+    'txt',
+    'db3',
+    'parquet',
+)
+_CLASS = re.compile(r'^class (\w+)', re.MULTILINE)
 
 
-def _module_names():
-    """Every module by its full name, and by its last word where that is unique."""
-    modules, short = set(import_graph.module_imports()), {}
-    for module in modules:
-        short.setdefault(module.rpartition('.')[2], []).append(module)
-    return modules | {key: found[0] for key, found in short.items() if len(found) == 1}.keys(), {
-        key: found[0] for key, found in short.items() if len(found) == 1
+@functools.cache
+def _classes():
+    """Module of every class of this software."""
+    return {
+        name: import_graph.module_name(file, folder)
+        for folder in import_graph.package_folders().values()
+        for file in folder.rglob('*.py')
+        for name in _CLASS.findall(file.read_text(encoding='utf-8'))
     }
+
+
+def _has(owner, name):
+    """Whether a module or class has a name, one that its instances get included."""
+    if hasattr(owner, name) or name in getattr(owner, '__annotations__', {}):
+        return True
+    return inspect.isclass(owner) and f'self.{name}' in inspect.getsource(owner)
 
 
 def _resolves(reference):
@@ -37,7 +62,7 @@ def _resolves(reference):
         except ImportError:
             continue
         for name in parts[cut:]:
-            if not hasattr(found, name) and name not in getattr(found, '__annotations__', {}):
+            if not _has(found, name):
                 return False
             found = getattr(found, name, None)
         return True
@@ -45,16 +70,15 @@ def _resolves(reference):
 
 
 def references(page):
-    """What a page names as code of this software: its modules, and what is in them."""
-    short = _module_names()[1]
+    """What a page names as code of this software: by its package, or by its class."""
     for reference in _REFERENCE.findall(page.read_text(encoding='utf-8')):
-        first, last = reference.split('.')[0], reference.rpartition('.')[2]
-        if last in _FILES:
+        first = reference.split('.')[0]
+        if reference.rpartition('.')[2] in _FILES:
             continue
         if first in import_graph.package_folders():
             yield reference
-        elif first in short:
-            yield short[first] + reference[len(first) :]
+        elif first[0].isupper() and first in _classes():
+            yield f'{_classes()[first]}.{reference}'
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
@@ -68,7 +92,9 @@ def test_given_the_docstrings_when_their_equations_are_listed_then_the_index_is_
 
 
 def test_given_the_index_when_read_then_every_equation_of_the_paper_is_in_it():
-    listed = re.findall(r'^\| \((\d+)\) \|', (ROOT / 'docs' / 'equations.md').read_text(), re.MULTILINE)
+    listed = re.findall(
+        r'^\| \((\d+)\) \|', (ROOT / 'docs' / 'equations.md').read_text(), re.MULTILINE
+    )
     assert set(range(1, 71)) - {int(number) for number in listed} == WITHOUT_CODE
 
 

@@ -13,7 +13,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / 'docs' / 'equations.md'
-FOLDERS = ('ros2_ws/src/lpv_core/lpv_core', 'design/lpv_design', 'ros2_ws/src/lpv_report/lpv_report')
+FOLDERS = (
+    'ros2_ws/src/lpv_core/lpv_core',
+    'design/lpv_design',
+    'ros2_ws/src/lpv_report/lpv_report',
+)
 LAST = 70
 """Number of the paper's last equation."""
 
@@ -45,7 +49,7 @@ def _documented(tree: ast.Module, module: str) -> Iterator[tuple[str, str]]:
 
     def walk(node: ast.AST, prefix: str) -> Iterator[tuple[str, str]]:
         for child in ast.iter_child_nodes(node):
-            if isinstance(child, (ast.FunctionDef, ast.ClassDef)):
+            if isinstance(child, (ast.FunctionDef, ast.ClassDef)) and child.name != '__init__':
                 name = f'{prefix}.{child.name}'
                 yield name, ast.get_docstring(child) or ''
                 yield from walk(child, name)

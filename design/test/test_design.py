@@ -17,9 +17,11 @@ from lpv_core.certificate.conditions import (
 )
 from lpv_core.certificate.error_system import link_errors
 from lpv_core.certificate.gains import ExactObserverGains
+from lpv_core.model.arm import ARM_CONSTANTS
 from lpv_core.model.polytope import sinc_box
 from lpv_core.model.state_space import vertex_matrices
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.records import new_record
 from lpv_design.controller import (
     PUBLISHED_M1,
     PUBLISHED_M2,
@@ -50,8 +52,7 @@ def blended(problem, phi):
 
 def problem_arm_constants(problem):
     """Constants of Table 1; vertex 8 of the problem shows that they are its own."""
-    c = np.zeros(12)
-    c[[0, 1, 2, 4, 5]] = 8.33, 2.5, 1.66, 98.0, 24.5
+    c = new_record(ARM_CONSTANTS, inertia=(8.33, 1.66), coupling=2.5, gravity=(98.0, 24.5))
     top = np.linalg.solve([[8.33, 2.5], [2.5, 1.66]], np.diag([98.0, 24.5]) * problem.box[1, 1])
     np.testing.assert_allclose(problem.descriptor.a[7, 2:4, :2], top, rtol=1e-12)
     return c

@@ -14,7 +14,8 @@ def package_folders() -> dict[str, Path]:
     return {name: path for name, path in sorted(folders.items()) if path.is_dir()}
 
 
-def _module_of(file: Path, package: Path) -> str:
+def module_name(file: Path, package: Path) -> str:
+    """Dotted name of a module file of a package."""
     parts = file.relative_to(package.parent).with_suffix('').parts
     return '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
 
@@ -22,7 +23,7 @@ def _module_of(file: Path, package: Path) -> str:
 def module_imports() -> dict[str, set[str]]:
     """Modules of the workspace that each module imports, lazy imports included."""
     files = {
-        _module_of(file, folder): file
+        module_name(file, folder): file
         for folder in package_folders().values()
         for file in folder.rglob('*.py')
     }

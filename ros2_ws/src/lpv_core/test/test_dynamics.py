@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
 from lpv_core.model.dynamics import acceleration, energy, friction, inverse_dynamics, rk4_step
 from lpv_core.model.joints import JointMap
 from lpv_core.support.errors import ConfigError
@@ -52,7 +51,7 @@ def test_given_no_torque_no_friction_when_the_arm_falls_then_its_energy_stays(ar
     c = frictionless(arm).constants()
     state = (0.4, -0.7, 1.5, -2.0)
     start = energy(*state, c)
-    spread = c[G_1] + c[G_2]  # potential energy between its extremes, halved
+    spread = c.gravity[0] + c.gravity[1]  # potential energy between its extremes, halved
     drift = []
     for _ in range(20):
         state = tuple(roll(state, 1e-3, 100, c))
@@ -85,7 +84,7 @@ def test_given_any_state_when_it_moves_then_energy_changes_by_torque_and_frictio
         loss = np.dot(friction(v_1, v_2, c), (v_1, v_2))
         power = u_1 * v_1 + u_2 * v_2 - loss
         # Rounding of the difference quotient: eps * E / h.
-        scale = abs(energy(*state, c)) + c[G_1]
+        scale = abs(energy(*state, c)) + c.gravity[0]
         assert abs(rate - power) < 1e-15 * scale / h + 1e-6 * (1.0 + abs(power))
 
 
@@ -171,14 +170,14 @@ def test_given_a_push_when_one_small_step_is_made_then_it_acts_as_an_acceleratio
 
 def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2_not_eq_5(paper_arm):
     c = paper_arm.constants()
-    assert c[A_11] == pytest.approx(10 * 0.25 + 5 * 1.0 + 0.83)  # 8.33
-    assert c[A_11] == pytest.approx(8.33)
-    assert c[A_11] != pytest.approx(4.58, abs=0.1)  # eqs. (5), (14), (15) as printed
-    assert c[C_22] == pytest.approx(1.66)
-    assert c[B_12] == pytest.approx(2.5)
-    assert c[O_12] == 0.0
-    assert c[G_1] == pytest.approx(98.0)
-    assert c[G_2] == pytest.approx(24.5)
+    assert c.inertia[0] == pytest.approx(10 * 0.25 + 5 * 1.0 + 0.83)  # 8.33
+    assert c.inertia[0] == pytest.approx(8.33)
+    assert c.inertia[0] != pytest.approx(4.58, abs=0.1)  # eqs. (5), (14), (15) as printed
+    assert c.inertia[1] == pytest.approx(1.66)
+    assert c.coupling == pytest.approx(2.5)
+    assert c.rotor_coupling == 0.0
+    assert c.gravity[0] == pytest.approx(98.0)
+    assert c.gravity[1] == pytest.approx(24.5)
 
 
 def test_given_eqs_2_and_3_written_out_when_evaluated_then_inverse_dynamics_is_the_same(paper_arm):
@@ -312,9 +311,9 @@ def test_given_an_impossible_payload_when_attached_then_it_is_refused_by_name(pa
 
 def test_given_factors_when_the_arm_is_scaled_then_each_constant_follows_its_link(paper_arm):
     c = paper_arm.scaled((1.2, 0.9), (1.5, 0.5)).constants()
-    assert c[A_11] == pytest.approx(1.2 * 2.5 + 1.5 * 0.83 + 0.9 * 5.0)
-    assert c[C_22] == pytest.approx(0.9 * 1.25 + 0.5 * 0.41)
-    assert c[B_12] == pytest.approx(0.9 * 2.5)
-    assert c[G_1] == pytest.approx(9.8 * (1.2 * 5.0 + 0.9 * 5.0))
-    assert c[G_2] == pytest.approx(0.9 * 24.5)
+    assert c.inertia[0] == pytest.approx(1.2 * 2.5 + 1.5 * 0.83 + 0.9 * 5.0)
+    assert c.inertia[1] == pytest.approx(0.9 * 1.25 + 0.5 * 0.41)
+    assert c.coupling == pytest.approx(0.9 * 2.5)
+    assert c.gravity[0] == pytest.approx(9.8 * (1.2 * 5.0 + 0.9 * 5.0))
+    assert c.gravity[1] == pytest.approx(0.9 * 24.5)
     np.testing.assert_array_equal(paper_arm.scaled().constants(), paper_arm.constants())

@@ -210,8 +210,8 @@ def test_given_any_state_when_differentiated_then_the_momentum_error_is_decouple
     c, rng = observer.constants, np.random.default_rng(5)
 
     def inertia(theta):
-        off = c[3] + c[1] * math.cos(theta[0] - theta[1])
-        return np.array([[c[0], off], [off, c[2]]])
+        off = c.rotor_coupling + c.coupling * math.cos(theta[0] - theta[1])
+        return np.array([[c.inertia[0], off], [off, c.inertia[1]]])
 
     for t in rng.uniform(0.0, 5.0, 10):
         y = motion.outputs(t)
@@ -222,11 +222,11 @@ def test_given_any_state_when_differentiated_then_the_momentum_error_is_decouple
         after = observer.step(y, y, motion.torque(t), h)
         guess_acc = (after[2:4] - guess_rate) / h
         e, m = wrong[:2], inertia(guess) @ wrong[2:]
-        swirl = -c[1] * math.sin(guess[0] - guess[1]) * (rate[0] - rate[1])
+        swirl = -c.coupling * math.sin(guess[0] - guess[1]) * (rate[0] - rate[1])
         m_rate = np.array([[0, swirl], [swirl, 0]]) @ wrong[2:] + inertia(guess) @ (guess_acc - acc)
-        gravity = np.array(c[4:6]) * (np.sin(guess) - np.sin(theta))
+        gravity = c.gravity * (np.sin(guess) - np.sin(theta))
         delta = inertia(guess) - inertia(theta)
-        spin = c[1] * (math.sin(guess[0] - guess[1]) - math.sin(theta[0] - theta[1]))
+        spin = c.coupling * (math.sin(guess[0] - guess[1]) - math.sin(theta[0] - theta[1]))
         coupling = -delta @ acc - spin * np.array([rate[1] ** 2, -(rate[0] ** 2)])
         expected = gravity + coupling - observer.gains.mu * m
         scale = np.abs(np.concatenate([m, expected])).max()
@@ -238,7 +238,7 @@ def test_given_any_state_when_differentiated_then_the_momentum_error_is_decouple
             atol=1e-6,
         )
         slope = gravity / e * arm.sign
-        assert np.all(slope > 0.0) and np.all(slope <= c[4:6])
+        assert np.all(slope > 0.0) and np.all(slope <= c.gravity)
 
 
 def test_given_the_exact_torques_of_a_motion_when_started_right_then_the_observer_stays_on_it(

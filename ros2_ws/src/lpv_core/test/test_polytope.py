@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
 from lpv_core.model.polytope import (
     exact_state_space,
     exact_vertices,
@@ -36,8 +35,8 @@ def weights_of(phi, box):
 def inertia(theta, arm):
     """Xi(theta), written out again from the parameters."""
     c = arm.constants()
-    off = c[O_12] + c[B_12] * math.cos(theta[0] - theta[1])
-    return np.array([[c[A_11], off], [off, c[C_22]]])
+    off = c.rotor_coupling + c.coupling * math.cos(theta[0] - theta[1])
+    return np.array([[c.inertia[0], off], [off, c.inertia[1]]])
 
 
 # ------------------------------------------------------------------ the paper's box
@@ -128,8 +127,8 @@ def test_given_phi_1_of_zero_when_b_is_interpolated_then_it_is_1_83_times_the_ar
 def test_given_the_quadrangle_when_walked_around_then_it_is_convex_and_holds_the_whole_arc(arm):
     c = arm.constants()
     corners = inverse_inertia_quadrangle(c)
-    s = c[O_12] + c[B_12] * np.cos(np.linspace(0.0, np.pi, 2001))
-    det = c[A_11] * c[C_22] - s**2
+    s = c.rotor_coupling + c.coupling * np.cos(np.linspace(0.0, np.pi, 2001))
+    det = c.inertia[0] * c.inertia[1] - s**2
     arc = np.column_stack([1.0 / det, s / det])
     size = np.prod(np.ptp(corners, axis=0))
     turns, sides = [], []
@@ -145,8 +144,8 @@ def test_given_the_quadrangle_when_walked_around_then_it_is_convex_and_holds_the
 def test_given_the_quadrangle_when_compared_with_the_bounding_box_then_it_is_smaller(arm):
     c = arm.constants()
     corners = inverse_inertia_quadrangle(c)
-    s = c[O_12] + c[B_12] * np.linspace(-1.0, 1.0, 2001)
-    det = c[A_11] * c[C_22] - s**2
+    s = c.rotor_coupling + c.coupling * np.linspace(-1.0, 1.0, 2001)
+    det = c.inertia[0] * c.inertia[1] - s**2
     x, y = corners.T
     area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
     assert area < 0.7 * np.ptp(1.0 / det) * np.ptp(s / det)
@@ -203,7 +202,7 @@ def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_
         pairs = [exact_state_space(v, c) for v in exact_vertices(arm)]
         a = sum(w * a_i for w, (a_i, _) in zip(rho, pairs))
         b = sum(w * b_i for w, (_, b_i) in zip(rho, pairs))
-        slope = inverse @ np.diag([c[G_1], c[G_2]] * np.cos(theta))
+        slope = inverse @ np.diag([c.gravity[0], c.gravity[1]] * np.cos(theta))
         np.testing.assert_allclose(a[2:, :2], slope, atol=1e-6 * np.abs(slope).max())
         np.testing.assert_allclose(b[2:], inverse, atol=1e-6 * np.abs(inverse).max())
 

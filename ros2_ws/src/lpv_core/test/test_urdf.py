@@ -98,11 +98,11 @@ def test_given_the_urdf_when_masses_are_moved_then_inertia_and_gravity_are_the_m
         mass_matrix += mass * jacobian.T @ jacobian + inertia * np.outer(turn, turn)
         weight += mass * arm.gravity * jacobian[2]
     theta = q[0] + arm.zero_angle, q[0] + q[1] + arm.zero_angle
-    coupling = values[1] * np.cos(theta[0] - theta[1])
-    absolute = np.array([[values[0], coupling], [coupling, values[2]]])
+    coupling = values.coupling * np.cos(theta[0] - theta[1])
+    absolute = np.array([[values.inertia[0], coupling], [coupling, values.inertia[1]]])
     to_absolute = np.array([[1.0, 0.0], [1.0, 1.0]])
     np.testing.assert_allclose(mass_matrix, to_absolute.T @ absolute @ to_absolute, rtol=1e-7)
-    gravity = -np.array([values[4] * np.sin(theta[0]), values[5] * np.sin(theta[1])])
+    gravity = -values.gravity * np.sin(theta)
     np.testing.assert_allclose(weight, to_absolute.T @ gravity, rtol=1e-7)
 
 
