@@ -83,11 +83,11 @@ class Runner:
         self._failed = False
 
     def run(self) -> int:
-        """Run until all have ended."""
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as nohup asks for
-            numbers.append(signal.SIGHUP)  # the processes do not notice that the terminal closes
-        previous = {number: signal.signal(number, self._on_signal) for number in numbers}
+        """Run until all have ended; signals that come later change nothing."""
+        # SIGHUP, too: the processes do not notice that the terminal closes.
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # of nohup
+                signal.signal(number, self._on_signal)
         try:
             with tempfile.TemporaryDirectory(prefix='launch_params_') as folder:
                 self._folder = Path(folder)
@@ -95,11 +95,8 @@ class Runner:
                     self._start(process)
                 self._loop()
         finally:
-            for number, handler in previous.items():
-                signal.signal(number, handler)
             for process in self._processes:  # only after an error in here
-                if process.running:
-                    process.send(signal.SIGKILL)
+                process.send(signal.SIGKILL)
         return int(self._failed)
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
