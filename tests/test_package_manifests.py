@@ -175,7 +175,7 @@ def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_they_do_not_st
     (info / 'entry_points.txt').write_text('[pytest11]\nlaunch_testing = old_plugin\n')
     path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
     words = [sys.executable, '-m', 'pytest', '--collect-only', __file__]
-    for options, code in (((), 0), (('-o', 'addopts='), 1)):  # without ours, it does stop them
+    for options, code in (((), 0), (('-o', 'addopts='), 3)):  # without ours, it does stop them
         done = subprocess.run(
             [*words, *options],
             cwd=ROOT,
