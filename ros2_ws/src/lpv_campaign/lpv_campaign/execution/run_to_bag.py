@@ -18,8 +18,8 @@ from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import load_run
 from lpv_campaign.plan.run_files import write_run_files
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 NAMESPACE = '/lpv'
 START = NANOSECONDS

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from lpv_core.decision.diagnosis import AlarmEvent, SensorState
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 STATES = tuple(state.name.lower() for state in SensorState)
 """Names of the states of a sensor, in the order of their numbers."""

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from lpv_campaign.execution.run_metrics import figures
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 STREAMS = ('ground_truth', 'reference', 'torque_command')
 MOST_SAMPLES = 1_000_000
