@@ -1,6 +1,7 @@
 """Look of the figures: palette, Matplotlib settings, thinning of long curves."""
 
 import io
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -15,7 +16,7 @@ PALE = ('#9fcbe6', '#f3bc95')
 INK, SOFT, GRID, BAND = '#1b2733', '#5b6774', '#dde2e8', '#c3cad2'
 PAPER = '#ffffff'
 
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     'font.family': 'DejaVu Sans',
     'font.size': 9.0,
     'axes.titlesize': 9.5,
