@@ -1,6 +1,5 @@
 """Statistics of an archive of bags as one self-contained HTML file."""
 
-import math
 import time
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import matplotlib.pyplot as plt
 
 from lpv_campaign.fleet.statistics import FleetStatistics, Trend
 from lpv_core.model.arm import ArmParameters
+from lpv_core.support.formatting import number
 from lpv_report.page import embedded, environment
 from lpv_report.style import BAND, SENSOR, SETTINGS, png
 
@@ -100,13 +100,6 @@ def truth_text(statistics: FleetStatistics, healthy: bool) -> str:
             f'{statistics.detected}.'
         )
     return text
-
-
-def number(value: float) -> str:
-    """A number as text; a dash where there is none."""
-    if math.isnan(value):
-        return '-'
-    return 'infinite' if math.isinf(value) else f'{value:.3g}'
 
 
 def date(stamp: int) -> str:

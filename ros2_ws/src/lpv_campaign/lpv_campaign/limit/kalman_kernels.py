@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lpv_core.model.arm import set_constants
 from lpv_core.model.dynamics import rk4_step
 from lpv_core.support.jit import njit
 
@@ -39,6 +40,7 @@ class SampledArm(NamedTuple):
     mean: float  # mean disturbance
     sample_time: float  # [s]
     substeps: int  # Runge-Kutta steps per sample
+    work: np.record  # of type `lpv_core.model.arm.ARM_CONSTANTS`, receives those of a parameter
 
 
 class Noise(NamedTuple):
@@ -64,13 +66,14 @@ class Filtered(NamedTuple):
 @njit
 def _flow(z: np.ndarray, torque: np.ndarray, disturbance: float, arm: SampledArm) -> np.ndarray:
     """Mechanical state one sample after angles, rates and parameters ``z``, as the plant moves."""
-    params = arm.constants.copy()
+    constants = arm.constants.copy()
     for j in range(len(arm.sensitivity)):
-        params += z[4 + j] * arm.sensitivity[j]
+        constants += z[4 + j] * arm.sensitivity[j]
+    set_constants(arm.work, constants)
     push, dt = arm.direction * disturbance, arm.sample_time / arm.substeps
     a, b, u, v = z[0], z[1], z[2], z[3]
     for _ in range(arm.substeps):
-        a, b, u, v = rk4_step(a, b, u, v, torque[0], torque[1], push[0], push[1], dt, params)
+        a, b, u, v = rk4_step(a, b, u, v, torque[0], torque[1], push[0], push[1], dt, arm.work)
     return np.array([a, b, u, v])
 
 

@@ -13,11 +13,12 @@ import numpy as np
 from lpv_campaign.limit.arm_prior import ArmKnowledge
 from lpv_campaign.limit.fault_prior import RATE, SCALE, FaultModel, acting
 from lpv_campaign.limit.kalman_kernels import Noise, SampledArm, move_and_derive
-from lpv_core.model.arm import G_1, G_2, ArmParameters
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters, vector_slice
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.closed_loop import Run
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.records import new_record
 
 READINGS = 6
 """Two positions, two rates, and two generalised torques that hold a braked arm."""
@@ -152,7 +153,13 @@ def sampled_arm(
     mean = scenario.disturbance_factor * arm.disturbance_mean if scenario.disturbance else 0.0
     direction = np.asarray(arm.disturbance_direction, float)
     return SampledArm(
-        knowledge.constants, knowledge.sensitivity, direction, mean, arm.sample_time, substeps
+        knowledge.constants,
+        knowledge.sensitivity,
+        direction,
+        mean,
+        arm.sample_time,
+        substeps,
+        new_record(ARM_CONSTANTS),
     )
 
 
@@ -208,7 +215,8 @@ def _holding(
 ) -> None:
     """Torques that hold a braked arm against gravity: Q_i = -G_i sin theta_i."""
     constants = knowledge.constants + states[:, 4 : 4 + p] @ knowledge.sensitivity
-    for i, entry in enumerate((G_1, G_2)):
+    first = vector_slice('gravity').start
+    for i, entry in enumerate((first, first + 1)):
         sine = np.sin(states[:, i])
         h[:, 4 + i, i] = -constants[:, entry] * np.cos(states[:, i])
         h[:, 4 + i, 4 : 4 + p] = -sine[:, None] * knowledge.sensitivity[:, entry]

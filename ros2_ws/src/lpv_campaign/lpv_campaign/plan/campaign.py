@@ -49,7 +49,7 @@ def resolve(
     spec = parse_spec(data, source, str(folder))
     arm = load_arm(_file('arms', spec.arm, folder))
     names = {spec.scenario, *_path_scenarios(spec)}
-    content = {
+    content: dict[str, Any] = {
         'spec': data,
         'arm': arm.to_json(),
         'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},

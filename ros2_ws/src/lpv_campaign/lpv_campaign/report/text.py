@@ -1,11 +1,8 @@
-"""Numbers as text; ``-`` where there is none."""
+"""Numbers of the report as text; ``-`` where there is none."""
 
 from typing import Any
 
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with some digits, or ``-``."""
-    return '-' if value is None else f'{value:.{digits}g}'
+from lpv_core.support.formatting import number
 
 
 def milli(value: float | None, digits: int = 3) -> str:
@@ -23,13 +20,6 @@ def interval(share: dict[str, Any]) -> str:
     if share['rate'] is None:
         return '-'
     return f'{100.0 * share["low"]:.1f} to {100.0 * share["high"]:.1f}%'
-
-
-def seconds(value: float | None) -> str:
-    """A time in s or ms, or ``-``."""
-    if value is None:
-        return '-'
-    return f'{value:.2f} s' if abs(value) >= 1.0 else f'{1e3 * value:.0f} ms'
 
 
 def middle(values: dict[str, Any], digits: int = 2) -> str:

@@ -13,6 +13,7 @@ from rich.table import Table
 from lpv_bag.run.record import BagError, RunRecord, load_run
 from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.formatting import number
 from lpv_core.support.resources import bringup_file
 from lpv_report.comparison import AlarmPair, Comparison, Tolerances, answer_stamps, compare_runs
 
@@ -99,7 +100,7 @@ def show(result: Comparison, console: Console) -> None:
         'figures',
         ('', 'unit', 'first', 'second', ''),
         [
-            (f.name, f.unit, _number(f.first), _number(f.second), _mark(f.same))
+            (f.name, f.unit, number(f.first), number(f.second), _mark(f.same))
             for f in result.figures
         ],
     )
@@ -108,7 +109,7 @@ def show(result: Comparison, console: Console) -> None:
         'largest differences',
         ('', 'unit', 'tolerated', 'found', ''),
         [
-            (f.name, f.unit, _number(f.first), _number(f.second), _mark(f.same))
+            (f.name, f.unit, number(f.first), number(f.second), _mark(f.same))
             for f in result.differences
         ],
     )
@@ -146,10 +147,6 @@ def _table(
 
 def _mark(same: bool) -> str:
     return '' if same else '  <- differs'
-
-
-def _number(value: float | None) -> str:
-    return '-' if value is None else f'{value:.3g}'
 
 
 def _both(pair: AlarmPair, name: str) -> str:

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import yaml
 from rich.console import Console
 
 from lpv_bag.mcap.writer import PRESETS
@@ -105,10 +104,9 @@ def _check_out(out: Path, bag: Path) -> None:
 
 def _is_ours(out: Path) -> bool:
     try:
-        with open(out / 'metadata.yaml', encoding='utf-8') as file:
-            information = yaml.safe_load(file)['rosbag2_bagfile_information']
+        information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
         return MARK in (information.get('custom_data') or ())
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, AttributeError):
+    except (ConfigError, TypeError, KeyError, AttributeError):
         return False
 
 

@@ -70,7 +70,7 @@ class Scenario:
     times: tuple
     points: tuple
     elbow: str
-    obstacle: Obstacle
+    obstacle: Obstacle | None
     faults: tuple
     coulomb: str = 'smooth'
     noise_factor: float = 1.0
