@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from lpv_bag.blocks.chunk_assembly import ChunkAssembly
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.replay.answer_records import RecordTemplate
 from lpv_bag.replay.replay import Replay
-from lpv_bag.rosbag.chunk_assembly import ChunkAssembly
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
@@ -231,7 +231,7 @@ def _templates(bag: ChunkBagWriter, arm: ArmParameters) -> dict[int, RecordTempl
         bag.add_topic(topic, msgtype, [qos_profile(True, False, 50)])
         if kind == _MEASURED:
             message = BagMessages(bag.typestore, 'base_link').joint_state(
-                0, arm.joint_names, zero, zero, zero
+                0, arm.joint_names, *[zero.tolist()] * 3
             )
         else:
             message = messages.make(msgtype, 0, examples[kind])

@@ -130,10 +130,11 @@ def _on_path(
     return replace(scenario, duration=duration)
 
 
-def _pair(values: dict[str, Any], name: str, default: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(
-        d if values[f'{name}_{i}'] is None else values[f'{name}_{i}']
-        for i, d in zip((1, 2), default)
+def _pair(values: dict[str, Any], name: str, default: tuple[float, float]) -> tuple[float, float]:
+    given = values[f'{name}_1'], values[f'{name}_2']
+    return (
+        default[0] if given[0] is None else given[0],
+        default[1] if given[1] is None else given[1],
     )
 
 

@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from lpv_core.support.formatting import number
+from lpv_core.support.formatting import number, seconds
+
+__all__ = ['interval', 'middle', 'milli', 'number', 'percent', 'rate', 'seconds']
 
 
 def milli(value: float | None, digits: int = 3) -> str:

@@ -125,7 +125,11 @@ def show(result: Comparison, console: Console) -> None:
         'alarms, first | second',
         ('sensor', *names.values(), ''),
         [
-            ((p.first or p.second).sensor, *(_both(p, name) for name in names), _mark(p.same))
+            (
+                next(e.sensor for e in (p.first, p.second) if e),
+                *(_both(p, name) for name in names),
+                _mark(p.same),
+            )
             for p in result.alarms
         ],
     )
@@ -160,7 +164,7 @@ def _both(pair: AlarmPair, name: str) -> str:
 
 def _write(out: Path, text: str, first: RunRecord, second: RunRecord, arm: ArmParameters) -> None:
     from lpv_report.comparison_figures import draw_comparison
-    from lpv_report.run.style import png
+    from lpv_report.style import png
 
     if out.exists() and not out.is_dir():
         raise ConfigError('--out', f'{out} is not a folder')

@@ -9,9 +9,9 @@ import numpy as np
 from rich.console import Console
 
 from lpv_bag.mcap.writer import PRESETS
-from lpv_bag.recorder.output_folder import GAINS_NAME
 from lpv_bag.replay.replay import Replay, ReplayResult
 from lpv_bag.replay.writer import MARK
+from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_cli.commands.observing import (
     add_diagnosis,
     add_reading,
