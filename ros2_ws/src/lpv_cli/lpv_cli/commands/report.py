@@ -1,51 +1,40 @@
 """``lpv report``: the report of a recorded run."""
 
+import argparse
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
-from lpv_cli.completion import shipped
-from lpv_core.model.arm import load_arm
+from lpv_cli.completion import completed, shipped
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('bag', help='rosbag2 directory or MCAP file')
-    parser.add_argument(
-        '--arm',
-        help='arm file, or name of a shipped arm; the one that the gains describe if not given',
-    ).completer = shipped('arms')
+    completed(
+        parser.add_argument(
+            '--arm',
+            help='arm file, or name of a shipped arm; the one that the gains describe if not given',
+        ),
+        shipped('arms'),
+    )
     parser.add_argument(
         '--gains', help='gains file that the run was answered with; the one in the bag if not given'
     )
-    parser.add_argument(
-        '--scenario', help='scenario whose path and obstacle are drawn'
-    ).completer = shipped('scenarios')
+    completed(
+        parser.add_argument('--scenario', help='scenario whose path and obstacle are drawn'),
+        shipped('scenarios'),
+    )
     parser.add_argument('--out', default='out/report', help='folder for the report')
 
 
-def run(arguments) -> int:
-    """Write the report and show its table.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+def run(arguments: argparse.Namespace) -> int:
+    """Write the report and show its table."""
     from lpv_report.run import find_used_gains, print_table, write_report
 
     used = find_used_gains(arguments.bag, arguments.gains)
@@ -69,7 +58,7 @@ def run(arguments) -> int:
     return 0
 
 
-def _arm(arguments, used):
+def _arm(arguments: argparse.Namespace, used: Any) -> ArmParameters:
     from lpv_report.run import arm_of
 
     if arguments.arm:
@@ -82,7 +71,7 @@ def _arm(arguments, used):
     return arm_of(used.gains)
 
 
-def _said(certificate, used):
+def _said(certificate: Any, used: Any) -> str:
     if certificate is None:
         return f'gains   not known: {used.problem}'
     if certificate.holds:
