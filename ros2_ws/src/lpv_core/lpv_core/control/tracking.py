@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_core.model.arm import ARM_CONSTANTS
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JOINT_MAP, JointMap
 from lpv_core.support.jit import njit
@@ -14,7 +15,7 @@ COMPENSATION = ('off', 'confirmed', 'always')
 
 TRACKING_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
-    ('arm', 'f8', (12,)),
+    ('arm', ARM_CONSTANTS),
     ('limit', 'f8', (2,)),
     ('m1', 'f8', (2, 4)),
     ('m2', 'f8', (2, 2)),

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from lpv_core.model.arm import ARM_CONSTANTS
 from lpv_core.model.dynamics import inverse_dynamics, rk4_step
 from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
 from lpv_core.model.polytope import sinc_box
@@ -22,7 +23,7 @@ from lpv_core.support.records import new_record, record_type
 _LPV = record_type(('box', 'f8', (3, 2)), ('a', 'f8', (8, 4, 4)), ('b', 'f8', (8, 4, 2)))
 PLANT_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
-    ('arm', 'f8', (12,)),
+    ('arm', ARM_CONSTANTS),
     ('is_lpv', '?'),
     ('lpv', _LPV),
     ('sample_time', 'f8'),
