@@ -4,13 +4,17 @@ import sys
 import time
 from dataclasses import replace
 
+import numpy as np
 from builtin_interfaces.msg import Time
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
 from lpv_arm_sim.services import FaultServices
 from lpv_core.model.arm import load_arm
-from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.arm_simulator import ArmSimulator, Measurement, Truth
 from lpv_core.simulation.scenario import load_scenario
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.managed import ManagedNode, run_node
@@ -70,15 +74,17 @@ class SimulatorNode(ManagedNode):
 
     Until the first command, after a safe stop, and in real time when commands stay away, the
     drives brake and hold the arm where it is.  In real time an arm does not wait for a process that
-    is late: it moves on under the last torque until the drives brake.  In lockstep a sample that
-    nobody answers is sent again when nodes have joined: one that was restarted has not heard it.
+    is late: it moves on under the last torque until the drives brake.  In lockstep a sample
+    without an answer is sent again when nodes have joined: one that was restarted missed it.
     """
 
     def __init__(self) -> None:
         super().__init__('arm_sim', SPECS)
-        self._command_in = self._ticker = None
-        self._command = None
-        self._waiting = None
+        self._command_in: Subscription | None = None
+        self._ticker: Timer | None = None
+        self._command: TorqueCommand | None = None
+        self._waiting = 0  # stamp of the sample that lockstep wants answered [ns]
+        self._sent = 0.0  # steady time at which it was sent [s]
         self._slips = 0
         self._braking, self._flowing = True, False
 
@@ -108,7 +114,7 @@ class SimulatorNode(ManagedNode):
         self._truth_message = GroundTruth()
         self._truth_message.header.frame_id = self._arm.name
 
-    def outputs(self):
+    def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before the first sample."""
         return {self._joint_states_out: 1, self._truth_out: 0}
 
@@ -134,20 +140,18 @@ class SimulatorNode(ManagedNode):
 
     def end(self) -> None:
         """Stop stepping."""
-        for item, destroy in (
-            (self._command_in, self.destroy_subscription),
-            (self._ticker, self.destroy_timer),
-        ):
-            if item is not None:
-                destroy(item)
+        if self._command_in is not None:
+            self.destroy_subscription(self._command_in)
+        if self._ticker is not None:
+            self.destroy_timer(self._ticker)
         self._command_in = self._ticker = self._command = None
         self._flowing = False
 
     @property
-    def _stamp(self):
+    def _stamp(self) -> int:
         return self._start + self._plant.step_count * self._period
 
-    def _on_command(self, message) -> None:
+    def _on_command(self, message: TorqueCommand) -> None:
         """Lockstep: the answer to the present sample makes the next step. Real time: store it."""
         if self.lockstep and to_nanoseconds(message.header.stamp) != self._waiting:
             return  # a command for an older sample, e.g. of a tracker that was restarted
@@ -156,14 +160,14 @@ class SimulatorNode(ManagedNode):
             self._newcomers = False
             self._advance()
             self._publish()
-        elif not self._flowing and not self._expired():
+        elif not self._flowing and not self._expired(message):
             self._flowing = True
             self.get_logger().info('commands flow')
 
-    def _count_peers(self):
+    def _count_peers(self) -> tuple[int, int]:
         return (
             self._joint_states_out.get_subscription_count(),
-            self.count_publishers(self._command_in.topic_name),
+            self.count_publishers('torque_command'),
         )
 
     def _ask_again(self) -> None:
@@ -197,13 +201,13 @@ class SimulatorNode(ManagedNode):
             self._brake('no command')
         elif command.safe_stop:
             self._brake('safe stop')
-        elif self._expired():
+        elif self._expired(command):
             self._flowing = False
             self._brake('commands stay away')
         else:
             self._drive(command.torque)
 
-    def _drive(self, torque) -> None:
+    def _drive(self, torque: np.ndarray) -> None:
         try:
             self._plant.step(torque)
         except ValueError as error:
@@ -213,17 +217,17 @@ class SimulatorNode(ManagedNode):
             self._braking = False
             self.get_logger().info('brakes released')
 
-    def _brake(self, reason) -> None:
+    def _brake(self, reason: object) -> None:
         self._plant.hold()
         if not self._braking:
             self._braking = True
             self.get_logger().error(f'brakes engaged: {reason}')
 
-    def _expired(self) -> bool:
+    def _expired(self, command: TorqueCommand) -> bool:
         if self.lockstep:
             return False
         # By the measurement that it answers: late answers are as bad as none.
-        age = self._stamp - to_nanoseconds(self._command.header.stamp)
+        age = self._stamp - to_nanoseconds(command.header.stamp)
         return age > self.get_parameter('command_timeout').value * NANOSECONDS
 
     def _publish(self) -> None:
@@ -244,7 +248,7 @@ class SimulatorNode(ManagedNode):
         self._sent = time.monotonic()
         self._report_progress()
 
-    def _publish_truth(self, stamp, truth, measurement) -> None:
+    def _publish_truth(self, stamp: int, truth: Truth, measurement: Measurement) -> None:
         message = self._truth_message
         set_stamp(message.header.stamp, stamp)
         message.position, message.velocity = truth.position, truth.velocity
@@ -263,7 +267,7 @@ class SimulatorNode(ManagedNode):
             self.finish()
 
 
-def main(argv=None) -> None:
+def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_arm_sim simulator``."""
     sys.exit(run_node(SimulatorNode, argv))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -14,10 +15,12 @@ from rclpy.exceptions import (
     InvalidParameterValueException,
     ParameterUninitializedException,
 )
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import parse_gains
+from lpv_core.certificate.gains import Gains, parse_gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import ConfigError
 
 _ARRAY, _DOUBLE, _STRING, _INTEGER = (
@@ -30,76 +33,46 @@ _ARRAY, _DOUBLE, _STRING, _INTEGER = (
 
 @dataclass(frozen=True)
 class Spec:
-    """Declaration of one parameter.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    default : object
-        Default value; its type is the parameter's type.
-    description : str
-        What it means, with its unit.
-    low, high : float or int, optional
-        Allowed range.
-    choices : tuple of str, optional
-        Allowed strings.
-    read_only : bool, optional
-        Whether it is fixed once the node runs.
-    """
+    """Declaration of one parameter."""
 
     name: str
-    default: object
-    description: str
-    low: float = None
-    high: float = None
-    choices: tuple = ()
-    read_only: bool = False
+    default: Any  # its type is the parameter's type
+    description: str  # meaning, with the unit
+    low: float | None = None  # allowed range
+    high: float | None = None
+    choices: tuple[str, ...] = ()  # allowed strings
+    read_only: bool = False  # fixed once the node runs
 
-    def descriptor(self):
+    def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor of this parameter."""
         result = ParameterDescriptor(description=self.description, read_only=self.read_only)
         if self.choices:
             result.additional_constraints = 'one of ' + ', '.join(self.choices)
-        if self.low is not None and isinstance(self.default, float):
+        if self.low is None or self.high is None:
+            return result
+        if isinstance(self.default, float):
             result.floating_point_range = [
                 FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
             ]
-        elif self.low is not None:
+        else:
             result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high))]
         return result
 
 
 @dataclass(frozen=True)
 class GainField:
-    """Declaration of one parameter of the gains file: no default, read-only.
-
-    Attributes
-    ----------
-    kind : rclpy.parameter.Parameter.Type
-        Type.
-    description : str
-        What it means, with its unit.
-    low, high : float or int, optional
-        Range that makes sense at all; what must hold is checked with the certificate.
-    """
+    """Declaration of one parameter of the gains file: no default, read-only."""
 
     kind: Parameter.Type
-    description: str
-    low: float = None
-    high: float = None
+    description: str  # meaning, with the unit
+    low: float | None = None  # range that makes sense at all; the certificate decides what holds
+    high: float | None = None
 
-    def descriptor(self):
+    def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor of this parameter."""
-        like = {_DOUBLE: 0.0, _INTEGER: 0}.get(self.kind, '')
-        return Spec(
-            '',
-            like,
-            self.description + ', from the gains file written by lpv design',
-            self.low,
-            self.high,
-            read_only=True,
-        ).descriptor()
+        like: Any = {_DOUBLE: 0.0, _INTEGER: 0}.get(self.kind, '')
+        text = self.description + ', from the gains file written by lpv design'
+        return Spec('', like, text, self.low, self.high, read_only=True).descriptor()
 
 
 FORMAT_FIELD = GainField(_INTEGER, 'version of the format [1]', 1, 1000)
@@ -138,21 +111,12 @@ METHOD_FIELDS = {
 """Parameters below ``gains.observer.`` of each method."""
 
 
-def declare(node, specs: Iterable[Spec]) -> None:
+def declare(node: Node, specs: Iterable[Spec]) -> None:
     """Declare parameters and refuse strings outside their choices, now and later.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    specs : iterable of Spec
-        Declarations.
-
-    Raises
-    ------
-    ConfigError
-        If an override has the wrong type, is out of range or not among the choices.
+    Raises ConfigError if an override has the wrong type, is out of range or not among the choices.
     """
+    specs = tuple(specs)
     choices = {spec.name: spec.choices for spec in specs if spec.choices}
     for spec in specs:
         try:
@@ -166,7 +130,7 @@ def declare(node, specs: Iterable[Spec]) -> None:
                 node.get_name(),
             )
 
-    def check(parameters):
+    def check(parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
             allowed = choices.get(parameter.name)
             if allowed and parameter.value not in allowed:
@@ -177,40 +141,16 @@ def declare(node, specs: Iterable[Spec]) -> None:
     node.add_on_set_parameters_callback(check)
 
 
-def required_text(node, name: str) -> str:
-    """Value of a string parameter that must be set.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    name : str
-        Parameter.
-
-    Returns
-    -------
-    str
-        Not empty.
-
-    Raises
-    ------
-    ConfigError
-        If it is empty.
-    """
+def required_text(node: Node, name: str) -> str:
+    """Value of a string parameter; ConfigError if it is empty."""
     value = node.get_parameter(name).value
     if not value:
         raise ConfigError(name, 'must be set', node.get_name())
     return value
 
 
-def declare_gains(node) -> None:
-    """Declare the parameters of a gains file, read-only, without defaults.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    """
+def declare_gains(node: Node) -> None:
+    """Declare the parameters of a gains file, read-only, without defaults."""
     fields = {'format': FORMAT_FIELD, **GAIN_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update({f'observer.{name}': field for name, field in of_method.items()})
@@ -218,28 +158,13 @@ def declare_gains(node) -> None:
         node.declare_parameter(f'gains.{name}', field.kind, field.descriptor())
 
 
-def read_gains(node, arm):
-    """Gains from a node's parameters, with their certificate verified.
+def read_gains(node: Node, arm: ArmParameters) -> Gains:
+    """Gains from the parameters that `declare_gains` declared, with their certificate verified.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        A node on which `declare_gains` was called.
-    arm : ArmParameters
-        The arm that they must be made for.
-
-    Returns
-    -------
-    Gains
-        Validated.
-
-    Raises
-    ------
-    ConfigError
-        If no gains file was given, it is not valid, of another arm, or its certificate does not
-        hold.
+    Raises ConfigError if no gains file was given, it is not valid, of another arm, or its
+    certificate does not hold.
     """
-    nested = {}
+    nested: dict[str, Any] = {}
     method = _gain(node, 'observer.method')
     own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
     for name in ('format', *GAIN_FIELDS, *own):
@@ -254,7 +179,7 @@ def read_gains(node, arm):
     return gains
 
 
-def _gain(node, name):
+def _gain(node: Node, name: str) -> Any:
     try:
         return node.get_parameter(f'gains.{name}').value
     except ParameterUninitializedException:

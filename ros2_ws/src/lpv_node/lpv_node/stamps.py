@@ -1,32 +1,15 @@
 """Time stamps as integers of nanoseconds, the one form that never rounds."""
 
-NANOSECONDS = 1_000_000_000
+from builtin_interfaces.msg import Time
+
+from lpv_core.observer.sampled_observer import NANOSECONDS
 
 
-def to_nanoseconds(stamp) -> int:
-    """Nanoseconds of a builtin_interfaces/Time.
-
-    Parameters
-    ----------
-    stamp : builtin_interfaces.msg.Time
-        The stamp.
-
-    Returns
-    -------
-    int
-        [ns].
-    """
+def to_nanoseconds(stamp: Time) -> int:
+    """Nanoseconds of a stamp."""
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
-def set_stamp(stamp, nanoseconds: int) -> None:
-    """Write nanoseconds into a builtin_interfaces/Time.
-
-    Parameters
-    ----------
-    stamp : builtin_interfaces.msg.Time
-        Written to.
-    nanoseconds : int
-        [ns], not negative.
-    """
+def set_stamp(stamp: Time, nanoseconds: int) -> None:
+    """Write nanoseconds, not negative, into a stamp."""
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)

@@ -2,8 +2,14 @@
 
 import sys
 
-from lpv_core.control.path_follower import PathGuide
-from lpv_core.control.tracking import COMPENSATION, TrackingController
+import numpy as np
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+from lpv_core.control.path import Reference
+from lpv_core.control.path_follower import PathFollower
+from lpv_core.control.tracking import COMPENSATION, TrackingController, feedback_position
 from lpv_core.model.arm import load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
@@ -25,7 +31,7 @@ SPECS = (
     Spec(
         'estimate_timeout',
         0.2,
-        'real time only: command a safe stop when no estimate came for so long [s]',
+        'real time only: command a safe stop when no estimate came for this long [s]',
         0.01,
         60.0,
         read_only=True,
@@ -58,7 +64,8 @@ class TrackerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('tracker', SPECS)
         declare_gains(self)
-        self._estimate_in = self._watch = None
+        self._estimate_in: Subscription | None = None
+        self._watch: Timer | None = None
         self._stopped = True
 
     def setup(self) -> None:
@@ -68,18 +75,22 @@ class TrackerNode(ManagedNode):
         self._controller = TrackingController(self._arm, gains)
         self._integrates_measurement = gains.controller.method == 'paper'
         self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
-        self._guide = PathGuide(self._arm, self._path, self.get_parameter('approach_speed').value)
+        self._follower = PathFollower(
+            self._arm, self._path, self.get_parameter('approach_speed').value
+        )
         # Compile before the first estimate, not on it.
         self._controller.update(self._path.sample(0.0), [0.0, 0.1], [0.0, 0.0], [0.0, 0.1], 0.0)
         self._controller.reset()
-        self._last = self._previous = self._received = None
+        self._last: int | None = None  # stamp of the last estimate [ns]
+        self._previous: int | None = None  # stamp of the last estimate that was followed [ns]
+        self._received = 0  # time at which the last estimate came [ns]
         qos = stream(self.lockstep)
         self._command_out = self.create_publisher(TorqueCommand, 'torque_command', qos)
         self._reference_out = self.create_publisher(JointReference, 'reference', qos)
         self._command, self._reference = TorqueCommand(), JointReference()
         self._command.header.frame_id = self._reference.header.frame_id = self._arm.name
 
-    def outputs(self):
+    def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before estimates are taken."""
         return {self._command_out: 1, self._reference_out: 0}
 
@@ -103,7 +114,7 @@ class TrackerNode(ManagedNode):
         if not (self._stopped or self.lockstep):
             self._stop_safely(self.get_clock().now().nanoseconds)
 
-    def _on_estimate(self, message) -> None:
+    def _on_estimate(self, message: StateEstimate) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         self._received = self.get_clock().now().nanoseconds
         if self._last is not None and stamp <= self._last:
@@ -113,7 +124,7 @@ class TrackerNode(ManagedNode):
             if not self.lockstep and self._last - stamp < NANOSECONDS:
                 return  # duplicate or out of order
             self._stop()
-            self._guide.reset()  # time started anew, and so does the path
+            self._follower.reset()  # time restarted, and so does the path
         self._last = stamp
         # A node that was held up itself has seen no silence: the drives have braked meanwhile.
         silent = self._previous is not None and self._is_silence(stamp - self._previous)
@@ -122,16 +133,16 @@ class TrackerNode(ManagedNode):
         if silent or not message.trustworthy:
             self._stop_safely(stamp)
             return
-        position = self._feedback(message)
-        reference = self._guide.reference(stamp, position)
-        if not self.lockstep and self._guide.arm_not_following(reference, position):
+        position = feedback_position(self.get_parameter('compensation').value, message)
+        reference = self._follower.reference(stamp, position)
+        if not self.lockstep and self._follower.arm_not_following(reference):
             self.get_logger().warning(
-                'the arm does not move: nobody hears the commands, or the drives brake',
+                'the arm does not move: commands do not reach it, or its drives brake',
                 throttle_duration_sec=5.0,
             )
-            self._guide.stop()
+            self._follower.stop()
             self._controller.reset()
-            reference = self._guide.reference(stamp, position)
+            reference = self._follower.reference(stamp, position)
         if self._stopped:
             self._stopped = False
             self.get_logger().info('following the path')
@@ -142,17 +153,19 @@ class TrackerNode(ManagedNode):
     def _stop(self) -> None:
         """Nothing is followed until the next estimate that can be trusted."""
         self._controller.reset()
-        self._guide.stop()
+        self._follower.stop()
         self._previous = None
         self._stopped = True
 
     def _answer_again(self) -> None:
-        """The same estimate again: somebody was restarted and has not heard the answer."""
+        """The same estimate again: a restarted node missed the answer."""
         self._command_out.publish(self._command)
         if not self._command.safe_stop:
             self._reference_out.publish(self._reference)
 
-    def _publish_command(self, message, position, stamp, reference) -> None:
+    def _publish_command(
+        self, message: StateEstimate, position: np.ndarray, stamp: int, reference: Reference
+    ) -> None:
         integrated = message.measured_position if self._integrates_measurement else position
         interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
         command = self._controller.update(
@@ -162,13 +175,7 @@ class TrackerNode(ManagedNode):
         self._command.torque, self._command.safe_stop = command.torque, False
         self._command_out.publish(self._command)
 
-    def _feedback(self, message):
-        mode = self.get_parameter('compensation').value
-        if mode == 'always':
-            return message.position
-        return message.compensated_position if mode == 'confirmed' else message.measured_position
-
-    def _publish_reference(self, stamp, reference) -> None:
+    def _publish_reference(self, stamp: int, reference: Reference) -> None:
         message = self._reference
         set_stamp(message.header.stamp, stamp)
         message.position, message.velocity = reference.position, reference.velocity
@@ -184,19 +191,19 @@ class TrackerNode(ManagedNode):
             self.get_logger().error(_SILENCE)
             self._stop_safely(now)
 
-    def _is_silence(self, interval) -> bool:
+    def _is_silence(self, interval: int) -> bool:
         if self.lockstep:
             return False
         return interval > self.get_parameter('estimate_timeout').value * NANOSECONDS
 
-    def _stop_safely(self, stamp) -> None:
+    def _stop_safely(self, stamp: int) -> None:
         self._stop()
         set_stamp(self._command.header.stamp, stamp)
         self._command.torque, self._command.safe_stop = [0.0, 0.0], True
         self._command_out.publish(self._command)
 
 
-def main(argv=None) -> None:
+def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_tracker tracker``."""
     sys.exit(run_node(TrackerNode, argv))
 

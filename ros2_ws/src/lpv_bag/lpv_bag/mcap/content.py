@@ -7,6 +7,7 @@ import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
 
+from lpv_bag.errors import DamageError
 from lpv_bag.mcap.records import (
     HEADER,
     MAX_CHUNK,
@@ -16,7 +17,6 @@ from lpv_bag.mcap.records import (
     parse_channel,
     parse_schema,
 )
-from lpv_bag.rosbag.errors import DamageError
 
 _PIECE = 1 << 22
 

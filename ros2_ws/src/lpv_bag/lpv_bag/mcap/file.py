@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap.content import inflate, inflate_part
 from lpv_bag.mcap.records import Channel, Schema
-from lpv_bag.rosbag.errors import BagError, DamageError
 
 
 @dataclass

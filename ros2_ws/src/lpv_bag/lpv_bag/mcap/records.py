@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.errors import DamageError
 
 MAGIC = b'\x89MCAP0\r\n'
 HEADER = struct.Struct('<BQ')

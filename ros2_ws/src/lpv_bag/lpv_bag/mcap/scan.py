@@ -9,11 +9,11 @@ import re
 
 from mcap.opcode import Opcode
 
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap.content import inflate, records
 from lpv_bag.mcap.file import Block, McapFile, Survey
 from lpv_bag.mcap.records import HEADER, MAGIC, MAX_RECORD, PARSERS, parse_chunk, parse_statistics
 from lpv_bag.mcap.summary import summary_span, walk_summary
-from lpv_bag.rosbag.errors import BagError, DamageError
 
 _MOST_DAMAGES = 1000
 _CANDIDATE = re.compile(rb'[\x01-\x0f][\s\S]{4}\x00{4}')

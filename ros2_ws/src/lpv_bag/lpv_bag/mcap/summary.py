@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from mcap.opcode import Opcode
 
+from lpv_bag.errors import DamageError
 from lpv_bag.mcap.file import Block, Survey, release
 from lpv_bag.mcap.records import (
     HEADER,
@@ -18,7 +19,6 @@ from lpv_bag.mcap.records import (
     parse_schema,
     parse_statistics,
 )
-from lpv_bag.rosbag.errors import DamageError
 
 FOOTER_SIZE = 29
 """With its head [bytes]."""

@@ -6,11 +6,11 @@ from typing import Any
 
 from mcap.opcode import Opcode
 
+from lpv_bag.errors import DamageError
 from lpv_bag.mcap.file import McapFile, Survey
 from lpv_bag.mcap.records import HEADER, PARSERS, parse_metadata
 from lpv_bag.mcap.scan import scan
 from lpv_bag.mcap.summary import Unindexed, from_summary
-from lpv_bag.rosbag.errors import DamageError
 
 
 def survey(file: McapFile) -> Survey:

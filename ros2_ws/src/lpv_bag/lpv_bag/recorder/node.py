@@ -13,9 +13,9 @@ from rosbags.interfaces import Qos
 
 from lpv_bag.mcap.writer import PRESETS
 from lpv_bag.recorder.input import Heard, RecorderInput, Selection
-from lpv_bag.recorder.message_loss import TopicCount
-from lpv_bag.recorder.output_folder import copy_gains, free_path, read_gains_file
 from lpv_bag.recorder.stamp_sorter import StampSorter
+from lpv_bag.rosbag.message_loss import TopicCount
+from lpv_bag.rosbag.output_folder import copy_gains, free_path, read_gains_file
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node

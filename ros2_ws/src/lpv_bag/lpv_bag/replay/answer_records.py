@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 
-from lpv_bag.mcap.blocks import RECORD_HEADER
-from lpv_bag.rosbag.cdr_layout import Layout
-from lpv_bag.rosbag.chunk_writing import OFFSETS, RECORD, record_head
+from lpv_bag.blocks.cdr_layout import Layout
+from lpv_bag.blocks.chunk_writing import OFFSETS, RECORD, record_head
+from lpv_bag.blocks.mcap_blocks import RECORD_HEADER
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_core.monitoring.monitor import ANSWER, Answers
 from lpv_core.observer.sampled_observer import NANOSECONDS

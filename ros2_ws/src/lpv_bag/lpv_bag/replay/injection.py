@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from lpv_bag.rosbag.cdr_layout import rows
-from lpv_bag.rosbag.message_blocks import Block
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.run.measurements import Measurements
 from lpv_core.model.joints import JointMap
 from lpv_core.monitoring.monitor import SensorMonitor

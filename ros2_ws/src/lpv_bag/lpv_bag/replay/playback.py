@@ -12,9 +12,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
-from lpv_bag.rosbag.message_blocks import read_blocks
+from lpv_bag.blocks.message_blocks import read_blocks
+from lpv_bag.blocks.prefetch import ahead
 from lpv_bag.rosbag.offered_qos import offered_qos
-from lpv_bag.rosbag.prefetch import ahead
 from lpv_bag.rosbag.reading import BagReader
 from lpv_core.observer.sampled_observer import NANOSECONDS
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Connection
 
+from lpv_bag.blocks.message_blocks import read_blocks
+from lpv_bag.blocks.prefetch import Behind, ahead
 from lpv_bag.replay.answer_rows import take_all
 from lpv_bag.replay.injection import CHANGED, BlockInjector
 from lpv_bag.replay.session import Batch, ReplayOptions, ReplayResult
 from lpv_bag.replay.writer import ReplayWriter
-from lpv_bag.rosbag.message_blocks import read_blocks
-from lpv_bag.rosbag.prefetch import Behind, ahead
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
 from lpv_bag.run.record import BagError, find_topic, open_bag

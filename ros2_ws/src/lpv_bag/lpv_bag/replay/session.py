@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lpv_bag.rosbag.message_blocks import Block
+from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.run.measurements import Measurements
 from lpv_core.decision.diagnosis import Alarm
 

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Connection
 
+from lpv_bag.blocks.chunk_assembly import Buffer, ChunkAssembly
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
+from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.replay.answer_records import (
     ALARM_TYPE,
     DIAGNOSTICS_TYPE,
@@ -16,9 +19,6 @@ from lpv_bag.replay.answer_records import (
     padded_cdr,
 )
 from lpv_bag.replay.session import Batch, ReplayResult
-from lpv_bag.rosbag.chunk_assembly import Buffer, ChunkAssembly
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
-from lpv_bag.rosbag.message_blocks import Block
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
 from lpv_bag.rosbag.reading import BagReader

@@ -4,7 +4,7 @@ import functools
 from collections.abc import Iterable
 from typing import Any
 
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
 from lpv_bag.rosbag.interfaces import make_typestore
 from lpv_bag.rosbag.reading import BagReader
 

@@ -10,7 +10,7 @@ import yaml
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.errors import DamageError
 
 FILE_NAME = 'metadata.yaml'
 VERSION = 9

@@ -12,9 +12,9 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from lpv_bag.mcap.bag import McapBag
-from lpv_bag.rosbag.errors import BagError, DamageError
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import make_typestore
+from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
 from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.support.errors import LpvError

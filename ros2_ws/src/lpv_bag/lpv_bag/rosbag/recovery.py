@@ -7,14 +7,14 @@ from pathlib import Path
 
 from rosbags.interfaces import Connection
 
-from lpv_bag.mcap.bag import McapBag
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap.content import Message, records
 from lpv_bag.mcap.file import Block, McapFile, Survey
 from lpv_bag.mcap.survey import read_metadata
 from lpv_bag.mcap.writer import LIBRARY
-from lpv_bag.recorder.message_loss import RECORD_NAME
-from lpv_bag.recorder.output_folder import GAINS_NAME, copy_gains, read_gains_file
-from lpv_bag.rosbag.errors import BagError, DamageError
+from lpv_bag.rosbag.mcap_bag import McapBag
+from lpv_bag.rosbag.message_loss import RECORD_NAME
+from lpv_bag.rosbag.output_folder import GAINS_NAME, copy_gains, read_gains_file
 from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError

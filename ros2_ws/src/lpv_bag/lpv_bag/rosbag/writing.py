@@ -10,8 +10,8 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from lpv_bag.mcap.writer import McapWriter
-from lpv_bag.recorder.message_loss import RECORD_NAME, Known, as_metadata, as_text
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
+from lpv_bag.rosbag.message_loss import RECORD_NAME, Known, as_metadata, as_text
 from lpv_bag.rosbag.metadata import FILE_NAME, bag_information, dump, qos_data
 from lpv_bag.rosbag.offered_qos import offered_qos, qos_profile
 from lpv_core.support.errors import ConfigError
@@ -354,7 +354,7 @@ class BagWriter:
         Parameters
         ----------
         known : dict, optional
-            What is known of the recording, as of `lpv_bag.recorder.message_loss.Counts.known`.
+            What is known of the recording, as of `lpv_bag.rosbag.message_loss.Counts.known`.
 
         Returns
         -------

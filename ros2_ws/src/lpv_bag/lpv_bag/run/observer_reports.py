@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
 from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.run.record import stamp_of
 

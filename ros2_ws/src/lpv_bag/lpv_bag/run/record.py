@@ -6,8 +6,8 @@ from pathlib import Path
 
 from rosbags.interfaces import Connection
 
+from lpv_bag.errors import BagError
 from lpv_bag.rosbag.definitions import check_definition
-from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.rows import RunRows
 from lpv_bag.run.stream_blocks import read_streams

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
 from lpv_bag.run.streams import ALARMS, STREAMS, RecordedAlarm, RunRecord, stamp_of
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.observer.sampled_observer import Mode

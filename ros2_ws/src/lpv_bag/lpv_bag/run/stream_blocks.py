@@ -5,10 +5,10 @@ from typing import Any, Literal
 import numpy as np
 from rosbags.interfaces import Connection
 
-from lpv_bag.mcap.bag import McapBag
-from lpv_bag.rosbag.cdr_layout import Layout, find_layout
-from lpv_bag.rosbag.message_blocks import Block, read_blocks
-from lpv_bag.rosbag.prefetch import ahead
+from lpv_bag.blocks.cdr_layout import Layout, find_layout
+from lpv_bag.blocks.message_blocks import Block, read_blocks
+from lpv_bag.blocks.prefetch import ahead
+from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.rows import RunRows
 from lpv_bag.run.streams import ALARMS, STREAMS, stamp_of

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Connection
 
-from lpv_bag.rosbag.cdr_layout import Layout, find_layout
-from lpv_bag.rosbag.message_blocks import Block
+from lpv_bag.blocks.cdr_layout import Layout, find_layout
+from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.record import STREAMS, find_connections, stamp_of
 

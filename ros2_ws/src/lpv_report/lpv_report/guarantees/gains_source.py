@@ -4,8 +4,8 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_bag.recorder.output_folder import GAINS_NAME
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
+from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.model.arm import ArmParameters, arm_from_json
 from lpv_core.support.errors import ConfigError

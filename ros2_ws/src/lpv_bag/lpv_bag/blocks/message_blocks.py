@@ -7,8 +7,8 @@ from itertools import islice
 import numpy as np
 from rosbags.interfaces import Connection
 
-from lpv_bag.mcap.bag import McapBag
-from lpv_bag.mcap.blocks import RECORD_HEADER, Unsuitable, bag_blocks
+from lpv_bag.blocks.mcap_blocks import RECORD_HEADER, Unsuitable, bag_blocks
+from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_bag.rosbag.reading import BagReader
 
 BLOCK_SIZE = 2 << 20

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from mcap.opcode import Opcode
 
-from lpv_bag.recorder.message_loss import Known
-from lpv_bag.rosbag.cdr_layout import rows
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.rosbag.message_loss import Known
 from lpv_bag.rosbag.writing import BagWriter, FinishedFile
 
 RECORD = np.dtype(

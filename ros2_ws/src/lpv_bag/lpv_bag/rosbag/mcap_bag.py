@@ -17,12 +17,12 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2.metadata import parse_qos
 
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap.content import Message, records
 from lpv_bag.mcap.file import Block, McapFile, Survey
 from lpv_bag.mcap.records import Channel, Schema
 from lpv_bag.mcap.survey import read_metadata, survey
-from lpv_bag.recorder.message_loss import RECORD_NAME, Known, from_metadata
-from lpv_bag.rosbag.errors import BagError, DamageError
+from lpv_bag.rosbag.message_loss import RECORD_NAME, Known, from_metadata
 from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata
 
 _LOG = logging.getLogger(__name__)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from lpv_bag.mcap.blocks import RECORD_HEADER
-from lpv_bag.rosbag.cdr_layout import rows
-from lpv_bag.rosbag.chunk_writing import RECORD, record_head
-from lpv_bag.rosbag.message_blocks import Block
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.blocks.chunk_writing import RECORD, record_head
+from lpv_bag.blocks.mcap_blocks import RECORD_HEADER
+from lpv_bag.blocks.message_blocks import Block
 
 Index = dict[int, tuple[np.ndarray, np.ndarray]]
 """Log times [ns] and offsets of messages by channel."""

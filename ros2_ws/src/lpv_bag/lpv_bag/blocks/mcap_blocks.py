@@ -7,11 +7,11 @@ from typing import BinaryIO
 import numpy as np
 from rosbags.interfaces import Connection
 
-from lpv_bag.mcap.bag import McapBag
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.errors import DamageError
 from lpv_bag.mcap.content import inflate
 from lpv_bag.mcap.file import Block, McapFile, Survey
-from lpv_bag.rosbag.cdr_layout import rows
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_core.support.jit import njit
 
 RECORD_HEADER = 31
