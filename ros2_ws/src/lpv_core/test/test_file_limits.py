@@ -20,6 +20,7 @@ REFUSED = {
     'not a number': ('a: [1.0, .nan]', r'a\[1\]: must be a number, got NaN'),
     'a key that is a number': ('a: {1: 2}', 'a: has a key that is not text: 1; put it in quotes'),
     'a key that is a flag': ('on: 2', 'file: has a key that is not text: True'),
+    'a key that is a huge integer': ('? 0x' + 'f' * 5000, 'a key that is not text: a huge int'),
     'nesting without end': ('a: ' + '[' * 60 + ']' * 60, f'has more than {MAX_DEPTH} levels'),
     'a list that holds itself': ('a: &x [*x]', f'has more than {MAX_DEPTH} levels'),
 }

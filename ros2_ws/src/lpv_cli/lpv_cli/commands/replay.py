@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from lpv_bag.mcap.writer import PRESETS
+from lpv_bag.replay.injected_faults import judge
 from lpv_bag.replay.replay import Replay, ReplayOptions
 from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
@@ -173,17 +174,17 @@ def run(arguments) -> int:
     arm, gains = arm_and_gains(arguments, console)
     diagnosis, others = diagnosis_parameters(arguments.parameters)
     monitor = SensorMonitor('/uio', arm, gains, diagnosis, **others)
-    injector = _injector(arguments.inject, arm)
+    faults = _faults(arguments.inject)
+    injector = _injector(faults, arm)
     _remove(out)
     begin = time.perf_counter()
     result = Replay(
-        monitor,
-        _options(arguments),
-        injector,
-        lambda event: console.print(f'  {event.detected / 1e9:.3f} s: ' + describe(event)),
+        monitor, _options(arguments), injector, lambda event: console.print(_alarm_line(event))
     ).run(arguments.bag, out)
     save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
+    if faults is not None:
+        show_injected(judge(faults, result), console)
     console.print(f'bag     {out}')
     if arguments.report:
         _report(arguments, arm, out, console)
@@ -317,13 +318,48 @@ def diagnosis_parameters(path: str | None) -> tuple[Any, ...]:
     return diagnosis, chosen
 
 
-def _injector(path, arm):
+def _faults(path):
     if path is None:
         return None
     top = Section(read_yaml(path), path)
     faults = parse_faults(top)
     top.finish()
+    return faults
+
+
+def _injector(faults, arm):
+    if faults is None:
+        return None
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+
+
+def _alarm_line(event) -> str:
+    """One alarm event with its three times: of the event, of the onset, of the confirmation."""
+    now, onset, confirmed = (s / 1e9 for s in (event.stamp, event.onset, event.detected))
+    return f'  {now:.3f} s: {describe(event)}; onset {onset:.3f} s, confirmed {confirmed:.3f} s'
+
+
+def show_injected(found, console) -> None:
+    """Show what was found of the injected faults.
+
+    Parameters
+    ----------
+    found : list of InjectedFault
+        Of `lpv_bag.replay.injected_faults.judge`.
+    console : rich.console.Console
+        Where.
+    """
+    right = sum(one.found for one in found)
+    console.print(f'{right} of {len(found)} injected faults found on the right sensor')
+    for one in found:
+        fault = one.fault
+        text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
+        if one.found:
+            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} rad'
+            text += f' within {one.bound:.3f} rad'
+        if one.error is not None:
+            text += f', size error {one.error:+.3f} rad'
+        console.print(text)
 
 
 def _summary(result, monitor, seconds, console) -> None:

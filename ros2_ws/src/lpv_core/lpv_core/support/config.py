@@ -39,7 +39,10 @@ class _Loader(yaml.SafeLoader):
 
 def _short(value: object) -> str:
     """Text of a value for messages; nested aliases can stand for megabytes."""
-    return reprlib.repr(value)
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # an integer of thousands of digits
+        return f'a huge {type(value).__name__}'
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
