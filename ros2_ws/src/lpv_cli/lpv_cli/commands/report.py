@@ -22,7 +22,8 @@ def add_arguments(parser) -> None:
     parser.add_argument('bag', help='rosbag2 directory or MCAP file')
     parser.add_argument(
         '--arm',
-        help='arm file, or name of a shipped arm; the one that the gains describe if not given',
+        help='arm file, or name of a shipped arm; if not given, the one that the gains describe, '
+        'or the shipped one that the recorded messages name',
     ).completer = shipped('arms')
     parser.add_argument(
         '--gains', help='gains file that the run was answered with; the one in the bag if not given'
@@ -46,9 +47,11 @@ def run(arguments) -> int:
     int
         0.
     """
-    from lpv_report.run import find_used_gains, print_table, write_report
+    from lpv_report.run import find_shipped_gains, find_used_gains, print_table, write_report
 
     used = find_used_gains(arguments.bag, arguments.gains)
+    if used.gains is None and not arguments.arm:
+        used = find_shipped_gains(arguments.bag)
     arm = _arm(arguments, used)
     path = None
     if arguments.scenario:
@@ -64,7 +67,7 @@ def run(arguments) -> int:
     console = Console(soft_wrap=True, highlight=False)
     if result.table:
         print_table(result.table)
-    console.print(_said(result.certificate, used))
+    console.print(_said(result, used))
     console.print(f'report  {result.html}')
     return 0
 
@@ -82,10 +85,13 @@ def _arm(arguments, used):
     return arm_of(used.gains)
 
 
-def _said(certificate, used):
+def _said(result, used):
+    certificate, again = result.certificate, result.reproduction
     if certificate is None:
         return f'gains   not known: {used.problem}'
     if certificate.holds:
-        return f'gains   {used.source}: the certificate holds'
+        other = again is not None and not again.same
+        but = ', but the run had other gains or settings: see the report' if other else ''
+        return f'gains   {used.source}: the certificate holds{but}'
     why = certificate.problem or '; '.join(certificate.failed) or 'its margins were changed'
     return f'gains   {used.source}: the certificate does NOT hold: {why}'
