@@ -15,14 +15,14 @@ from lpv_bag.replay.replay import Replay, ReplayResult
 from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_bag.run.streams import RecordedAlarm
-from lpv_cli.commands.observing import (
+from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
     arm_and_gains,
     diagnosis_parameters,
     reading_options,
 )
-from lpv_cli.commands.publish import add_publishing, publish
+from lpv_cli.replaying.publish import add_publishing, publish
 from lpv_core.certificate.gains import save_gains
 from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor, describe
