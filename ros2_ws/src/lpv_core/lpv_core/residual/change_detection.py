@@ -79,11 +79,12 @@ def change_test(arm: ArmParameters, hours: float, smallest: float = 0.0) -> np.r
 def scale_limits(stated: np.record, reading: float, rate: float, limits: np.record) -> None:
     """Limits for noise of readings and rates that is so many times what is stated."""
     limits.smallest, limits.sample_time = stated.smallest, stated.sample_time
-    limits.reading, limits.walk = reading * stated.reading, rate * stated.walk
+    by_reading, by_rate = reading * stated.reading, rate * stated.walk
+    limits.reading, limits.walk = by_reading, by_rate
     for k in range(len(WINDOWS)):
         limits.noise[k] = stated.noise[k]
         if reading > 1.0 or rate > 1.0:
-            limits.noise[k] = math.hypot(limits.reading, limits.walk * math.sqrt(WINDOWS[k]))
+            limits.noise[k] = math.hypot(by_reading, by_rate * math.sqrt(WINDOWS[k]))
 
 
 @njit

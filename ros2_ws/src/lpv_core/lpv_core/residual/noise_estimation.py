@@ -86,8 +86,9 @@ def update_noise(
     reading_noise, rate_noise : float
         Stated standard deviations, of the reading [rad] and of the innovation's noise [rad/s].
     """
-    state.fresh += 1
-    if state.fresh < _WINDOW or buffer.used[0] < _WINDOW:
+    fresh = state.fresh + 1
+    state.fresh = fresh
+    if fresh < _WINDOW or buffer.used[0] < _WINDOW:
         return
     state.fresh = 0
     recent = buffer.values[buffer.used[0] - _WINDOW : buffer.used[0]]
@@ -95,9 +96,10 @@ def update_noise(
     rate = noise_level(recent, INNOVATION) / rate_noise
     if reading > _LARGEST or rate > _LARGEST:
         return
-    state.windows = min(state.windows + 1, _WINDOWS)
-    state.reading += (reading - state.reading) / state.windows
-    state.rate += (rate - state.rate) / state.windows
+    windows = min(state.windows + 1, _WINDOWS)
+    state.reading += (reading - state.reading) / windows
+    state.rate += (rate - state.rate) / windows
+    state.windows = windows
 
 
 @njit
