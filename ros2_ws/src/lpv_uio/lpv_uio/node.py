@@ -249,6 +249,8 @@ class UioNode(ManagedNode):
             self._alarm_out.publish(messages.alarm(stamp, fields))
         for event in answer.events:
             self._log(event)
+        for warning in answer.warnings:
+            self.get_logger().warning(warning)
         if answer.status is not None:
             self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
 
