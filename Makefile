@@ -8,7 +8,7 @@ IN_ENV = source tools/env.sh &&
 TEST_ARGS ?=
 DEMO_ARGS ?=
 
-.PHONY: help setup setup-test setup-bench demo test reference lint bench clean
+.PHONY: help setup setup-test setup-bench demo test test-fast fuzz reference lint format types docs bench clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -19,6 +19,9 @@ setup: ## set up the environment and build the workspace
 setup-test:
 	@tools/setup.sh test
 
+setup-docs:
+	@tools/setup.sh docs
+
 setup-bench:
 	@tools/setup.sh bench
 
@@ -28,11 +31,26 @@ demo: setup ## design gains, run the graph on a 20 s scenario, record, report
 test: setup-test ## run all tests
 	@$(IN_ENV) python -m pytest $(TEST_ARGS)
 
-reference: setup-test ## store what the diagnosis answers now as what it shall answer
-	@$(IN_ENV) python tests/reference.py
+test-fast: setup-test ## run the tests that need neither nodes nor long runs (under two minutes)
+	@$(IN_ENV) python -m pytest -m "not slow and not ros" $(TEST_ARGS)
 
-lint: setup-test ## check style
-	@$(IN_ENV) ruff check .
+fuzz: setup-test ## run the fuzzers, LPV_FUZZ_SECONDS (default 60) each
+	@$(IN_ENV) LPV_FUZZ_SECONDS=$${LPV_FUZZ_SECONDS:-60} python -m pytest -m fuzz --timeout=0 $(TEST_ARGS)
+
+reference: setup-test ## store what the diagnosis answers now as what it shall answer
+	@$(IN_ENV) python tests/support/reference.py
+
+lint: setup-test ## check style and format
+	@$(IN_ENV) ruff check . && ruff format --check .
+
+format: setup-test ## apply the formatter
+	@$(IN_ENV) ruff check --fix --select I -q . && ruff format .
+
+types: setup-test ## check types
+	@$(IN_ENV) mypy
+
+docs: setup-docs ## build the documentation as a site in docs/_build
+	@$(IN_ENV) python -m sphinx -q -W --keep-going -b html docs docs/_build
 
 bench: setup-bench ## run the benchmarks
 	@$(IN_ENV) for b in benchmarks/[!kl]*.py; do echo "== $$b"; python "$$b" || exit 1; done

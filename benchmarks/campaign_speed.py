@@ -26,6 +26,7 @@ from lpv_campaign.execution.runs import plan_run
 from lpv_campaign.plan.campaign import Campaign, resolve
 from lpv_core.bound.error_bound import update_bound
 from lpv_core.control.tracking import TRACKING_STATE, track, tracking_constants
+from lpv_core.model.arm import constants_vector
 from lpv_core.model.joints import JointMap
 from lpv_core.monitoring.monitor import SensorMonitor, monitor_step
 from lpv_core.observer.paper_observer import blend
@@ -126,7 +127,7 @@ def floor_time(floor, plan, noise=1.0):
         plan.substeps,
         arm.sample_time,
         noise,
-        plan.scenario.true_arm(arm).constants(),
+        constants_vector(plan.scenario.true_arm(arm).constants())[[0, 2, 1, *range(3, 12)]],
         np.ascontiguousarray(observer.kappa),
         np.ascontiguousarray(observer.mu),
         np.ascontiguousarray(controller.m1),

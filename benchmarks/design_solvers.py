@@ -24,7 +24,7 @@ from rich.table import Table
 from lpv_core.certificate.conditions import controller_loop
 from lpv_core.certificate.error_system import link_errors
 from lpv_core.certificate.lmi import covariance, disc, largest_eigenvalue
-from lpv_core.model.arm import G_1, G_2, load_arm
+from lpv_core.model.arm import load_arm
 from lpv_core.support.resources import bringup_file
 from lpv_design.controller import check_loop, solve_loop
 from lpv_design.exact_observer import solve_link
@@ -114,7 +114,7 @@ def controller_67(arm, requirement):
         return status, max(certified), np.nan
     factor = np.linalg.inv(np.linalg.cholesky(q))
     root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
-    x = np.sqrt(requirement.torque_weight) * m / arm.constants()[[G_1, G_2], None] @ q
+    x = np.sqrt(requirement.torque_weight) * m / arm.constants().gravity[:, None] @ q
     center, radius = (0.5 * (requirement.fastest + s * requirement.alpha) for s in (1.0, -1.0))
     for a, b in zip(*loop):
         closed = (a + b @ m) @ q

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import ros
 import yaml
+from places import BRINGUP, ROOT
 from rosbags.highlevel import AnyReader
 
 from lpv_bag.rosbag.interfaces import make_typestore
@@ -24,8 +25,6 @@ from lpv_core.model.arm import load_arm
 from lpv_core.model.joints import JointMap
 from lpv_core.support.resources import executable
 
-ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 SHORT = (
     (BRINGUP / 'scenarios' / 'two_faults.yaml')
     .read_text()

@@ -3,11 +3,11 @@
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import ros
+from places import BRINGUP
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
@@ -36,7 +36,6 @@ from lpv_node.qos import latched, stream  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 CALM = """
 name: calm

@@ -3,12 +3,11 @@
 import ast
 import re
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted((ROOT / 'ros2_ws' / 'src').iterdir())
 # Keys of rosdep that are known on Ubuntu 24.04.
 KEYS = {

@@ -6,11 +6,11 @@ import signal
 import time
 from bisect import bisect_right
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
 import ros
+from places import BRINGUP
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
@@ -29,7 +29,6 @@ from lpv_node.qos import stream  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
-BRINGUP = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 # In motion from the first second on: a node that dies leaves a moving arm behind.
 MOVING = """
 name: moving

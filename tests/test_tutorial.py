@@ -2,15 +2,14 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from lpv_cli.main import main
 from lpv_core.decision.diagnosis import AlarmEvent
 
-ROOT = Path(__file__).resolve().parents[1]
 TUTORIAL = ROOT / 'docs' / 'design-tutorial.md'
 PAGES = sorted((ROOT / 'docs').glob('*.md')) + [ROOT / 'README.md']
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Sets everything up in a virtual environment; does only what is not done already.
 #
-#   tools/setup.sh [test|bench]      also installs what tests or benchmarks need
+#   tools/setup.sh [test|bench|docs]      also installs what tests, benchmarks or the documentation need
 #
 # PYTHON   interpreter to use (default: python3), 3.10 to 3.13
 # VENV     environment to make (default: .venv in this folder's parent)
@@ -136,8 +136,8 @@ main() {
   fi
   case "${1:-}" in
     '') ;;
-    test | bench) install_requirements "$1" "$root/requirements/$1.txt" ;;
-    *) fail "unknown argument $1; known are test and bench" ;;
+    test | bench | docs) install_requirements "$1" "$root/requirements/$1.txt" ;;
+    *) fail "unknown argument $1; known are test, bench and docs" ;;
   esac
   build_workspace
 }

@@ -8,7 +8,7 @@ import cvxpy as cp
 import numpy as np
 
 from lpv_core.certificate.lmi import integral_feedback, largest_eigenvalue
-from lpv_core.model.arm import G_1, G_2
+from lpv_core.model.arm import ArmParameters
 from lpv_design.solve import run, solve, symmetric_below
 
 PUBLISHED_M1 = np.array(
@@ -49,24 +49,7 @@ class ControllerRequirement:
 
 
 def check_loop(loop: tuple[np.ndarray, ...], m: np.ndarray, q: np.ndarray, alpha: float) -> float:
-    """Largest eigenvalue of LMI (67) rebuilt in NumPy for gains M and a common Q.
-
-    Parameters
-    ----------
-    loop : tuple of ndarray
-        A_c, B_c.
-    m : ndarray, shape (2, 6)
-        [M1 M2].
-    q : ndarray, shape (6, 6)
-        Q = P^-1.
-    alpha : float
-        Decay rate [1/s].
-
-    Returns
-    -------
-    float
-        Negative if Q > 0 and the inequality holds at every vertex.
-    """
+    """Largest eigenvalue of LMI (67) rebuilt in NumPy for gains M and a common Q."""
     margins = [largest_eigenvalue(-q)]
     # Q spans many decades; a congruence with its own factor makes the margins comparable.
     factor = np.linalg.inv(np.linalg.cholesky(q)) if margins[0] < 0 else np.eye(6)
@@ -77,22 +60,7 @@ def check_loop(loop: tuple[np.ndarray, ...], m: np.ndarray, q: np.ndarray, alpha
 
 
 def common_lyapunov(loop: tuple[np.ndarray, ...], m: np.ndarray, alpha: float) -> np.ndarray | None:
-    """Find Q for given gains: is there a common Lyapunov matrix with decay alpha?
-
-    Parameters
-    ----------
-    loop : tuple of ndarray
-        A_c, B_c.
-    m : ndarray, shape (2, 6)
-        [M1 M2].
-    alpha : float
-        Decay rate [1/s].
-
-    Returns
-    -------
-    ndarray or None
-        Q (6, 6), to be judged by `check_loop`.
-    """
+    """Find Q for given gains: is there a common Lyapunov matrix with decay alpha?"""
     # Published gains have poles from -5 to -204; modal coordinates of one vertex balance them.
     closed = [a + b @ m for a, b in zip(*loop)]
     _, vectors = np.linalg.eig(closed[0])
@@ -154,20 +122,7 @@ class LoopProblem:
         self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
 
     def solve(self, loop: tuple[np.ndarray, ...], unit: np.ndarray) -> tuple[Any, ...]:
-        """Gains for given vertices.
-
-        Parameters
-        ----------
-        loop : tuple of ndarray
-            A_c, B_c.
-        unit : ndarray, shape (2,)
-            Torques are counted in these units [N m].
-
-        Returns
-        -------
-        tuple
-            As `solve_loop`.
-        """
+        """Gains for given vertices."""
         for a, b, gravity, inverse in zip(*loop, self._gravity, self._inverse):
             gravity.value, inverse.value = a[2:4, :2], b[2:4] * unit
         status = run(self._problem)
@@ -178,32 +133,17 @@ class LoopProblem:
 
 
 @lru_cache(maxsize=8)
-def _compiled(vertices, requirement):
+def _compiled(vertices: int, requirement: ControllerRequirement) -> LoopProblem:
     return LoopProblem(vertices, requirement)
 
 
 def solve_loop(
-    arm, loop: tuple[np.ndarray, ...], requirement: ControllerRequirement
+    arm: ArmParameters, loop: tuple[np.ndarray, ...], requirement: ControllerRequirement
 ) -> tuple[Any, ...]:
-    """Guaranteed-cost state feedback with integral action that satisfies LMI (67).
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Scales torques by gravity.
-    loop : tuple of ndarray
-        A_c, B_c.
-    requirement : ControllerRequirement
-        Decay, pole and cost requirements.
-
-    Returns
-    -------
-    tuple
-        ``(m, q, status)``: [M1 M2] (2, 6) and Q (6, 6), or None where no point was found.
-    """
+    """Guaranteed-cost state feedback with integral action that satisfies LMI (67)."""
     return _compiled(len(loop[0]), requirement).solve(loop, _torque_unit(arm))
 
 
-def _torque_unit(arm):
+def _torque_unit(arm: ArmParameters) -> np.ndarray:
     constants = arm.constants()
-    return constants[[G_1, G_2]]
+    return constants.gravity

@@ -1,5 +1,6 @@
 """From an arm and a requirement to gains that were checked."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -7,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from lpv_core.certificate.conditions import controller_loop, verify
+from lpv_core.certificate.conditions import Check, controller_loop, verify
 from lpv_core.certificate.error_system import link_errors
 from lpv_core.certificate.gains import (
     ControllerGains,
@@ -15,13 +16,14 @@ from lpv_core.certificate.gains import (
     Gains,
     PaperObserverGains,
 )
-from lpv_core.model.arm import arm_from_json
+from lpv_core.model.arm import ArmParameters, arm_from_json
 from lpv_core.model.joints import JointMap
-from lpv_design.controller import check_loop, solve_loop
+from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
 from lpv_design.detectability import undetectable_point
 from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
-from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
+from lpv_design.paper_observer import PaperProblem, check_paper, paper_problem, solve_paper
+from lpv_design.requirement import PaperRequirement, Requirement
 from lpv_design.solve import SOLVER, InfeasibleError
 
 SAMPLED_POLE_LIMIT = 0.5
@@ -51,7 +53,7 @@ class DesignResult:
     guarantee: Guarantee
 
 
-def design(arm, requirement) -> DesignResult:
+def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
     """Design observer and controller, and check both in NumPy.
 
     Parameters
@@ -73,6 +75,7 @@ def design(arm, requirement) -> DesignResult:
     InfeasibleError
         If the rebuilt inequalities do not hold.
     """
+    observer: ExactObserverGains | PaperObserverGains
     if isinstance(requirement.observer, ExactRequirement):
         observer, status = _exact_observer(arm, requirement.observer)
     else:
@@ -100,16 +103,16 @@ def design(arm, requirement) -> DesignResult:
     return DesignResult(gains, [*_check_lines(checks), *_bound_lines(arm, gains, found)], found)
 
 
-def _check_lines(checks):
+def _check_lines(checks: list[Check]) -> list[str]:
     return [f'{check.name}: {check.margin:.3g} (negative: holds)' for check in checks]
 
 
-def _bound_lines(arm, gains, found):
+def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str]:
     sigma = gains.observer.fault_sigma
     middle = len(found.deviation) // 2
     finite = np.isfinite(found.bound).all(axis=2).mean()
 
-    def pair(values):
+    def pair(values: Iterable[float]) -> str:
         return ', '.join(f'{v:.3f}' for v in values) + ' rad'
 
     return [
@@ -124,7 +127,7 @@ def _bound_lines(arm, gains, found):
     ]
 
 
-def _versions():
+def _versions() -> dict[str, str]:
     found = {}
     for name in ('clarabel', 'cvxpy', 'numpy'):
         try:
@@ -134,7 +137,9 @@ def _versions():
     return found
 
 
-def _exact_observer(arm, requirement):
+def _exact_observer(
+    arm: ArmParameters, requirement: ExactRequirement
+) -> tuple[ExactObserverGains, str]:
     gain = max(torque_gains(arm))
     if gain > requirement.torque_gain:
         raise InfeasibleError(
@@ -154,7 +159,7 @@ def _exact_observer(arm, requirement):
     ), ', '.join(statuses)
 
 
-def _exact_sigma(arm, p):
+def _exact_sigma(arm: ArmParameters, p: np.ndarray) -> np.ndarray:
     """P^-1 bounds the covariance of each link's error; sensors add those of their links."""
     angle = np.array(
         [link.unit * np.sqrt(np.linalg.inv(p_i)[0, 0]) for link, p_i in zip(link_errors(arm), p)]
@@ -163,7 +168,9 @@ def _exact_sigma(arm, p):
     return np.hypot(spread, arm.position_noise)
 
 
-def _paper_observer(arm, requirement):
+def _paper_observer(
+    arm: ArmParameters, requirement: PaperRequirement
+) -> tuple[PaperObserverGains, str]:
     problem = paper_problem(arm, requirement.sinc_min, requirement.q, requirement.r)
     lost = undetectable_point(problem)
     if lost is not None:
@@ -197,7 +204,7 @@ def _paper_observer(arm, requirement):
     ), status
 
 
-def _largest_box(arm, requirement):
+def _largest_box(arm: ArmParameters, requirement: PaperRequirement) -> str:
     """By bisection: on which box the same figures are feasible."""
     low, high = 0.5, 0.9999
     while high - low > 1e-3:
@@ -216,7 +223,7 @@ def _largest_box(arm, requirement):
     )
 
 
-def _paper_sigma(arm, problem, k):
+def _paper_sigma(arm: ArmParameters, problem: PaperProblem, k: np.ndarray) -> np.ndarray:
     """Largest standard deviation of f^ over the vertices for white noise and disturbance."""
     d, root = problem.descriptor, np.sqrt(arm.sample_time)
     noise = np.diag([arm.position_noise] * 2 + [arm.velocity_noise] * 2)
@@ -238,7 +245,7 @@ def _paper_sigma(arm, problem, k):
     return sigma
 
 
-def _controller(arm, requirement):
+def _controller(arm: ArmParameters, requirement: Requirement) -> tuple[ControllerGains, str]:
     return _tracking(
         arm.to_json(),
         requirement.controller,
@@ -248,7 +255,9 @@ def _controller(arm, requirement):
 
 
 @lru_cache(maxsize=4)
-def _tracking(arm_json, wanted, method, sinc_min):
+def _tracking(
+    arm_json: str, wanted: ControllerRequirement, method: str, sinc_min: float
+) -> tuple[ControllerGains, str]:
     """Kept: a search for observers asks for the same controller again and again."""
     arm = arm_from_json(arm_json)
     loop = controller_loop(arm, method, sinc_min)

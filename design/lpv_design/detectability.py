@@ -5,25 +5,11 @@ from typing import Any
 import numpy as np
 
 from lpv_core.model.polytope import paper_weights
+from lpv_design.paper_observer import PaperProblem
 
 
 def lost_mode(a: np.ndarray, c: np.ndarray, tolerance: float = 1e-9) -> tuple[Any, ...] | None:
-    """Popov-Belevitch-Hautus test on one augmented model.
-
-    Parameters
-    ----------
-    a : ndarray, shape (6, 6)
-        T1 A~ at one point of the polytope.
-    c : ndarray, shape (4, 6)
-        C~.
-    tolerance : float, optional
-        Relative size of the smallest singular value that counts as zero.
-
-    Returns
-    -------
-    tuple or None
-        ``(eigenvalue, vector)`` of an undetectable mode (real part not negative), else None.
-    """
+    """Popov-Belevitch-Hautus test on one augmented model."""
     for eigenvalue in np.linalg.eigvals(a):
         if eigenvalue.real < -tolerance:
             continue
@@ -34,21 +20,11 @@ def lost_mode(a: np.ndarray, c: np.ndarray, tolerance: float = 1e-9) -> tuple[An
     return None
 
 
-def undetectable_point(problem) -> tuple[Any, ...] | None:
+def undetectable_point(problem: PaperProblem) -> tuple[Any, ...] | None:
     """Search a box of phi1, phi2, phi3 for a point without detectability.
 
     Gravity enters through phi2 and phi3 alone; a point is lost exactly where one of them is zero,
     so that zero, where the box contains it, is tried besides the corners.
-
-    Parameters
-    ----------
-    problem : PaperProblem
-        Box and decoupling.
-
-    Returns
-    -------
-    tuple or None
-        ``(phi, eigenvalue, vector)``, or None if every tried point is detectable.
     """
     d = problem.descriptor
     low, high = problem.box[:, 0], problem.box[:, 1]
@@ -62,11 +38,11 @@ def undetectable_point(problem) -> tuple[Any, ...] | None:
     return None
 
 
-def _candidates(low, high):
+def _candidates(low: float, high: float) -> list[float]:
     return sorted({low, high, min(max(0.0, low), high)})
 
 
-def _interpolate(vertices, box, phi):
+def _interpolate(vertices: np.ndarray, box: np.ndarray, phi: np.ndarray) -> np.ndarray:
     rho = np.zeros(8)
     paper_weights(phi[0], phi[1], phi[2], np.ascontiguousarray(box), rho)
     return np.tensordot(rho, vertices, 1)

@@ -1,8 +1,9 @@
 """Method ``exact``: gains of the observer in momentum coordinates, one small LMI a link.
 
 The error of link i is e' = -kappa m, m' = Gamma e - mu m + q, with one uncertain slope Gamma in
-[G cos_min, G] (see :mod:`lpv_core.observer.exact_observer`): an observer problem for A = [[0, 0], [Gamma, 0]],
-C = [0, 1] and the injection L = -[kappa; mu].  The inequalities are linear in P and Y = P L:
+[G cos_min, G] (see :mod:`lpv_core.observer.exact_observer`): an observer problem for
+A = [[0, 0], [Gamma, 0]], C = [0, 1] and the injection L = -[kappa; mu].  The inequalities are
+linear in P and Y = P L:
 a disc for the poles of every slope (decay rate and fastest pole), and the H2 inequality whose
 P^-1 bounds the covariance of the error; its trace is minimised.
 """
@@ -15,8 +16,9 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.certificate.error_system import LinkError, link_errors
+from lpv_core.certificate.error_system import LinkError, Noise, link_errors
 from lpv_core.certificate.lmi import covariance, disc
+from lpv_core.model.arm import ArmParameters
 from lpv_design.solve import run, symmetric_below
 
 _RESERVE = 0.02
@@ -84,27 +86,14 @@ class LinkProblem:
         constraints.append(cp.bmat([[w, weight], [weight, self._p]]) >> 0)
         self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
 
-    def solve(self, link: LinkError, noises) -> tuple[Any, ...]:
-        """Gains of one link.
-
-        Parameters
-        ----------
-        link : LinkError
-            The link's error system.
-        noises : list of Noise
-            Its white inputs at both ends of Xi12.
-
-        Returns
-        -------
-        tuple
-            ``(kappa, mu, p, status)``; kappa is None where no point was found.
-        """
+    def solve(self, link: LinkError, noises: list[Noise]) -> tuple[Any, ...]:
+        """Gains of one link."""
         for parameter, slope in zip(self._slopes, link.slopes):
             parameter.value = slope / link.inertia
         for (direct, measured), noise in zip(self._noises, noises):
             direct.value, measured.value = noise.direct / link.unit, noise.measured / link.unit
         status = run(self._problem)
-        if self._p.value is None:
+        if self._p.value is None or self._y.value is None:
             return None, None, None, status
         gain = -np.linalg.solve(self._p.value, self._y.value)[:, 0]
         # The second state is m/Xi_ii.
@@ -112,25 +101,12 @@ class LinkProblem:
 
 
 @lru_cache(maxsize=8)
-def _compiled(inputs, decay, fastest, velocity_weight):
+def _compiled(inputs: int, decay: float, fastest: float, velocity_weight: float) -> LinkProblem:
     return LinkProblem(inputs, decay, fastest, velocity_weight)
 
 
 def solve_link(link: LinkError, requirement: ExactRequirement) -> tuple[Any, ...]:
-    """Gains of one link.
-
-    Parameters
-    ----------
-    link : LinkError
-        The link's error system.
-    requirement : ExactRequirement
-        Decay, pole and noise requirements.
-
-    Returns
-    -------
-    tuple
-        ``(kappa, mu, p, status)``; kappa is None where no point was found.
-    """
+    """Gains of one link."""
     noises = link.noises(requirement.acceleration_noise, requirement.rate_noise)
     problem = _compiled(
         noises[0].direct.shape[1],
@@ -141,42 +117,18 @@ def solve_link(link: LinkError, requirement: ExactRequirement) -> tuple[Any, ...
     return problem.solve(link, noises)
 
 
-def torque_gains(arm) -> list[float]:
+def torque_gains(arm: ArmParameters) -> list[float]:
     """H-infinity norm from an unknown torque to each link's angle error.
 
     With real poles the error system is positive in suitable coordinates (see
-    `lpv_core.bound.error_bound`), so that its norm is the static gain at the smallest slope, whatever
-    the gains are: gravity, not the observer, sets it.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm and its region.
-
-    Returns
-    -------
-    list of float
-        1/Gamma_i at cos_min [rad/(N m)].
+    `lpv_core.bound.error_bound`), so that its norm is the static gain at the smallest slope,
+    whatever the gains are: gravity, not the observer, sets it.
     """
     return [1.0 / link.slopes[0] for link in link_errors(arm)]
 
 
-def solve_exact(arm, requirement: ExactRequirement) -> tuple[Any, ...]:
-    """Gains of both links.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm and its region.
-    requirement : ExactRequirement
-        Decay, pole and noise requirements.
-
-    Returns
-    -------
-    tuple
-        ``(kappa, mu, p, statuses)``: arrays of shape (2,), (2,), (2, 2, 2), or None where no
-        point was found, and the solver's words.
-    """
+def solve_exact(arm: ArmParameters, requirement: ExactRequirement) -> tuple[Any, ...]:
+    """Gains of both links."""
     found = [solve_link(link, requirement) for link in link_errors(arm)]
     statuses = tuple(f[3] for f in found)
     if any(f[0] is None for f in found):

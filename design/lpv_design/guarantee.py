@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from lpv_core.bound.error_bound import error_bound, static_bound
+from lpv_core.certificate.gains import Gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.model.arm import ArmParameters
 
 POINTS = 13
 """Angles of each link in the map."""
@@ -34,11 +36,11 @@ class Guarantee:
     threshold: np.ndarray
 
     @property
-    def detectable(self):
+    def detectable(self) -> np.ndarray:
         """Smallest lasting fault whose estimate exceeds the threshold whatever its error [rad]."""
         return self.threshold + self.bound
 
-    def to_dict(self):
+    def to_dict(self) -> dict[str, list[float]]:
         """Plain data for the gains file."""
         return {
             'deviation': self.deviation.tolist(),
@@ -47,7 +49,7 @@ class Guarantee:
         }
 
 
-def guarantee(arm, gains, points: int = POINTS) -> Guarantee:
+def guarantee(arm: ArmParameters, gains: Gains, points: int = POINTS) -> Guarantee:
     """Evaluate the bound that the diagnosis uses over the region.
 
     Parameters
@@ -70,12 +72,12 @@ def guarantee(arm, gains, points: int = POINTS) -> Guarantee:
     return Guarantee(deviation, *at_rest(arm, gains, vertical(arm) + grid))
 
 
-def vertical(arm):
+def vertical(arm: ArmParameters) -> float:
     """Absolute angle of a link in the middle of the region [rad]: upright 0, hanging pi."""
     return 0.0 if arm.sign > 0 else np.pi
 
 
-def at_rest(arm, gains, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+def at_rest(arm: ArmParameters, gains: Gains, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """Bounds and thresholds of the diagnosis at rest, with its usual tuning.
 
     Parameters
@@ -98,18 +100,8 @@ def at_rest(arm, gains, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     return bound, np.maximum(tuning.threshold_factor * bound, tuning.minimum_threshold)
 
 
-def draw(found: Guarantee, arm, path: str | Path) -> None:
-    """Picture of the map: smallest lasting fault that is detected whatever the error.
-
-    Parameters
-    ----------
-    found : Guarantee
-        The map.
-    arm : ArmParameters
-        Names of the sensors.
-    path : str or pathlib.Path
-        PNG file to write.
-    """
+def draw(found: Guarantee, arm: ArmParameters, path: str | Path) -> None:
+    """Picture of the map: smallest lasting fault that is detected whatever the error."""
     import matplotlib
 
     matplotlib.use('Agg')

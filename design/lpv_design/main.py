@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 from lpv_core.certificate.exact_proof import prove
-from lpv_core.certificate.gains import save_gains
-from lpv_core.model.arm import load_arm
+from lpv_core.certificate.gains import Gains, save_gains
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import NotDetectableError, design
@@ -18,13 +18,7 @@ EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+    """Declare the command's arguments."""
     parser.add_argument(
         '--arm',
         required=True,
@@ -53,18 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Design, report, write.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; 1 without feasible gains; 2 for bad input; 3 where faults are not detectable.
-    """
+    """Design, report, write."""
     try:
         arm = load_arm(bringup_file('arms', arguments.arm))
         requirement = load_requirement(arguments.requirement or arm.name)
@@ -100,14 +83,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _prove(arm, gains):
+def _prove(arm: ArmParameters, gains: Gains) -> bool:
     results = prove(arm, gains)
     for name, holds in results.items():
         print(f'{"proved" if holds else "REFUTED"}: {name}')
     return all(results.values())
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Entry point of ``ros2 run lpv_design design``."""
     parser = argparse.ArgumentParser(prog='design', description=__doc__)
     add_arguments(parser)

@@ -1,5 +1,7 @@
 """Method ``paper``: the observer LMIs (54) and (55) on the box of phi1, phi2, phi3."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,6 +9,7 @@ import cvxpy as cp
 import numpy as np
 
 from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.polytope import sinc_box
 from lpv_core.model.state_space import Descriptor, vertex_matrices
 from lpv_core.observer.paper_observer import decoupling
@@ -38,24 +41,9 @@ class PaperProblem:
 
 
 def paper_problem(
-    arm, s_min: float, q: float = 20.0, r: float = 15.0, s_max: float = 1.0
+    arm: ArmParameters, s_min: float, q: float = 20.0, r: float = 15.0, s_max: float = 1.0
 ) -> PaperProblem:
-    """Set up the LMIs for phi2, phi3 in [s_min, s_max].
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    s_min, s_max : float
-        Range of the sincs; the published one is [-0.2, 1].
-    q, r : float, optional
-        Disc; defaults as published.
-
-    Returns
-    -------
-    PaperProblem
-        Ready for `solve_paper` and `check_paper`.
-    """
+    """Set up the LMIs for phi2, phi3 in [s_min, s_max]."""
     box = sinc_box(s_min, s_max)
     a, b = vertex_matrices(box, arm.constants(coriolis=False))
     descriptor = Descriptor(a, b, arm)
@@ -63,7 +51,14 @@ def paper_problem(
     return PaperProblem(descriptor, t1, t2, q, r, box)
 
 
-def _inequalities(problem, p, y, gamma_squared, lmi, block=np.block):
+def _inequalities(
+    problem: PaperProblem,
+    p: Any,
+    y: Any,
+    gamma_squared: Any,
+    lmi: str,
+    block: Callable[..., Any] = np.block,
+) -> list[Any]:
     d = problem.descriptor
     pbd, pbf = p @ (problem.t1 @ d.bd), p @ (problem.t1 @ d.bf)
     matrices = []
@@ -107,37 +102,18 @@ def solve_paper(
         symmetric_below(m, 1e-8) for m in _inequalities(problem, p, y, gamma_squared, lmi, cp.bmat)
     ]
     status = solve(gamma_squared if gamma is None else 0, constraints)
-    if p.value is None:
+    if p.value is None or gamma_squared.value is None:
         return None, None, np.inf, status
     try:
-        k = np.array([np.linalg.solve(p.value, y_i.value) for y_i in y])
+        k = np.array([np.linalg.solve(p.value, np.asarray(y_i.value)) for y_i in y])
     except np.linalg.LinAlgError:
         return None, None, np.inf, status
-    return k, p.value, float(np.sqrt(max(gamma_squared.value, 0.0))), status
+    return k, p.value, math.sqrt(max(float(gamma_squared.value), 0.0)), status
 
 
 def check_paper(
     problem: PaperProblem, k: np.ndarray, p: np.ndarray, gamma: float, lmi: str = '55'
 ) -> float:
-    """Largest eigenvalue over all inequalities, rebuilt in NumPy from gains and P.
-
-    Parameters
-    ----------
-    problem : PaperProblem
-        From `paper_problem`.
-    k : ndarray, shape (8, 6, 4)
-        K_i.
-    p : ndarray, shape (6, 6)
-        P.
-    gamma : float
-        Attenuation level.
-    lmi : {'55', '54+disc'}
-        Which set.
-
-    Returns
-    -------
-    float
-        Negative if P > 0 and every inequality holds.
-    """
+    """Largest eigenvalue over all inequalities, rebuilt in NumPy from gains and P."""
     matrices = _inequalities(problem, p, [p @ k_i for k_i in k], gamma**2, lmi)
     return max(largest_eigenvalue(-p), *(largest_eigenvalue(m) for m in matrices))

@@ -53,7 +53,7 @@ class Requirement:
         File name.
     """
 
-    observer: object
+    observer: ExactRequirement | PaperRequirement
     controller: ControllerRequirement
     controller_method: str
     controller_sinc_min: float
@@ -88,25 +88,7 @@ def load_requirement(name: str | Path) -> Requirement:
 
 
 def parse_requirement(data: dict[str, Any], source: str) -> Requirement:
-    """Build a requirement from the mapping of a requirement file.
-
-    Parameters
-    ----------
-    data : dict
-        Content.
-    source : str
-        File name, for error messages and the record.
-
-    Returns
-    -------
-    Requirement
-        Validated.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
-    """
+    """Build a requirement from the mapping of a requirement file."""
     top = Section(data, source)
     observer, controller = top.section('observer'), top.section('controller')
     requirement = Requirement(
@@ -121,7 +103,7 @@ def parse_requirement(data: dict[str, Any], source: str) -> Requirement:
     return requirement
 
 
-def _observer(section):
+def _observer(section: Section) -> ExactRequirement | PaperRequirement:
     if section.text('method', choices=('paper', 'exact')) == 'paper':
         requirement = PaperRequirement(
             lmi=section.text('lmi', '55', ('55', '54+disc')),
@@ -143,7 +125,7 @@ def _observer(section):
     )
 
 
-def _controller(section):
+def _controller(section: Section) -> ControllerRequirement:
     return ControllerRequirement(
         alpha=section.number('alpha', above=0.0),
         fastest=_fastest(section, 'alpha'),
@@ -152,7 +134,7 @@ def _controller(section):
     )
 
 
-def _fastest(section, slowest):
+def _fastest(section: Section, slowest: str) -> float:
     fastest = section.number('fastest', above=0.0)
     if not fastest > section.number(slowest):
         raise section.error('fastest', f'must be greater than {slowest}')

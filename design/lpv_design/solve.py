@@ -13,40 +13,17 @@ class InfeasibleError(RuntimeError):
     """No gains satisfy the inequalities, as rebuilt in NumPy."""
 
 
-def solve(objective, constraints: list[Any]) -> str:
-    """Minimise with Clarabel and say what it said.
-
-    Parameters
-    ----------
-    objective : cvxpy.Expression
-        Scalar to be minimised (0 for feasibility).
-    constraints : list
-        Constraints.
-
-    Returns
-    -------
-    str
-        Status; the variables then hold values if the solver found a point.
-    """
+def solve(objective: Any, constraints: list[Any]) -> str:
+    """Minimise with Clarabel and say what it said."""
     return run(cp.Problem(cp.Minimize(objective), constraints))
 
 
-def run(problem) -> str:
+def run(problem: Any) -> str:
     """Solve a problem, for the first time or with other values of its parameters.
 
     Clarabel often says ``optimal_inaccurate`` on points that satisfy every inequality, and a first
     order solver may say ``optimal`` on points that violate them.  Callers rebuild the
     inequalities; the returned word is for the record.
-
-    Parameters
-    ----------
-    problem : cvxpy.Problem
-        What to solve.
-
-    Returns
-    -------
-    str
-        Status, as `solve`.
     """
     for variable in problem.variables():
         variable.value = None  # a failed solution must not leave that of the time before
@@ -59,6 +36,6 @@ def run(problem) -> str:
     return problem.status
 
 
-def symmetric_below(matrix, margin=0.0):
+def symmetric_below(matrix: Any, margin: float = 0.0) -> Any:
     """Constraint M <= -margin I for an expression that is symmetric by construction."""
     return 0.5 * (matrix + matrix.T) << -margin * np.eye(matrix.shape[0])

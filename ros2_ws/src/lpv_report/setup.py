@@ -16,6 +16,6 @@ setup(
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',
-    description='What the reports of runs and of campaigns share: look, rendering.',
+    description='Reports of recorded runs, comparison of two runs, the look of all reports.',
     license='Apache-2.0',
 )

@@ -6,11 +6,14 @@ import platform
 import shutil
 import socket
 import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
 from pathlib import Path
 
-from lpv_ros2cli import discovery, packages
+from lpv_ros2cli import packages
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.names import node_names
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import node_names
 
 _VARIABLES = (
     'ROS_DISTRO',
@@ -27,12 +30,12 @@ _SMALLEST_SHM = 64 << 20
 _HIGHEST_DOMAIN = 101
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument('-r', '--report', action='store_true', help='print all that was found')
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Check the set-up of ROS on this machine; 1 if a check failed."""
     problems = list(_problems())
     if arguments.report:
@@ -47,7 +50,7 @@ def run(arguments):
     return int(bool(problems))
 
 
-def _problems():
+def _problems() -> Iterator[str]:
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     if not domain.isdigit() or int(domain) > _HIGHEST_DOMAIN:
         yield (
@@ -71,7 +74,7 @@ def _problems():
             yield f'package {package} is not found: build the workspace, and source it'
 
 
-def _report():
+def _report() -> Iterator[tuple[str, list[tuple[str, object]]]]:
     import rclpy
 
     yield (
@@ -112,14 +115,14 @@ def _report():
         )
 
 
-def _version(distribution):
+def _version(distribution: str) -> str:
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
         return 'not a wheel'
 
 
-def _state(interface):
+def _state(interface: str) -> str:
     folder = Path('/sys/class/net') / interface
     try:
         state = (folder / 'operstate').read_text(encoding='ascii').strip()

@@ -2,15 +2,7 @@
 
 
 class CliError(Exception):
-    """What was asked cannot be done; the message is one line for the user.
-
-    Parameters
-    ----------
-    message : str
-        What is wrong, and what would be right.
-    code : int, optional
-        Exit code of the command.
-    """
+    """What was asked cannot be done; the message is one line for the user."""
 
     def __init__(self, message: str, code: int = 1) -> None:
         super().__init__(message)

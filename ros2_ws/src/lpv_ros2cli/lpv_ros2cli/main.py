@@ -4,28 +4,16 @@ import os
 import signal
 import sys
 
-from lpv_ros2cli.completion import complete
+from lpv_ros2cli.command_line.completion import complete
+from lpv_ros2cli.command_line.interrupts import raising_signals
+from lpv_ros2cli.command_line.parsing import parse
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.interrupts import raising_signals
-from lpv_ros2cli.parsing import parse
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program name.
-
-    Returns
-    -------
-    int
-        Exit code: 0; 1 where what was asked cannot be done; 2 after SIGINT, as upstream, and for
-        a wrong command line.
-    """
+    """Entry point."""
     complete()
-    # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
+    # Nodes are found on this machine only, unless asked otherwise.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with raising_signals() as received:
         try:
@@ -45,7 +33,7 @@ def main(argv: list[str] | None = None) -> int:
             raise
 
 
-def _run(argv):
+def _run(argv: list[str]) -> int:
     arguments = parse(argv)
     if arguments.run is None:
         arguments.parser.print_help()

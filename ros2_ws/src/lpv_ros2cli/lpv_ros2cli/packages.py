@@ -8,31 +8,14 @@ from lpv_ros2cli.errors import CliError
 
 
 def prefixes() -> list[Path]:
-    """Prefixes in which packages are looked for.
-
-    Returns
-    -------
-    list of pathlib.Path
-        Of the environment, then this Python's own: programs run with nothing sourced.
-    """
+    """Prefixes in which packages are looked for."""
     named = [Path(p) for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
     return list(dict.fromkeys((*named, Path(sys.prefix))))
 
 
 def resources(kind: str) -> dict[str, Path]:
-    """Entries of the ament index.
-
-    Parameters
-    ----------
-    kind : str
-        Resource type, for instance ``packages``.
-
-    Returns
-    -------
-    dict of str to pathlib.Path
-        Prefix by resource name, sorted; earlier prefixes come first.
-    """
-    found = {}
+    """Entries of the ament index."""
+    found: dict[str, Path] = {}
     for prefix in prefixes():
         folder = prefix / 'share' / 'ament_index' / 'resource_index' / kind
         for entry in sorted(folder.glob('[!.]*')):
@@ -41,34 +24,12 @@ def resources(kind: str) -> dict[str, Path]:
 
 
 def names() -> list[str]:
-    """Names of the packages.
-
-    Returns
-    -------
-    list of str
-        Sorted.
-    """
+    """Names of the packages."""
     return list(resources('packages'))
 
 
 def prefix_of(package: str) -> Path:
-    """Prefix of a package.
-
-    Parameters
-    ----------
-    package : str
-        Name.
-
-    Returns
-    -------
-    pathlib.Path
-        Prefix.
-
-    Raises
-    ------
-    CliError
-        If it is not installed.
-    """
+    """Prefix of a package."""
     for prefix in prefixes():
         entry = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / package
         if Path(package).name == package and entry.is_file():
@@ -77,56 +38,18 @@ def prefix_of(package: str) -> Path:
 
 
 def share_of(package: str) -> Path:
-    """Share folder of a package.
-
-    Parameters
-    ----------
-    package : str
-        Name.
-
-    Returns
-    -------
-    pathlib.Path
-        Folder.
-    """
+    """Share folder of a package."""
     return prefix_of(package) / 'share' / package
 
 
 def executables(package: str) -> list[Path]:
-    """Programs of a package.
-
-    Parameters
-    ----------
-    package : str
-        Name.
-
-    Returns
-    -------
-    list of pathlib.Path
-        Sorted.
-    """
+    """Programs of a package."""
     folder = prefix_of(package) / 'lib' / package
     return sorted(path for path in folder.rglob('*') if path.is_file() and os.access(path, os.X_OK))
 
 
 def executable(package: str, name: str) -> Path:
-    """One program of a package.
-
-    Parameters
-    ----------
-    package, name : str
-        Package and program.
-
-    Returns
-    -------
-    pathlib.Path
-        Its file.
-
-    Raises
-    ------
-    CliError
-        If there is none or there are several of this name.
-    """
+    """One program of a package."""
     found = [path for path in executables(package) if path.name == name]
     if not found:
         known = ', '.join(sorted({path.name for path in executables(package)})) or 'none'

@@ -1,12 +1,12 @@
 """Statistics of an archive of bags as one self-contained HTML file."""
 
-import math
 import time
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 
+from lpv_core.support.formatting import number
 from lpv_report.page import embedded, environment
 from lpv_report.style import BAND, SENSOR, SETTINGS, png
 
@@ -117,13 +117,6 @@ def truth_text(statistics, healthy: bool) -> str:
             f'{statistics.detected}.'
         )
     return text
-
-
-def number(value):
-    """A number for people; a dash where there is none."""
-    if math.isnan(value):
-        return '-'
-    return 'infinite' if math.isinf(value) else f'{value:.3g}'
 
 
 def date(stamp):

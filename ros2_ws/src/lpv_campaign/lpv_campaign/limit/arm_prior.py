@@ -1,6 +1,6 @@
 """What an estimator knows of the arm: everything, or what the arm file states.
 
-All entries of the flat constants (`lpv_core.model.arm`) are linear in the masses, the inertias, an extra
+All constants of an arm (`lpv_core.model.arm.ARM_CONSTANTS`) are linear in the masses, the inertias, an extra
 point mass at the tip and a common factor of friction.  An arm that is known within priors is
 therefore ``constants + parameters @ sensitivity`` exactly, with constant unknown parameters.
 """
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv_core.model.arm import COUL_1, VISC_1
+from lpv_core.model.arm import N_CONSTANTS, constants_vector
 
 FRICTION_UNCERTAINTY = 0.3
 """Largest relative error of friction, as `lpv_core.decision.diagnosis.DiagnosisParameters` has it."""
@@ -24,7 +24,7 @@ class ArmKnowledge:
     Attributes
     ----------
     constants : ndarray, shape (12,)
-        Constants of the arm where all parameters are zero.
+        Constants of the arm where all parameters are zero, as `constants_vector` orders them.
     sensitivity : ndarray, shape (p, 12)
         Change of the constants with each parameter.
     deviation : ndarray, shape (p,)
@@ -57,8 +57,8 @@ def known_exactly(arm, scenario) -> ArmKnowledge:
     ArmKnowledge
         Without parameters.
     """
-    constants = scenario.true_arm(arm).constants(_has_coriolis(scenario))
-    return ArmKnowledge(constants, np.zeros((0, 12)), np.zeros(0), np.zeros(0), ())
+    constants = constants_vector(scenario.true_arm(arm).constants(_has_coriolis(scenario)))
+    return ArmKnowledge(constants, np.zeros((0, N_CONSTANTS)), np.zeros(0), np.zeros(0), ())
 
 
 def known_within_priors(arm, scenario) -> ArmKnowledge:
@@ -78,7 +78,7 @@ def known_within_priors(arm, scenario) -> ArmKnowledge:
         [kg], factor of friction less one.
     """
     coriolis = _has_coriolis(scenario)
-    nominal = arm.constants(coriolis)
+    nominal = constants_vector(arm.constants(coriolis))
     masses, inertias = scenario.mass_factors, scenario.inertia_factors
     error = arm.model_error
     rows = []
@@ -94,14 +94,14 @@ def known_within_priors(arm, scenario) -> ArmKnowledge:
         viscous=tuple(2.0 * v for v in arm.viscous),
         coulomb=tuple(2.0 * v for v in arm.coulomb),
     )
-    rough = FRICTION_UNCERTAINTY if nominal[VISC_1 : COUL_1 + 2].any() else 0.0
+    rough = FRICTION_UNCERTAINTY if any((*arm.viscous, *arm.coulomb)) else 0.0
     rows.append(('friction', rubbing, rough, scenario.friction_factor - 1.0))
     rows = [row for row in rows if row[2] > 0.0]
     return ArmKnowledge(
         nominal,
-        np.array([other.constants(coriolis) - nominal for _, other, _, _ in rows]).reshape(
-            -1, len(nominal)
-        ),
+        np.array(
+            [constants_vector(other.constants(coriolis)) - nominal for _, other, _, _ in rows]
+        ).reshape(-1, N_CONSTANTS),
         _UNIFORM * np.array([most for _, _, most, _ in rows]),
         np.array([true for _, _, _, true in rows]),
         tuple(name for name, _, _, _ in rows),

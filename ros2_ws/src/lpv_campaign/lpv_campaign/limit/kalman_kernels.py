@@ -6,6 +6,7 @@ kept between runs notices changes of its own file (and of lpv_core) only.
 
 import numpy as np
 
+from lpv_core.model.arm import N_CONSTANTS, set_constants
 from lpv_core.model.dynamics import rk4_step
 from lpv_core.support.jit import njit
 
@@ -21,7 +22,7 @@ def flow(
     push_2: float,
     dt: float,
     substeps: int,
-    params: np.ndarray,
+    params: np.record,
 ) -> tuple[float, ...]:
     """Mechanical state after ``substeps`` Runge-Kutta steps, as the plant takes them.
 
@@ -37,7 +38,7 @@ def flow(
         Length of one such step [s].
     substeps : int
         How many.
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -56,6 +57,7 @@ def move_and_derive(
     states: np.ndarray,
     torques: np.ndarray,
     braked: np.ndarray,
+    arm: np.record,
     constants: np.ndarray,
     sensitivity: np.ndarray,
     direction: np.ndarray,
@@ -76,6 +78,8 @@ def move_and_derive(
         Generalised torques over the step after each sample [N m].
     braked : ndarray of bool, shape (n,)
         Whether brakes hold the arm over that step.
+    arm : numpy.record
+        Work space of type `lpv_core.model.arm.ARM_CONSTANTS`.
     constants, sensitivity : ndarray, shapes (12,) and (p, 12)
         `lpv_campaign.limit.arm_prior.ArmKnowledge`.
     direction : ndarray, shape (2,)
@@ -90,7 +94,7 @@ def move_and_derive(
         Receive the state a sample later and its derivatives by state and disturbance.
     """
     count, dt = sensitivity.shape[0], sample_time / substeps
-    x, c, half = np.empty(4), np.empty(12), 0.5 / _STEP
+    x, c, half = np.empty(4), np.empty(N_CONSTANTS), 0.5 / _STEP
     f[:] = 0.0
     g[:] = 0.0
     for k in range(len(states)):
@@ -101,30 +105,34 @@ def move_and_derive(
             continue
         c[:] = constants
         for j in range(count):
-            for i in range(12):
+            for i in range(N_CONSTANTS):
                 c[i] += states[k, 4 + j] * sensitivity[j, i]
+        set_constants(arm, c)
         for i in range(4):
             x[i] = states[k, i]
         push_1, push_2 = direction[0] * mean, direction[1] * mean
-        a = flow(x, torques[k], push_1, push_2, dt, substeps, c)
+        a = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
         moved[k, 0], moved[k, 1], moved[k, 2], moved[k, 3] = a[0], a[1], a[2], a[3]
         for j in range(4 + count):
             if j < 4:
                 centre = x[j]
                 x[j] = centre + _STEP
-                a = flow(x, torques[k], push_1, push_2, dt, substeps, c)
+                a = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
                 x[j] = centre - _STEP
-                b = flow(x, torques[k], push_1, push_2, dt, substeps, c)
+                b = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
                 x[j] = centre
             else:
-                for i in range(12):
+                for i in range(N_CONSTANTS):
                     c[i] += _STEP * sensitivity[j - 4, i]
-                a = flow(x, torques[k], push_1, push_2, dt, substeps, c)
-                for i in range(12):
+                set_constants(arm, c)
+                a = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
+                for i in range(N_CONSTANTS):
                     c[i] -= 2.0 * _STEP * sensitivity[j - 4, i]
-                b = flow(x, torques[k], push_1, push_2, dt, substeps, c)
-                for i in range(12):
+                set_constants(arm, c)
+                b = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
+                for i in range(N_CONSTANTS):
                     c[i] += _STEP * sensitivity[j - 4, i]
+                set_constants(arm, c)
             f[k, 0, j], f[k, 1, j] = half * (a[0] - b[0]), half * (a[1] - b[1])
             f[k, 2, j], f[k, 3, j] = half * (a[2] - b[2]), half * (a[3] - b[3])
         a = flow(
@@ -134,7 +142,7 @@ def move_and_derive(
             push_2 + _STEP * direction[1],
             dt,
             substeps,
-            c,
+            arm,
         )
         b = flow(
             x,
@@ -143,7 +151,7 @@ def move_and_derive(
             push_2 - _STEP * direction[1],
             dt,
             substeps,
-            c,
+            arm,
         )
         g[k, 0], g[k, 1] = half * (a[0] - b[0]), half * (a[1] - b[1])
         g[k, 2], g[k, 3] = half * (a[2] - b[2]), half * (a[3] - b[3])
@@ -377,6 +385,7 @@ def _adjoint(f, memory, slope, curve, back, work) -> None:
 def filter_extended(
     torques,
     braked,
+    arm,
     constants,
     sensitivity,
     direction,
@@ -397,7 +406,7 @@ def filter_extended(
 
     Parameters
     ----------
-    torques, braked, constants, sensitivity, direction, mean, sample_time, substeps
+    torques, braked, arm, constants, sensitivity, direction, mean, sample_time, substeps
         As `move_and_derive`.
     push, memory, growth, h, r, start, deviation
         As `filter_forward`; ``h`` does not depend on the state.
@@ -422,6 +431,7 @@ def filter_extended(
                 at,
                 torques[k : k + 1],
                 braked[k : k + 1],
+                arm,
                 constants,
                 sensitivity,
                 direction,

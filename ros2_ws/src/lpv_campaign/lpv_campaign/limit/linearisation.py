@@ -12,9 +12,10 @@ import numpy as np
 
 from lpv_campaign.limit.fault_prior import RATE, SCALE, acting
 from lpv_campaign.limit.kalman_kernels import move_and_derive
-from lpv_core.model.arm import G_1, G_2
+from lpv_core.model.arm import ARM_CONSTANTS, vector_slice
 from lpv_core.model.joints import JointMap
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.records import new_record
 
 READINGS = 6
 """Two positions, two rates, and two generalised torques that hold a braked arm."""
@@ -143,6 +144,7 @@ def linearise(
         np.ascontiguousarray(states),
         torques,
         np.ascontiguousarray(run.braked),
+        new_record(ARM_CONSTANTS),
         knowledge.constants,
         knowledge.sensitivity,
         np.asarray(arm.disturbance_direction, float),
@@ -225,7 +227,8 @@ def _sensors(arm, run, knowledge, faults, states):
 def _holding(knowledge, states, p, h, readings) -> None:
     """Torques that hold a braked arm against gravity: Q_i = -G_i sin theta_i."""
     constants = knowledge.constants + states[:, 4 : 4 + p] @ knowledge.sensitivity
-    for i, entry in enumerate((G_1, G_2)):
+    first = vector_slice('gravity').start
+    for i, entry in enumerate((first, first + 1)):
         sine = np.sin(states[:, i])
         h[:, 4 + i, i] = -constants[:, entry] * np.cos(states[:, i])
         h[:, 4 + i, 4 : 4 + p] = -sine[:, None] * knowledge.sensitivity[:, entry]

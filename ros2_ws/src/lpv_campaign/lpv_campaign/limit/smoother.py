@@ -10,8 +10,10 @@ import numpy as np
 from lpv_campaign.limit.kalman_kernels import filter_extended
 from lpv_campaign.limit.kalman_smoother import both_passes
 from lpv_campaign.limit.linearisation import linearise, measurements
+from lpv_core.model.arm import ARM_CONSTANTS
 from lpv_core.model.joints import JointMap
 from lpv_core.support.errors import LpvError
+from lpv_core.support.records import new_record
 
 _ITERATIONS = 25
 _ARM_HELD = 2
@@ -146,6 +148,7 @@ def filter_adaptively(arm, scenario, run, knowledge, faults, substeps=2) -> tupl
     filter_extended(
         JointMap(arm).absolute_torque(run.torque),
         np.ascontiguousarray(run.braked),
+        new_record(ARM_CONSTANTS),
         knowledge.constants,
         knowledge.sensitivity,
         np.asarray(arm.disturbance_direction, float),

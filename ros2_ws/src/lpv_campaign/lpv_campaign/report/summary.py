@@ -6,7 +6,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.report.text import percent, rate, seconds
+from lpv_campaign.report.text import percent, rate
+from lpv_core.support.formatting import seconds
 
 
 def print_summary(numbers: dict[str, Any], console=None) -> None:

@@ -1,9 +1,6 @@
-"""Numbers as people read them; ``-`` where there is none."""
+"""Numbers of the report as people read them; ``-`` where there is none."""
 
-
-def number(value, digits=3):
-    """A number with some digits, or ``-``."""
-    return '-' if value is None else f'{value:.{digits}g}'
+from lpv_core.support.formatting import number
 
 
 def milli(value, digits=3):
@@ -21,13 +18,6 @@ def interval(share):
     if share['rate'] is None:
         return '-'
     return f'{100.0 * share["low"]:.1f} to {100.0 * share["high"]:.1f}%'
-
-
-def seconds(value):
-    """A time in s or ms, or ``-``."""
-    if value is None:
-        return '-'
-    return f'{value:.2f} s' if abs(value) >= 1.0 else f'{1e3 * value:.0f} ms'
 
 
 def middle(values, digits=2):

@@ -11,6 +11,7 @@ from rich.table import Table
 from lpv_bag.run.record import BagError, load_run
 from lpv_core.model.arm import load_arm
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.formatting import number
 from lpv_core.support.resources import bringup_file
 from lpv_report.comparison import Tolerances, answer_stamps, compare_runs
 
@@ -138,7 +139,7 @@ def show(result, console) -> None:
         'figures',
         ('', 'unit', 'first', 'second', ''),
         [
-            (f.name, f.unit, _number(f.first), _number(f.second), _mark(f.same))
+            (f.name, f.unit, number(f.first), number(f.second), _mark(f.same))
             for f in result.figures
         ],
     )
@@ -147,7 +148,7 @@ def show(result, console) -> None:
         'largest differences',
         ('', 'unit', 'tolerated', 'found', ''),
         [
-            (f.name, f.unit, _number(f.first), _number(f.second), _mark(f.same))
+            (f.name, f.unit, number(f.first), number(f.second), _mark(f.same))
             for f in result.differences
         ],
     )
@@ -183,10 +184,6 @@ def _table(console, title, columns, rows) -> None:
 
 def _mark(same):
     return '' if same else '  <- differs'
-
-
-def _number(value):
-    return '-' if value is None else f'{value:.3g}'
 
 
 def _both(pair, name):

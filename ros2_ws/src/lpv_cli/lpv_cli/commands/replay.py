@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rich.console import Console
 
 from lpv_bag.mcap.writer import PRESETS
@@ -234,10 +233,9 @@ def _check_out(out, bag) -> None:
 
 def _is_ours(out) -> bool:
     try:
-        with open(out / 'metadata.yaml', encoding='utf-8') as file:
-            information = yaml.safe_load(file)['rosbag2_bagfile_information']
+        information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
         return MARK in (information.get('custom_data') or ())
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, AttributeError):
+    except (ConfigError, TypeError, KeyError, AttributeError):
         return False
 
 

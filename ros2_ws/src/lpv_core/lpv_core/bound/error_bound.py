@@ -16,7 +16,8 @@ import numpy as np
 
 from lpv_core.bound.unknown_torque import UNKNOWN_TORQUE, healthy_arm, unknown_torque
 from lpv_core.bound.zonotope import COLUMNS, SIZE, extent, map_columns, reduce_columns
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2
+from lpv_core.certificate.gains import ExactObserverGains, Gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap, row_dot
 from lpv_core.residual.dead_reckoning import RATE_BIAS
 from lpv_core.support.jit import njit
@@ -29,48 +30,45 @@ _LONGEST = 60.0
 [s]."""
 
 BOUND_CONSTANTS = record_type(
-    ('exact', '?'),
-    ('sign', 'f8'),
-    ('kappa', 'f8', (2,)),
-    ('mu', 'f8', (2,)),
-    ('fastest', 'f8'),
-    ('slowest_recovery', 'f8'),
-    ('decay', 'f8'),
-    ('spread', 'f8', (2, 2)),
-    ('noise', 'f8', (2,)),
-    ('angle_noise', 'f8', (2,)),
-    ('start', 'f8', (2,)),
-    ('drift', 'f8', (2,)),
-    ('bias', 'f8', (2,)),
-    ('to_angle', 'f8', (2, 2)),
-    ('gravity', 'f8', (2,)),
-    ('inertia', 'f8', (2,)),
-    ('cos_min', 'f8', (2,)),
-    ('unknown', UNKNOWN_TORQUE),
+    ('exact', '?'),  # method exact; otherwise the static bound of method paper
+    ('sign', 'f8'),  # s: +1 upright, -1 hanging
+    ('kappa', 'f8', (2,)),  # [1/(kg m2)]
+    ('mu', 'f8', (2,)),  # [1/s]
+    ('fastest', 'f8'),  # largest mu [1/s]
+    ('slowest_recovery', 'f8'),  # slowest pole of the angle errors [1/s]
+    ('decay', 'f8'),  # certified decay rate of method paper [1/s]
+    ('spread', 'f8', (2, 2)),  # abs(S): angles to sensors
+    ('to_angle', 'f8', (2, 2)),  # abs(S^-1): sensors to angles
+    ('noise', 'f8', (2,)),  # noise in the bound, per sensor [rad]
+    ('angle_noise', 'f8', (2,)),  # the same per angle [rad]
+    ('start', 'f8', (2,)),  # error at the start, per angle [rad]
+    ('drift', 'f8', (2,)),  # growth by noise of the rates, per angle [rad/sqrt(s)]
+    ('bias', 'f8', (2,)),  # bias of the rates, per angle [rad/s]
+    ('gravity', 'f8', (2,)),  # G_i [N m]
+    ('inertia', 'f8', (2,)),  # Xi_ii [kg m2]
+    ('cos_min', 'f8', (2,)),  # region
+    ('unknown', UNKNOWN_TORQUE),  # what a healthy arm may do
 )
-"""Method; s; gains; largest mu and slowest recovery [1/s]; decay rate of method paper [1/s];
-abs(S); noise part of the bound, per sensor and per angle [rad]; error at the start [rad]; growth by
-noise of the rates [rad/sqrt(s)] and by their bias [rad/s]; abs(S^-1); G_i, Xi_ii, region; healthy
-arm."""
+"""Constants of `update_bound` for one arm."""
 
 BOUND_STATE = record_type(
-    ('count', 'i8'),
-    ('columns', 'f8', (SIZE, COLUMNS)),
-    ('extent', 'f8', (SIZE,)),
-    ('held_for', 'f8', (2,)),
-    ('bound', 'f8', (2,)),
-    ('momentum', 'f8', (2,)),
-    ('torque', 'f8', (2,)),
-    ('margin', 'f8', (2,)),
-    ('map', 'f8', (SIZE, SIZE)),
-    ('n', 'f8', (SIZE, SIZE)),
+    ('used', 'i8'),  # columns of the zonotope in use; 0 before the first estimate
+    ('columns', 'f8', (SIZE, COLUMNS)),  # zonotope of (e_1, e_2, r_1, r_2) [rad], [rad/s]
+    ('extent', 'f8', (SIZE,)),  # its extents; of method paper the bounds on e alone
+    ('held_for', 'f8', (2,)),  # how long links were held, less what has decayed [s]
+    ('bound', 'f8', (2,)),  # result: bound on the error of each sensor's fault estimate [rad]
+    ('momentum', 'f8', (2,)),  # result: bound on r of a healthy arm [rad/s]
+    ('torque', 'f8', (2,)),  # bound on the unknown torques [N m]
+    ('margin', 'f8', (2,)),  # bound on the angle errors, with noise [rad]
+    ('map', 'f8', (SIZE, SIZE)),  # work space: exp(N dt)
+    ('n', 'f8', (SIZE, SIZE)),  # work space: N
 )
-"""The set of the errors (e_1, e_2, r_1, r_2), r_i = s m_i/Xi_ii the momentum error in units of a
-rate (method paper: ``extent`` alone); how long links have been held, less what was unlearnt [s];
-results: bounds on the error per sensor [rad], on r of a healthy arm [rad/s]; work space."""
+"""Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
 
-def error_bound(arm, gains, sigmas: float, friction_uncertainty: float) -> np.record:
+def error_bound(
+    arm: ArmParameters, gains: Gains, sigmas: float, friction_uncertainty: float
+) -> np.record:
     """Constants of the bound for one arm and its gains.
 
     Parameters
@@ -92,7 +90,7 @@ def error_bound(arm, gains, sigmas: float, friction_uncertainty: float) -> np.re
     observer, constants = gains.observer, arm.constants()
     sensor_matrix = JointMap(arm).sensor_matrix
     spread, noise = np.abs(sensor_matrix), sigmas * np.asarray(observer.fault_sigma)
-    gravity, inertia = constants[[G_1, G_2]], constants[[A_11, C_22]]
+    gravity, inertia = constants.gravity, constants.inertia
     to_angle = np.abs(np.linalg.inv(sensor_matrix))
     params = new_record(
         BOUND_CONSTANTS,
@@ -110,7 +108,7 @@ def error_bound(arm, gains, sigmas: float, friction_uncertainty: float) -> np.re
         decay=observer.decay,
         unknown=healthy_arm(arm, friction_uncertainty),
     )
-    if observer.method == 'exact':
+    if isinstance(observer, ExactObserverGains):
         kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
         params.exact, params.kappa, params.mu, params.fastest = True, kappa, mu, mu.max()
         params.slowest_recovery = np.min(kappa * gravity * np.asarray(arm.cos_min) / mu)
@@ -118,32 +116,22 @@ def error_bound(arm, gains, sigmas: float, friction_uncertainty: float) -> np.re
 
 
 @njit
-def reset_bound(state) -> None:
+def reset_bound(state: np.record) -> None:
     """Forget the past: the next estimate is a first one."""
     state.columns[:] = 0.0
     state.extent[:] = 0.0
     state.held_for[:] = 0.0
-    state.count = 0
+    state.used = 0
 
 
 @njit
 def update_bound(
     params: np.record, state: np.record, estimate: np.record, lost: np.ndarray
 ) -> None:
-    """Follow the configuration; fills ``bound`` and ``momentum`` of the state.
-
-    Parameters
-    ----------
-    params, state : numpy.record
-        Constants and state.
-    estimate : numpy.record
-        Latest estimate.
-    lost : ndarray, shape (2,)
-        What samples that were lost just before leave unknown of each sensor's angle [rad].
-    """
+    """Follow the configuration; fills ``bound`` and ``momentum`` of the state."""
     for i in range(2):
         gap = row_dot(params.to_angle, i, lost[0], lost[1])
-        if gap > 0.0 and state.count > 0:
+        if gap > 0.0 and state.used > 0:
             _widen(params, state, i, gap)
     if params.exact:
         _follow_set(params, state, estimate)
@@ -152,26 +140,27 @@ def update_bound(
 
 
 @njit
-def _widen(params, state, i, gap) -> None:
+def _widen(params: np.record, state: np.record, i: int, gap: float) -> None:
     """Add an unknown part of an angle to the errors."""
     if not params.exact:
         state.extent[i] += gap
         return
-    state.columns[:, state.count] = 0.0
-    state.columns[i, state.count] = gap
-    state.count += 1
-    if state.count + SIZE > COLUMNS:
-        state.count = reduce_columns(state.columns, state.count)
+    column = state.used
+    state.columns[:, column] = 0.0
+    state.columns[i, column] = gap
+    state.used = column + 1
+    if column + 1 + SIZE > COLUMNS:
+        state.used = reduce_columns(state.columns, column + 1)
 
 
 @njit
-def _follow_set(params, state, estimate) -> None:
-    if state.count == 0:
+def _follow_set(params: np.record, state: np.record, estimate: np.record) -> None:
+    if state.used == 0:
         state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
-        state.count = 2
+        state.used = 2
     elif max(state.extent[0], state.extent[1]) <= _LARGEST:
         _advance(params, state, estimate)
-    extent(state.columns, state.count, state.extent)
+    extent(state.columns, state.used, state.extent)
     _update_held_time(params, state, estimate)
     error_1 = min(state.extent[0] + params.drift[0] * math.sqrt(state.held_for[0]), _LARGEST)
     error_2 = min(state.extent[1] + params.drift[1] * math.sqrt(state.held_for[1]), _LARGEST)
@@ -181,7 +170,7 @@ def _follow_set(params, state, estimate) -> None:
 
 
 @njit
-def _advance(params, state, estimate) -> None:
+def _advance(params: np.record, state: np.record, estimate: np.record) -> None:
     theta, rate, acc = (
         estimate.absolute_position,
         estimate.absolute_velocity,
@@ -211,43 +200,24 @@ def error_matrix(
 
     The coupling of inertia and Coriolis terms enters with its known sign; what its linearisation
     leaves out is quadratic in the error.
-
-    Parameters
-    ----------
-    params : numpy.record
-        Constants.
-    theta, rate, acc : ndarray, shape (2,)
-        Absolute angles, rates, accelerations at the estimate.
-    held : ndarray of bool, shape (2,)
-        Links without correction.
-    n : ndarray, shape (4, 4)
-        Receives N; entries that are always zero are left alone.
     """
     arm = params.unknown.arm
     cosine, sine = math.cos(theta[0] - theta[1]), math.sin(theta[0] - theta[1])
-    b = params.sign * arm[B_12]
-    couple_1 = -b * (cosine * rate[1] * rate[1] - sine * acc[1]) / arm[A_11]
-    couple_2 = b * (cosine * rate[0] * rate[0] + sine * acc[0]) / arm[C_22]
-    n[0, 2] = 0.0 if held[0] else -params.kappa[0] * arm[A_11]
-    n[1, 3] = 0.0 if held[1] else -params.kappa[1] * arm[C_22]
-    n[2, 0] = params.sign * arm[G_1] * math.cos(theta[0]) / arm[A_11] + couple_1
+    b = params.sign * arm.coupling
+    couple_1 = -b * (cosine * rate[1] * rate[1] - sine * acc[1]) / arm.inertia[0]
+    couple_2 = b * (cosine * rate[0] * rate[0] + sine * acc[0]) / arm.inertia[1]
+    n[0, 2] = 0.0 if held[0] else -params.kappa[0] * arm.inertia[0]
+    n[1, 3] = 0.0 if held[1] else -params.kappa[1] * arm.inertia[1]
+    n[2, 0] = params.sign * arm.gravity[0] * math.cos(theta[0]) / arm.inertia[0] + couple_1
     n[2, 1] = -couple_1
     n[3, 0] = couple_2
-    n[3, 1] = params.sign * arm[G_2] * math.cos(theta[1]) / arm[C_22] - couple_2
+    n[3, 1] = params.sign * arm.gravity[1] * math.cos(theta[1]) / arm.inertia[1] - couple_2
     n[2, 2], n[3, 3] = -params.mu[0], -params.mu[1]
 
 
 @njit
 def advance_set(params: np.record, state: np.record, dt: float) -> None:
-    """Map the set by exp(N dt) to second order and add a box of inputs.
-
-    Parameters
-    ----------
-    params, state : numpy.record
-        Constants and state, with N in ``n`` and the unknown torques in ``torque``.
-    dt : float
-        Interval [s].
-    """
+    """Map the set by exp(N dt) to second order and add a box of inputs."""
     n, step, columns = state.n, state.map, state.columns
     half = 0.5 * dt * dt
     for r in range(SIZE):
@@ -257,22 +227,22 @@ def advance_set(params: np.record, state: np.record, dt: float) -> None:
                 square += n[r, k] * n[k, q]
             step[r, q] = dt * n[r, q] + half * square
         step[r, r] += 1.0
-    map_columns(columns, state.count, step)
+    map_columns(columns, state.used, step)
     for i in range(2):
         push = state.torque[i] / params.inertia[i]
         for r in range(SIZE):
-            columns[r, state.count] = columns[r, state.count + 1] = 0.0
-        columns[2 + i, state.count] = dt * push
+            columns[r, state.used] = columns[r, state.used + 1] = 0.0
+        columns[2 + i, state.used] = dt * push
         # Half a step's travel of the input, for its effect within the interval.
-        columns[i, state.count] = half * n[i, 2 + i] * push
-        columns[i, state.count + 1] = dt * params.bias[i]
-        state.count += 2
-    if state.count + SIZE > COLUMNS:
-        state.count = reduce_columns(columns, state.count)
+        columns[i, state.used] = half * n[i, 2 + i] * push
+        columns[i, state.used + 1] = dt * params.bias[i]
+        state.used += 2
+    if state.used + SIZE > COLUMNS:
+        state.used = reduce_columns(columns, state.used)
 
 
 @njit
-def _update_held_time(params, state, estimate) -> None:
+def _update_held_time(params: np.record, state: np.record, estimate: np.record) -> None:
     """Count how long noise of the rates was integrated while a link was held; it is unlearnt as
     slowly as the observer recovers."""
     fall = math.exp(-estimate.interval * params.slowest_recovery)
@@ -284,7 +254,7 @@ def _update_held_time(params, state, estimate) -> None:
 
 
 @njit
-def _follow_static(params, state, estimate) -> None:
+def _follow_static(params: np.record, state: np.record, estimate: np.record) -> None:
     state.margin[:] = 0.0
     unknown_torque(
         params.unknown,
@@ -300,11 +270,11 @@ def _follow_static(params, state, estimate) -> None:
             abs(math.cos(estimate.absolute_position[i])), params.cos_min[i]
         )
         target = state.torque[i] / slope
-        left = state.extent[i] - target if state.count else 0.0
+        left = state.extent[i] - target if state.used else 0.0
         state.extent[i] = target + max(0.0, fall * left)
         # Nothing is known of the momentum.
         state.momentum[i] = math.inf
-    state.count = 1
+    state.used = 1
     for i in range(2):
         state.bound[i] = (
             row_dot(params.spread, i, state.extent[0], state.extent[1]) + params.noise[i]

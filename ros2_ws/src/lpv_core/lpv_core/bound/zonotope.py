@@ -19,17 +19,7 @@ SIZE = 4
 
 @njit
 def map_columns(columns: np.ndarray, count: int, m: np.ndarray) -> None:
-    """Replace every column g by m @ g.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (4, COLUMNS)
-        Changed in place.
-    count : int
-        Columns in use.
-    m : ndarray, shape (4, 4)
-        The map.
-    """
+    """Replace every column g by m @ g."""
     # Locals: the compiler cannot know that the map does not change with the columns.
     m_00, m_01, m_02, m_03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m_10, m_11, m_12, m_13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
@@ -48,18 +38,6 @@ def reduce_columns(columns: np.ndarray, count: int) -> int:
     """Put all but the largest columns into one box around their sum.
 
     Small columns lose their signs, which costs least; the set only grows.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (4, COLUMNS)
-        Changed in place; rows should be scaled alike.
-    count : int
-        Columns in use, more than ``KEPT``.
-
-    Returns
-    -------
-    int
-        Columns in use afterwards.
     """
     size = np.zeros(count)
     for r in range(SIZE):
@@ -84,17 +62,7 @@ def reduce_columns(columns: np.ndarray, count: int) -> int:
 
 @njit
 def extent(columns: np.ndarray, count: int, out: np.ndarray) -> None:
-    """Largest absolute value of every coordinate.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (4, COLUMNS)
-        The zonotope.
-    count : int
-        Columns in use.
-    out : ndarray, shape (4,)
-        Receives the extents.
-    """
+    """Largest absolute value of every coordinate."""
     for r in range(SIZE):
         total = 0.0
         for j in range(count):

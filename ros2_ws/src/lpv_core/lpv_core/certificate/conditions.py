@@ -10,7 +10,14 @@ from itertools import product
 import numpy as np
 
 from lpv_core.certificate.error_system import link_errors
+from lpv_core.certificate.gains import (
+    ControllerGains,
+    ExactObserverGains,
+    Gains,
+    PaperObserverGains,
+)
 from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.polytope import exact_state_space, exact_vertices, sinc_box
 from lpv_core.model.state_space import Descriptor, vertex_matrices
 from lpv_core.support.errors import ConfigError
@@ -37,7 +44,7 @@ class Check:
         return self.margin < 0.0
 
 
-def verify(arm, gains) -> list[Check]:
+def verify(arm: ArmParameters, gains: Gains) -> list[Check]:
     """Rebuild every inequality that the gains claim to satisfy.
 
     Parameters
@@ -58,15 +65,19 @@ def verify(arm, gains) -> list[Check]:
         If the gains belong to another arm.
     """
     gains.check_arm(arm)
-    observer = {'exact': exact_observer_checks, 'paper': paper_observer_checks}
+    observer = gains.observer
     return [
-        *observer[gains.observer.method](arm, gains.observer),
+        *(
+            exact_observer_checks(arm, observer)
+            if isinstance(observer, ExactObserverGains)
+            else paper_observer_checks(arm, observer)
+        ),
         *controller_checks(arm, gains.controller),
         *_together(arm, gains),
     ]
 
 
-def require(arm, gains, source: str = 'gains') -> None:
+def require(arm: ArmParameters, gains: Gains, source: str = 'gains') -> None:
     """Refuse gains whose certificate does not hold.
 
     Parameters
@@ -93,37 +104,25 @@ def require(arm, gains, source: str = 'gains') -> None:
             )
 
 
-def _symmetric(matrix):
+def _symmetric(matrix: np.ndarray) -> bool:
     """A Lyapunov matrix that is not symmetric proves nothing; NaN fails every check."""
     scale = np.abs(matrix).max(initial=0.0)
     return np.abs(matrix - matrix.T).max() <= 1e-9 * scale
 
 
-def _lyapunov_check(name, p):
+def _lyapunov_check(name: str, p: np.ndarray) -> Check:
     return Check(
         f'{name}: P > 0 and symmetric', largest_eigenvalue(-p) if _symmetric(p) else np.nan
     )
 
 
-def exact_observer_checks(arm, observer) -> list[Check]:
+def exact_observer_checks(arm: ArmParameters, observer: ExactObserverGains) -> list[Check]:
     """Checks of method ``exact``, link by link.
 
     The inequalities are affine in the slope, so that its two ends prove them for every slope in
     between, constant or changing: disc for the error's poles, a common quadratic function for the
     sampled Heun recursion (whose matrix is affine in the slope, too), and real poles, which the
     comparison system of the error bound needs.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    observer : ExactObserverGains
-        Its gains.
-
-    Returns
-    -------
-    list of Check
-        Four for each link.
     """
     q, r = (0.5 * (observer.fastest + sign * observer.decay) for sign in (1.0, -1.0))
     checks = []
@@ -147,26 +146,13 @@ def exact_observer_checks(arm, observer) -> list[Check]:
     return checks
 
 
-def heun(n, dt):
+def heun(n: np.ndarray, dt: float) -> np.ndarray:
     """Matrix of one Heun step of x' = N x."""
     return np.eye(len(n)) + dt * n + 0.5 * dt**2 * (n @ n)
 
 
-def paper_observer_checks(arm, observer) -> list[Check]:
-    """Checks of method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41).
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    observer : PaperObserverGains
-        Its gains.
-
-    Returns
-    -------
-    list of Check
-        Positivity, decoupling, inequality.
-    """
+def paper_observer_checks(arm: ArmParameters, observer: PaperObserverGains) -> list[Check]:
+    """Checks of method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41)."""
     a, b = vertex_matrices(observer.box, arm.constants(coriolis=False))
     d, p = Descriptor(a, b, arm), observer.lyapunov
     decoupled = np.abs(observer.t1 @ d.e + observer.t2 @ d.c - np.eye(6)).max()
@@ -189,23 +175,10 @@ def paper_observer_checks(arm, observer) -> list[Check]:
     ]
 
 
-def controller_loop(arm, method: str, sinc_min: float = -0.2) -> tuple[np.ndarray, ...]:
-    """Augmented vertices A_c, B_c of eq. (64).
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    method : {'paper', 'exact'}
-        Polytope: the paper's box, or the exact one.
-    sinc_min : float, optional
-        Lower end of the paper's box.
-
-    Returns
-    -------
-    tuple of ndarray
-        A_c (h, 6, 6) and B_c (h, 6, 2).
-    """
+def controller_loop(
+    arm: ArmParameters, method: str, sinc_min: float = -0.2
+) -> tuple[np.ndarray, ...]:
+    """Augmented vertices A_c, B_c of eq. (64)."""
     if method == 'paper':
         return augment(*vertex_matrices(sinc_box(sinc_min), arm.constants(coriolis=False)))
     pairs = [exact_state_space(v, arm.constants()) for v in exact_vertices(arm)]
@@ -213,18 +186,7 @@ def controller_loop(arm, method: str, sinc_min: float = -0.2) -> tuple[np.ndarra
 
 
 def augment(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Augmented vertices of eq. (64) with eps' = w - theta.
-
-    Parameters
-    ----------
-    a, b : ndarray, shapes (h, 4, 4) and (h, 4, 2)
-        Vertices.
-
-    Returns
-    -------
-    tuple of ndarray
-        A_c (h, 6, 6) and B_c (h, 6, 2).
-    """
+    """Augmented vertices of eq. (64) with eps' = w - theta."""
     h = len(a)
     a_c, b_c = np.zeros((h, 6, 6)), np.zeros((h, 6, 2))
     a_c[:, :4, :4] = a
@@ -233,21 +195,8 @@ def augment(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
     return a_c, b_c
 
 
-def controller_checks(arm, controller) -> list[Check]:
-    """Checks of the tracking loop: LMI (67), and poles that the sample time can carry.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    controller : ControllerGains
-        Its gains.
-
-    Returns
-    -------
-    list of Check
-        Positivity, LMI (67) with the stored P, sampled loop with one sample of delay.
-    """
+def controller_checks(arm: ArmParameters, controller: ControllerGains) -> list[Check]:
+    """Checks of the tracking loop: LMI (67), and poles that the sample time can carry."""
     loop = controller_loop(arm, controller.method, controller.sinc_min)
     m, p = np.hstack([controller.m1, controller.m2]), controller.lyapunov
     closed = [a + b @ m for a, b in zip(*loop)]
@@ -267,7 +216,13 @@ def controller_checks(arm, controller) -> list[Check]:
     ]
 
 
-def _robustness(arm, controller, m, p, factor):
+def _robustness(
+    arm: ArmParameters,
+    controller: ControllerGains,
+    m: np.ndarray,
+    p: np.ndarray,
+    factor: np.ndarray,
+) -> list[Check]:
     """The same P and half the decay for arms with other masses, inertias and payloads.
 
     The corners of the stated ranges are checked; between them Xi^-1 is not affine, so that this is
@@ -291,19 +246,8 @@ def _robustness(arm, controller, m, p, factor):
     ]
 
 
-def corner_arms(arm):
-    """Arms at the corners of the stated model error and payload.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Nominal arm.
-
-    Returns
-    -------
-    list of ArmParameters
-        Those whose inertia is positive definite.
-    """
+def corner_arms(arm: ArmParameters) -> list[ArmParameters]:
+    """Arms at the corners of the stated model error and payload."""
     ends = (1.0 - arm.model_error, 1.0 + arm.model_error)
     arms = []
     for factors in product(ends, repeat=4):
@@ -314,9 +258,10 @@ def corner_arms(arm):
     return arms
 
 
-def _together(arm, gains):
+def _together(arm: ArmParameters, gains: Gains) -> list[Check]:
     """Sampled loop of arm, controller and observer, closed on estimates and on measurements."""
-    if gains.observer.method != 'exact' or gains.controller.method != 'exact':
+    observer = gains.observer
+    if not isinstance(observer, ExactObserverGains) or gains.controller.method != 'exact':
         return []
     m = np.hstack([gains.controller.m1, gains.controller.m2])
     links, checks = link_errors(arm), []
@@ -328,7 +273,7 @@ def _together(arm, gains):
             for link, slope in zip(links, slopes):
                 i = link.index
                 error[np.ix_([i, 2 + i], [i, 2 + i])] = link.closed(
-                    link.gravity * slope, gains.observer.kappa[i], gains.observer.mu[i]
+                    link.gravity * slope, observer.kappa[i], observer.mu[i]
                 )
             # Rates are fed back as estimated: e' = Xi^-1 diag(Xi_ii) r, and B holds Xi^-1.
             rates = b[2:4] @ np.diag([link.inertia for link in links]) * arm.sign
@@ -355,22 +300,7 @@ def _together(arm, gains):
 
 
 def delayed_radius(a: np.ndarray, b: np.ndarray, m: np.ndarray, dt: float) -> float:
-    """Spectral radius of a sampled loop whose torque acts one sample late.
-
-    Parameters
-    ----------
-    a, b : ndarray, shapes (6, 6) and (6, 2)
-        Augmented vertex.
-    m : ndarray, shape (2, 6)
-        [M1 M2].
-    dt : float
-        Sample time [s].
-
-    Returns
-    -------
-    float
-        Below one: stable.
-    """
+    """Spectral radius of a sampled loop whose torque acts one sample late."""
     n, k = b.shape
     # Zero-order hold by the series of the exponential of [[A, B], [0, 0]] dt: dt*A is small.
     block = np.zeros((n + k, n + k))

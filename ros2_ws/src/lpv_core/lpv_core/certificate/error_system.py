@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 
 
@@ -57,29 +57,16 @@ class LinkError:
 
     output = np.array([[0.0, 1.0]])
 
-    def drift(self, slope):
+    def drift(self, slope: float) -> np.ndarray:
         """A of the error without injection, for one slope."""
         return np.array([[0.0, 0.0], [slope / self.inertia, 0.0]])
 
-    def closed(self, slope, kappa, mu):
+    def closed(self, slope: float, kappa: float, mu: float) -> np.ndarray:
         """N of the error e' = -kappa m, m' = Gamma e - mu m, for one slope."""
         return np.array([[0.0, -kappa * self.inertia], [slope / self.inertia, -mu]])
 
     def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[Noise]:
-        """Noise at both ends of Xi12; everything between them is a convex combination.
-
-        Parameters
-        ----------
-        acceleration_noise : sequence of two floats
-            White accelerations of both absolute axes [rad/s2/sqrt(Hz)].
-        rate_noise : float
-            White noise on theta' [rad/s/sqrt(Hz)].
-
-        Returns
-        -------
-        list of Noise
-            For each end.
-        """
+        """Noise at both ends of Xi12; everything between them is a convex combination."""
         own = np.eye(2)[[self.index]] @ self.rate_noise
         found = []
         for row in self.rows:
@@ -94,25 +81,14 @@ class LinkError:
         return found
 
 
-def link_errors(arm) -> list[LinkError]:
-    """Error systems of both links.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm with its region and noise.
-
-    Returns
-    -------
-    list of LinkError
-        Two.
-    """
+def link_errors(arm: ArmParameters) -> list[LinkError]:
+    """Error systems of both links."""
     c = arm.constants()
     s_inverse = np.linalg.inv(JointMap(arm).sensor_matrix)
     noise = s_inverse * arm.velocity_noise * np.sqrt(arm.sample_time)
-    ends = (c[O_12] - c[B_12], c[O_12] + c[B_12])
+    ends = (c.rotor_coupling - c.coupling, c.rotor_coupling + c.coupling)
     links = []
-    for i, (inertia, gravity) in enumerate(((c[A_11], c[G_1]), (c[C_22], c[G_2]))):
+    for i, (inertia, gravity) in enumerate(zip(c.inertia, c.gravity)):
         rows = arm.sign * np.array([[inertia, end] if i == 0 else [end, inertia] for end in ends])
         links.append(
             LinkError(

@@ -5,31 +5,32 @@ inequalities are polynomials in them, so that the sign of every pivot of a symme
 decided without any rounding.
 """
 
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from lpv_core.certificate.gains import (
+    ControllerGains,
+    ExactObserverGains,
+    Gains,
+    PaperObserverGains,
+)
 from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc
+from lpv_core.model.arm import ArmParameters
+
+_Point = tuple[Fraction, Fraction]
+_Pairs = Sequence[Sequence[Fraction]] | np.ndarray
 
 
-def exact(values):
+def exact(values: ArrayLike) -> np.ndarray:
     """Array of fractions that equal the given floats."""
     return np.vectorize(Fraction, otypes=[object])(np.asarray(values))
 
 
 def is_positive_definite(matrix: np.ndarray) -> bool:
-    """Sylvester's criterion by symmetric elimination over the fractions.
-
-    Parameters
-    ----------
-    matrix : ndarray of object, shape (n, n)
-        Numbers that convert to fractions exactly.
-
-    Returns
-    -------
-    bool
-        False also if the matrix is not symmetric.
-    """
+    """Sylvester's criterion by symmetric elimination over the fractions."""
     rest = exact(matrix)
     if not np.array_equal(rest, rest.T):
         return False
@@ -43,18 +44,18 @@ def is_positive_definite(matrix: np.ndarray) -> bool:
     return True
 
 
-def _negative(matrix):
+def _negative(matrix: np.ndarray) -> bool:
     """Whether sym(matrix) < 0."""
     matrix = exact(matrix)
     return is_positive_definite(-(matrix + matrix.T))
 
 
-def _symmetrised(p):
+def _symmetrised(p: np.ndarray) -> np.ndarray:
     p = exact(p)
     return (p + p.T) / 2
 
 
-def _constants(arm):
+def _constants(arm: ArmParameters) -> tuple[Fraction, ...]:
     """Xi11, b, Xi22, rotor coupling, G1, G2 as fractions; cf. ArmParameters.constants."""
     one, two = arm.links
     f = Fraction
@@ -73,7 +74,7 @@ def _constants(arm):
     )
 
 
-def prove(arm, gains) -> dict[str, bool]:
+def prove(arm: ArmParameters, gains: Gains) -> dict[str, bool]:
     """Prove the quadratic inequalities of a gains file.
 
     Parameters
@@ -89,11 +90,16 @@ def prove(arm, gains) -> dict[str, bool]:
         What was proved or refuted.  The sampled controller's spectral radius is not a definiteness
         and stays a matter of floats.
     """
-    observer = {'exact': _prove_exact, 'paper': _prove_paper}[gains.observer.method]
-    return {**observer(arm, gains.observer), **_prove_controller(arm, gains.controller)}
+    observer = gains.observer
+    proved = (
+        _prove_exact(arm, observer)
+        if isinstance(observer, ExactObserverGains)
+        else _prove_paper(arm, observer)
+    )
+    return {**proved, **_prove_controller(arm, gains.controller)}
 
 
-def _prove_exact(arm, observer):
+def _prove_exact(arm: ArmParameters, observer: ExactObserverGains) -> dict[str, bool]:
     xi_11, _, xi_22, _, g_1, g_2 = _constants(arm)
     decay, fastest, dt = (Fraction(v) for v in (observer.decay, observer.fastest, arm.sample_time))
     q, r = (fastest + decay) / 2, (fastest - decay) / 2
@@ -117,21 +123,21 @@ def _prove_exact(arm, observer):
     return results
 
 
-def _corners(constants):
+def _corners(constants: Sequence[Fraction]) -> tuple[_Point, ...]:
     """Quadrangle of (1/det Xi, Xi12/det Xi); cf. lpv_core.model.polytope."""
     xi_11, b, xi_22, o = constants[:4]
     low, high = o - b, o + b
     middle = (low + high) / 2
 
-    def point(state):
+    def point(state: Fraction) -> _Point:
         det = xi_11 * xi_22 - state * state
         return 1 / det, state / det
 
-    def tangent(state):
+    def tangent(state: Fraction) -> _Point:
         det = xi_11 * xi_22 - state * state
         return 2 * state / det**2, (det + 2 * state * state) / det**2
 
-    def intersection(state, r):
+    def intersection(state: Fraction, r: Fraction) -> _Point:
         (p_x, p_y), (q_x, q_y), (a_x, a_y), (b_x, b_y) = (
             point(state),
             point(r),
@@ -144,7 +150,9 @@ def _corners(constants):
     return point(low), intersection(low, middle), intersection(middle, high), point(high)
 
 
-def _state_space(inverse, gravity, slopes):
+def _state_space(
+    inverse: _Pairs, gravity: Sequence[Fraction], slopes: Sequence[Fraction]
+) -> tuple[np.ndarray, np.ndarray]:
     """A (4, 4) and B (4, 2) for Xi^-1 and gravity torques G_i*slope_i."""
     a = np.full((4, 4), Fraction(0), dtype=object)
     a[0, 2] = a[1, 3] = Fraction(1)
@@ -156,7 +164,9 @@ def _state_space(inverse, gravity, slopes):
     return a, b
 
 
-def _exact_vertices(arm, constants):
+def _exact_vertices(
+    arm: ArmParameters, constants: Sequence[Fraction]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     xi_11, _, xi_22, _, g_1, g_2 = constants
     sign = 1 if arm.orientation == 'upright' else -1
     for x, y in _corners(constants):
@@ -166,7 +176,9 @@ def _exact_vertices(arm, constants):
                 yield _state_space(inverse, (g_1, g_2), (sign * s_1, sign * s_2))
 
 
-def _paper_vertices(constants, box):
+def _paper_vertices(
+    constants: Sequence[Fraction], box: _Pairs
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     xi_11, b, xi_22, o, g_1, g_2 = constants
     for phi_1 in box[0]:
         off = o + b * phi_1
@@ -177,7 +189,7 @@ def _paper_vertices(constants, box):
                 yield _state_space(inverse, (g_1, g_2), (phi_2, phi_3))
 
 
-def _prove_controller(arm, controller):
+def _prove_controller(arm: ArmParameters, controller: ControllerGains) -> dict[str, bool]:
     constants = _constants(arm)
     if controller.method == 'paper':
         ends = [(Fraction(-1), Fraction(1)), *[(Fraction(controller.sinc_min), Fraction(1))] * 2]
@@ -199,7 +211,7 @@ def _prove_controller(arm, controller):
     }
 
 
-def _prove_paper(arm, observer):
+def _prove_paper(arm: ArmParameters, observer: PaperObserverGains) -> dict[str, bool]:
     from lpv_core.model.state_space import disturbance_matrix, output_matrices
 
     constants = _constants(arm)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
 
@@ -49,7 +50,7 @@ class PaperObserverGains:
     method = 'paper'
 
     @property
-    def decay(self):
+    def decay(self) -> float:
         """Certified decay rate [1/s]."""
         return self.q - self.r
 
@@ -125,11 +126,11 @@ class Gains:
 
     arm_name: str
     arm_sha256: str
-    observer: object
+    observer: ExactObserverGains | PaperObserverGains
     controller: ControllerGains
     certificate: dict = field(default_factory=dict)
 
-    def check_arm(self, arm, source: str = 'gains') -> None:
+    def check_arm(self, arm: ArmParameters, source: str = 'gains') -> None:
         """Refuse gains of another arm.
 
         Parameters
@@ -169,7 +170,7 @@ def gains_to_dict(gains: Gains) -> dict[str, Any]:
     """
     o, c = gains.observer, gains.controller
 
-    def flat(array):
+    def flat(array: np.ndarray) -> list[float]:
         return [float(v) for v in np.asarray(array).ravel()]
 
     return {
@@ -219,8 +220,8 @@ def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
     if top.integer('format') != FORMAT:
         raise top.error('format', f'must be {FORMAT}; design the gains again')
     obs, con = top.section('observer'), top.section('controller')
-    read = {'paper': _paper_observer, 'exact': _exact_observer}
-    observer = read[obs.text('method', choices=METHODS)](obs)
+    is_exact = obs.text('method', choices=METHODS) == 'exact'
+    observer = _exact_observer(obs) if is_exact else _paper_observer(obs)
     if np.any(observer.fault_sigma < 0.0):
         raise obs.error('fault_sigma', 'must not be negative')
     controller = ControllerGains(
@@ -239,7 +240,7 @@ def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
     return gains
 
 
-def _paper_observer(section):
+def _paper_observer(section: Section) -> PaperObserverGains:
     box = section.matrix('box', (3, 2))
     if np.any(box[:, 0] >= box[:, 1]):
         raise section.error('box', 'must have lower ends below upper ends')
@@ -260,7 +261,7 @@ def _paper_observer(section):
     return gains
 
 
-def _exact_observer(section):
+def _exact_observer(section: Section) -> ExactObserverGains:
     gains = ExactObserverGains(
         kappa=section.matrix('kappa', (2,)),
         mu=section.matrix('mu', (2,)),

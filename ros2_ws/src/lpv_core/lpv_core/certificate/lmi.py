@@ -1,8 +1,9 @@
 """The matrix inequalities, written once for the solver and for the check of what it returns.
 
 Every function takes ``block``: ``cvxpy.bmat`` builds the constraint, ``numpy.block`` rebuilds the
-same inequality from numbers.  A design is accepted on the eigenvalues of the rebuilt matrix alone;
-the solver's word is recorded but never trusted.
+same inequality from numbers.  P is a Lyapunov matrix; products with it (``pn`` = P N, ``pb`` = P B)
+are one argument, because the solver's unknown is the product.  A design is accepted on the
+eigenvalues of the rebuilt matrix alone; the solver's word is recorded but never trusted.
 """
 
 from collections.abc import Callable
@@ -11,48 +12,31 @@ from typing import Any
 import numpy as np
 
 
-def _eye(n):
+def _eye(n: int) -> np.ndarray:
     """Identity of integers, which no kind of number is rounded by."""
     return np.eye(n, dtype=int)
 
 
-def _zeros(shape):
+def _zeros(shape: tuple[int, int]) -> np.ndarray:
     return np.zeros(shape, dtype=int)
 
 
-def symmetric_part(matrix):
+def symmetric_part(matrix: np.ndarray) -> np.ndarray:
     """(M + M^T)/2: what an inequality on a numerically unsymmetric matrix is about."""
     return 0.5 * (matrix + matrix.T)
 
 
-def largest_eigenvalue(matrix):
+def largest_eigenvalue(matrix: np.ndarray) -> float:
     """Largest eigenvalue of a symmetric matrix; negative if M < 0 holds, NaN if M is not finite."""
     if not np.isfinite(matrix).all():
         return np.nan
     return float(np.linalg.eigvalsh(symmetric_part(np.asarray(matrix)))[-1])
 
 
-def bounded_real(p, pn, pbd, pbf, gamma_squared, block: Callable[..., Any] = np.block):
-    """LMI (54): stability and attenuation of d and f in the estimation error.
-
-    Parameters
-    ----------
-    p : (6, 6)
-        Lyapunov matrix P.
-    pn : (6, 6)
-        P N_i = P T1 A~_i + y_i C~.
-    pbd, pbf : (6, 1), (6, 2)
-        P T1 Bd~ and P T1 Bf~.
-    gamma_squared : scalar
-        gamma^2.
-    block : callable, optional
-        ``numpy.block`` or ``cvxpy.bmat``.
-
-    Returns
-    -------
-    (15, 15)
-        Must be negative definite.
-    """
+def bounded_real(
+    p: Any, pn: Any, pbd: Any, pbf: Any, gamma_squared: Any, block: Callable[..., Any] = np.block
+) -> Any:
+    """LMI (54): stability and attenuation of d and f in the estimation error."""
     eye = _eye(6)
     z = _zeros
     return block(
@@ -66,24 +50,16 @@ def bounded_real(p, pn, pbd, pbf, gamma_squared, block: Callable[..., Any] = np.
 
 
 def bounded_real_disc(
-    p, pn, pbd, pbf, gamma_squared, q: float, r: float, block: Callable[..., Any] = np.block
-):
-    """LMI (55): as (54) with the poles in the disc of centre -q and radius r, in one matrix.
-
-    Parameters
-    ----------
-    p, pn, pbd, pbf, gamma_squared
-        As `bounded_real`.
-    q, r : float
-        Disc [1/s].
-    block : callable, optional
-        ``numpy.block`` or ``cvxpy.bmat``.
-
-    Returns
-    -------
-    (21, 21)
-        Must be negative definite.
-    """
+    p: Any,
+    pn: Any,
+    pbd: Any,
+    pbf: Any,
+    gamma_squared: Any,
+    q: Any,
+    r: Any,
+    block: Callable[..., Any] = np.block,
+) -> Any:
+    """LMI (55): as (54) with the poles in the disc of centre -q and radius r, in one matrix."""
     eye = _eye(6)
     z = _zeros
     sigma = q * p + pn
@@ -98,66 +74,19 @@ def bounded_real_disc(
     )
 
 
-def disc(p, pn, q: float, r: float, block: Callable[..., Any] = np.block):
-    """Poles of N in the disc of centre -q and radius r (D-stability with the same P).
-
-    Parameters
-    ----------
-    p, pn : (n, n)
-        P and P N.
-    q, r : float
-        Disc [1/s]; the decay rate is q - r, the fastest pole q + r.
-    block : callable, optional
-        ``numpy.block`` or ``cvxpy.bmat``.
-
-    Returns
-    -------
-    (2n, 2n)
-        Must be negative definite.
-    """
+def disc(p: Any, pn: Any, q: Any, r: Any, block: Callable[..., Any] = np.block) -> Any:
+    """Poles of N in the disc of centre -q and radius r (D-stability with the same P)."""
     sigma = q * p + pn
     return block([[-r * p, sigma], [sigma.T, -r * p]])
 
 
-def covariance(pn, pb, block: Callable[..., Any] = np.block):
-    """H2 inequality: sym(P N) + P B B^T P < 0, so that P^-1 bounds the error covariance.
-
-    Parameters
-    ----------
-    pn : (n, n)
-        P N.
-    pb : (n, m)
-        P B of all unit-intensity white inputs.
-    block : callable, optional
-        ``numpy.block`` or ``cvxpy.bmat``.
-
-    Returns
-    -------
-    (n+m, n+m)
-        Must be negative definite.
-    """
+def covariance(pn: Any, pb: Any, block: Callable[..., Any] = np.block) -> Any:
+    """H2 inequality: sym(P N) + P B B^T P < 0, so that P^-1 bounds the error covariance."""
     m = pb.shape[1]
     return block([[pn + pn.T, pb], [pb.T, -_eye(m)]])
 
 
-def integral_feedback(q, x, a, b, alpha: float):
-    """LMI (67): sym(A_c Q + B_c X) + 2 alpha Q, for both solver and check.
-
-    Parameters
-    ----------
-    q : (6, 6)
-        Q = P^-1.
-    x : (2, 6)
-        X = M Q.
-    a, b : (6, 6), (6, 2)
-        Augmented vertex, eq. (64).
-    alpha : float
-        Decay rate [1/s].
-
-    Returns
-    -------
-    (6, 6)
-        Must be negative definite.
-    """
+def integral_feedback(q: Any, x: Any, a: Any, b: Any, alpha: Any) -> Any:
+    """LMI (67): sym(A_c Q + B_c X) + 2 alpha Q, for both solver and check."""
     closed = a @ q + b @ x
     return closed + closed.T + 2.0 * alpha * q

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from lpv_core.certificate.gains import Gains
 from lpv_core.control.path import Reference
-from lpv_core.model.arm import ArmParameters
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JOINT_MAP, JointMap
 from lpv_core.support.jit import njit
@@ -19,7 +19,7 @@ COMPENSATION = ('off', 'confirmed', 'always')
 
 TRACKING_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
-    ('arm', 'f8', (12,)),  # constants of the arm's model
+    ('arm', ARM_CONSTANTS),  # constants of the arm's model
     ('limit', 'f8', (2,)),  # of the joint torques [N m]
     ('m1', 'f8', (2, 4)),  # M1 [N m/rad], [N m s/rad]
     ('m2', 'f8', (2, 2)),  # M2 [N m/(rad s)]

@@ -7,7 +7,9 @@ along the link.
 
 import math
 import xml.etree.ElementTree as ElementTree
+from typing import Any
 
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import ConfigError
 
 COULOMB = ('smooth', 'dry')
@@ -21,7 +23,7 @@ _WIDTH = 0.04
 """Thickness of the drawn links over their length."""
 
 
-def mjcf(arm, coulomb: str = 'smooth') -> str:
+def mjcf(arm: ArmParameters, coulomb: str = 'smooth') -> str:
     """Write an arm as MJCF.
 
     The model has the arm's geometry, masses, rotors, viscous friction, torque limits and gravity,
@@ -75,14 +77,14 @@ def mjcf(arm, coulomb: str = 'smooth') -> str:
     return ElementTree.tostring(root, encoding='unicode') + '\n'
 
 
-def _add(parent, tag, **attributes):
+def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
     """A child element; numbers keep every digit."""
     return ElementTree.SubElement(
         parent, tag, {name: _text(value) for name, value in attributes.items()}
     )
 
 
-def _text(value):
+def _text(value: str | float | tuple[float, ...]) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, tuple):
@@ -90,7 +92,7 @@ def _text(value):
     return repr(float(value))
 
 
-def _fill_link(body, arm, index, coulomb) -> None:
+def _fill_link(body: ElementTree.Element, arm: ArmParameters, index: int, coulomb: str) -> None:
     link = arm.links[index]
     _add(
         body,
@@ -131,11 +133,11 @@ def _fill_link(body, arm, index, coulomb) -> None:
     )
 
 
-def _spinning_inertia(arm):
+def _spinning_inertia(arm: ArmParameters) -> float:
     return arm.rotor_inertia * arm.gear_ratio**2
 
 
-def _central_inertia(arm, index):
+def _central_inertia(arm: ArmParameters, index: int) -> float:
     link = arm.links[index]
     at_joint = link.mass * link.center_of_mass**2
     inertia = link.inertia
@@ -150,7 +152,7 @@ def _central_inertia(arm, index):
     return max(inertia, _SMALLEST_INERTIA * at_joint)
 
 
-def _add_drives(root, arm) -> None:
+def _add_drives(root: ElementTree.Element, arm: ArmParameters) -> None:
     first, second = arm.joint_names
     if arm.rotor_inertia:
         tendon = _add(_add(root, 'tendon'), 'fixed', name='rotor2', armature=arm.rotor_inertia)

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import ConfigError
 
 BASE, LINKS, TIP = 'base_link', ('link1', 'link2'), 'tip'
@@ -25,47 +26,21 @@ _UNLIMITED = 1e8
 """Torque limits from here on mean that there is none."""
 
 
-def frame_angles(arm, q: np.ndarray) -> np.ndarray:
-    """Angles of the two links in the plane of the arm.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    q : array_like, shape (..., 2)
-        Joint positions [rad].
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
-        Angles from the base's x axis, counter-clockwise [rad].
-    """
+def frame_angles(arm: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """Angles of the two links in the plane of the arm."""
     q = np.asarray(q, float)
     first = q[..., 0] + arm.zero_angle + math.pi / 2
     return np.stack([first, first + q[..., 1]], axis=-1)
 
 
-def points(arm, q: np.ndarray) -> np.ndarray:
-    """Elbow and tip.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    q : array_like, shape (..., 2)
-        Joint positions [rad].
-
-    Returns
-    -------
-    ndarray, shape (..., 2, 2)
-        Elbow and tip, each x (forward) and height, in the base frame [m].
-    """
+def points(arm: ArmParameters, q: np.ndarray) -> np.ndarray:
+    """Elbow and tip."""
     angles = frame_angles(arm, q)
     steps = np.array(arm.lengths)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return np.cumsum(steps, axis=-2)
 
 
-def transforms(arm, q: np.ndarray) -> list[tuple[Any, ...]]:
+def transforms(arm: ArmParameters, q: np.ndarray) -> list[tuple[Any, ...]]:
     """Transforms that a robot state publisher would send for one configuration.
 
     Parameters
@@ -89,11 +64,11 @@ def transforms(arm, q: np.ndarray) -> list[tuple[Any, ...]]:
     ]
 
 
-def _about_minus_y(angle):
+def _about_minus_y(angle: float) -> tuple[float, float, float, float]:
     return 0.0, -math.sin(angle / 2), 0.0, math.cos(angle / 2)
 
 
-def arm_urdf(arm, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:
+def arm_urdf(arm: ArmParameters, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:
     """URDF of an arm.
 
     Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.  The
@@ -138,7 +113,14 @@ def arm_urdf(arm, inertial: bool = True, colours: Sequence[str] = COLOURS) -> st
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding='unicode') + '\n'
 
 
-def _link(robot, name, arm, index, radius, inertial) -> None:
+def _link(
+    robot: ElementTree.Element,
+    name: str,
+    arm: ArmParameters,
+    index: int,
+    radius: float,
+    inertial: bool,
+) -> None:
     link = ElementTree.SubElement(robot, 'link', name=name)
     if inertial:
         _inertial(link, arm, index)
@@ -147,7 +129,7 @@ def _link(robot, name, arm, index, radius, inertial) -> None:
     _cylinder(link, f'{name}_colour', 1.4 * radius, 2.6 * radius, (0.0, 0.0, 0.0), pitch=False)
 
 
-def _inertial(link, arm, index) -> None:
+def _inertial(link: ElementTree.Element, arm: ArmParameters, index: int) -> None:
     described = arm.links[index]
     inertia = described.inertia
     if arm.inertia_reference == 'joint':
@@ -174,7 +156,14 @@ def _inertial(link, arm, index) -> None:
     )
 
 
-def _cylinder(link, material, radius, length, xyz, pitch) -> None:
+def _cylinder(
+    link: ElementTree.Element,
+    material: str,
+    radius: float,
+    length: float,
+    xyz: Sequence[float],
+    pitch: bool,
+) -> None:
     """A visual along x (``pitch``), or along the joint axis y."""
     visual = ElementTree.SubElement(link, 'visual')
     _origin(visual, xyz, (0.0, math.pi / 2, 0.0) if pitch else (math.pi / 2, 0.0, 0.0))
@@ -183,7 +172,15 @@ def _cylinder(link, material, radius, length, xyz, pitch) -> None:
     ElementTree.SubElement(visual, 'material', name=material)
 
 
-def _joint(robot, arm, index, parent, child, xyz, pitch) -> None:
+def _joint(
+    robot: ElementTree.Element,
+    arm: ArmParameters,
+    index: int,
+    parent: str,
+    child: str,
+    xyz: Sequence[float],
+    pitch: float,
+) -> None:
     joint = ElementTree.SubElement(robot, 'joint', name=arm.joint_names[index], type='continuous')
     _ends(joint, parent, child)
     _origin(joint, xyz, (0.0, pitch, 0.0))
@@ -200,16 +197,18 @@ def _joint(robot, arm, index, parent, child, xyz, pitch) -> None:
     )
 
 
-def _ends(joint, parent, child) -> None:
+def _ends(joint: ElementTree.Element, parent: str, child: str) -> None:
     ElementTree.SubElement(joint, 'parent', link=parent)
     ElementTree.SubElement(joint, 'child', link=child)
 
 
-def _origin(element, xyz, rpy=(0.0, 0.0, 0.0)) -> None:
+def _origin(
+    element: ElementTree.Element, xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)
+) -> None:
     ElementTree.SubElement(
         element, 'origin', xyz=' '.join(map(_text, xyz)), rpy=' '.join(map(_text, rpy))
     )
 
 
-def _text(value):
+def _text(value: float) -> str:
     return repr(float(value)) if value else '0'

@@ -13,10 +13,22 @@ import numpy as np
 
 from lpv_core.support.config import Section, read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.jit import njit
+from lpv_core.support.records import new_record, record_type
 
-# Layout of the flat parameter vector that the compiled functions take.
-A_11, B_12, C_22, O_12, G_1, G_2, VISC_1, VISC_2, COUL_1, COUL_2, COUL_SLOPE, CORIOLIS = range(12)
+ARM_CONSTANTS = record_type(
+    ('inertia', 'f8', (2,)),  # Xi_11 and Xi_22 of eq. (5) [kg m2]
+    ('coupling', 'f8'),  # m2 L1 Lc2, the part of Xi_12 that cos(theta1 - theta2) scales [kg m2]
+    ('rotor_coupling', 'f8'),  # the constant part of Xi_12 [kg m2]
+    ('gravity', 'f8', (2,)),  # G_i: largest gravity torque of each angle [N m]
+    ('viscous', 'f8', (2,)),  # joint friction [N m s/rad]
+    ('coulomb', 'f8', (2,)),  # joint friction [N m]
+    ('coulomb_slope', 'f8'),  # steepness of its sign change [s/rad]
+    ('coriolis', 'f8'),  # 1, or 0 without the quadratic term O(theta, theta')
+)
+"""Constants of eqs. (1)-(3) for compiled functions."""
 N_CONSTANTS = 12
+"""Numbers in `ARM_CONSTANTS`; each is linear in masses, inertias, payload and friction."""
 
 
 @dataclass(frozen=True)
@@ -128,17 +140,17 @@ class ArmParameters:
     sample_time: float = 0.002
 
     @property
-    def lengths(self):
+    def lengths(self) -> tuple[float, float]:
         """Link lengths (L1, L2) [m]."""
         return self.links[0].length, self.links[1].length
 
     @property
-    def sign(self):
+    def sign(self) -> float:
         """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
         return 1.0 if self.orientation == 'upright' else -1.0
 
-    def constants(self, coriolis: bool = True) -> np.ndarray:
-        """Constants of eqs. (2)-(3) in the layout that the compiled functions take.
+    def constants(self, coriolis: bool = True) -> np.record:
+        """Constants of eqs. (2)-(3), as compiled functions take them.
 
         The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
         eq. (2), is m2*L1^2, which is used here.  The rotor terms are those of motors on the
@@ -151,30 +163,31 @@ class ArmParameters:
 
         Returns
         -------
-        ndarray, shape (12,)
-            ``[Xi11, m2*L1*Lc2, Xi22, rotor coupling, gravity 1, gravity 2, friction..., flag]``.
+        numpy.record
+            Of type `ARM_CONSTANTS`.
         """
         one, two = self.links
         inertia_1, inertia_2 = one.inertia, two.inertia
         if self.inertia_reference == 'center_of_mass':
             inertia_1 += one.mass * one.center_of_mass**2
             inertia_2 += two.mass * two.center_of_mass**2
-        ratio, rotor = self.gear_ratio, self.rotor_inertia
-        values = np.zeros(N_CONSTANTS)
-        values[A_11] = inertia_1 + two.mass * one.length**2
-        values[B_12] = two.mass * one.length * two.center_of_mass
-        values[C_22] = inertia_2
-        values[G_1] = (one.mass * one.center_of_mass + two.mass * one.length) * self.gravity
-        values[G_2] = two.mass * two.center_of_mass * self.gravity
+        inertia_1 += two.mass * one.length**2
         # J^T R J for R = Ir*[[gr^2+1, -gr], [-gr, gr^2]] in joint coordinates, q' = J theta'.
-        values[A_11] += rotor * (2 * ratio**2 + 2 * ratio + 1)
-        values[O_12] = -rotor * ratio * (ratio + 1)
-        values[C_22] += rotor * ratio**2
-        values[VISC_1], values[VISC_2] = self.viscous
-        values[COUL_1], values[COUL_2] = self.coulomb
-        values[COUL_SLOPE] = self.coulomb_slope
-        values[CORIOLIS] = 1.0 if coriolis else 0.0
-        return values
+        ratio, rotor = self.gear_ratio, self.rotor_inertia
+        inertia_1 += rotor * (2 * ratio**2 + 2 * ratio + 1)
+        inertia_2 += rotor * ratio**2
+        moment_1 = one.mass * one.center_of_mass + two.mass * one.length
+        return new_record(
+            ARM_CONSTANTS,
+            inertia=(inertia_1, inertia_2),
+            coupling=two.mass * one.length * two.center_of_mass,
+            rotor_coupling=-rotor * ratio * (ratio + 1),
+            gravity=(moment_1 * self.gravity, two.mass * two.center_of_mass * self.gravity),
+            viscous=self.viscous,
+            coulomb=self.coulomb,
+            coulomb_slope=self.coulomb_slope,
+            coriolis=coriolis,
+        )
 
     def with_payload(self, mass: float) -> ArmParameters:
         """Return this arm with a point mass at its tip.
@@ -227,19 +240,43 @@ class ArmParameters:
         )
         return replace(self, links=links)
 
-    def is_physical(self):
+    def is_physical(self) -> bool:
         """Whether Xi is positive definite in every configuration; identified links need not be."""
         values = self.constants()
-        coupling = abs(values[O_12]) + values[B_12]
-        return bool(values[A_11] * values[C_22] > coupling**2)
+        coupling = abs(values.rotor_coupling) + values.coupling
+        return bool(values.inertia[0] * values.inertia[1] > coupling**2)
 
-    def to_json(self):
+    def to_json(self) -> str:
         """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
         return json.dumps(asdict(self), sort_keys=True)
 
-    def sha256(self):
+    def sha256(self) -> str:
         """Hash of every parameter: gains carry it, so that they fit one arm only."""
         return sha256_of(asdict(self))
+
+
+def constants_vector(constants: np.record) -> np.ndarray:
+    """Numbers of `ARM_CONSTANTS` in their order, for what is linear in all of them."""
+    return np.concatenate([np.ravel(constants[name]) for name in ARM_CONSTANTS.names or ()])
+
+
+def vector_slice(name: str) -> slice:
+    """Where a field of `ARM_CONSTANTS` is in `constants_vector`."""
+    assert ARM_CONSTANTS.fields is not None
+    kind, offset = ARM_CONSTANTS.fields[name][:2]
+    return slice(offset // 8, (offset + kind.itemsize) // 8)
+
+
+@njit
+def set_constants(constants: np.record, vector: np.ndarray) -> None:
+    """Fill a record of type `ARM_CONSTANTS` from `constants_vector`."""
+    for i in range(2):
+        constants.inertia[i] = vector[i]
+        constants.gravity[i] = vector[4 + i]
+        constants.viscous[i] = vector[6 + i]
+        constants.coulomb[i] = vector[8 + i]
+    constants.coupling, constants.rotor_coupling = vector[2], vector[3]
+    constants.coulomb_slope, constants.coriolis = vector[10], vector[11]
 
 
 def arm_from_json(text: str) -> ArmParameters:
@@ -263,12 +300,10 @@ def arm_from_json(text: str) -> ArmParameters:
     try:
         data = json.loads(text)
         data['links'] = tuple(Link(**link) for link in data['links'])
-        return ArmParameters(
-            **{
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in data.items()
-            }
-        )
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in data.items()
+        }
+        return ArmParameters(**fields)
     except (ValueError, TypeError, KeyError) as error:
         raise ConfigError('arm', f'is not the description of an arm ({error})') from error
 
@@ -315,7 +350,10 @@ def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
         As `load_arm`.
     """
     top = Section(data, source)
-    fields = {'name': top.text('name'), 'gravity': top.number('gravity', 9.81, above=0.0)}
+    fields: dict[str, Any] = {
+        'name': top.text('name'),
+        'gravity': top.number('gravity', 9.81, above=0.0),
+    }
     fields['inertia_reference'] = top.text(
         'inertia_reference', 'center_of_mass', ('center_of_mass', 'joint')
     )
@@ -337,7 +375,7 @@ def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
     return arm
 
 
-def _check_inertia(arm, top) -> None:
+def _check_inertia(arm: ArmParameters, top: Section) -> None:
     if not arm.is_physical():
         raise top.error(
             'links',
@@ -346,7 +384,7 @@ def _check_inertia(arm, top) -> None:
         )
 
 
-def _links(top):
+def _links(top: Section) -> tuple[Link, Link]:
     sections = top.sections('links')
     if len(sections) != 2:
         raise top.error('links', f'must describe exactly two links, got {len(sections)}')
@@ -360,10 +398,10 @@ def _links(top):
         )
         section.finish()
         links.append(link)
-    return tuple(links)
+    return links[0], links[1]
 
 
-def _drive(top):
+def _drive(top: Section) -> dict[str, Any]:
     rotor = top.section('rotor', required=False)
     friction = top.section('friction', required=False)
     fields = {
@@ -379,7 +417,7 @@ def _drive(top):
     return fields
 
 
-def _joints_and_sensors(top):
+def _joints_and_sensors(top: Section) -> dict[str, Any]:
     joints = top.section('joints')
     sensors = top.section('sensors')
     fields = {
@@ -397,7 +435,7 @@ def _joints_and_sensors(top):
     return fields
 
 
-def _disturbance(top):
+def _disturbance(top: Section) -> dict[str, Any]:
     section = top.section('disturbance')
     fields = {
         'disturbance_direction': section.pair('direction'),

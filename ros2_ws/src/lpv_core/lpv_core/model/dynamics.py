@@ -3,45 +3,33 @@
 ``Xi(theta) theta'' + O(theta, theta') theta' + g(theta) + friction = Q + Xi(theta) Bd2 d``
 
 Eq. (3) of the paper lost a factor g in its gravity term; eq. (7) has it, and so has this module.
-All functions take the flat constants of :meth:`lpv_core.model.arm.ArmParameters.constants` as ``c``.
+All functions take the record of :meth:`lpv_core.model.arm.ArmParameters.constants` as ``params``.
 """
 
 import math
 
-from lpv_core.model.arm import (
-    A_11,
-    B_12,
-    C_22,
-    CORIOLIS,
-    COUL_1,
-    COUL_2,
-    COUL_SLOPE,
-    G_1,
-    G_2,
-    O_12,
-    VISC_1,
-    VISC_2,
-)
+import numpy as np
+
 from lpv_core.support.jit import njit
 
 _TWO_OVER_PI = 2.0 / math.pi
 
 
 @njit
-def coupling(theta_1, theta_2, params):
+def coupling(theta_1: float, theta_2: float, params: np.record) -> float:
     """Off-diagonal inertia Xi12 = o + m2*L1*Lc2*phi1, phi1 = cos(theta1 - theta2), eq. (6)."""
-    return params[O_12] + params[B_12] * math.cos(theta_1 - theta_2)
+    return params.rotor_coupling + params.coupling * math.cos(theta_1 - theta_2)
 
 
 @njit
-def friction(rate_1: float, rate_2: float, params) -> tuple[float, ...]:
+def friction(rate_1: float, rate_2: float, params: np.record) -> tuple[float, ...]:
     """Joint friction as generalised torques of the absolute angles.
 
     Parameters
     ----------
     rate_1, rate_2 : float
         Absolute rates theta' [rad/s]; joint rates are (rate_1, rate_2 - rate_1).
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -50,11 +38,11 @@ def friction(rate_1: float, rate_2: float, params) -> tuple[float, ...]:
         J^T tau_f [N m].
     """
     relative = rate_2 - rate_1
-    tau_1 = params[VISC_1] * rate_1 + params[COUL_1] * _TWO_OVER_PI * math.atan(
-        params[COUL_SLOPE] * rate_1
+    tau_1 = params.viscous[0] * rate_1 + params.coulomb[0] * _TWO_OVER_PI * math.atan(
+        params.coulomb_slope * rate_1
     )
-    tau_2 = params[VISC_2] * relative + params[COUL_2] * _TWO_OVER_PI * math.atan(
-        params[COUL_SLOPE] * relative
+    tau_2 = params.viscous[1] * relative + params.coulomb[1] * _TWO_OVER_PI * math.atan(
+        params.coulomb_slope * relative
     )
     return tau_1 - tau_2, tau_2
 
@@ -67,7 +55,7 @@ def acceleration(
     rate_2: float,
     torque_1: float,
     torque_2: float,
-    params,
+    params: np.record,
 ) -> tuple[float, ...]:
     """Absolute accelerations without disturbance, eq. (1) solved for theta''.
 
@@ -79,7 +67,7 @@ def acceleration(
         Absolute rates [rad/s].
     torque_1, torque_2 : float
         Generalised torques Q [N m].
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -89,19 +77,29 @@ def acceleration(
     """
     off = coupling(theta_1, theta_2, params)
     friction_1, friction_2 = friction(rate_1, rate_2, params)
-    swirl = params[CORIOLIS] * params[B_12] * math.sin(theta_1 - theta_2)
-    force_1 = torque_1 - friction_1 - swirl * rate_2 * rate_2 + params[G_1] * math.sin(theta_1)
-    force_2 = torque_2 - friction_2 + swirl * rate_1 * rate_1 + params[G_2] * math.sin(theta_2)
-    det = params[A_11] * params[C_22] - off * off
+    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
+    force_1 = (
+        torque_1 - friction_1 - swirl * rate_2 * rate_2 + params.gravity[0] * math.sin(theta_1)
+    )
+    force_2 = (
+        torque_2 - friction_2 + swirl * rate_1 * rate_1 + params.gravity[1] * math.sin(theta_2)
+    )
+    det = params.inertia[0] * params.inertia[1] - off * off
     return (
-        (params[C_22] * force_1 - off * force_2) / det,
-        (params[A_11] * force_2 - off * force_1) / det,
+        (params.inertia[1] * force_1 - off * force_2) / det,
+        (params.inertia[0] * force_2 - off * force_1) / det,
     )
 
 
 @njit
 def inverse_dynamics(
-    theta_1: float, theta_2: float, rate_1: float, rate_2: float, acc_1: float, acc_2: float, params
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    acc_1: float,
+    acc_2: float,
+    params: np.record,
 ) -> tuple[float, ...]:
     """Generalised torques Q that produce the given motion (feed-forward), eq. (1).
 
@@ -109,7 +107,7 @@ def inverse_dynamics(
     ----------
     theta_1, theta_2, rate_1, rate_2, acc_1, acc_2 : float
         Absolute angles, rates and accelerations [rad], [rad/s], [rad/s2].
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -119,36 +117,48 @@ def inverse_dynamics(
     """
     off = coupling(theta_1, theta_2, params)
     friction_1, friction_2 = friction(rate_1, rate_2, params)
-    swirl = params[CORIOLIS] * params[B_12] * math.sin(theta_1 - theta_2)
+    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
     return (
-        params[A_11] * acc_1
+        params.inertia[0] * acc_1
         + off * acc_2
         + swirl * rate_2 * rate_2
-        - params[G_1] * math.sin(theta_1)
+        - params.gravity[0] * math.sin(theta_1)
         + friction_1,
         off * acc_1
-        + params[C_22] * acc_2
+        + params.inertia[1] * acc_2
         - swirl * rate_1 * rate_1
-        - params[G_2] * math.sin(theta_2)
+        - params.gravity[1] * math.sin(theta_2)
         + friction_2,
     )
 
 
 @njit
-def energy(theta_1, theta_2, rate_1, rate_2, params):
+def energy(
+    theta_1: float, theta_2: float, rate_1: float, rate_2: float, params: np.record
+) -> float:
     """Kinetic plus potential energy [J]; conserved without torque, friction and disturbance."""
     off = coupling(theta_1, theta_2, params)
-    kinetic = 0.5 * (params[A_11] * rate_1 * rate_1 + params[C_22] * rate_2 * rate_2)
+    kinetic = 0.5 * (params.inertia[0] * rate_1 * rate_1 + params.inertia[1] * rate_2 * rate_2)
     return (
         kinetic
         + off * rate_1 * rate_2
-        + params[G_1] * math.cos(theta_1)
-        + params[G_2] * math.cos(theta_2)
+        + params.gravity[0] * math.cos(theta_1)
+        + params.gravity[1] * math.cos(theta_2)
     )
 
 
 @njit
-def _nonlinear_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, params):
+def _nonlinear_rates(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    torque_1: float,
+    torque_2: float,
+    push_1: float,
+    push_2: float,
+    params: np.record,
+) -> tuple[float, float, float, float]:
     acc_1, acc_2 = acceleration(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, params)
     return rate_1, rate_2, acc_1 + push_1, acc_2 + push_2
 
@@ -164,7 +174,7 @@ def rk4_step(
     push_1: float,
     push_2: float,
     dt: float,
-    params,
+    params: np.record,
 ) -> tuple[float, ...]:
     """Advance the nonlinear arm by one Runge-Kutta step with torques held.
 
@@ -178,7 +188,7 @@ def rk4_step(
         Acceleration Bd*d of the disturbance, eq. (31) [rad/s2].
     dt : float
         Step [s].
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns

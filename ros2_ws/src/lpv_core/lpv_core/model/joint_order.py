@@ -18,27 +18,11 @@ class JointOrder:
 
     def __init__(self, joint_names: Sequence[str]) -> None:
         self._wanted = tuple(joint_names)
-        self._names = None
-        self._index = None
+        self._names: tuple[str, ...] = ()
+        self._index: tuple[int, ...] = ()
 
     def indices(self, names: Sequence[str]) -> tuple[int, ...]:
-        """Positions of the arm's joints among ``names``; remembered while names stay the same.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Names of a message.
-
-        Returns
-        -------
-        tuple of int
-            Index of each joint of the arm.
-
-        Raises
-        ------
-        SampleError
-            If a joint is missing or occurs twice.
-        """
+        """Positions of the arm's joints among ``names``; remembered while names stay the same."""
         names = tuple(names)
         if names != self._names:
             for joint in self._wanted:
@@ -51,7 +35,7 @@ class JointOrder:
             self._names = names
         return self._index
 
-    def pick(self, message) -> tuple[list[Any], ...]:
+    def pick(self, message: Any) -> tuple[list[Any], ...]:
         """Positions, rates and efforts of the arm's joints.
 
         Parameters

@@ -16,7 +16,9 @@ Q = J^T tau, that is Q1 = tau1 - tau2 and Q2 = tau2.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
 
@@ -39,22 +41,7 @@ J^-1."""
 
 @njit
 def row_dot(matrix: np.ndarray, row: int, first: float, second: float) -> float:
-    """One row of matrix @ (first, second), leaving zero coefficients out as `JointMap` does.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (2, 2)
-        The matrix.
-    row : int
-        Which row.
-    first, second : float
-        The vector.
-
-    Returns
-    -------
-    float
-        The product.
-    """
+    """One row of matrix @ (first, second), leaving zero coefficients out as `JointMap` does."""
     if matrix[row, 0] == 0.0:
         return matrix[row, 1] * second
     if matrix[row, 1] == 0.0:
@@ -66,28 +53,11 @@ def row_dot(matrix: np.ndarray, row: int, first: float, second: float) -> float:
 def joint_angle(
     params: np.record, matrix: np.ndarray, row: int, first: float, second: float
 ) -> float:
-    """Joint position from angles or readings: one row of matrix @ (first, second), less the zero.
-
-    Parameters
-    ----------
-    params : numpy.record
-        Of type `JOINT_MAP`.
-    matrix : ndarray, shape (2, 2)
-        Its ``j`` for absolute angles, its ``to_joint`` for readings of the sensors.
-    row : int
-        Which joint.
-    first, second : float
-        Angles or readings [rad].
-
-    Returns
-    -------
-    float
-        [rad].
-    """
+    """Joint position: one row of matrix @ (first, second), less the zero."""
     return row_dot(matrix, row, first, second) - (params.zero if row == 0 else 0.0)
 
 
-def _apply(matrix, values):
+def _apply(matrix: np.ndarray, values: ArrayLike) -> np.ndarray:
     """matrix @ values over the last axis, leaving zero coefficients out.
 
     A sensor that delivers NaN must not spoil readings that do not depend on it: 0*NaN is NaN.
@@ -114,20 +84,14 @@ class JointMap:
         S of s = S theta.
     """
 
-    def __init__(self, arm) -> None:
+    def __init__(self, arm: ArmParameters) -> None:
         self._zero = np.array([arm.zero_angle, 0.0])
         self.sensor_matrix = np.eye(2) if arm.arrangement == 'absolute' else J.copy()
         self._from_joint = self.sensor_matrix @ J_INVERSE
         self._to_joint = J @ np.linalg.inv(self.sensor_matrix)
 
     def record(self) -> np.record:
-        """The matrices for compiled functions.
-
-        Returns
-        -------
-        numpy.record
-            Of type `JOINT_MAP`.
-        """
+        """The matrices for compiled functions."""
         return new_record(
             JOINT_MAP,
             zero=self._zero[0],
@@ -139,42 +103,42 @@ class JointMap:
             j_inverse=J_INVERSE,
         )
 
-    def absolute_position(self, joint):
+    def absolute_position(self, joint: ArrayLike) -> np.ndarray:
         """Absolute angles [rad] from joint positions [rad]."""
         return _apply(J_INVERSE, np.asarray(joint, float) + self._zero)
 
-    def joint_position(self, absolute):
+    def joint_position(self, absolute: ArrayLike) -> np.ndarray:
         """Joint positions [rad] from absolute angles [rad]."""
         return _apply(J, absolute) - self._zero
 
-    def absolute_velocity(self, joint):
+    def absolute_velocity(self, joint: ArrayLike) -> np.ndarray:
         """Absolute rates from joint rates; also accelerations [rad/s], [rad/s2]."""
         return _apply(J_INVERSE, joint)
 
-    def joint_velocity(self, absolute):
+    def joint_velocity(self, absolute: ArrayLike) -> np.ndarray:
         """Joint rates from absolute rates; also accelerations [rad/s], [rad/s2]."""
         return _apply(J, absolute)
 
-    def absolute_torque(self, joint):
+    def absolute_torque(self, joint: ArrayLike) -> np.ndarray:
         """Generalised torques Q of the absolute angles from joint torques tau [N m]."""
         return _apply(J.T, joint)
 
-    def joint_torque(self, absolute):
+    def joint_torque(self, absolute: ArrayLike) -> np.ndarray:
         """Joint torques tau from generalised torques Q of the absolute angles [N m]."""
         return _apply(J_INVERSE.T, absolute)
 
-    def sensor_position(self, joint):
+    def sensor_position(self, joint: ArrayLike) -> np.ndarray:
         """Readings S theta of the physical sensors [rad] from joint positions [rad]."""
         return _apply(self._from_joint, np.asarray(joint, float) + self._zero)
 
-    def joint_from_sensor(self, sensor):
+    def joint_from_sensor(self, sensor: ArrayLike) -> np.ndarray:
         """Joint positions [rad] from readings of the physical sensors [rad]."""
         return _apply(self._to_joint, sensor) - self._zero
 
-    def sensor_velocity(self, joint):
+    def sensor_velocity(self, joint: ArrayLike) -> np.ndarray:
         """Rates S theta' [rad/s] from joint rates [rad/s]."""
         return _apply(self._from_joint, joint)
 
-    def joint_velocity_from_sensor(self, sensor):
+    def joint_velocity_from_sensor(self, sensor: ArrayLike) -> np.ndarray:
         """Joint rates [rad/s] from rates S theta' [rad/s]."""
         return _apply(self._to_joint, sensor)

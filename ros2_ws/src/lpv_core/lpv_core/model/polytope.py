@@ -18,7 +18,7 @@ from itertools import product
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.jit import njit
 
 PHI_1_RANGE = (-1.0, 1.0)
@@ -29,7 +29,7 @@ PUBLISHED_SINC_RANGE = (-0.2, 1.0)
 
 
 @njit
-def sinc(angle):
+def sinc(angle: float) -> float:
     """sin(angle)/angle with its limit 1 at 0, eq. (9)."""
     if abs(angle) < 1e-4:
         return 1.0 - angle * angle / 6.0
@@ -38,18 +38,7 @@ def sinc(angle):
 
 @njit
 def paper_scheduling(theta_1: float, theta_2: float) -> tuple[float, ...]:
-    """Scheduling variables (phi1, phi2, phi3) of eqs. (6) and (9).
-
-    Parameters
-    ----------
-    theta_1, theta_2 : float
-        Absolute angles [rad].
-
-    Returns
-    -------
-    tuple of float
-        phi1, phi2, phi3.
-    """
+    """Scheduling variables (phi1, phi2, phi3) of eqs. (6) and (9)."""
     return math.cos(theta_1 - theta_2), sinc(theta_1), sinc(theta_2)
 
 
@@ -103,30 +92,19 @@ def paper_vertices(box: np.ndarray) -> np.ndarray:
 
 
 def sinc_box(s_min: float, s_max: float = 1.0) -> np.ndarray:
-    """Return the box with phi2, phi3 in [s_min, s_max] and phi1 in [-1, 1].
-
-    Parameters
-    ----------
-    s_min, s_max : float
-        Range of the two sincs.
-
-    Returns
-    -------
-    ndarray, shape (3, 2)
-        The box.
-    """
+    """Return the box with phi2, phi3 in [s_min, s_max] and phi1 in [-1, 1]."""
     return np.array([PHI_1_RANGE, (s_min, s_max), (s_min, s_max)])
 
 
 # ------------------------------------------------------------------ the exact polytope
 
 
-def inverse_inertia_quadrangle(params: np.ndarray) -> np.ndarray:
+def inverse_inertia_quadrangle(params: np.record) -> np.ndarray:
     """Quadrangle that contains (1/det Xi, Xi12/det Xi) for every configuration.
 
     Parameters
     ----------
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -134,18 +112,18 @@ def inverse_inertia_quadrangle(params: np.ndarray) -> np.ndarray:
     ndarray, shape (4, 2)
         Corners in circular order: end of the arc, two tangent intersections, other end.
     """
-    low, high = params[O_12] - params[B_12], params[O_12] + params[B_12]
+    low, high = params.rotor_coupling - params.coupling, params.rotor_coupling + params.coupling
     middle = 0.5 * (low + high)
 
-    def point(state):
-        det = params[A_11] * params[C_22] - state * state
+    def point(state: float) -> np.ndarray:
+        det = params.inertia[0] * params.inertia[1] - state * state
         return np.array([1.0 / det, state / det])
 
-    def tangent(state):
-        det = params[A_11] * params[C_22] - state * state
+    def tangent(state: float) -> np.ndarray:
+        det = params.inertia[0] * params.inertia[1] - state * state
         return np.array([2.0 * state / det**2, (det + 2.0 * state * state) / det**2])
 
-    def intersection(state, r):
+    def intersection(state: float, r: float) -> np.ndarray:
         p, q = point(state), point(r)
         step = np.linalg.solve(np.column_stack([tangent(state), -tangent(r)]), q - p)
         return p + step[0] * tangent(state)
@@ -155,26 +133,15 @@ def inverse_inertia_quadrangle(params: np.ndarray) -> np.ndarray:
     )
 
 
-def slope_range(arm) -> tuple[np.ndarray, ...]:
-    """Range of the gravity slopes cos(theta_i) in the arm's operating region.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Its ``orientation`` and ``cos_min``.
-
-    Returns
-    -------
-    tuple of ndarray
-        Lower and upper ends, shape (2,) each.
-    """
+def slope_range(arm: ArmParameters) -> tuple[np.ndarray, ...]:
+    """Range of the gravity slopes cos(theta_i) in the arm's operating region."""
     near = np.array(arm.cos_min)
     if arm.orientation == 'upright':
         return near, np.ones(2)
     return -np.ones(2), -near
 
 
-def exact_vertices(arm) -> np.ndarray:
+def exact_vertices(arm: ArmParameters) -> np.ndarray:
     """Vertices of the exact polytope.
 
     Parameters
@@ -194,14 +161,14 @@ def exact_vertices(arm) -> np.ndarray:
     )
 
 
-def exact_state_space(vertex: Sequence[float], params: np.ndarray) -> tuple[np.ndarray, ...]:
+def exact_state_space(vertex: Sequence[float], params: np.record) -> tuple[np.ndarray, ...]:
     """State matrices of the error dynamics at one vertex of the exact polytope.
 
     Parameters
     ----------
     vertex : sequence of four floats
         (1/det Xi, Xi12/det Xi, cos xi_1, cos xi_2).
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -210,10 +177,10 @@ def exact_state_space(vertex: Sequence[float], params: np.ndarray) -> tuple[np.n
         A, shape (4, 4), and B, shape (4, 2); cf. eqs. (27), (28).
     """
     x, y, cos_1, cos_2 = vertex
-    inverse = np.array([[params[C_22] * x, -y], [-y, params[A_11] * x]])
+    inverse = np.array([[params.inertia[1] * x, -y], [-y, params.inertia[0] * x]])
     a = np.zeros((4, 4))
     a[:2, 2:] = np.eye(2)
-    a[2:, :2] = inverse @ np.diag([params[G_1] * cos_1, params[G_2] * cos_2])
+    a[2:, :2] = inverse @ np.diag([params.gravity[0] * cos_1, params.gravity[1] * cos_2])
     b = np.zeros((4, 2))
     b[2:] = inverse
     return a, b

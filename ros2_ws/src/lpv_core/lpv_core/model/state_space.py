@@ -2,20 +2,20 @@
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, B_12, C_22, G_1, G_2, O_12
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_core.model.polytope import paper_scheduling, paper_vertices, paper_weights
 from lpv_core.support.jit import njit
 
 
-def inertia_matrix(phi_1: float, params: np.ndarray) -> np.ndarray:
+def inertia_matrix(phi_1: float, params: np.record) -> np.ndarray:
     """Xi(phi1) of eq. (5), with m2*L1^2 in its (1, 1) element.
 
     Parameters
     ----------
     phi_1 : float
         cos(theta1 - theta2).
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -23,18 +23,18 @@ def inertia_matrix(phi_1: float, params: np.ndarray) -> np.ndarray:
     ndarray, shape (2, 2)
         Inertia [kg m2].
     """
-    off = params[O_12] + params[B_12] * phi_1
-    return np.array([[params[A_11], off], [off, params[C_22]]])
+    off = params.rotor_coupling + params.coupling * phi_1
+    return np.array([[params.inertia[0], off], [off, params.inertia[1]]])
 
 
-def gravity_matrix(phi_2: float, phi_3: float, params: np.ndarray) -> np.ndarray:
+def gravity_matrix(phi_2: float, phi_3: float, params: np.record) -> np.ndarray:
     """G^g of eq. (8), with g(theta) = G^g theta.
 
     Parameters
     ----------
     phi_2, phi_3 : float
         sinc(theta1), sinc(theta2).
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -42,17 +42,17 @@ def gravity_matrix(phi_2: float, phi_3: float, params: np.ndarray) -> np.ndarray
     ndarray, shape (2, 2)
         [N m/rad].
     """
-    return -np.diag([params[G_1] * phi_2, params[G_2] * phi_3])
+    return -np.diag([params.gravity[0] * phi_2, params.gravity[1] * phi_3])
 
 
-def vertex_matrices(box: np.ndarray, params: np.ndarray) -> tuple[np.ndarray, ...]:
+def vertex_matrices(box: np.ndarray, params: np.record) -> tuple[np.ndarray, ...]:
     """A_i and B_i of eqs. (22)-(24), (27), (28) at the eight vertices.
 
     Parameters
     ----------
     box : array_like, shape (3, 2)
         Ranges of phi1, phi2, phi3.
-    params : ndarray, shape (12,)
+    params : numpy.record
         Constants of the arm.
 
     Returns
@@ -73,7 +73,7 @@ def vertex_matrices(box: np.ndarray, params: np.ndarray) -> tuple[np.ndarray, ..
     return a, b
 
 
-def output_matrices(arm) -> tuple[np.ndarray, ...]:
+def output_matrices(arm: ArmParameters) -> tuple[np.ndarray, ...]:
     """C and Df of eqs. (29), (30) for the arm's sensor arrangement.
 
     Outputs are the two physical position sensors and the matching rates,
@@ -96,7 +96,7 @@ def output_matrices(arm) -> tuple[np.ndarray, ...]:
     return c, np.vstack([np.eye(2), np.zeros((2, 2))])
 
 
-def disturbance_matrix(arm):
+def disturbance_matrix(arm: ArmParameters) -> np.ndarray:
     """Bd of eq. (31), shape (4, 1)."""
     return np.array([[0.0], [0.0], *[[v] for v in arm.disturbance_direction]])
 
@@ -120,7 +120,7 @@ class Descriptor:
         prints Bf~ = [0; I_n]; its identity has the size of f.
     """
 
-    def __init__(self, a: np.ndarray, b: np.ndarray, arm) -> None:
+    def __init__(self, a: np.ndarray, b: np.ndarray, arm: ArmParameters) -> None:
         h = len(a)
         c, df = output_matrices(arm)
         self.e = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
@@ -197,10 +197,10 @@ def lpv_rk4_step(
     push_1: float,
     push_2: float,
     dt: float,
-    a,
-    b,
-    box,
-    rho,
+    a: np.ndarray,
+    b: np.ndarray,
+    box: np.ndarray,
+    rho: np.ndarray,
 ) -> tuple[float, ...]:
     """Advance the LPV plant (25) by one Runge-Kutta step with torques held.
 

@@ -25,7 +25,6 @@ import math
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, B_12, C_22
 from lpv_core.model.dynamics import acceleration, coupling
 from lpv_core.support.jit import njit
 
@@ -34,17 +33,17 @@ from lpv_core.support.jit import njit
 def _rates(theta_1, theta_2, rate_1, rate_2, v_1, v_2, torque, kappa_1, kappa_2, mu, arm):
     r_1, r_2 = rate_1 - v_1, rate_2 - v_2
     off = coupling(theta_1, theta_2, arm)
-    turning = -arm[B_12] * math.sin(theta_1 - theta_2) * (v_1 - v_2)  # rate of Xi12
-    p_1, p_2 = arm[A_11] * r_1 + off * r_2, off * r_1 + arm[C_22] * r_2
+    turning = -arm.coupling * math.sin(theta_1 - theta_2) * (v_1 - v_2)  # rate of Xi12
+    p_1, p_2 = arm.inertia[0] * r_1 + off * r_2, off * r_1 + arm.inertia[1] * r_2
     c_1, c_2 = mu[0] * p_1 + turning * r_2, mu[1] * p_2 + turning * r_1
-    det = arm[A_11] * arm[C_22] - off * off
+    det = arm.inertia[0] * arm.inertia[1] - off * off
     # Measured rates feed friction and Coriolis terms: no fault in them.
     a_1, a_2 = acceleration(theta_1, theta_2, v_1, v_2, torque[0], torque[1], arm)
     return (
         v_1 - kappa_1 * p_1,
         v_2 - kappa_2 * p_2,
-        a_1 - (arm[C_22] * c_1 - off * c_2) / det,
-        a_2 - (arm[A_11] * c_2 - off * c_1) / det,
+        a_1 - (arm.inertia[1] * c_1 - off * c_2) / det,
+        a_2 - (arm.inertia[0] * c_2 - off * c_1) / det,
     )
 
 
@@ -81,7 +80,7 @@ def exact_step(
         s*kappa_i [1/(kg m2)]; the sign of the region is in it.
     mu : ndarray, shape (2,)
         mu_i [1/s].
-    arm : ndarray, shape (12,)
+    arm : numpy.record
         Constants of the arm.
     slope_low, slope_high : ndarray, shape (2,)
         Certified range of cos(theta_i).
@@ -134,7 +133,7 @@ def output_injection(
         s*kappa_i.
     mu : ndarray, shape (2,)
         mu_i.
-    arm : ndarray, shape (12,)
+    arm : numpy.record
         Constants of the arm.
     sensor_matrix : ndarray, shape (2, 2)
         S.
@@ -145,8 +144,8 @@ def output_injection(
         K at this configuration; its rows for f keep S theta^ + z_f at zero.
     """
     off = coupling(theta[0], theta[1], arm)
-    xi = np.array([[arm[A_11], off], [off, arm[C_22]]])
-    turning = -arm[B_12] * np.sin(theta[0] - theta[1]) * (rates[0] - rates[1])
+    xi = np.array([[arm.inertia[0], off], [off, arm.inertia[1]]])
+    turning = -arm.coupling * np.sin(theta[0] - theta[1]) * (rates[0] - rates[1])
     xi_rate = np.array([[0.0, turning], [turning, 0.0]])
     s_inverse = np.linalg.inv(sensor_matrix)
     k = np.zeros((6, 4))

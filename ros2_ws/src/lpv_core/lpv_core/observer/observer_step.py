@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lpv_core.model.arm import ARM_CONSTANTS
 from lpv_core.model.joints import JOINT_MAP, JointMap, row_dot
 from lpv_core.model.polytope import slope_range
 from lpv_core.model.state_space import Descriptor, output_matrices, vertex_matrices
@@ -22,7 +23,7 @@ _PAPER = record_type(
 RECURSION_CONSTANTS = record_type(
     ('exact', '?'),
     ('joints', JOINT_MAP),
-    ('arm', 'f8', (12,)),
+    ('arm', ARM_CONSTANTS),
     ('kappa', 'f8', (2,)),
     ('mu', 'f8', (2,)),
     ('low', 'f8', (2,)),

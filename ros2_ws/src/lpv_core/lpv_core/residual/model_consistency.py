@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from lpv_core.model.arm import A_11, C_22
+from lpv_core.model.arm import ARM_CONSTANTS
 from lpv_core.model.dynamics import coupling
 from lpv_core.support.jit import njit
 from lpv_core.support.records import NEVER, new_record, record_type
@@ -25,7 +25,7 @@ _HOLD = 1_000_000_000
 
 CONSISTENCY_CONSTANTS = record_type(
     ('used', '?'),
-    ('arm', 'f8', (12,)),
+    ('arm', ARM_CONSTANTS),
     ('inertia', 'f8', (2,)),
     ('noise', 'f8', (len(_FILTERS), 2)),
     ('tolerance', 'f8', (2,)),
@@ -56,7 +56,7 @@ def consistency_test(arm, gains, sigmas: float) -> np.record:
     if gains.observer.method != 'exact':
         return new_record(CONSISTENCY_CONSTANTS)
     constants = arm.constants()
-    inertia = constants[[A_11, C_22]]
+    inertia = constants.inertia
     off = abs(coupling(0.0, 0.0, constants))
     # White rates of both links enter a momentum; relative sensors add theirs up.
     rows = np.hypot(1.0, off / inertia) * (1.0 if arm.arrangement == 'absolute' else math.sqrt(2.0))
@@ -89,7 +89,7 @@ def tolerated_rates(arm, gains) -> np.ndarray:
     ndarray, shape (2,)
         By link [rad/s].
     """
-    inertia = arm.constants()[[A_11, C_22]]
+    inertia = arm.constants().inertia
     return np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv_core.model.arm import ArmParameters
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics, rk4_step
 from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
 from lpv_core.model.polytope import sinc_box
@@ -27,7 +27,7 @@ _LPV = record_type(
 )
 PLANT_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
-    ('arm', 'f8', (12,)),  # constants of the true arm
+    ('arm', ARM_CONSTANTS),  # constants of the true arm
     ('is_lpv', '?'),
     ('lpv', _LPV),  # the paper's plant
     ('sample_time', 'f8'),  # [s]

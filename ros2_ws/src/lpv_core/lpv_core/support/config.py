@@ -3,6 +3,7 @@
 import hashlib
 import math
 import reprlib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ MAX_BYTES = 4 << 20
 class _Loader(yaml.SafeLoader):
     """Safe loader that refuses equal keys: the last one would win in silence."""
 
-    def construct_mapping(self, node, deep: bool = False):
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key, _ in node.value:
             name = key.value if isinstance(key, yaml.ScalarNode) else None
@@ -30,7 +31,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _short(value):
+def _short(value: object) -> str:
     """Text of a value for messages; nested aliases can stand for megabytes."""
     return reprlib.repr(value)
 
@@ -85,7 +86,7 @@ def sha256_of(data: object) -> str:
     return hashlib.sha256(_canonical(data).encode()).hexdigest()
 
 
-def _canonical(data):
+def _canonical(data: object) -> str:
     if isinstance(data, dict):
         return '{' + ','.join(f'{k}:{_canonical(data[k])}' for k in sorted(data)) + '}'
     if isinstance(data, (list, tuple)):
@@ -114,19 +115,19 @@ class Section:
         self._data = data
         self._source = source
         self._prefix = prefix
-        self._seen = set()
+        self._seen: set[str] = set()
 
-    def _name(self, key):
+    def _name(self, key: str) -> str:
         return f'{self._prefix}.{key}' if self._prefix else key
 
-    def error(self, key, reason):
+    def error(self, key: str, reason: str) -> ConfigError:
         """Return the ConfigError for ``key`` (to be raised by the caller)."""
         return ConfigError(self._name(key), reason, self._source)
 
-    def __contains__(self, key) -> bool:
+    def __contains__(self, key: object) -> bool:
         return key in self._data
 
-    def _get(self, key, default):
+    def _get(self, key: str, default: Any) -> Any:
         self._seen.add(key)
         if key in self._data:
             return self._data[key]
@@ -134,11 +135,11 @@ class Section:
             raise self.error(key, 'is missing')
         return default
 
-    def section(self, key, required: bool = True):
+    def section(self, key: str, required: bool = True) -> 'Section':
         """Return the mapping below ``key`` (an empty one if absent and not required)."""
         return Section(self._get(key, _REQUIRED if required else {}), self._source, self._name(key))
 
-    def sections(self, key, default=None):
+    def sections(self, key: str, default: list[Any] | None = None) -> 'list[Section]':
         """Return the list of mappings below ``key``."""
         items = self._get(key, _REQUIRED if default is None else default)
         if not isinstance(items, list):
@@ -147,7 +148,9 @@ class Section:
             Section(item, self._source, f'{self._name(key)}[{i}]') for i, item in enumerate(items)
         ]
 
-    def text(self, key, default=None, choices=None):
+    def text(
+        self, key: str, default: str | None = None, choices: Iterable[str] | None = None
+    ) -> str:
         """Return a string, optionally one of ``choices``."""
         value = self._get(key, _REQUIRED if default is None else default)
         if not isinstance(value, str) or not value:
@@ -156,14 +159,14 @@ class Section:
             raise self.error(key, f'must be one of {", ".join(choices)}; got {_short(value)}')
         return value
 
-    def flag(self, key, default):
+    def flag(self, key: str, default: bool) -> bool:
         """Return a boolean."""
         value = self._get(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f'must be true or false, got {_short(value)}')
         return value
 
-    def integer(self, key, default=None, low=None):
+    def integer(self, key: str, default: int | None = None, low: int | None = None) -> int:
         """Return an integer, not below ``low``."""
         value = self._get(key, _REQUIRED if default is None else default)
         if isinstance(value, bool) or not isinstance(value, int):
@@ -172,12 +175,19 @@ class Section:
             raise self.error(key, f'must be at least {low}, got {value}')
         return value
 
-    def number(self, key, default=None, low=-math.inf, high=math.inf, above=None):
+    def number(
+        self,
+        key: str,
+        default: float | None = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float | None = None,
+    ) -> float:
         """Return a finite float within [low, high] (and > ``above`` if given)."""
         value = self._get(key, _REQUIRED if default is None else default)
         return self._number(key, value, low, high, above)
 
-    def _number(self, key, value, low, high, above):
+    def _number(self, key: str, value: Any, low: float, high: float, above: float | None) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f'must be a number, got {_short(value)}')
         try:
@@ -192,11 +202,27 @@ class Section:
             raise self.error(key, f'must lie within [{low}, {high}], got {value}')
         return value
 
-    def pair(self, key, default=None, low=-math.inf, high=math.inf, above=None):
+    def pair(
+        self,
+        key: str,
+        default: Any = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float | None = None,
+    ) -> tuple[float, float]:
         """Return two finite floats; one number stands for both."""
-        return tuple(self.vector(key, 2, default, low, high, above))
+        first, second = self.vector(key, 2, default, low, high, above)
+        return first, second
 
-    def vector(self, key, size, default=None, low=-math.inf, high=math.inf, above=None):
+    def vector(
+        self,
+        key: str,
+        size: int,
+        default: Any = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float | None = None,
+    ) -> list[float]:
         """Return ``size`` finite floats; one number stands for all of them."""
         value = self._get(key, _REQUIRED if default is None else default)
         if not isinstance(value, (list, tuple)):
@@ -205,7 +231,7 @@ class Section:
             raise self.error(key, f'must have {size} numbers, got {len(value)}')
         return [self._number(f'{key}[{i}]', v, low, high, above) for i, v in enumerate(value)]
 
-    def matrix(self, key, shape):
+    def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
         """Return an array of the given shape from a flat list (row-major)."""
         value = self._get(key, _REQUIRED)
         size = int(np.prod(shape))
@@ -216,7 +242,7 @@ class Section:
         ]
         return np.array(flat, dtype=float).reshape(shape)
 
-    def names(self, key, size, default=None):
+    def names(self, key: str, size: int, default: Any = None) -> tuple[str, ...]:
         """Return ``size`` distinct non-empty strings."""
         value = self._get(key, _REQUIRED if default is None else default)
         if (
@@ -229,7 +255,7 @@ class Section:
             raise self.error(key, f'must hold distinct names, got {_short(value)}')
         return tuple(value)
 
-    def texts(self, key, default=None):
+    def texts(self, key: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
         """Return a tuple of different, not empty strings."""
         values = self._get(key, _REQUIRED if default is None else list(default))
         if not isinstance(values, list) or not values:
@@ -241,7 +267,7 @@ class Section:
             raise self.error(key, 'lists a text twice')
         return tuple(values)
 
-    def plain(self, key):
+    def plain(self, key: str) -> dict[str, Any]:
         """Return an optional mapping as it is, for data that is only passed on."""
         return dict(self.section(key, required=False)._data)
 

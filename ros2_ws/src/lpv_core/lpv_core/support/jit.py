@@ -19,18 +19,7 @@ from typing import Any
 
 
 def source_digest(folder: Path) -> str:
-    """Hash of the Python files of a package, those of its sub-packages included.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Of the package.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits.
-    """
+    """Hash of the Python files of a package, those of its sub-packages included."""
     digest = hashlib.sha256()
     for source in sorted(folder.rglob('*.py')):
         digest.update(source.relative_to(folder).as_posix().encode() + b'\0')
@@ -38,7 +27,7 @@ def source_digest(folder: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_folder():
+def _cache_folder() -> str | None:
     """Cache folder of this state of the sources; None where no safe one can be made."""
     name = f'lpv_core-{source_digest(Path(__file__).parents[1])}'
     home = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache') / 'lpv_arm_fdi'
@@ -54,7 +43,7 @@ def _cache_folder():
     return None
 
 
-def _load_numba():
+def _load_numba() -> tuple[Callable[..., Any] | None, bool]:
     if os.environ.get('LPV_NO_JIT', '') == '1':
         return None, False
     try:
@@ -63,7 +52,7 @@ def _load_numba():
         return None, False
     folder = _cache_folder()
     if folder is not None and 'NUMBA_CACHE_DIR' not in os.environ:
-        numba.config.CACHE_DIR = folder
+        numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]
     return numba.njit, folder is not None
 
 
@@ -73,18 +62,7 @@ COMPILED = _numba_njit is not None
 
 
 def njit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile ``function`` without reordering of floating-point operations.
-
-    Parameters
-    ----------
-    function : callable
-        A function of floats and float64 arrays.
-
-    Returns
-    -------
-    callable
-        The compiled function, or ``function`` itself without Numba.
-    """
+    """Compile ``function`` without reordering of floating-point operations."""
     if _numba_njit is None:
         return function
     # fastmath stays off: results must not depend on how a loop is vectorised.  Without the

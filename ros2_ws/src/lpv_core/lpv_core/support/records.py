@@ -4,13 +4,15 @@ Plain Python and compiled code see the same memory, so that a class can hold wha
 function works on, and one call takes any number of quantities.
 """
 
+from typing import Any
+
 import numpy as np
 
 NEVER = -(2**63)
 """Stamp of what has not happened."""
 
 
-def record_type(*fields) -> np.dtype:
+def record_type(*fields: tuple[Any, ...]) -> np.dtype:
     """Type of a record.
 
     Parameters
@@ -35,7 +37,7 @@ def record_type(*fields) -> np.dtype:
     return np.dtype(list(fields), align=True)
 
 
-def new_record(dtype: np.dtype, **values) -> np.record:
+def new_record(dtype: np.dtype, **values: Any) -> np.record:
     """A record, all zero but for what is given.
 
     Parameters

@@ -7,7 +7,7 @@ from pathlib import Path
 from lpv_core.support.errors import ConfigError
 
 
-def _prefix(package):
+def _prefix(package: str) -> Path:
     # The ament index by hand: its Python package refuses to look where nothing is sourced, and
     # programs built into a virtual environment must run without.
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
@@ -20,23 +20,7 @@ def _prefix(package):
 
 
 def executable(package: str, name: str) -> Path:
-    """Program that ``ros2 run PACKAGE NAME`` starts.
-
-    Parameters
-    ----------
-    package, name : str
-        ROS package and program.
-
-    Returns
-    -------
-    pathlib.Path
-        Its file.
-
-    Raises
-    ------
-    ConfigError
-        If it is not installed.
-    """
+    """Program that ``ros2 run PACKAGE NAME`` starts."""
     path = _prefix(package) / 'lib' / package / name
     if not path.is_file():
         raise ConfigError(f'{package}/{name}', f'there is no program {path}')
@@ -44,23 +28,7 @@ def executable(package: str, name: str) -> Path:
 
 
 def shipped_files(kind: str) -> dict[str, Path]:
-    """Files of one kind that are installed with lpv_bringup.
-
-    Parameters
-    ----------
-    kind : {'arms', 'campaigns', 'columns', 'gains', 'scenarios'}
-        Folder of lpv_bringup.
-
-    Returns
-    -------
-    dict of str to pathlib.Path
-        File by bare name, sorted.
-
-    Raises
-    ------
-    ConfigError
-        If lpv_bringup is not installed.
-    """
+    """Files of one kind that are installed with lpv_bringup."""
     folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
     return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
 

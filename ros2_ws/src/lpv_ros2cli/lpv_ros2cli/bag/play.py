@@ -1,22 +1,29 @@
 """``ros2 bag play``."""
 
 import time
-from typing import Any
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING, Any
 
-from lpv_ros2cli import discovery
 from lpv_ros2cli.bag.reading import opened, topics_of
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.interfaces import load
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.message.types import load
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.publisher import Publisher
+
+    from lpv_bag.rosbag.reading import BagReader
 
 _BETWEEN = 0.1
 """Pause between two rounds of a loop: a bag of one message must not flood the graph [s]."""
-_LAST_CALL = 1.0
-"""How long slow subscribers may take for the last messages [s]."""
+_ACKNOWLEDGEMENT_TIMEOUT = 1.0
+"""Time for slow subscribers to acknowledge the last messages [s]."""
 _FASTEST = 1e4
 """Most messages a second on /clock."""
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('bag_path', help='bag')
     parser.add_argument(
@@ -50,7 +57,7 @@ def add_arguments(parser) -> None:
         type=float,
         default=0.0,
         metavar='SECONDS',
-        help='begin so long after the start of the bag',
+        help='skip this time at the start of the bag',
     )
     parser.add_argument(
         '--clock',
@@ -63,7 +70,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Publish a bag's messages at the times at which they were recorded."""
     if not arguments.rate > 0.0 or not arguments.rate < float('inf'):
         raise CliError('--rate must be greater than zero')
@@ -92,32 +99,12 @@ def run(arguments) -> None:
         while (count := playback.run(start=begin, origin=begin)) and arguments.loop:
             total += count
             time.sleep(_BETWEEN)
-        await_acknowledgement(publishers.values(), _LAST_CALL)
+        await_acknowledgement(publishers.values(), _ACKNOWLEDGEMENT_TIMEOUT)
         print(f'published {total + count} messages')
 
 
-def _publishers(node, reader, arguments) -> tuple[Any, ...]:
-    """Connections to be played, and the publisher of each topic.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Publishes.
-    reader : lpv_bag.rosbag.reading.BagReader
-        Open bag.
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    tuple
-        List of connections, and publishers by the topic's name in the bag.
-
-    Raises
-    ------
-    CliError
-        If no topic can be played.
-    """
+def _publishers(node: 'Node', reader: 'BagReader', arguments: Namespace) -> tuple[Any, ...]:
+    """Connections to be played, and the publisher of each topic."""
     from lpv_bag.replay.playback import recorded_qos
 
     remaps, topics = dict(_pair(text) for text in arguments.remap), topics_of(reader)
@@ -141,7 +128,7 @@ def _publishers(node, reader, arguments) -> tuple[Any, ...]:
     return [c for name in publishers for c in topics[name]], publishers
 
 
-def _clock(node, arguments):
+def _clock(node: 'Node', arguments: Namespace) -> tuple['Publisher | None', int | None]:
     """Publisher of /clock and the bag's time between its messages, so many a second of ours."""
     if not arguments.clock:
         return None, None
@@ -151,7 +138,7 @@ def _clock(node, arguments):
     return node.create_publisher(Clock, '/clock', 10), max(1, round(period * 1e9))
 
 
-def _pair(text):
+def _pair(text: str) -> tuple[str, str]:
     old, found, new = text.partition(':=')
     if not found or not old or not new:
         raise CliError(f'malformed remap {text!r}, expected old:=new')

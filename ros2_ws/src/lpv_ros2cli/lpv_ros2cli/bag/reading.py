@@ -1,29 +1,20 @@
 """Bags, read by lpv_bag; what it refuses is an error of the command line."""
 
 import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from lpv_ros2cli.errors import CliError
 
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+    from lpv_bag.rosbag.reading import BagReader
+
 
 @contextlib.contextmanager
-def opened(path: str):
-    """Context with an open bag.
-
-    Parameters
-    ----------
-    path : str
-        rosbag2 folder, or a single file of one.
-
-    Yields
-    ------
-    lpv_bag.run.record.BagReader
-        Open reader.
-
-    Raises
-    ------
-    CliError
-        If it is no bag, or damaged.
-    """
+def opened(path: str) -> Iterator['BagReader']:
+    """Context with an open bag."""
     from lpv_bag.run.record import open_bag
     from lpv_core.support.errors import LpvError
 
@@ -34,20 +25,9 @@ def opened(path: str):
         raise CliError(str(error)) from error
 
 
-def topics_of(reader):
-    """Topics of a bag.
-
-    Parameters
-    ----------
-    reader : lpv_bag.run.record.BagReader
-        Open reader.
-
-    Returns
-    -------
-    dict of str to list of rosbags.interfaces.Connection
-        Connections by topic, sorted.
-    """
-    topics = {}
+def topics_of(reader: 'BagReader') -> dict[str, list['Connection']]:
+    """Topics of a bag."""
+    topics: dict[str, list[Connection]] = {}
     for connection in reader.connections:
         topics.setdefault(connection.topic, []).append(connection)
     return dict(sorted(topics.items()))

@@ -4,22 +4,37 @@ import json
 import os
 import re
 import time
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import Any
 
-from lpv_ros2cli import completion, discovery
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.names import absolute, without_hidden
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import absolute, without_hidden
 from lpv_ros2cli.packages import executable
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument(
-        'topics', nargs='*', metavar='topic', help='topics; they need not be there yet'
-    ).completer = completion.topics
-    parser.add_argument(
-        '--topics', nargs='+', dest='more_topics', default=[], metavar='topic', help='topics'
-    ).completer = completion.topics
+    completion.add_argument(
+        parser,
+        completion.topics,
+        'topics',
+        nargs='*',
+        metavar='topic',
+        help='topics; they need not be there yet',
+    )
+    completion.add_argument(
+        parser,
+        completion.topics,
+        '--topics',
+        nargs='+',
+        dest='more_topics',
+        default=[],
+        metavar='topic',
+        help='topics',
+    )
     parser.add_argument('-a', '--all', '--all-topics', action='store_true', help='all topics')
     parser.add_argument(
         '-e',
@@ -48,11 +63,11 @@ def add_arguments(parser) -> None:
     parser.add_argument('-s', '--storage', choices=('mcap',), default='mcap', help='storage (mcap)')
     parser.add_argument('--include-hidden-topics', action='store_true')
     parser.add_argument(
-        '--spin-time', type=float, default=None, metavar='SECONDS', help='look for topics so long'
+        '--spin-time', type=float, default=None, metavar='SECONDS', help='time to discover topics'
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Become the recorder, which ends at SIGINT or SIGTERM with a complete bag."""
     chosen = {absolute(name) for name in (*arguments.topics, *arguments.more_topics)}
     if not chosen and not arguments.all and arguments.regex is None:
@@ -70,7 +85,7 @@ def run(arguments) -> None:
     os.execv(program, words)
 
 
-def _selection(arguments, chosen):
+def _selection(arguments: Namespace, chosen: set[str]) -> dict[str, Any]:
     include, exclude = _pattern(arguments.regex), _pattern(arguments.exclude_regex)
     if arguments.all and exclude is None and 'all' in _recorder_parameters():
         return {'all': True, 'exclude': ['']}
@@ -83,15 +98,15 @@ def _selection(arguments, chosen):
                 for name, _ in without_hidden(
                     node.get_topic_names_and_types(), arguments.include_hidden_topics
                 )
-                if arguments.all or include.search(name)
+                if include is None or arguments.all or include.search(name)
             }
-    topics = sorted(t for t in topics if exclude is None or not exclude.search(t))
-    if not topics:
+    kept = sorted(t for t in topics if exclude is None or not exclude.search(t))
+    if not kept:
         raise CliError('there are no topics to record')
-    return {'topics': topics}
+    return {'topics': kept}
 
 
-def _splitting(arguments):
+def _splitting(arguments: Namespace) -> dict[str, Any]:
     known, settings = _recorder_parameters(), {}
     for option, value, name in (
         ('-b', -(-arguments.max_bag_size // (1 << 20)), 'split_size'),
@@ -104,13 +119,13 @@ def _splitting(arguments):
     return settings
 
 
-def _recorder_parameters():
+def _recorder_parameters() -> set[str]:
     from lpv_bag.recorder.node import SPECS
 
     return {spec.name for spec in SPECS}
 
 
-def _pattern(text):
+def _pattern(text: str | None) -> re.Pattern[str] | None:
     try:
         return None if text is None else re.compile(text)
     except re.error as error:

@@ -1,9 +1,11 @@
 """``ros2 interface list``."""
 
-from lpv_ros2cli.interfaces import KINDS, installed
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.message.types import KINDS, installed
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument(
         '-m', '--only-msgs', action='append_const', dest='kinds', const='msg', help='only messages'
@@ -21,7 +23,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print the interface types that are installed."""
     types = installed()
     for kind, heading in KINDS.items():

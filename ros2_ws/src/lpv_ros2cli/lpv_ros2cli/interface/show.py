@@ -2,18 +2,20 @@
 
 import re
 import sys
+from argparse import ArgumentParser, Namespace
 
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.interfaces import definition, full_type, installed
+from lpv_ros2cli.message.types import definition, full_type, installed
 
 _FIELD = re.compile(r'([A-Za-z][A-Za-z0-9_/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-zA-Z]\w*\s*(?![=\w])')
 _DEEPEST = 20
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument('type', help='interface type, or - to read it from stdin').completer = (
-        lambda **_: installed()
+    completion.add_argument(
+        parser, lambda **_: installed(), 'type', help='interface type, or - to read it from stdin'
     )
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
@@ -22,13 +24,13 @@ def add_arguments(parser) -> None:
     group.add_argument('--no-comments', action='store_true', help='no comments and blank lines')
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print a definition, with nested types indented below the fields that have them."""
     name = arguments.type if arguments.type != '-' else sys.stdin.readline().strip()
     _show(_existing(name), arguments, 0)
 
 
-def _existing(name):
+def _existing(name: str) -> str:
     if name.count('/') == 1:
         package, short = name.split('/')
         for kind in ('msg', 'srv', 'action'):
@@ -38,7 +40,7 @@ def _existing(name):
     return full_type(name)
 
 
-def _show(name, arguments, depth) -> None:
+def _show(name: str, arguments: Namespace, depth: int) -> None:
     comments = arguments.all_comments or (depth == 0 and not arguments.no_comments)
     for line in definition(name).splitlines():
         code = line.partition('#')[0] if '"' not in line and "'" not in line else line
@@ -50,7 +52,7 @@ def _show(name, arguments, depth) -> None:
             _show(nested, arguments, depth + 1)
 
 
-def _nested_type(line, owner):
+def _nested_type(line: str, owner: str) -> str | None:
     """Message type of a field, None for built-in types, constants and separators."""
     found = _FIELD.match(line)
     if not found:

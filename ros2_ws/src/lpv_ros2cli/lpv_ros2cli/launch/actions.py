@@ -1,57 +1,29 @@
 """Actions of launch files: evaluates an element tree into the processes to start."""
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.launch.entity import LaunchFileError
+from lpv_ros2cli.launch.context import Context
+from lpv_ros2cli.launch.entity import Entity, LaunchFileError
 from lpv_ros2cli.launch.files import read_launch_file
 from lpv_ros2cli.launch.names import join_namespaces
-from lpv_ros2cli.launch.node_action import node_process, program_process
+from lpv_ros2cli.launch.node_action import ProcessSpec, node_process, program_process
 
 
 @dataclass
 class Plan:
-    """What a launch will do.
+    """What a launch will do."""
 
-    Attributes
-    ----------
-    processes : list of ProcessSpec
-        In the order of the file.
-    messages : list of str
-        Of ``log``.
-    outline : list of tuple of int and str
-        Depth and one line of each action that is carried out.
-    """
-
-    processes: list = field(default_factory=list)
-    messages: list = field(default_factory=list)
-    outline: list = field(default_factory=list)
+    processes: list[ProcessSpec] = field(default_factory=list)  # in the order of the file
+    messages: list[str] = field(default_factory=list)  # of ``log``
+    outline: list[tuple[int, str]] = field(default_factory=list)  # depth, and one line per action
 
 
-def evaluate_file(context, path: str | Path, plan: Plan | None = None) -> Plan:
-    """Evaluate a launch file with all that it includes.
-
-    Parameters
-    ----------
-    context : Context
-        Arguments and environment.
-    path : str or pathlib.Path
-        The file.
-    plan : Plan, optional
-        Extended in place.
-
-    Returns
-    -------
-    Plan
-        What is to be done.
-
-    Raises
-    ------
-    CliError
-        If a file cannot be read or evaluated: nothing is started then.
-    """
+def evaluate_file(context: Context, path: str | Path, plan: Plan | None = None) -> Plan:
+    """Evaluate a launch file with all that it includes."""
     plan = Plan() if plan is None else plan
     root = read_launch_file(path)
     with context.inside(Path(path).absolute()):
@@ -63,23 +35,8 @@ def evaluate_file(context, path: str | Path, plan: Plan | None = None) -> Plan:
     return plan
 
 
-def evaluate(context, entity, plan: Plan) -> None:
-    """Evaluate one action, if its conditions hold.
-
-    Parameters
-    ----------
-    context : Context
-        Arguments and environment; changed by some actions.
-    entity : Entity
-        The action.
-    plan : Plan
-        Extended in place.
-
-    Raises
-    ------
-    CliError
-        If the action is not covered or fails; names file and element.
-    """
+def evaluate(context: Context, entity: Entity, plan: Plan) -> None:
+    """Evaluate one action, if its conditions hold."""
     action = ACTIONS.get(entity.tag)
     if action is None:
         raise entity.error(f'is not covered by this ros2; covered here: {", ".join(ACTIONS)}')
@@ -93,7 +50,7 @@ def evaluate(context, entity, plan: Plan) -> None:
         raise entity.error(str(error)) from error
 
 
-def _holds(context, entity) -> bool:
+def _holds(context: Context, entity: Entity) -> bool:
     conditions = [(name, entity.text(name)) for name in ('if', 'unless')]
     if all(text is not None for _, text in conditions):
         raise entity.error("'if' and 'unless' exclude each other")
@@ -103,11 +60,11 @@ def _holds(context, entity) -> bool:
     return True
 
 
-def _note(context, plan, text) -> None:
+def _note(context: Context, plan: Plan, text: str) -> None:
     plan.outline.append((context.depth, text))
 
 
-def _arg(context, entity, plan) -> None:
+def _arg(context: Context, entity: Entity, plan: Plan) -> None:
     name = entity.required('name')
     default = entity.text('default')
     entity.text('description')
@@ -124,20 +81,20 @@ def _arg(context, entity, plan) -> None:
     _note(context, plan, f'arg {name} = {value!r}')
 
 
-def _let(context, entity, plan) -> None:
+def _let(context: Context, entity: Entity, plan: Plan) -> None:
     name, value = entity.required('name'), context.perform(entity.required('value'))
     context.scope.configurations[name] = value
     _note(context, plan, f'let {name} = {value!r}')
 
 
-def _set_env(context, entity, plan) -> None:
+def _set_env(context: Context, entity: Entity, plan: Plan) -> None:
     name = context.perform(entity.required('name'))
     value = context.perform(entity.required('value'))
     context.scope.environment[name] = value
     _note(context, plan, f'set_env {name} = {value!r}')
 
 
-def _append_env(context, entity, plan) -> None:
+def _append_env(context: Context, entity: Entity, plan: Plan) -> None:
     name = context.perform(entity.required('name'))
     value = context.perform(entity.required('value'))
     separator, first = entity.text('separator', ':'), entity.flag('prepend', False)
@@ -147,38 +104,38 @@ def _append_env(context, entity, plan) -> None:
     _note(context, plan, f'append_env {name}: {value!r}')
 
 
-def _unset_env(context, entity, plan) -> None:
+def _unset_env(context: Context, entity: Entity, plan: Plan) -> None:
     name = context.perform(entity.required('name'))
     context.scope.environment.pop(name, None)
     _note(context, plan, f'unset_env {name}')
 
 
-def _push_namespace(context, entity, plan) -> None:
+def _push_namespace(context: Context, entity: Entity, plan: Plan) -> None:
     pushed = context.perform(entity.required('namespace'))
     context.scope.namespace = join_namespaces(context.scope.namespace, pushed)
     _note(context, plan, f'push_ros_namespace {pushed}')
 
 
-def _set_parameter(context, entity, plan) -> None:
+def _set_parameter(context: Context, entity: Entity, plan: Plan) -> None:
     name, value = entity.required('name'), context.perform(entity.required('value'))
     context.scope.parameters.append((name, value))
     _note(context, plan, f'set_parameter {name} = {value!r}')
 
 
-def _set_remap(context, entity, plan) -> None:
+def _set_remap(context: Context, entity: Entity, plan: Plan) -> None:
     pair = context.perform(entity.required('from')), context.perform(entity.required('to'))
     context.scope.remaps.append(pair)
     _note(context, plan, f'set_remap {pair[0]} -> {pair[1]}')
 
 
-def _log(context, entity, plan) -> None:
+def _log(context: Context, entity: Entity, plan: Plan) -> None:
     entity.text('level')
     message = context.perform(entity.required('message'))
     plan.messages.append(message)
     _note(context, plan, f'log {message!r}')
 
 
-def _group(context, entity, plan) -> None:
+def _group(context: Context, entity: Entity, plan: Plan) -> None:
     scoped, forwarding = entity.flag('scoped', True), entity.flag('forwarding', True)
     if not forwarding:
         raise entity.error("'forwarding' is not covered by this ros2")
@@ -190,7 +147,7 @@ def _group(context, entity, plan) -> None:
     context.depth -= 1
 
 
-def _include(context, entity, plan) -> None:
+def _include(context: Context, entity: Entity, plan: Plan) -> None:
     path = context.perform(entity.required('file'))
     _note(context, plan, f'include {path}')
     # As upstream: what is given to an included file stays set after it.
@@ -201,19 +158,19 @@ def _include(context, entity, plan) -> None:
     evaluate_file(context, path, plan)
 
 
-def _node(context, entity, plan) -> None:
+def _node(context: Context, entity: Entity, plan: Plan) -> None:
     process = node_process(context, entity)
     plan.processes.append(process)
     _note(context, plan, f'node {process.outline}')
 
 
-def _executable(context, entity, plan) -> None:
+def _executable(context: Context, entity: Entity, plan: Plan) -> None:
     process = program_process(context, entity)
     plan.processes.append(process)
     _note(context, plan, f'executable {process.outline}')
 
 
-ACTIONS = {
+ACTIONS: dict[str, Callable[[Context, Entity, Plan], None]] = {
     'arg': _arg,
     'let': _let,
     'node': _node,

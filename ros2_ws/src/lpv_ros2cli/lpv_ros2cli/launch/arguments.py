@@ -4,28 +4,14 @@ from pathlib import Path
 from typing import Any
 
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.launch.context import Context
+from lpv_ros2cli.launch.entity import Entity
 from lpv_ros2cli.launch.files import read_launch_file
 from lpv_ros2cli.launch.substitutions import describe, parse
 
 
 def parse_arguments(words: list[str]) -> dict[str, str]:
-    """Launch arguments of a command line.
-
-    Parameters
-    ----------
-    words : list of str
-        Each ``name:=value``; of equal names the last one counts.
-
-    Returns
-    -------
-    dict of str to str
-        Value by name.
-
-    Raises
-    ------
-    CliError
-        If a word is of another form.
-    """
+    """Launch arguments of a command line."""
     arguments = {}
     for word in words:
         name, found, value = word.partition(':=')
@@ -35,33 +21,17 @@ def parse_arguments(words: list[str]) -> dict[str, str]:
     return arguments
 
 
-def declared(path: str | Path, context) -> dict[str, tuple[Any, ...]]:
-    """Arguments that a launch file and the files that it includes declare.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file.
-    context : Context
-        Performs the substitutions in names of included files, with the defaults.
-
-    Returns
-    -------
-    dict of str to tuple
-        By name: description, parts of the default or None, choices.
-
-    Raises
-    ------
-    CliError
-        If a file cannot be read.
-    """
-    found = {}
+def declared(path: str | Path, context: Context) -> dict[str, tuple[Any, ...]]:
+    """Arguments that a launch file and the files that it includes declare."""
+    found: dict[str, tuple[Any, ...]] = {}
     with context.inside(Path(path).absolute()):
         _collect(read_launch_file(path), context, found, set())
     return found
 
 
-def _collect(entity, context, found, given) -> None:
+def _collect(
+    entity: Entity, context: Context, found: dict[str, tuple[Any, ...]], given: set[str]
+) -> None:
     for child in entity.children():
         if child.tag == 'arg':
             name, default = child.required('name'), child.text('default')
@@ -84,7 +54,7 @@ def _collect(entity, context, found, given) -> None:
             _include(child, context, found, given)
 
 
-def _assume(context, name, text) -> None:
+def _assume(context: Context, name: str, text: str | None) -> None:
     if name not in context.scope.configurations and text is not None:
         try:
             context.scope.configurations[name] = context.perform(text)
@@ -92,8 +62,10 @@ def _assume(context, name, text) -> None:
             return  # of a mandatory argument: needed only if a file's name depends on it
 
 
-def _include(entity, context, found, given) -> None:
-    passed = {a.text('name') for a in (*entity.all('arg'), *entity.all('let'))}
+def _include(
+    entity: Entity, context: Context, found: dict[str, tuple[Any, ...]], given: set[str]
+) -> None:
+    passed = {a.required('name') for a in (*entity.all('arg'), *entity.all('let'))}
     try:
         path = context.perform(entity.required('file'))
     except CliError:
@@ -103,18 +75,7 @@ def _include(entity, context, found, given) -> None:
 
 
 def describe_arguments(found: dict[str, Any]) -> str:
-    """Text of --show-args.
-
-    Parameters
-    ----------
-    found : dict
-        Of `declared`.
-
-    Returns
-    -------
-    str
-        Lines.
-    """
+    """Text of --show-args."""
     lines = ["Arguments (pass arguments as '<name>:=<value>'):"]
     for name, (description, default, choices) in found.items():
         if choices:

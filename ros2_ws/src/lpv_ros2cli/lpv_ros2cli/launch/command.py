@@ -1,9 +1,10 @@
 """``ros2 launch``."""
 
 import argparse
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from lpv_ros2cli import completion
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.launch.actions import evaluate_file
 from lpv_ros2cli.launch.arguments import declared, describe_arguments, parse_arguments
@@ -13,7 +14,7 @@ from lpv_ros2cli.launch.log import LaunchLog
 from lpv_ros2cli.launch.runner import Runner
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
         '-n',
@@ -45,18 +46,20 @@ def add_arguments(parser) -> None:
         dest='show_args',
         help='show the arguments that the file takes',
     )
-    parser.add_argument(
-        'package_or_file', help='package, or path of a launch file'
-    ).completer = completion.packages
-    parser.add_argument(
+    completion.add_argument(
+        parser, completion.packages, 'package_or_file', help='package, or path of a launch file'
+    )
+    completion.add_argument(
+        parser,
+        completion.launch_words,
         'rest',
         nargs=argparse.REMAINDER,
         metavar='[file] name:=value ...',
         help='launch file of the package, and launch arguments',
-    ).completer = completion.launch_words
+    )
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Run a launch file; 1 if a process ended with an error before everything was stopped."""
     options, words = _leading_options(arguments)
     path, words = _file(arguments.package_or_file, words)
@@ -84,8 +87,8 @@ def run(arguments):
         log.close()
 
 
-def _leading_options(arguments):
-    """Options may also stand behind the file, where argparse passes everything on."""
+def _leading_options(arguments: Namespace) -> tuple[Namespace, list[str]]:
+    """Options may also follow the file, where argparse passes everything on."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for names, name in (
         (('-s', '--show-args', '--show-arguments'), 'show_args'),
@@ -106,7 +109,7 @@ def _leading_options(arguments):
     return options, words
 
 
-def _file(package_or_file, words):
+def _file(package_or_file: str, words: list[str]) -> tuple[Path, list[str]]:
     path = Path(package_or_file)
     if path.is_file():
         return path, words

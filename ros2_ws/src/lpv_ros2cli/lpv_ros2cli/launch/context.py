@@ -1,41 +1,29 @@
 """State of a launch while its files are evaluated."""
 
 import os
+import shutil
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.launch.expressions import evaluate
-from lpv_ros2cli.launch.substitutions import parse
+from lpv_ros2cli.launch.substitutions import Parts, Substitution, parse
 from lpv_ros2cli.packages import executable, prefix_of, share_of
 
 
 @dataclass
 class Scope:
-    """What a group keeps to itself.
+    """What is local to a group."""
 
-    Attributes
-    ----------
-    configurations : dict of str to str
-        Launch configurations: arguments and ``let``.
-    environment : dict of str to str
-        Environment of the processes.
-    namespace : str
-        Of the nodes, absolute.
-    parameters : list of tuple
-        Name and value of ``set_parameter``, for all nodes.
-    remaps : list of tuple
-        ``set_remap``, for all nodes.
-    """
+    configurations: dict[str, str] = field(default_factory=dict)  # arguments and ``let``
+    environment: dict[str, str] = field(default_factory=dict)  # of the processes
+    namespace: str = ''  # of the nodes, absolute
+    parameters: list[tuple[str, str]] = field(default_factory=list)  # ``set_parameter``
+    remaps: list[tuple[str, str]] = field(default_factory=list)  # ``set_remap``
 
-    configurations: dict = field(default_factory=dict)
-    environment: dict = field(default_factory=dict)
-    namespace: str = ''
-    parameters: list = field(default_factory=list)
-    remaps: list = field(default_factory=list)
-
-    def copy(self):
+    def copy(self) -> 'Scope':
         """An independent scope with the same content."""
         return Scope(
             dict(self.configurations),
@@ -47,15 +35,7 @@ class Scope:
 
 
 class Context:
-    """Scopes, the file that is being read, and substitutions.
-
-    Parameters
-    ----------
-    arguments : dict of str to str
-        Launch arguments of the command line.
-    environment : dict of str to str, optional
-        Environment; otherwise of this process.
-    """
+    """Scopes, the file that is being read, and substitutions."""
 
     def __init__(
         self, arguments: dict[str, str], environment: dict[str, str] | None = None
@@ -63,12 +43,12 @@ class Context:
         self.scope = Scope(
             dict(arguments), dict(os.environ if environment is None else environment)
         )
-        self.file = None
+        self.file: Path | None = None
         self.depth = 0
-        self._anonymous = {}
+        self._anonymous: dict[str, str] = {}
 
     @contextmanager
-    def group(self):
+    def group(self) -> Iterator[None]:
         """Context whose scope ends with it."""
         outer, self.scope = self.scope, self.scope.copy()
         try:
@@ -77,7 +57,7 @@ class Context:
             self.scope = outer
 
     @contextmanager
-    def inside(self, file):
+    def inside(self, file: str | Path) -> Iterator[None]:
         """Context in which another file is read."""
         if self.depth >= 50:
             raise CliError(f'{file}: included by itself, or nested too deeply')
@@ -90,46 +70,14 @@ class Context:
             self.depth -= 1
 
     def perform(self, text: str) -> str:
-        """A text with its substitutions performed.
-
-        Parameters
-        ----------
-        text : str
-            As in the launch file.
-
-        Returns
-        -------
-        str
-            Plain text.
-
-        Raises
-        ------
-        CliError
-            If a substitution is unknown or fails.
-        """
+        """A text with its substitutions performed."""
         return self._join(parse(text))
 
-    def _join(self, parts):
+    def _join(self, parts: Parts) -> str:
         return ''.join(part if isinstance(part, str) else self.perform_one(part) for part in parts)
 
-    def perform_one(self, substitution) -> str:
-        """The text that one substitution stands for.
-
-        Parameters
-        ----------
-        substitution : Substitution
-            Parsed.
-
-        Returns
-        -------
-        str
-            Plain text.
-
-        Raises
-        ------
-        CliError
-            If it is unknown or fails.
-        """
+    def perform_one(self, substitution: Substitution) -> str:
+        """The text that one substitution stands for."""
         function = _FUNCTIONS.get(substitution.name)
         if function is None:
             raise CliError(
@@ -146,53 +94,50 @@ class Context:
             )
         return action(self, *arguments)
 
-    def _var(self, name, default=None):
+    def _var(self, name: str, default: str | None = None) -> str:
         value = self.scope.configurations.get(name, default)
         if value is None:
             raise CliError(f"launch configuration '{name}' does not exist")
         return value
 
-    def _env(self, name, default=None):
+    def _env(self, name: str, default: str | None = None) -> str:
         value = self.scope.environment.get(name, default)
         if value is None:
             raise CliError(f"environment variable '{name}' does not exist")
         return value
 
-    def _anon(self, name):
+    def _anon(self, name: str) -> str:
         return self._anonymous.setdefault(name, f'{name}_{os.getpid()}_{len(self._anonymous)}')
 
-    def _find_exec(self, name):
-        import shutil
-
+    def _find_exec(self, name: str) -> str:
         path = shutil.which(name, path=self.scope.environment.get('PATH'))
         if path is None:
             raise CliError(f"program '{name}' is not on the PATH")
         return path
 
-    def _eval(self, *words):
-        value = evaluate(' '.join(words))
-        return str(value)
+    def _eval(self, *words: str) -> str:
+        return str(evaluate(' '.join(words)))
 
 
-def _truth(text) -> bool:
+def _truth(text: str) -> bool:
     if text.strip().lower() not in ('true', 'false', '1', '0'):
         raise CliError(f'{text!r} is neither true nor false')
     return text.strip().lower() in ('true', '1')
 
 
-def _equal(left, right) -> bool:
+def _equal(left: str, right: str) -> bool:
     try:
         return float(left) == float(right)
     except ValueError:
         return left == right
 
 
-def _text(value):
+def _text(value: bool) -> str:
     return str(value).lower()
 
 
 # Name: (function, least number of arguments, most).
-_FUNCTIONS = {
+_FUNCTIONS: dict[str, tuple[Callable[..., str], int, int]] = {
     'var': (Context._var, 1, 2),
     'env': (Context._env, 1, 2),
     'find-pkg-share': (lambda _, package: str(share_of(package)), 1, 1),

@@ -3,11 +3,13 @@
 import ast
 import math
 import operator
+from collections.abc import Callable
+from typing import Any, TypeGuard
 
 from lpv_ros2cli.errors import CliError
 
 _LONGEST = 10000
-_BINARY = {
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -15,8 +17,12 @@ _BINARY = {
     ast.FloorDiv: operator.floordiv,
     ast.Mod: operator.mod,
 }
-_UNARY = {ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: operator.not_}
-_COMPARE = {
+_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Not: operator.not_,
+}
+_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
     ast.Lt: operator.lt,
@@ -26,7 +32,7 @@ _COMPARE = {
     ast.In: lambda a, b: a in b,
     ast.NotIn: lambda a, b: a not in b,
 }
-_FUNCTIONS = {
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
     name: getattr(math, name)
     for name in (
         'sqrt',
@@ -63,24 +69,7 @@ _CONSTANTS = {'pi': math.pi, 'e': math.e, 'inf': math.inf, 'true': True, 'false'
 
 
 def evaluate(text: str) -> object:
-    """Value of an expression of numbers, texts, lists and comparisons.
-
-    Parameters
-    ----------
-    text : str
-        The expression. Arithmetic, comparisons, ``and``, ``or``, ``not``, ``in``, conditional
-        expressions, and functions of ``math``; nothing else.
-
-    Returns
-    -------
-    object
-        Its value.
-
-    Raises
-    ------
-    CliError
-        If it is no such expression, or cannot be evaluated.
-    """
+    """Value of an expression of numbers, texts, lists and comparisons."""
     if len(text) > _LONGEST:
         raise CliError('$(eval ...): the expression is too long')
     try:
@@ -100,7 +89,7 @@ def evaluate(text: str) -> object:
         raise CliError(f'$(eval {text}): {error}') from error
 
 
-def _value(node):
+def _value(node: ast.expr) -> Any:
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float, str, bool)):
         return node.value
     if isinstance(node, ast.Name) and node.id in _CONSTANTS:
@@ -116,7 +105,7 @@ def _value(node):
     return _operation(node)
 
 
-def _operation(node):
+def _operation(node: ast.expr) -> Any:
     if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
         return _binary(_BINARY[type(node.op)], _value(node.left), _value(node.right))
     if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
@@ -140,7 +129,7 @@ def _operation(node):
     )
 
 
-def _is_math(node):
+def _is_math(node: ast.expr) -> TypeGuard[ast.Attribute]:
     return (
         isinstance(node, ast.Attribute)
         and isinstance(node.value, ast.Name)
@@ -148,7 +137,7 @@ def _is_math(node):
     )
 
 
-def _binary(operation, left, right):
+def _binary(operation: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
     # A repeated text or list could fill the memory.
     if operation is operator.mul and not all(isinstance(v, (int, float)) for v in (left, right)):
         raise TypeError('only numbers can be multiplied')
@@ -157,7 +146,7 @@ def _binary(operation, left, right):
     return operation(left, right)
 
 
-def _boolean(node):
+def _boolean(node: ast.BoolOp) -> Any:
     stop_at = isinstance(node.op, ast.Or)
     value = None
     for item in node.values:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.launch.entity import Entity
 from lpv_ros2cli.launch.xml_file import read_xml
 from lpv_ros2cli.launch.yaml_file import read_yaml_launch
 from lpv_ros2cli.packages import share_of
@@ -11,18 +12,7 @@ _READERS = {'.xml': read_xml, '.yaml': read_yaml_launch, '.yml': read_yaml_launc
 
 
 def launch_files_of(package: str) -> list[Path]:
-    """Launch files of a package.
-
-    Parameters
-    ----------
-    package : str
-        Name.
-
-    Returns
-    -------
-    list of pathlib.Path
-        Sorted.
-    """
+    """Launch files of a package."""
     share = share_of(package)
     return sorted(
         path
@@ -32,23 +22,7 @@ def launch_files_of(package: str) -> list[Path]:
 
 
 def find_launch_file(package: str, name: str) -> Path:
-    """A launch file of a package.
-
-    Parameters
-    ----------
-    package, name : str
-        Package, and name of the file somewhere below its share folder.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    CliError
-        If there is none, or there are several.
-    """
+    """A launch file of a package."""
     share = share_of(package)
     found = sorted(path for path in share.rglob('*') if path.name == name and path.is_file())
     if not found:
@@ -65,24 +39,8 @@ def find_launch_file(package: str, name: str) -> Path:
     return found[0]
 
 
-def read_launch_file(path: Path):
-    """Read a launch file in XML or YAML.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-
-    Returns
-    -------
-    Entity
-        Its ``launch`` element.
-
-    Raises
-    ------
-    CliError
-        If it cannot be read, or is of another form.
-    """
+def read_launch_file(path: str | Path) -> Entity:
+    """Read a launch file in XML or YAML."""
     path = Path(path)
     reader = _READERS.get(path.suffix)
     if reader is None:

@@ -11,20 +11,7 @@ from lpv_ros2cli.errors import CliError
 
 
 class LaunchLog:
-    """Lines of the launch and of its processes.
-
-    Parameters
-    ----------
-    debug : bool, optional
-        Also show command lines.
-    show_all : bool, optional
-        Also show the stdout of processes whose output goes to the log only.
-
-    Raises
-    ------
-    CliError
-        If the folder for logs cannot be made.
-    """
+    """Lines of the launch and of its processes."""
 
     def __init__(self, debug: bool = False, show_all: bool = False) -> None:
         self._debug, self._show_all = debug, show_all
@@ -40,35 +27,23 @@ class LaunchLog:
         with self._lock:
             self._file.close()
 
-    def note(self, level, name, text) -> None:
+    def note(self, level: str, name: str, text: str) -> None:
         """Say something about the launch or a process."""
         self._write(f'[{level}] [{name}]: {text}', level, name, text, True)
 
-    def debug(self, name, text) -> None:
+    def debug(self, name: str, text: str) -> None:
         """Say something that is shown only if asked for."""
         if self._debug:
             self.note('DEBUG', name, text)
 
     def line(self, name: str, output: str, line: str, is_error: bool) -> None:
-        """A line that a process printed.
-
-        Parameters
-        ----------
-        name : str
-            The process.
-        output : str
-            screen, log, both, own_log or full.
-        line : str
-            What it printed, without the newline.
-        is_error : bool
-            On stderr: also shown where stdout goes to the log only, as upstream does.
-        """
+        """A line that a process printed."""
         shown = (
             output in ('screen', 'both', 'full') or self._show_all or (output == 'log' and is_error)
         )
         self._write(f'[{name}] {line}', 'INFO', name, line, shown)
 
-    def _write(self, shown_text, level, name, text, shown) -> None:
+    def _write(self, shown_text: str, level: str, name: str, text: str, shown: bool) -> None:
         with self._lock:
             if not self._file.closed:
                 self._file.write(f'{time.time():.7f} [{level}] [{name}]: {text}\n')
@@ -76,11 +51,11 @@ class LaunchLog:
             if shown:
                 try:
                     print(shown_text, flush=True)
-                except OSError:  # nobody looks any more; processes must still be stopped
+                except OSError:  # stdout is closed; processes must still be stopped
                     sys.stdout = open(os.devnull, 'w')  # noqa: SIM115
 
 
-def _new_folder():
+def _new_folder() -> Path:
     home = Path(os.environ.get('ROS_HOME') or Path.home() / '.ros')
     parent = Path(os.environ.get('ROS_LOG_DIR') or home / 'log')
     stamp = time.strftime('%Y-%m-%d-%H-%M-%S')

@@ -2,7 +2,10 @@
 
 import shlex
 from dataclasses import dataclass
+from typing import Any
 
+from lpv_ros2cli.launch.context import Context
+from lpv_ros2cli.launch.entity import Entity
 from lpv_ros2cli.launch.names import join_namespaces
 from lpv_ros2cli.launch.parameters import parameter_sources
 from lpv_ros2cli.launch.substitutions import parse
@@ -14,72 +17,28 @@ _OUTPUTS = ('screen', 'log', 'both', 'own_log', 'full')
 
 @dataclass
 class ProcessSpec:
-    """A process to start.
+    """A process to start."""
 
-    Attributes
-    ----------
-    name : str
-        For the prefix of its lines, without number.
-    command : list of str or dict
-        Arguments; a dict of parameters stands for the parameter file that is written of it.
-    environment : dict of str to str
-        Whole environment.
-    outline : str
-        One line about it.
-    output : str
-        screen, log, both, own_log or full.
-    cwd : str or None
-        Working directory.
-    respawn : bool
-        Start again when it ends.
-    respawn_delay : float
-        Wait before that [s].
-    respawn_max_retries : int
-        How often; -1 without limit.
-    shutdown_on_exit : bool
-        Stop everything when it ends.
-    sigterm_timeout, sigkill_timeout : float
-        Patience after SIGINT, after SIGTERM [s].
-    """
-
-    name: str
-    command: list
-    environment: dict
-    outline: str
-    output: str = 'log'
-    cwd: str = None
-    respawn: bool = False
-    respawn_delay: float = 0.0
-    respawn_max_retries: int = -1
-    shutdown_on_exit: bool = False
-    sigterm_timeout: float = 5.0
-    sigkill_timeout: float = 5.0
+    name: str  # prefix of its lines, without number
+    command: list[str | dict[str, Any]]  # a dict stands for the parameter file written from it
+    environment: dict[str, str]  # the whole one
+    outline: str  # one line about it
+    output: str = 'log'  # screen, log, both, own_log or full
+    cwd: str | None = None  # working directory
+    respawn: bool = False  # start again when it ends
+    respawn_delay: float = 0.0  # wait before that [s]
+    respawn_max_retries: int = -1  # how often; -1: without limit
+    shutdown_on_exit: bool = False  # stop everything when it ends
+    sigterm_timeout: float = 5.0  # from SIGINT to SIGTERM [s]
+    sigkill_timeout: float = 5.0  # from SIGTERM to SIGKILL [s]
 
 
-def node_process(context, entity) -> ProcessSpec:
-    """Process of a ``node`` element.
-
-    Parameters
-    ----------
-    context : Context
-        Namespace, global parameters and remaps, substitutions.
-    entity : Entity
-        The element.
-
-    Returns
-    -------
-    ProcessSpec
-        What to start.
-
-    Raises
-    ------
-    CliError
-        If package or program are not installed, or an attribute is wrong.
-    """
+def node_process(context: Context, entity: Entity) -> ProcessSpec:
+    """Process of a ``node`` element."""
     package = context.perform(entity.required('pkg'))
     program = context.perform(entity.required('exec'))
     name, namespace = entity.text('name'), entity.text('namespace')
-    command = [
+    command: list[str | dict[str, Any]] = [
         str(executable(package, program)),
         *_words(context, entity, 'args'),
         '--ros-args',
@@ -105,26 +64,8 @@ def node_process(context, entity) -> ProcessSpec:
     return _process(context, entity, label, command, f'{package}/{program}')
 
 
-def program_process(context, entity) -> ProcessSpec:
-    """Process of an ``executable`` element.
-
-    Parameters
-    ----------
-    context : Context
-        Substitutions.
-    entity : Entity
-        The element.
-
-    Returns
-    -------
-    ProcessSpec
-        What to start.
-
-    Raises
-    ------
-    CliError
-        If an attribute is wrong.
-    """
+def program_process(context: Context, entity: Entity) -> ProcessSpec:
+    """Process of an ``executable`` element."""
     command = [*_words(context, entity, 'cmd'), *_words(context, entity, 'args')]
     if not command:
         raise entity.error("attribute 'cmd' is missing")
@@ -134,12 +75,13 @@ def program_process(context, entity) -> ProcessSpec:
     return _process(context, entity, name, command, shlex.join(command))
 
 
-def _words(context, entity, attribute):
+def _words(context: Context, entity: Entity, attribute: str) -> list[str]:
     """Words of a command line; what a substitution gives is never split, as upstream."""
     text = entity.text(attribute)
     if text is None:
         return []
-    values, template = {}, ''
+    values: dict[str, str] = {}
+    template = ''
     for part in parse(text):
         if isinstance(part, str):
             template += part
@@ -154,7 +96,9 @@ def _words(context, entity, attribute):
     return [''.join(values.get(c, c) for c in word) for word in words]
 
 
-def _process(context, entity, name, command, outline):
+def _process(
+    context: Context, entity: Entity, name: str, command: list[Any], outline: str
+) -> ProcessSpec:
     environment = dict(context.scope.environment)
     for variable in entity.all('env'):
         key = context.perform(variable.required('name'))
@@ -187,7 +131,7 @@ def _process(context, entity, name, command, outline):
     )
 
 
-def _number(context, entity, attribute, default):
+def _number(context: Context, entity: Entity, attribute: str, default: str) -> float:
     text = context.perform(entity.text(attribute, default))
     try:
         return float(text)

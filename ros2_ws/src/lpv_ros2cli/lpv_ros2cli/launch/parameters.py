@@ -4,34 +4,18 @@ from typing import Any
 
 import yaml
 
+from lpv_ros2cli.command_line.yaml_text import parse_yaml
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.yaml_text import parse_yaml
+from lpv_ros2cli.launch.context import Context
+from lpv_ros2cli.launch.entity import Entity
 
 _SCALARS = (bool, int, float, str)
 _TYPES = {'bool': bool, 'int': int, 'float': float, 'str': str}
 
 
-def parameter_sources(context, entity) -> list[str | dict[str, Any]]:
-    """Parameters of a node in the order in which they apply.
-
-    Parameters
-    ----------
-    context : Context
-        Global parameters and substitutions.
-    entity : Entity
-        The ``node`` element.
-
-    Returns
-    -------
-    list of str or dict
-        Paths of parameter files, and values by (nested) name.
-
-    Raises
-    ------
-    CliError
-        If a value cannot be a parameter.
-    """
-    sources = []
+def parameter_sources(context: Context, entity: Entity) -> list[str | dict[str, Any]]:
+    """Parameters of a node in the order in which they apply."""
+    sources: list[str | dict[str, Any]] = []
     if context.scope.parameters:
         sources.append({name: _from_text(value, name) for name, value in context.scope.parameters})
     for element in entity.all('param'):
@@ -43,13 +27,15 @@ def parameter_sources(context, entity) -> list[str | dict[str, Any]]:
             sources.append(context.perform(file))
             element.finish()
             continue
-        if not sources or isinstance(sources[-1], str):
-            sources.append({})
-        sources[-1].update(_named(context, element))
+        named = _named(context, element)
+        if sources and isinstance(sources[-1], dict):
+            sources[-1].update(named)
+        else:
+            sources.append(named)
     return sources
 
 
-def _named(context, element):
+def _named(context: Context, element: Entity) -> dict[str, Any]:
     name = context.perform(element.required('name'))
     nested = element.all('param')
     if nested:
@@ -63,12 +49,12 @@ def _named(context, element):
     value = element.get('value')
     if value is None:
         raise element.error("either 'value' or nested parameters are needed")
+    return {name: _value(context, element, name, value)}
+
+
+def _value(context: Context, element: Entity, name: str, value: object) -> Any:
     kind, separator = element.text('type'), element.text('value-sep') or element.text('sep')
     element.finish()
-    return {name: _value(context, element, name, value, kind, separator)}
-
-
-def _value(context, element, name, value, kind, separator):
     if isinstance(value, list):
         return _checked([context.perform(v) if isinstance(v, str) else v for v in value], name)
     if not isinstance(value, str):
@@ -79,7 +65,7 @@ def _value(context, element, name, value, kind, separator):
     return _typed(element, text, kind, name)
 
 
-def _typed(element, text, kind, name):
+def _typed(element: Entity, text: str, kind: str | None, name: str) -> Any:
     if kind is None:
         return _from_text(text, name)
     kind = kind.removeprefix('list_of_').removesuffix('s') if 'list_of' in kind else kind
@@ -95,7 +81,7 @@ def _typed(element, text, kind, name):
     return value
 
 
-def _from_text(text, name):
+def _from_text(text: str, name: str) -> Any:
     """Value by the rules of YAML; what YAML reads as something else stays a text."""
     value = parse_yaml(text, f"the value of parameter '{name}'")
     if value is None:
@@ -103,7 +89,7 @@ def _from_text(text, name):
     return _checked(value, name) if isinstance(value, (*_SCALARS, list)) else text
 
 
-def _checked(value, name):
+def _checked(value: Any, name: str) -> Any:
     if isinstance(value, list):
         kinds = {type(item) for item in value}
         if len(kinds) != 1 or not kinds <= set(_SCALARS):
@@ -116,16 +102,5 @@ def _checked(value, name):
 
 
 def file_content(values: dict[str, Any]) -> str:
-    """Content of a parameter file with these values for every node that reads it.
-
-    Parameters
-    ----------
-    values : dict
-        Value by (nested) name.
-
-    Returns
-    -------
-    str
-        YAML.
-    """
+    """Content of a parameter file with these values for every node that reads it."""
     return yaml.safe_dump({'/**': {'ros__parameters': values}})

@@ -10,7 +10,11 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from types import FrameType
+from typing import IO
 
+from lpv_ros2cli.launch.log import LaunchLog
+from lpv_ros2cli.launch.node_action import ProcessSpec
 from lpv_ros2cli.launch.parameters import file_content
 
 _ESCALATION = {signal.SIGINT: signal.SIGTERM, signal.SIGTERM: signal.SIGKILL}
@@ -19,27 +23,31 @@ _ESCALATION = {signal.SIGINT: signal.SIGTERM, signal.SIGTERM: signal.SIGKILL}
 class _Process:
     """One process of a launch, perhaps started several times."""
 
-    def __init__(self, spec, number) -> None:
+    def __init__(self, spec: ProcessSpec, number: int) -> None:
         self.spec, self.name = spec, f'{spec.name}-{number}'
-        self.popen = None
+        self.popen: subprocess.Popen[str] | None = None
+        self.pid = 0
         self.retries = 0
-        self.start_at = None
-        self.signal_sent, self.escalate_at = None, None
+        self.start_at: float | None = None
+        self.signal_sent: signal.Signals | None = None
+        self.escalate_at: float | None = None
 
     @property
     def running(self) -> bool:
         return self.popen is not None
 
-    def send(self, number) -> None:
-        """A signal to the process and its children."""
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to the process and its children, if it runs."""
+        if not self.running:
+            return
         self.signal_sent = number
-        patience = {
+        timeout = {
             signal.SIGINT: self.spec.sigterm_timeout,
             signal.SIGTERM: self.spec.sigkill_timeout,
         }.get(number)
-        self.escalate_at = None if patience is None else time.monotonic() + patience
+        self.escalate_at = None if timeout is None else time.monotonic() + timeout
         try:
-            os.killpg(self.popen.pid, number)
+            os.killpg(self.pid, number)
         except ProcessLookupError:
             self.escalate_at = None
 
@@ -49,31 +57,19 @@ class Runner:
 
     Processes lead groups of their own, so that each gets exactly the signals that are sent here,
     whether SIGINT came from the terminal or from a program.
-
-    Parameters
-    ----------
-    specs : list of ProcessSpec
-        What to start.
-    log : LaunchLog
-        Receives lines.
     """
 
-    def __init__(self, specs, log) -> None:
+    def __init__(self, specs: list[ProcessSpec], log: LaunchLog) -> None:
         self._log = log
         numbers = itertools.count(1)
         self._processes = [_Process(spec, next(numbers)) for spec in specs]
-        self._events = queue.SimpleQueue()  # its put may interrupt its get, as _on_signal does
+        # Its put may interrupt its get, as _on_signal does.
+        self._events: queue.SimpleQueue[tuple[_Process | None, int]] = queue.SimpleQueue()
         self._stopping = False
         self._failed = False
 
     def run(self) -> int:
-        """Run until all have ended.
-
-        Returns
-        -------
-        int
-            0; 1 if a process ended with an error before it was told to end.
-        """
+        """Run until all have ended."""
         numbers = [signal.SIGINT, signal.SIGTERM]
         if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as nohup asks for
             numbers.append(signal.SIGHUP)  # the processes do not notice that the terminal closes
@@ -92,9 +88,9 @@ class Runner:
                     process.send(signal.SIGKILL)
         return int(self._failed)
 
-    def _on_signal(self, number, _frame) -> None:
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         # Only a note: the handler may interrupt whatever the main thread does.
-        self._events.put((None, signal.Signals(number)))
+        self._events.put((None, number))
 
     def _loop(self) -> None:
         while any(p.running or p.start_at is not None for p in self._processes):
@@ -104,7 +100,7 @@ class Runner:
                 pass
             else:
                 if process is None:
-                    self._interrupted(what)
+                    self._interrupted(signal.Signals(what))
                 else:
                     self._ended(process, what)
             self._on_time()
@@ -112,16 +108,17 @@ class Runner:
     def _on_time(self) -> None:
         now = time.monotonic()
         for process in self._processes:
-            if process.escalate_at is not None and now > process.escalate_at:
-                self._escalate(process)
+            last = process.signal_sent
+            if last and process.escalate_at is not None and now > process.escalate_at:
+                self._escalate(process, last)
             if process.start_at is not None and now >= process.start_at:
                 process.start_at = None
                 self._start(process)
 
-    def _start(self, process) -> None:
+    def _start(self, process: _Process) -> None:
         command = self._write_parameters(process)
         try:
-            process.popen = subprocess.Popen(
+            process.popen = popen = subprocess.Popen(
                 command,
                 env=process.spec.environment,
                 cwd=process.spec.cwd,
@@ -138,12 +135,12 @@ class Runner:
             if process.spec.shutdown_on_exit:
                 self._shut_down('process cannot be started')
             return
-        process.signal_sent = process.escalate_at = None
-        self._log.note('INFO', process.name, f'process started with pid [{process.popen.pid}]')
+        process.pid, process.signal_sent, process.escalate_at = popen.pid, None, None
+        self._log.note('INFO', process.name, f'process started with pid [{popen.pid}]')
         self._log.debug(process.name, shlex.join(command))
-        threading.Thread(target=self._follow, args=(process, process.popen), daemon=True).start()
+        threading.Thread(target=self._follow, args=(process, popen), daemon=True).start()
 
-    def _write_parameters(self, process):
+    def _write_parameters(self, process: _Process) -> list[str]:
         command = []
         for index, word in enumerate(process.spec.command):
             if isinstance(word, dict):
@@ -153,11 +150,12 @@ class Runner:
             command.append(word)
         return command
 
-    def _follow(self, process, popen) -> None:
+    def _follow(self, process: _Process, popen: 'subprocess.Popen[str]') -> None:
         """Thread: hand on the lines of a process, then that it ended."""
         pumps = [
             threading.Thread(target=self._pump, args=(process, stream, is_error), daemon=True)
             for stream, is_error in ((popen.stdout, False), (popen.stderr, True))
+            if stream is not None
         ]
         for pump in pumps:
             pump.start()
@@ -166,20 +164,22 @@ class Runner:
             pump.join(timeout=1.0)
         self._events.put((process, code))
 
-    def _pump(self, process, stream, is_error) -> None:
+    def _pump(self, process: _Process, stream: IO[str], is_error: bool) -> None:
         for line in stream:
             self._log.line(process.name, process.spec.output, line.rstrip('\n'), is_error)
 
-    def _ended(self, process, code) -> None:
-        pid, process.popen, process.escalate_at = process.popen.pid, None, None
+    def _ended(self, process: _Process, code: int) -> None:
+        process.popen = process.escalate_at = None
         if code == 0:
-            self._log.note('INFO', process.name, f'process has finished cleanly [pid {pid}]')
+            self._log.note(
+                'INFO', process.name, f'process has finished cleanly [pid {process.pid}]'
+            )
         else:
             words = [w if isinstance(w, str) else '(parameters)' for w in process.spec.command]
             self._log.note(
                 'ERROR',
                 process.name,
-                f"process has died [pid {pid}, exit code {code}, cmd '{' '.join(words)}'].",
+                f"process has died [pid {process.pid}, exit code {code}, cmd '{' '.join(words)}'].",
             )
         if self._stopping:
             return
@@ -191,13 +191,13 @@ class Runner:
         elif spec.shutdown_on_exit:
             self._shut_down(f'{process.name} has ended')
 
-    def _interrupted(self, number) -> None:
+    def _interrupted(self, number: signal.Signals) -> None:
         name = 'ctrl-c (SIGINT)' if number == signal.SIGINT else number.name
         again = ' again, ignoring...' if self._stopping else ''
         self._log.note('WARNING', 'launch', f'user interrupted with {name}{again}')
         self._shut_down()
 
-    def _shut_down(self, reason=None) -> None:
+    def _shut_down(self, reason: str | None = None) -> None:
         if self._stopping:
             return
         self._stopping = True
@@ -208,16 +208,15 @@ class Runner:
             if process.running:
                 process.send(signal.SIGINT)
 
-    def _escalate(self, process) -> None:
-        last = process.signal_sent
+    def _escalate(self, process: _Process, last: signal.Signals) -> None:
         following = _ESCALATION[last]
-        patience = (
+        timeout = (
             process.spec.sigterm_timeout if last == signal.SIGINT else process.spec.sigkill_timeout
         )
         self._log.note(
             'ERROR',
             process.name,
-            f"process[{process.name}] failed to terminate '{patience:g}' seconds after "
+            f"process[{process.name}] failed to terminate '{timeout:g}' seconds after "
             f"receiving '{last.name}', escalating to '{following.name}'",
         )
         process.send(following)

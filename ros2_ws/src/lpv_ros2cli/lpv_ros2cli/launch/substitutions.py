@@ -1,56 +1,34 @@
 """Texts with substitutions: ``$(name argument ...)``, nested and quoted."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from lpv_ros2cli.errors import CliError
 
+Parts = tuple['str | Substitution', ...]
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]*')
 
 
 @dataclass(frozen=True)
 class Substitution:
-    """A substitution that has not been performed.
+    """A substitution that has not been performed."""
 
-    Attributes
-    ----------
-    name : str
-        For instance ``var``.
-    arguments : tuple of tuple
-        Each a sequence of texts and substitutions.
-    """
-
-    name: str
-    arguments: tuple
+    name: str  # for instance ``var``
+    arguments: tuple['Parts', ...]
 
 
-def parse(text: str):
-    """Split a text into plain parts and substitutions.
-
-    Parameters
-    ----------
-    text : str
-        As in the launch file; a backslash takes the meaning from the character that follows.
-
-    Returns
-    -------
-    tuple of str or Substitution
-        Parts.
-
-    Raises
-    ------
-    CliError
-        If a substitution is not closed or has no name.
-    """
+def parse(text: str) -> Parts:
+    """Split a text into plain parts and substitutions."""
     parts, position = _parts(text, 0, lambda rest: False)
     assert position == len(text)
     return parts
 
 
-def _parts(text, position, ends):
+def _parts(text: str, position: int, ends: Callable[[str], bool]) -> tuple[Parts, int]:
     """Parts up to where ``ends`` is true of the next character."""
-    parts, plain = [], ''
+    parts: list[str | Substitution] = []
+    plain = ''
     while position < len(text) and not ends(text[position]):
         if text[position] == '\\' and position + 1 < len(text) and text[position + 1] in '\\$"\'()':
             plain += text[position + 1]
@@ -62,14 +40,14 @@ def _parts(text, position, ends):
         else:
             plain += text[position]
             position += 1
-    return tuple(part for part in (*parts, plain) if part != ''), position
+    return tuple(part for part in [*parts, plain] if part != ''), position
 
 
-def _substitution(text, start):
+def _substitution(text: str, start: int) -> tuple[Substitution, int]:
     found = _NAME.match(text, start + 2)
     if not found:
         raise CliError(f"{text!r}: a name must follow '$('")
-    position, arguments = found.end(), []
+    position, arguments = found.end(), list[Parts]()
     while True:
         while text[position : position + 1] == ' ':
             position += 1
@@ -81,7 +59,7 @@ def _substitution(text, start):
         arguments.append(argument)
 
 
-def _argument(text, position):
+def _argument(text: str, position: int) -> tuple[Parts, int]:
     quote = text[position]
     if quote not in '\'"':
         return _parts(text, position, lambda c: c in ' )')
@@ -102,25 +80,14 @@ _DESCRIPTIONS = {
 }
 
 
-def describe(parts: tuple[Any, ...]) -> str:
-    """A text with substitutions for people, as --show-args shows it.
-
-    Parameters
-    ----------
-    parts : tuple
-        Of `parse`.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+def describe(parts: Parts) -> str:
+    """A text with substitutions for people, as --show-args shows it."""
     if not parts:
         return "''"
     return ' + '.join(f"'{part}'" if isinstance(part, str) else _describe(part) for part in parts)
 
 
-def _describe(substitution):
+def _describe(substitution: Substitution) -> str:
     arguments = [describe(argument) for argument in substitution.arguments]
     if substitution.name.startswith('find-pkg') and arguments:
         arguments[0] = f'pkg={arguments[0]}'

@@ -1,20 +1,23 @@
 """``ros2 lifecycle get``."""
 
-from lpv_ros2cli import completion, discovery
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.graph import discovery
 from lpv_ros2cli.lifecycle.client import Lifecycle, managed_nodes
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument(
-        'node_name', nargs='?', help='node; otherwise all managed ones'
-    ).completer = completion.nodes
+    completion.add_argument(
+        parser, completion.nodes, 'node_name', nargs='?', help='node; otherwise all managed ones'
+    )
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Print the state of one node or of all managed ones."""
     with discovery.command_node() as node:
         if arguments.node_name:

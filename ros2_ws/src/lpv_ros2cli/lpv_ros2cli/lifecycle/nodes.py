@@ -1,10 +1,12 @@
 """``ros2 lifecycle nodes``."""
 
-from lpv_ros2cli import discovery
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.graph import discovery
 from lpv_ros2cli.lifecycle.client import managed_nodes
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument(
@@ -15,7 +17,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print the nodes that have a lifecycle."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)

@@ -1,21 +1,27 @@
 """``ros2 lifecycle set``."""
 
-from lpv_ros2cli import completion, discovery
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.graph import discovery
 from lpv_ros2cli.lifecycle.client import Lifecycle
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', help='node').completer = completion.nodes
-    parser.add_argument('transition', help='name or number of the transition').completer = (
-        lambda **_: ['configure', 'activate', 'deactivate', 'cleanup', 'shutdown']
+    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    completion.add_argument(
+        parser,
+        lambda **_: ['configure', 'activate', 'deactivate', 'cleanup', 'shutdown'],
+        'transition',
+        help='name or number of the transition',
     )
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Trigger a transition."""
     with discovery.command_node() as node:
         lifecycle = Lifecycle(node, arguments.node_name, arguments.spin_time)

@@ -1,19 +1,22 @@
 """``ros2 node info``."""
 
-from lpv_ros2cli import completion, discovery
-from lpv_ros2cli.names import absolute_node, find_node, without_hidden
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.command_line import completion
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import absolute_node, find_node, without_hidden
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', help='node').completer = completion.nodes
+    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
     parser.add_argument(
         '--include-hidden', action='store_true', help='also hidden topics and services'
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print what a node publishes, subscribes to, serves and calls."""
     with discovery.command_node() as node:
         full = find_node(node, arguments.node_name, arguments.spin_time)

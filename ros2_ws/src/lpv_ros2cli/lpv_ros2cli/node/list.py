@@ -1,12 +1,13 @@
 """``ros2 node list``."""
 
 import sys
+from argparse import ArgumentParser, Namespace
 
-from lpv_ros2cli import discovery
-from lpv_ros2cli.names import node_names
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import node_names
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument(
@@ -17,7 +18,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print the nodes of the graph."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)

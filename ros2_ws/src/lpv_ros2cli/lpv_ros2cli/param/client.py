@@ -1,8 +1,15 @@
 """Access to another node's parameters through its services."""
 
+import array
+from typing import TYPE_CHECKING, Any
+
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.names import find_node
-from lpv_ros2cli.service.calling import call, ready_client
+from lpv_ros2cli.graph.calling import call, ready_client
+from lpv_ros2cli.graph.names import find_node
+
+if TYPE_CHECKING:
+    from rcl_interfaces.msg import ParameterDescriptor, ParameterValue, SetParametersResult
+    from rclpy.node import Node
 
 _TYPE_NAMES = (
     'not set',
@@ -20,46 +27,26 @@ _TYPE_NAMES = (
 
 
 class ParameterAccess:
-    """Parameters of one node.
+    """Parameters of one node."""
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Calls.
-    name : str
-        Name of the other node, as typed.
-    spin_time : float, optional
-        Longest wait for that node [s].
-
-    Attributes
-    ----------
-    name : str
-        Absolute name of the other node.
-
-    Raises
-    ------
-    CliError
-        If there is no such node.
-    """
-
-    def __init__(self, node, name: str, spin_time: float | None = None) -> None:
+    def __init__(self, node: 'Node', name: str, spin_time: float | None = None) -> None:
         self._node = node
         self.name = find_node(node, name, spin_time)
 
-    def _call(self, service, service_name, **fields):
+    def _call(self, service: Any, service_name: str, **fields: object) -> Any:
         client = ready_client(self._node, service, f'{self.name}/{service_name}')
         try:
             return call(self._node, client, service.Request(**fields))
         finally:
             self._node.destroy_client(client)
 
-    def names(self):
+    def names(self) -> list[str]:
         """Names of the declared parameters, sorted."""
         from rcl_interfaces.srv import ListParameters
 
         return sorted(self._call(ListParameters, 'list_parameters').result.names)
 
-    def values(self, names):
+    def values(self, names: list[str]) -> list['ParameterValue']:
         """Values (rcl_interfaces/ParameterValue) of parameters, in the order of the names."""
         from rcl_interfaces.srv import GetParameters
 
@@ -67,31 +54,15 @@ class ParameterAccess:
         # A node that lacks one of the parameters answers with fewer values, or none.
         return values if len(values) == len(names) else [self._value(name) for name in names]
 
-    def _value(self, name):
+    def _value(self, name: str) -> 'ParameterValue':
         from rcl_interfaces.msg import ParameterValue
         from rcl_interfaces.srv import GetParameters
 
         found = self._call(GetParameters, 'get_parameters', names=[name]).values
         return found[0] if found else ParameterValue()
 
-    def value(self, name: str):
-        """Value of one declared parameter.
-
-        Parameters
-        ----------
-        name : str
-            Parameter.
-
-        Returns
-        -------
-        rcl_interfaces.msg.ParameterValue
-            Its value.
-
-        Raises
-        ------
-        CliError
-            If the node does not declare it.
-        """
+    def value(self, name: str) -> 'ParameterValue':
+        """Value of one declared parameter."""
         from rcl_interfaces.msg import ParameterType
 
         found = self._value(name)
@@ -102,25 +73,14 @@ class ParameterAccess:
             )
         return found
 
-    def describe(self, names):
+    def describe(self, names: list[str]) -> list['ParameterDescriptor']:
         """Descriptors (rcl_interfaces/ParameterDescriptor) of declared parameters."""
         from rcl_interfaces.srv import DescribeParameters
 
         return self._call(DescribeParameters, 'describe_parameters', names=list(names)).descriptors
 
-    def set(self, values):
-        """Set parameters, one by one.
-
-        Parameters
-        ----------
-        values : dict of str to rcl_interfaces.msg.ParameterValue
-            Value by name.
-
-        Returns
-        -------
-        dict of str to rcl_interfaces.msg.SetParametersResult
-            What became of each.
-        """
+    def set(self, values: dict[str, 'ParameterValue']) -> dict[str, 'SetParametersResult']:
+        """Set parameters, one by one."""
         from rcl_interfaces.msg import Parameter
         from rcl_interfaces.srv import SetParameters
 
@@ -131,37 +91,21 @@ class ParameterAccess:
         return dict(zip(values, results))
 
 
+def plain_value(value: 'ParameterValue') -> Any:
+    """Value of a parameter as a scalar or a list."""
+    from rclpy.parameter import parameter_value_to_python
+
+    plain: Any = parameter_value_to_python(value)
+    return list(plain) if isinstance(plain, (tuple, array.array)) else plain
+
+
 def type_name(kind: int) -> str:
-    """Name of a parameter type.
-
-    Parameters
-    ----------
-    kind : int
-        Of rcl_interfaces/ParameterType.
-
-    Returns
-    -------
-    str
-        Name.
-    """
+    """Name of a parameter type."""
     return _TYPE_NAMES[kind] if kind < len(_TYPE_NAMES) else f'type {kind}'
 
 
-def fitted(value, kind: int):
-    """A whole number as double where the parameter is one: ``1`` is then as good as ``1.0``.
-
-    Parameters
-    ----------
-    value : rcl_interfaces.msg.ParameterValue
-        As typed.
-    kind : int
-        Type of the parameter as declared.
-
-    Returns
-    -------
-    rcl_interfaces.msg.ParameterValue
-        Value of that type where nothing is lost by it.
-    """
+def fitted(value: 'ParameterValue', kind: int | None) -> 'ParameterValue':
+    """A whole number as double where the parameter is one: ``1`` is then as good as ``1.0``."""
     from rcl_interfaces.msg import ParameterType, ParameterValue
 
     if (value.type, kind) == (ParameterType.PARAMETER_INTEGER, ParameterType.PARAMETER_DOUBLE):

@@ -1,21 +1,29 @@
 """``ros2 param describe``."""
 
-from lpv_ros2cli import completion, discovery
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.graph import discovery
 from lpv_ros2cli.param.client import ParameterAccess, type_name
 
+if TYPE_CHECKING:
+    from rcl_interfaces.msg import ParameterDescriptor
 
-def add_arguments(parser) -> None:
+
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', help='node').completer = completion.nodes
-    parser.add_argument(
-        'parameter_names', nargs='+', help='parameters'
-    ).completer = completion.parameters
+    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    completion.add_argument(
+        parser, completion.parameters, 'parameter_names', nargs='+', help='parameters'
+    )
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print descriptions and constraints of parameters."""
     with discovery.command_node() as node:
         access = ParameterAccess(node, arguments.node_name, arguments.spin_time)
@@ -31,7 +39,7 @@ def run(arguments) -> None:
         print('\n'.join(_lines(descriptor)))
 
 
-def _lines(descriptor):
+def _lines(descriptor: 'ParameterDescriptor') -> Iterator[str]:
     yield f'Parameter name: {descriptor.name}'
     yield f'  Type: {type_name(descriptor.type)}'
     if descriptor.description:

@@ -1,7 +1,10 @@
 """``ros2 param get``."""
 
-from lpv_ros2cli import completion, discovery
-from lpv_ros2cli.param.client import ParameterAccess
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.command_line import completion
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.param.client import ParameterAccess, plain_value
 
 _LABELS = (
     '',
@@ -17,26 +20,23 @@ _LABELS = (
 )
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', help='node').completer = completion.nodes
-    parser.add_argument('parameter_name', help='parameter').completer = completion.parameters
+    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    completion.add_argument(parser, completion.parameters, 'parameter_name', help='parameter')
     parser.add_argument('--include-hidden-nodes', action='store_true')
     parser.add_argument('--hide-type', action='store_true', help='only show the value')
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Print the value of a parameter."""
-    from rclpy.parameter import parameter_value_to_python
-
     with discovery.command_node() as node:
         access = ParameterAccess(node, arguments.node_name, arguments.spin_time)
         found = access.value(arguments.parameter_name)
     if not found.type:
         print('Parameter not set.')
         return 1
-    value = parameter_value_to_python(found)
-    value = value.tolist() if hasattr(value, 'tolist') else value
+    value = plain_value(found)
     print(value if arguments.hide_type else f'{_LABELS[found.type]} {value}')
     return 0

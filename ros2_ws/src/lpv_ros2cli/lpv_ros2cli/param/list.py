@@ -1,17 +1,24 @@
 """``ros2 param list``."""
 
-from lpv_ros2cli import completion, discovery
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING
+
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.names import node_names
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import node_names
 from lpv_ros2cli.param.client import ParameterAccess, type_name
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
-def add_arguments(parser) -> None:
+
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument(
-        'node_name', nargs='?', help='node; otherwise all'
-    ).completer = completion.nodes
+    completion.add_argument(
+        parser, completion.nodes, 'node_name', nargs='?', help='node; otherwise all'
+    )
     parser.add_argument('--include-hidden-nodes', action='store_true')
     parser.add_argument(
         '--param-prefixes',
@@ -23,25 +30,25 @@ def add_arguments(parser) -> None:
     parser.add_argument('--param-type', action='store_true', help='show the types')
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Print the parameters of one node or of all."""
     with discovery.command_node() as node:
         if arguments.node_name:
-            _print(node, arguments, arguments.node_name, '  ')
+            _print(node, arguments, arguments.node_name)
             return 0
         discovery.settle(node, arguments.spin_time)
         code = 0
         for name in dict.fromkeys(node_names(node, arguments.include_hidden_nodes)):
             print(f'{name}:')
             try:
-                _print(node, arguments, name, '  ')
+                _print(node, arguments, name)
             except CliError as error:  # a node that hangs must not hide the others
                 print(f'  ({error})')
                 code = 1
         return code
 
 
-def _print(node, arguments, name, indent) -> None:
+def _print(node: 'Node', arguments: Namespace, name: str) -> None:
     access = ParameterAccess(node, name, arguments.spin_time)
     names = [
         parameter
@@ -55,4 +62,4 @@ def _print(node, arguments, name, indent) -> None:
     types = {d.name: d.type for d in access.describe(names)} if arguments.param_type else {}
     for parameter in names:
         kind = f' (type: {type_name(types[parameter])})' if parameter in types else ''
-        print(f'{indent}{parameter}{kind}')
+        print(f'  {parameter}{kind}')

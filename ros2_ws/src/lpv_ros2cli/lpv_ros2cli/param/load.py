@@ -1,15 +1,20 @@
 """``ros2 param load``."""
 
-from lpv_ros2cli import completion, discovery
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+from typing import Any
+
+from lpv_ros2cli.command_line import completion
+from lpv_ros2cli.command_line.yaml_text import read_yaml
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.graph import discovery
 from lpv_ros2cli.param.client import ParameterAccess, fitted
-from lpv_ros2cli.yaml_text import read_yaml
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', help='node').completer = completion.nodes
+    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
     parser.add_argument('parameter_file', help='parameter file (YAML)')
     parser.add_argument('--include-hidden-nodes', action='store_true')
     parser.add_argument(
@@ -19,7 +24,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Set what a parameter file says of a node; 1 where the node refused any of it."""
     from rclpy.parameter import get_parameter_value
 
@@ -43,10 +48,10 @@ def run(arguments):
     return 0 if all(result.successful for result in results.values()) else 1
 
 
-def _values_for(node_name, data, wildcard):
+def _values_for(node_name: str, data: object, wildcard: bool) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise CliError('the parameter file must hold a mapping of node names')
-    values = {}
+    values: dict[str, Any] = {}
     for key, section in data.items():
         names_it = str(key) in (node_name, node_name.lstrip('/'))
         if not (names_it or (wildcard and key == '/**')):
@@ -60,7 +65,7 @@ def _values_for(node_name, data, wildcard):
     return values
 
 
-def _flat(level, prefix):
+def _flat(level: dict[Any, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     for key, value in level.items():
         if isinstance(value, dict):
             yield from _flat(value, f'{prefix}{key}.')
@@ -68,7 +73,7 @@ def _flat(level, prefix):
             yield f'{prefix}{key}', value
 
 
-def _text(value):
+def _text(value: object) -> str:
     """YAML of a value, from which rclpy makes a parameter of the right type."""
     import yaml
 

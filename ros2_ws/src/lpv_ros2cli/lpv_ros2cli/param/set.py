@@ -1,21 +1,24 @@
 """``ros2 param set``."""
 
-from lpv_ros2cli import completion, discovery
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.command_line import completion
+from lpv_ros2cli.command_line.yaml_text import parse_yaml
 from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.graph import discovery
 from lpv_ros2cli.param.client import ParameterAccess, fitted
-from lpv_ros2cli.yaml_text import parse_yaml
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('node_name', help='node').completer = completion.nodes
-    parser.add_argument('parameter_name', help='parameter').completer = completion.parameters
+    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    completion.add_argument(parser, completion.parameters, 'parameter_name', help='parameter')
     parser.add_argument('value', help='value in YAML')
     parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Set a parameter; the node may refuse, with a reason."""
     from rclpy.parameter import get_parameter_value
 

@@ -2,28 +2,37 @@
 
 import sys
 import time
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING
 
-from lpv_ros2cli import completion, discovery
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.fill import message_from_text
-from lpv_ros2cli.interfaces import full_type, load
-from lpv_ros2cli.names import absolute
-from lpv_ros2cli.service.calling import call, ready_client
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.calling import call, ready_client
+from lpv_ros2cli.graph.names import absolute
+from lpv_ros2cli.message.from_text import message_from_text
+from lpv_ros2cli.message.types import full_type, load
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument('service_name', help='service').completer = completion.services
-    parser.add_argument(
-        'service_type', help='its type, e.g. std_srvs/srv/Trigger'
-    ).completer = completion.interface_types('srv')
+    completion.add_argument(parser, completion.services, 'service_name', help='service')
+    completion.add_argument(
+        parser,
+        completion.interface_types('srv'),
+        'service_type',
+        help='its type, e.g. std_srvs/srv/Trigger',
+    )
     group = parser.add_mutually_exclusive_group()
     group.add_argument('values', nargs='?', default='{}', help='fields of the request in YAML')
     group.add_argument('--stdin', action='store_true', help='read the fields from stdin')
     parser.add_argument('-r', '--rate', type=float, metavar='N', help='repeat the call, [Hz]')
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Call a service and print its answer."""
     if arguments.rate is not None and not arguments.rate > 0.0:
         raise CliError('--rate must be greater than zero')
@@ -43,10 +52,10 @@ def run(arguments) -> None:
             time.sleep(max(0.0, start + 1.0 / arguments.rate - time.monotonic()))
 
 
-def _check_type(node, name, expected) -> None:
+def _check_type(node: 'Node', name: str, expected: str) -> None:
     """A client of another type would wait for ever."""
 
-    def types_there():
+    def types_there() -> list[str] | None:
         return dict(node.get_service_names_and_types()).get(name)
 
     types = discovery.find(node, types_there, 0.5)
@@ -54,6 +63,6 @@ def _check_type(node, name, expected) -> None:
         print('waiting for service to become available...', flush=True)
         types = discovery.find(node, types_there)
     if not types:
-        raise CliError(f"Unknown service '{name}': nobody serves it")
+        raise CliError(f"Unknown service '{name}': no node offers it")
     if expected not in types:
         raise CliError(f"service '{name}' is of type {', '.join(types)}, not {expected}")

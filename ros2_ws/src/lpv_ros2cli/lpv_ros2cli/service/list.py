@@ -1,10 +1,12 @@
 """``ros2 service list``."""
 
-from lpv_ros2cli import discovery
-from lpv_ros2cli.names import without_hidden
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import without_hidden
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
@@ -18,7 +20,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print the services of the graph."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)

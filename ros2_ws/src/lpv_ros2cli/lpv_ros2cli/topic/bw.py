@@ -1,19 +1,21 @@
 """``ros2 topic bw``."""
 
 import time
+from argparse import ArgumentParser, Namespace
 from collections import deque
 
-from lpv_ros2cli import completion, discovery, qos
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.topic.listening import receive, topic_and_class
+from lpv_ros2cli.graph import discovery, qos
+from lpv_ros2cli.graph.receiving import receive, topic_and_class
 
 _WINDOW = 100
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('topic_name', help='topic').completer = completion.topics
+    completion.add_argument(parser, completion.topics, 'topic_name', help='topic')
     parser.add_argument(
         '-w',
         '--window',
@@ -24,7 +26,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print the bandwidth once a second until interrupted."""
     if arguments.window < 2:
         raise CliError('--window must be at least 2')
@@ -43,30 +45,25 @@ def run(arguments) -> None:
         receive(node)
 
 
-def _report(bandwidth) -> None:
+def _report(bandwidth: 'Bandwidth') -> None:
     text = bandwidth.describe(time.monotonic())
     if text:
         print(text, flush=True)
 
 
 class Bandwidth:
-    """Bandwidth over the last messages.
-
-    Parameters
-    ----------
-    window : int
-        Most messages that count.
-    """
+    """Bandwidth over the last messages."""
 
     def __init__(self, window: int) -> None:
-        self._times, self._sizes = deque(maxlen=window), deque(maxlen=window)
+        self._times: deque[float] = deque(maxlen=window)
+        self._sizes: deque[int] = deque(maxlen=window)
 
-    def take(self, now, size) -> None:
+    def take(self, now: float, size: int) -> None:
         """Count a message that came at a time [s], of a size [bytes]."""
         self._times.append(now)
         self._sizes.append(size)
 
-    def describe(self, now):
+    def describe(self, now: float) -> str:
         """Two lines about the time up to now [s]; empty where too little is known."""
         if len(self._times) < 2:
             return ''
@@ -83,7 +80,7 @@ class Bandwidth:
         return f'{_bytes(total / span)}/s from {number} messages\n\tMessage size {sizes}'
 
 
-def _bytes(number):
+def _bytes(number: float) -> str:
     for unit in ('B', 'KB'):
         if number < 1000:
             return f'{number:.0f} {unit}' if unit == 'B' else f'{number:.2f} {unit}'

@@ -1,18 +1,26 @@
 """``ros2 topic echo``."""
 
-from lpv_ros2cli import completion, discovery, qos
+from argparse import ArgumentParser, Namespace
+from typing import Any
+
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.render import DEFAULT_LENGTH, Style, field_of, is_message, to_csv, to_yaml
-from lpv_ros2cli.topic.listening import receive, topic_and_class
+from lpv_ros2cli.graph import discovery, qos
+from lpv_ros2cli.graph.receiving import receive, topic_and_class
+from lpv_ros2cli.message.to_text import DEFAULT_LENGTH, Style, field_of, is_message, to_csv, to_yaml
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('topic_name', help='topic').completer = completion.topics
-    parser.add_argument(
-        'message_type', nargs='?', help='its type; the topic need not be there yet then'
-    ).completer = completion.interface_types('msg')
+    completion.add_argument(parser, completion.topics, 'topic_name', help='topic')
+    completion.add_argument(
+        parser,
+        completion.interface_types('msg'),
+        'message_type',
+        nargs='?',
+        help='its type; the topic need not be there yet then',
+    )
     qos.add_arguments(parser, 'what fits the publishers')
     parser.add_argument('--csv', action='store_true', help='one line a message, comma-separated')
     parser.add_argument('--field', metavar='NAME', help='only this field, e.g. header.stamp')
@@ -34,7 +42,7 @@ def add_arguments(parser) -> None:
     parser.add_argument('--timeout', type=float, metavar='SECONDS', help='leave after this time')
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print messages until interrupted."""
     if arguments.truncate_length < 0:
         raise CliError('--truncate-length must not be negative')
@@ -64,11 +72,12 @@ def run(arguments) -> None:
 class _Echo:
     """Prints messages, and counts them."""
 
-    def __init__(self, arguments, style) -> None:
+    def __init__(self, arguments: Namespace, style: Style) -> None:
         self._arguments, self._style = arguments, style
-        self.shown, self.error = 0, None
+        self.shown = 0
+        self.error: CliError | None = None
 
-    def show(self, message) -> None:
+    def show(self, message: Any) -> None:
         if self._arguments.once and self.shown:
             return
         value = message

@@ -2,19 +2,21 @@
 
 import math
 import time
+from argparse import ArgumentParser, Namespace
 from collections import deque
 
-from lpv_ros2cli import completion, discovery, qos
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.topic.listening import receive, topic_and_class
+from lpv_ros2cli.graph import discovery, qos
+from lpv_ros2cli.graph.receiving import receive, topic_and_class
 
 _WINDOW = 10000
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('topic_name', help='topic').completer = completion.topics
+    completion.add_argument(parser, completion.topics, 'topic_name', help='topic')
     parser.add_argument(
         '-w',
         '--window',
@@ -30,7 +32,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print the rate once a second until interrupted."""
     if arguments.window < 2:
         raise CliError('--window must be at least 2')
@@ -48,34 +50,29 @@ def run(arguments) -> None:
         receive(node)
 
 
-def _report(rate) -> None:
+def _report(rate: 'Rate') -> None:
     text = rate.describe()
     if text:
         print(text, flush=True)
 
 
 class Rate:
-    """Rate of messages over the last ones.
-
-    Parameters
-    ----------
-    window : int
-        Most intervals that count.
-    """
+    """Rate of messages over the last ones."""
 
     def __init__(self, window: int) -> None:
-        self._intervals = deque(maxlen=window)
-        self._last, self._reported = None, 0
+        self._intervals: deque[float] = deque(maxlen=window)
+        self._last: float | None = None
+        self._reported = 0
         self.count = 0
 
-    def take(self, now) -> None:
+    def take(self, now: float) -> None:
         """Count a message that came at a time [s]."""
         if self._last is not None:
             self._intervals.append(now - self._last)
         self._last = now
         self.count += 1
 
-    def describe(self):
+    def describe(self) -> str:
         """Two lines about the rate; empty where no interval is known or nothing new came."""
         if not self._intervals:
             return ''

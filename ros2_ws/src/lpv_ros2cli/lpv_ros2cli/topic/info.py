@@ -1,13 +1,16 @@
 """``ros2 topic info``."""
 
-from lpv_ros2cli import completion, discovery
-from lpv_ros2cli.names import find_topic
+from argparse import ArgumentParser, Namespace
+
+from lpv_ros2cli.command_line import completion
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import find_topic
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('topic_name', help='topic').completer = completion.topics
+    completion.add_argument(parser, completion.topics, 'topic_name', help='topic')
     parser.add_argument(
         '-v',
         '--verbose',
@@ -16,7 +19,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print type, publishers and subscriptions of a topic."""
     with discovery.command_node() as node:
         name, types = find_topic(node, arguments.topic_name, arguments.spin_time)

@@ -1,10 +1,14 @@
 """``ros2 topic list``."""
 
-from lpv_ros2cli import discovery
-from lpv_ros2cli.names import without_hidden
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from typing import Any
+
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.names import without_hidden
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
     parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
@@ -21,7 +25,7 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Print the topics of the graph."""
     with discovery.command_node() as node:
         discovery.settle(node, arguments.spin_time)
@@ -36,7 +40,9 @@ def run(arguments) -> None:
                 print(f'{name} [{", ".join(types)}]' if arguments.show_types else name)
 
 
-def _print_side(topics, heading, who, count) -> None:
+def _print_side(
+    topics: list[tuple[Any, ...]], heading: str, who: str, count: Callable[[str], int]
+) -> None:
     print(f'{heading} topics:')
     for name, types in topics:
         number = count(name)

@@ -2,20 +2,27 @@
 
 import sys
 import time
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING, Any
 
-from lpv_ros2cli import completion, discovery, qos
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.fill import message_from_text
-from lpv_ros2cli.interfaces import load
-from lpv_ros2cli.names import absolute
+from lpv_ros2cli.graph import discovery, qos
+from lpv_ros2cli.graph.names import absolute
+from lpv_ros2cli.message.from_text import message_from_text
+from lpv_ros2cli.message.types import load
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.publisher import Publisher
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    parser.add_argument('topic_name', help='topic').completer = completion.topics
-    parser.add_argument('message_type', help='its type').completer = completion.interface_types(
-        'msg'
+    completion.add_argument(parser, completion.topics, 'topic_name', help='topic')
+    completion.add_argument(
+        parser, completion.interface_types('msg'), 'message_type', help='its type'
     )
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
@@ -52,13 +59,13 @@ def add_arguments(parser) -> None:
         type=float,
         default=0.1,
         metavar='SECONDS',
-        help='stay so long after the last message (0.1)',
+        help='time to stay after the last message (0.1)',
     )
     parser.add_argument('-n', '--node-name', help='name of the publishing node')
     qos.add_arguments(parser, 'default')
 
 
-def run(arguments) -> None:
+def run(arguments: Namespace) -> None:
     """Publish until enough or interrupted."""
     from rclpy.qos import QoSProfile
 
@@ -82,7 +89,7 @@ def run(arguments) -> None:
         time.sleep(max(0.0, arguments.keep_alive))
 
 
-def _await_subscriptions(publisher, arguments, count) -> None:
+def _await_subscriptions(publisher: 'Publisher', arguments: Namespace, count: int) -> None:
     wanted = arguments.wait_matching_subscriptions
     wanted = int(count > 0) if wanted is None else wanted
     start = told = time.monotonic()
@@ -99,7 +106,14 @@ def _await_subscriptions(publisher, arguments, count) -> None:
         time.sleep(0.02)
 
 
-def _loop(node, publisher, message_class, text, arguments, count) -> None:
+def _loop(
+    node: 'Node',
+    publisher: 'Publisher',
+    message_class: Any,
+    text: str,
+    arguments: Namespace,
+    count: int,
+) -> None:
     number, due = 0, time.monotonic()
     while not count or number < count:
         message = message_from_text(message_class, text, node.get_clock().now().to_msg())

@@ -1,0 +1,88 @@
+"""Fixtures shared by the tests of the maths: shipped arms, scenario, designed gains."""
+
+import importlib.util
+import signal
+import sys
+
+import pytest
+from hypothesis import settings
+from places import BRINGUP, ROOT
+
+for _name, _place in (
+    ('lpv_core', ROOT / 'ros2_ws' / 'src' / 'lpv_core'),
+    ('lpv_design', ROOT / 'design'),
+):
+    if importlib.util.find_spec(_name) is None:
+        sys.path.insert(0, str(_place))
+
+# Compilation takes seconds in the first example; the same examples are drawn in every run.
+settings.register_profile('lpv', deadline=None, derandomize=True, database=None, max_examples=200)
+settings.load_profile('lpv')
+
+
+def pytest_configure():
+    """A run that is cancelled stops the nodes that it started, as one that is interrupted does."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+@pytest.fixture(scope='session')
+def paper_arm():
+    """Arm of the paper's Table 1."""
+    from lpv_core.model.arm import load_arm
+
+    return load_arm(BRINGUP / 'arms' / 'paper.yaml')
+
+
+@pytest.fixture(scope='session')
+def real_arm():
+    """Arm of the recordings: relative encoders, hanging, with rotors and friction."""
+    from lpv_core.model.arm import load_arm
+
+    return load_arm(BRINGUP / 'arms' / 'real_arm.yaml')
+
+
+@pytest.fixture(params=['paper_arm', 'real_arm'])
+def arm(request):
+    """Both arms in turn; of function scope, so that tests keep the order of their files."""
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(scope='session')
+def two_faults():
+    """Shipped scenario with an abrupt and an incipient fault."""
+    from lpv_core.simulation.scenario import load_scenario
+
+    return load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml')
+
+
+@pytest.fixture(scope='session')
+def paper_gains(paper_arm):
+    """Gains of the shipped requirement ``paper``."""
+    from lpv_design.design_flow import design
+    from lpv_design.requirement import load_requirement
+
+    return design(paper_arm, load_requirement('paper')).gains
+
+
+@pytest.fixture(scope='session')
+def real_gains(real_arm):
+    """Gains of the shipped requirement ``real_arm``."""
+    from lpv_design.design_flow import design
+    from lpv_design.requirement import load_requirement
+
+    return design(real_arm, load_requirement('real_arm')).gains
+
+
+@pytest.fixture(scope='session')
+def literal_gains(paper_arm):
+    """Gains of the shipped requirement ``paper_literal``: LMI (55) as published."""
+    from lpv_design.design_flow import design
+    from lpv_design.requirement import load_requirement
+
+    return design(paper_arm, load_requirement('paper_literal')).gains
+
+
+@pytest.fixture(scope='session')
+def gains_of(paper_gains, real_gains):
+    """Gains by the arm's name."""
+    return {'paper': paper_gains, 'real_arm': real_gains}

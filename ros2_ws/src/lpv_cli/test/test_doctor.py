@@ -1,0 +1,461 @@
+"""``lpv doctor``: every finding, on files, on the environment, and on graphs."""
+
+import json
+import re
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import ros
+from places import BRINGUP, ROOT
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from lpv_cli.doctor import environment, graph  # noqa: E402
+from lpv_cli.doctor.files import check_arm, check_files, check_gains, check_scenario  # noqa: E402
+from lpv_cli.doctor.findings import Level  # noqa: E402
+from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot  # noqa: E402
+from lpv_cli.main import main  # noqa: E402
+from lpv_core.certificate.gains import save_gains  # noqa: E402
+from lpv_node.qos import stream  # noqa: E402
+
+PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
+NODES = ('/lpv/arm_sim', '/lpv/tracker', '/lpv/uio')
+NOW = 1_800_000_000_000_000_000
+
+
+@pytest.fixture(scope='module')
+def gains_file(paper_gains, tmp_path_factory):
+    path = tmp_path_factory.mktemp('gains') / 'gains.yaml'
+    save_gains(paper_gains, path)
+    return str(path)
+
+
+def found(findings, level=None):
+    """Names of the checks that found something."""
+    return [f.check for f in findings if f.level != Level.OK and level in (None, f.level)]
+
+
+# ------------------------------------------------------------------ files
+
+
+def test_given_files_that_fit_when_checked_then_nothing_is_found(gains_file):
+    arm, findings = check_files('paper', gains_file, 'two_faults')
+    assert arm.name == 'paper'
+    assert [f.check for f in findings] == ['arm', 'gains', 'scenario']
+    assert found(findings) == []
+
+
+def test_given_an_arm_without_gains_when_checked_then_the_design_is_named():
+    _, findings = check_files('paper', None, None)
+    (finding,) = [f for f in findings if f.level != Level.OK]
+    assert finding.check == 'gains'
+    assert 'lpv design --arm paper' in finding.remedy
+
+
+def test_given_gains_of_another_arm_when_checked_then_both_are_named(gains_file, real_arm):
+    finding = check_gains(gains_file, real_arm, 'real_arm')
+    assert finding.level == Level.ERROR
+    assert 'designed for another arm' in finding.text
+    assert "'paper'" in finding.text and "'real_arm'" in finding.text
+    assert 'lpv design --arm real_arm' in finding.remedy
+
+
+def test_given_a_certificate_that_does_not_hold_when_checked_then_its_inequality_is_named(
+    tmp_path, paper_arm, paper_gains
+):
+    observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
+    save_gains(replace(paper_gains, observer=observer), tmp_path / 'gains.yaml')
+    finding = check_gains(tmp_path / 'gains.yaml', paper_arm)
+    assert finding.level == Level.ERROR
+    assert 'certificate does not hold: observer, link 1' in finding.text
+
+
+@pytest.mark.parametrize('content', [None, 'x: [', '{}', '/**: {ros__parameters: {gains: {}}}'])
+def test_given_no_gains_file_when_checked_then_it_says_so(tmp_path, paper_arm, content):
+    path = tmp_path / 'gains.yaml'
+    if content is not None:
+        path.write_text(content)
+    finding = check_gains(path, paper_arm)
+    assert finding.level == Level.ERROR
+    assert 'lpv design' in finding.remedy
+
+
+def test_given_an_arm_file_with_a_wrong_field_when_checked_then_it_is_named(tmp_path):
+    text = Path(PAPER).read_text().replace('mass: 10.0', 'mass: -10.0')
+    (tmp_path / 'arm.yaml').write_text(text)
+    arm, finding = check_arm(str(tmp_path / 'arm.yaml'))
+    assert arm is None
+    assert finding.level == Level.ERROR
+    assert 'links[0].mass' in finding.text
+
+
+@pytest.mark.parametrize(
+    ('change', 'named'),
+    [
+        (('x: -0.8451', 'x: -8.451'), 'out of reach'),
+        (('link1_angle', 'elbow'), 'sensor'),
+        (('model: nonlinear', 'model: mujoco'), 'needs MuJoCo'),
+    ],
+)
+def test_given_a_scenario_that_cannot_be_run_when_checked_then_it_says_why(
+    tmp_path, monkeypatch, paper_arm, change, named
+):
+    monkeypatch.setitem(sys.modules, 'mujoco', None)
+    text = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text().replace(*change)
+    (tmp_path / 'scenario.yaml').write_text(text)
+    finding = check_scenario(str(tmp_path / 'scenario.yaml'), paper_arm)
+    assert finding.level == Level.ERROR
+    assert named in finding.text
+
+
+# ------------------------------------------------------------------ environment
+
+
+def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):
+    for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'):
+        monkeypatch.delenv(name, raising=False)
+    assert found(environment.check_environment()) == []
+
+
+def test_given_the_base_requirements_when_compared_then_the_doctor_asks_for_the_same():
+    lines = (ROOT / 'requirements' / 'base.txt').read_text().splitlines()
+    assert set(environment.REQUIREMENTS) <= set(lines)
+
+
+def test_given_packages_that_are_missing_or_old_when_checked_then_they_are_named():
+    finding = environment.check_packages(('numpy<1', 'no-such-package-of-ours>=1'))
+    assert finding.level == Level.ERROR
+    assert re.search(r'numpy is [\d.]+, <1 is needed', finding.text)
+    assert 'no-such-package-of-ours is missing' in finding.text
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'check', 'level'),
+    [
+        ('ROS_DOMAIN_ID', 'x', environment.check_domain, Level.ERROR),
+        ('ROS_DOMAIN_ID', '999', environment.check_domain, Level.ERROR),
+        ('ROS_DOMAIN_ID', '150', environment.check_domain, Level.WARN),
+        ('ROS_DOMAIN_ID', '42', environment.check_domain, Level.OK),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'EVERYWHERE', environment.check_range, Level.ERROR),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF', environment.check_range, Level.ERROR),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', environment.check_range, Level.OK),
+        ('ROS_LOCALHOST_ONLY', '1', environment.check_range, Level.WARN),
+        ('RMW_IMPLEMENTATION', 'rmw_of_nobody', environment.check_middleware, Level.ERROR),
+        ('ROS_DISTRO', 'jazzy', environment.check_ros, None),
+    ],
+)
+def test_given_a_variable_when_checked_then_its_value_is_judged(
+    monkeypatch, name, value, check, level
+):
+    monkeypatch.setenv(name, value)
+    import rclpy
+
+    if level is None:  # a sourced ROS 2 beside wheels: only where there are wheels
+        wheels = rclpy.__file__.startswith(sys.prefix)
+        level = Level.ERROR if wheels and sys.prefix != sys.base_prefix else Level.OK
+    finding = check()
+    assert finding.level == level
+    assert bool(finding.remedy) == (level != Level.OK)
+
+
+def test_given_plain_python_or_no_ros_when_checked_then_both_are_found(monkeypatch):
+    import lpv_core.support.jit
+
+    monkeypatch.setattr(lpv_core.support.jit, 'COMPILED', False)
+    assert environment.check_compiler().level == Level.WARN
+    monkeypatch.setattr(sys, 'version_info', (3, 9, 1))
+    assert environment.check_python().level == Level.WARN
+    monkeypatch.setitem(sys.modules, 'rclpy', None)
+    assert environment.check_ros().level == Level.ERROR
+    monkeypatch.setitem(sys.modules, 'lpv_msgs.msg', None)
+    assert environment.check_workspace().level == Level.ERROR
+
+
+# ------------------------------------------------------------------ graphs
+
+
+def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0, 0.0)):
+    result = JointState(
+        name=list(names), position=[1.5] * len(names), velocity=list(velocity), effort=list(effort)
+    )
+    result.header.stamp.sec, result.header.stamp.nanosec = divmod(stamp, 10**9)
+    return result
+
+
+def healthy(paper_arm, stamps=None):
+    """What is seen of a graph that runs in real time."""
+    qos = stream(False)
+    shot = Snapshot(domain=7, nodes=list(NODES), states=dict.fromkeys(NODES, 'active'))
+    shot.parameters = {
+        name: {'use_sim_time': False, 'lockstep': False, 'arm_file': PAPER} for name in NODES
+    }
+    shot.parameters['/lpv/uio'].update(
+        {'torque_source': 'effort', 'gains.arm_sha256': paper_arm.sha256()}
+    )
+    types = {
+        'joint_states': (JOINT_STATE, 'arm_sim', 'uio'),
+        'state_estimate': ('lpv_msgs/msg/StateEstimate', 'uio', 'tracker'),
+        'torque_command': ('lpv_msgs/msg/TorqueCommand', 'tracker', 'arm_sim'),
+    }
+    for topic, (msgtype, source, sink) in types.items():
+        shot.publishers[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{source}', msgtype, qos)]
+        shot.subscriptions[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{sink}', msgtype, qos)]
+    measure(shot, stamps or [NOW + k * 2_000_000 for k in range(50)])
+    return shot
+
+
+def measure(shot, stamps, delay=1_000_000, **fields):
+    shot.measured['/lpv/joint_states'] = [
+        (stamp + delay, message(stamp, **fields)) for stamp in stamps
+    ]
+
+
+def simulated_time(shot):
+    """Turn the graph into one in lockstep, stamps and /clock from 1 s on."""
+    for values in shot.parameters.values():
+        values['lockstep'] = True
+    stamps = [10**9 + k * 2_000_000 for k in range(50)]
+    measure(shot, stamps, delay=NOW)
+    shot.clock = [(stamp + NOW, stamp) for stamp in stamps]
+
+
+def second_simulator(shot):
+    shot.nodes.append('/lpv/arm_sim')
+    shot.publishers['/lpv/joint_states'] *= 2
+
+
+def reliable_sink(shot):
+    wanted = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+    shot.subscriptions['/lpv/joint_states'] = [Endpoint('/lpv/uio', JOINT_STATE, wanted)]
+
+
+def other_type(shot):
+    shot.subscriptions['/lpv/joint_states'] = [
+        Endpoint('/lpv/uio', 'std_msgs/msg/String', qos_profile_sensor_data)
+    ]
+
+
+def elsewhere(shot):
+    """The driver publishes on a topic of another name."""
+    shot.measured['/joint_states'] = shot.measured.pop('/lpv/joint_states')
+    shot.publishers['/joint_states'] = shot.publishers.pop('/lpv/joint_states')
+
+
+def wait_for_clock(shot):
+    shot.parameters['/lpv/uio']['use_sim_time'] = True
+
+
+STAMPS = [NOW + k * 2_000_000 for k in range(50)]
+MISTAKES = {
+    'names': (second_simulator, ['names', 'publishers'], 'several nodes /lpv/arm_sim'),
+    'driver beside the simulator': (
+        lambda s: s.publishers['/lpv/joint_states'].append(
+            Endpoint('/driver', JOINT_STATE, stream(False))
+        ),
+        ['publishers'],
+        '/lpv/joint_states has 2 publishers: /driver, /lpv/arm_sim',
+    ),
+    'two clocks': (
+        lambda s: s.publishers.update(
+            {'/clock': [Endpoint(f'/{n}', 'rosgraph_msgs/msg/Clock', stream(True)) for n in 'ab']}
+        ),
+        ['publishers'],
+        '/clock has 2 publishers',
+    ),
+    'inactive': (
+        lambda s: s.states.update({'/lpv/uio': 'inactive'}),
+        ['lifecycle'],
+        '/lpv/uio is inactive',
+    ),
+    'dead': (
+        lambda s: s.states.update({'/lpv/uio': None}),
+        ['lifecycle'],
+        '/lpv/uio does not answer',
+    ),
+    'no clock': (wait_for_clock, ['clock'], '/clock is silent'),
+    'clock that stands still': (
+        lambda s: (wait_for_clock(s), measure(s, [10**9]), s.clock.extend([(NOW, 10**9)] * 5)),
+        ['clock'],
+        '/clock stands still',
+    ),
+    'mixed modes': (
+        lambda s: s.parameters['/lpv/uio'].update(lockstep=True, use_sim_time=False),
+        ['mode'],
+        'only some nodes are in lockstep: /lpv/uio',
+    ),
+    'gains in use': (
+        lambda s: s.parameters['/lpv/uio'].update({'gains.arm_sha256': '0' * 64}),
+        ['gains in use'],
+        "gains of another arm than 'paper'",
+    ),
+    'remapping': (
+        elsewhere,
+        ['connections'],
+        '/lpv/uio listens to /lpv/joint_states, which nobody',
+    ),
+    'qos': (reliable_sink, ['qos'], '/lpv/uio does not hear /lpv/arm_sim'),
+    'types': (other_type, ['qos'], 'types sensor_msgs/msg/JointState and std_msgs/msg/String'),
+    'silence': (lambda s: measure(s, []), ['measurements'], '/lpv/joint_states is silent'),
+    'joint names': (
+        lambda s: measure(s, STAMPS, names=('shoulder', 'elbow')),
+        ['joints'],
+        "joint 'joint1' occurs 0 times",
+    ),
+    'no effort': (
+        lambda s: measure(s, STAMPS, effort=()),
+        ['efforts'],
+        '50 of 50 messages carry no effort',
+    ),
+    'no rates': (
+        lambda s: measure(s, STAMPS, velocity=()),
+        ['joints', 'values'],
+        'velocity has 0 values',
+    ),
+    'no numbers': (
+        lambda s: measure(s, STAMPS, velocity=(float('nan'), 0.0)),
+        ['values'],
+        'are missing or no numbers',
+    ),
+    'stamps zero': (lambda s: measure(s, [0] * 50), ['stamps'], 'stamps are zero'),
+    'stamps behind': (
+        lambda s: measure(s, STAMPS, delay=3_600_000_000_000),
+        ['stamps'],
+        'stamps are 3.6e+03 s behind the clock of this machine',
+    ),
+    'stamps ahead': (
+        lambda s: measure(s, STAMPS, delay=-2_000_000_000),
+        ['stamps'],
+        'stamps are 2 s ahead of',
+    ),
+    'time backwards': (
+        lambda s: measure(s, STAMPS[:25] + STAMPS[:25]),
+        ['stamps'],
+        'time goes backwards 1 times',
+    ),
+    'rate': (
+        lambda s: measure(s, [NOW + k * 10_000_000 for k in range(50)]),
+        ['rate'],
+        'a sample every 10 ms, the arm file says 2 ms',
+    ),
+}
+
+
+def test_given_a_healthy_graph_when_checked_then_nothing_is_found(paper_arm):
+    shot = healthy(paper_arm)
+    findings = graph.check_graph(shot)
+    assert found(findings) == []
+    assert {f.check for f in findings} == {
+        'nodes',
+        'lifecycle',
+        'names',
+        'publishers',
+        'clock',
+        'mode',
+        'gains in use',
+        'connections',
+        'qos',
+        'measurements',
+    }
+    simulated_time(shot)
+    assert found(graph.check_graph(shot)) == []
+
+
+@pytest.mark.parametrize('name', MISTAKES)
+def test_given_a_mistake_in_the_graph_when_checked_then_it_is_found_and_nothing_else(
+    paper_arm, name
+):
+    spoil, checks, text = MISTAKES[name]
+    shot = healthy(paper_arm)
+    spoil(shot)
+    findings = graph.check_graph(shot)
+    assert sorted(set(found(findings))) == checks
+    bad = [f for f in findings if f.level != Level.OK]
+    assert any(text in f.text for f in bad), [f.text for f in bad]
+    assert all(f.remedy for f in bad)
+
+
+def test_given_measurements_elsewhere_when_checked_then_the_remedy_names_their_topic(paper_arm):
+    shot = healthy(paper_arm)
+    elsewhere(shot)
+    (finding,) = graph.check_connections(shot)
+    assert '-r joint_states:=/joint_states' in finding.remedy
+
+
+def test_given_torques_from_commands_when_efforts_are_missing_then_that_is_fine(paper_arm):
+    shot = healthy(paper_arm)
+    measure(shot, STAMPS, effort=())
+    shot.parameters['/lpv/uio']['torque_source'] = 'command'
+    assert found(graph.check_graph(shot)) == []
+
+
+def test_given_an_arm_on_the_command_line_when_checked_then_it_counts_and_not_the_running_one(
+    paper_arm, real_arm
+):
+    shot = healthy(paper_arm)
+    assert graph.running_arm(shot) == paper_arm
+    assert found(graph.check_graph(shot, real_arm)) == ['gains in use']
+
+
+def test_given_nothing_of_ours_when_checked_then_it_depends_on_what_was_asked(paper_arm):
+    assert found(graph.check_graph(Snapshot())) == ['nodes']
+    assert found(graph.check_graph(Snapshot(), alone=False)) == []
+    shot = healthy(paper_arm)
+    driver = Snapshot(measured=shot.measured, publishers=shot.publishers)
+    (finding,) = [f for f in graph.check_graph(driver) if f.level != Level.OK]
+    assert 'but there are measurements' in finding.text
+    assert 'no gains' in finding.remedy
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not(
+    capsys, gains_file
+):
+    assert main(['doctor', '--arm', 'paper', '--gains', gains_file, '--offline']) == 0
+    assert 'nothing found' in capsys.readouterr().out
+    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline']) == 3
+    assert '-> lpv design --arm real_arm' in ' '.join(capsys.readouterr().out.split())
+    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline', '--json']) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert told['ok'] is False
+    assert [f['check'] for f in told['findings'] if f['level'] == 'ERROR'] == ['gains']
+
+
+@pytest.mark.parametrize('seconds', ['nan', '-1', 'soon', '1e9'])
+def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_ends_with_code_2(seconds):
+    with pytest.raises(SystemExit) as caught:
+        main(['doctor', '--seconds', seconds])
+    assert caught.value.code == 2
+
+
+@pytest.mark.ros
+def test_given_two_simulators_and_nobody_else_when_the_command_runs_then_both_mistakes_are_found(
+    tmp_path, monkeypatch, capsys
+):
+    domain = ros.next_domain()
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    own = (f'arm_file:={PAPER}', f'scenario_file:={BRINGUP / "scenarios" / "two_faults.yaml"}')
+    with ros.graph(tmp_path / 'log', domain) as running:
+        for name in ('simulator', 'uio'):
+            parameters = own if name == 'simulator' else ('autostart:=false', own[0])
+            for k in range(2 if name == 'simulator' else 1):
+                running.start(f'{name}{k}', ros.command(name, *parameters))
+        with ros.client(domain) as client:
+            assert client.wait(lambda: client.node.count_publishers('joint_states') == 2)
+        started = time.monotonic()
+        assert main(['doctor', '--seconds', '1', '--json']) == 3
+        assert time.monotonic() - started < 20.0
+        told = json.loads(capsys.readouterr().out)['findings']
+        running.stop()
+    texts = {f['check']: f['text'] for f in told if f['level'] != 'OK'}
+    assert '/lpv/joint_states has 2 publishers' in texts['publishers']
+    assert 'several nodes /lpv/arm_sim' in texts['names']
+    assert '/lpv/uio is unconfigured' in texts['lifecycle']
+    assert '/lpv/torque_command, which nobody publishes' in texts['connections']

@@ -1,0 +1,288 @@
+"""Certificates: exact proofs, what they refuse, what a design guarantees, the commands."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from places import ROOT
+
+from lpv_cli.main import main
+from lpv_core.certificate.conditions import corner_arms, delayed_radius, verify
+from lpv_core.certificate.error_system import link_errors
+from lpv_core.certificate.exact_proof import is_positive_definite, prove
+from lpv_core.certificate.gains import load_gains, save_gains
+from lpv_core.model.arm import arm_from_json, constants_vector
+from lpv_core.support.errors import ConfigError
+from lpv_design.exact_observer import torque_gains
+from lpv_design.guarantee import draw, guarantee
+
+ARMS = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup' / 'arms'
+REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
+
+# ------------------------------------------------------------------ exact arithmetic
+
+
+@given(st.lists(st.lists(st.integers(-5, 5), min_size=4, max_size=4), min_size=4, max_size=4))
+def test_given_a_gram_matrix_when_tested_then_only_the_identity_makes_it_positive_definite(rows):
+    factor = np.array(rows[:3])  # rank 3 at most
+    gram = factor.T @ factor
+    assert is_positive_definite(gram + np.eye(4, dtype=int))
+    assert not is_positive_definite(gram)
+    assert not is_positive_definite(-gram)
+
+
+def test_given_a_violation_below_rounding_when_tested_then_exact_arithmetic_sees_it():
+    tiny = 2.0**-60
+    singular = np.array([[1.0, 1.0 + 2.0**-52], [1.0 + 2.0**-52, 1.0 + 2.0**-51]])
+    # Eigenvalues in floats say nothing here; the determinant is -2^-104.
+    assert not is_positive_definite(singular)
+    assert is_positive_definite([[1.0, 0.0], [0.0, tiny]])
+    assert not is_positive_definite([[1.0, 0.0], [0.0, -tiny]])
+    assert not is_positive_definite([[1.0, tiny], [0.0, 1.0]])  # not symmetric
+    assert not is_positive_definite([[Fraction(1, 3), Fraction(1, 3)]] * 2)
+
+
+def test_given_shipped_designs_when_proved_then_every_inequality_is(
+    arm, gains_of, paper_arm, literal_gains
+):
+    for proved in (prove(arm, gains_of[arm.name]), prove(paper_arm, literal_gains)):
+        assert len(proved) >= 4
+        assert all(proved.values()), proved
+
+
+@pytest.mark.parametrize(
+    ('part', 'spoil', 'named'),
+    [
+        ('observer', lambda o: {'kappa': 0.9 * o.kappa}, 'disc'),
+        ('observer', lambda o: {'mu': 30.0 * o.mu}, 'sampled'),
+        ('observer', lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
+        ('observer', lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
+        ('controller', lambda c: {'m2': -c.m2}, 'LMI (67)'),
+        ('controller', lambda c: {'decay': 5.0 * c.decay}, 'LMI (67)'),
+        ('controller', lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
+    ],
+)
+def test_given_spoilt_gains_when_proved_then_the_inequality_is_refuted(
+    paper_arm, paper_gains, part, spoil, named
+):
+    original = getattr(paper_gains, part)
+    gains = replace(paper_gains, **{part: replace(original, **spoil(original))})
+    refuted = [name for name, holds in prove(paper_arm, gains).items() if not holds]
+    assert any(named in name for name in refuted), refuted
+    assert not all(check.holds for check in verify(paper_arm, gains))
+
+
+def test_given_a_spoilt_literal_design_when_proved_then_it_is_refuted(paper_arm, literal_gains):
+    for changes in ({'gamma': 0.1}, {'k': 2.0 * literal_gains.observer.k}):
+        gains = replace(literal_gains, observer=replace(literal_gains.observer, **changes))
+        assert not prove(paper_arm, gains)['observer: LMI (55) at 8 vertices']
+
+
+def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_agree(arm):
+    from lpv_core.certificate import exact_proof
+    from lpv_core.model.polytope import inverse_inertia_quadrangle
+
+    constants = exact_proof._constants(arm)
+    np.testing.assert_allclose(
+        [float(c) for c in constants],
+        constants_vector(arm.constants())[[0, 2, 1, 3, 4, 5]],
+        rtol=1e-14,
+    )
+    corners = np.array([[float(v) for v in corner] for corner in exact_proof._corners(constants)])
+    np.testing.assert_allclose(corners, inverse_inertia_quadrangle(arm.constants()), rtol=1e-9)
+
+
+# ------------------------------------------------------------------ checks in floats
+
+
+def test_given_a_sampled_integrator_when_its_torque_is_late_then_the_radius_is_the_textbooks():
+    a, b, m, dt = np.zeros((1, 1)), np.ones((1, 1)), np.array([[-2.0]]), 0.1
+    # x+ = x + dt u, u = -2 x one sample late: z^2 - z + 0.2 = 0.
+    expected = np.abs(np.roots([1.0, -1.0, 0.2])).max()
+    assert delayed_radius(a, b, m, dt) == pytest.approx(expected, rel=1e-12)
+    assert delayed_radius(a, b, 6.0 * m, dt) > 1.0
+
+
+def test_given_model_error_and_payload_when_corners_are_made_then_masses_span_the_range(paper_arm):
+    arms = corner_arms(replace(paper_arm, model_error=0.1, payload=0.5))
+    assert len(arms) == 32
+    masses = np.array([[link.mass for link in a.links] for a in arms])
+    np.testing.assert_allclose([masses.min(axis=0), masses.max(axis=0)], [[9.0, 4.5], [11.0, 6.0]])
+
+
+def test_given_an_arm_as_json_when_read_back_then_it_is_the_same_arm(arm):
+    again = arm_from_json(arm.to_json())
+    assert again == arm
+    assert again.sha256() == arm.sha256()
+    for text in ('', '{}', '[]', '{"links": 3}', arm.to_json().replace('"name"', '"nome"')):
+        with pytest.raises(ConfigError):
+            arm_from_json(text)
+
+
+# ------------------------------------------------------------------ what is guaranteed
+
+
+def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal(
+    paper_arm, paper_gains
+):
+    found = guarantee(paper_arm, paper_gains, points=9)
+    middle = 4
+    one, two = found.bound[:, middle, 0], found.bound[middle, :, 1]
+    assert np.isfinite(found.bound[middle, middle]).all()
+    for values in (one, two):
+        assert np.all(np.diff(values[middle:]) >= 0.0)
+        np.testing.assert_allclose(values, values[::-1], rtol=1e-9)
+    assert np.isinf(one[0]) and np.isinf(one[-1])  # 72 deg: the bound leaves gravity's reach
+    assert np.isfinite(found.bound[0, middle, 1])  # which is no matter of link 2's sensor
+    np.testing.assert_array_equal(found.threshold, np.maximum(found.bound, 0.02))
+    np.testing.assert_array_equal(found.detectable, found.threshold + found.bound)
+
+
+def test_given_a_larger_model_error_when_mapped_then_thresholds_are_larger(paper_arm, paper_gains):
+    base = guarantee(paper_arm, paper_gains, points=5).bound
+    for change in ({'model_error': 0.1}, {'payload': 0.3}, {'coulomb': (0.5, 0.5)}):
+        other = replace(paper_arm, **change)
+        gains = replace(paper_gains, arm_sha256=other.sha256())
+        larger = guarantee(other, gains, points=5).bound
+        assert np.all(larger[1:4, 1:4] >= base[1:4, 1:4])
+        assert np.all(larger[1, 3] > base[1, 3])  # 36 deg to both sides
+
+
+def test_given_a_map_when_drawn_then_it_is_a_picture(paper_arm, paper_gains, tmp_path):
+    draw(guarantee(paper_arm, paper_gains, points=5), paper_arm, tmp_path / 'a' / 'map.png')
+    assert (tmp_path / 'a' / 'map.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_given_a_gains_file_when_read_then_the_certificate_describes_itself(
+    paper_arm, paper_gains, tmp_path
+):
+    save_gains(paper_gains, tmp_path / 'g.yaml')
+    certificate = load_gains(tmp_path / 'g.yaml').certificate
+    assert arm_from_json(certificate['arm_json']) == paper_arm
+    assert max(certificate['margins'].values()) < 0.0
+    assert certificate['solver'] == 'CLARABEL'
+    assert len(certificate['guarantee']['threshold_1']) == 13 * 13
+    assert {'clarabel_version', 'cvxpy_version', 'numpy_version'} <= set(certificate)
+
+
+# ------------------------------------------------------------------ commands
+
+
+@pytest.fixture
+def gains_file(paper_gains, tmp_path):
+    save_gains(paper_gains, tmp_path / 'gains.yaml')
+    return tmp_path / 'gains.yaml'
+
+
+def tampered(path, field, factor):
+    data = yaml.safe_load(path.read_text())
+    gains = data['/**']['ros__parameters']['gains']
+    gains['observer'][field] = [factor * v for v in gains['observer'][field]]
+    path.write_text(yaml.safe_dump(data))
+
+
+def test_given_a_gains_file_when_verified_then_it_holds_and_no_solver_is_loaded(gains_file):
+    code = (
+        'import sys; from lpv_cli.main import main; '
+        f'code = main(["verify", {str(gains_file)!r}, "--proof"]); '
+        'sys.exit(code or ("cvxpy" in sys.modules) or ("clarabel" in sys.modules))'
+    )
+    result = subprocess.run(
+        [sys.executable, '-c', code], text=True, capture_output=True, timeout=60, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.rstrip().endswith('the certificate holds')
+    assert result.stdout.count('proved') == 10
+
+
+@pytest.mark.parametrize(('field', 'factor'), [('kappa', 1.5), ('mu', 0.2), ('lyapunov', -1.0)])
+def test_given_tampered_gains_when_verified_then_the_code_is_1(gains_file, capsys, field, factor):
+    tampered(gains_file, field, factor)
+    assert main(['verify', str(gains_file), '--proof']) == 1
+    said = capsys.readouterr().out
+    assert 'FAILS' in said
+    assert 'does NOT hold' in said
+
+
+def test_given_gains_of_another_arm_when_verified_then_both_are_named(gains_file, capsys):
+    assert main(['verify', str(gains_file), '--arm', str(ARMS / 'real_arm.yaml')]) == 2
+    said = capsys.readouterr().err
+    assert "'paper'" in said and "'real_arm'" in said
+
+
+def design(*arguments):
+    return main(['design', '--arm', str(ARMS / 'paper.yaml'), *map(str, arguments)])
+
+
+def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path, capsys):
+    assert (
+        design(
+            '--requirement',
+            REQUIREMENTS / 'paper.yaml',
+            '--out',
+            tmp_path / 'g.yaml',
+            '--map',
+            tmp_path / 'map.png',
+            '--proof',
+        )
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert 'REFUTED' not in said and said.count('proved') == 10
+    assert 'lasting faults are detected from' in said
+    assert load_gains(tmp_path / 'g.yaml').arm_name == 'paper'
+    assert (tmp_path / 'map.png').exists()
+
+
+def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_file(tmp_path, capsys):
+    box = tmp_path / 'published.yaml'
+    box.write_text(
+        (REQUIREMENTS / 'paper_literal.yaml')
+        .read_text()
+        .replace('sinc_min: 0.96', 'sinc_min: -0.2')
+    )
+    assert design('--requirement', box, '--out', tmp_path / 'g.yaml') == 3
+    said = capsys.readouterr().err
+    assert 'not observable' in said and 'cannot be told apart' in said
+    largest = float(said.split('phi2, phi3 in [')[1].split(',')[0])
+    assert 0.94 < largest < 0.96
+    assert not (tmp_path / 'g.yaml').exists()
+
+
+def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_design_says_so(
+    paper_arm, tmp_path, capsys
+):
+    base = (REQUIREMENTS / 'paper.yaml').read_text()
+    norm = 1.0 / (24.5 * 0.3)  # link 2 at the border of the region
+    for factor, code in ((1.01, 0), (0.99, 1)):
+        asked = tmp_path / 'asked.yaml'
+        bound = f'  torque_gain: {factor * norm}\n  rate_noise'
+        asked.write_text(base.replace('  rate_noise', bound))
+        assert design('--requirement', asked, '--out', tmp_path / 'g.yaml') == code
+    assert 'ask for a smaller region' in capsys.readouterr().err
+    # The norm is that of the designed error system, at any slope.
+    gains = load_gains(tmp_path / 'g.yaml').observer
+    for link, limit in zip(link_errors(paper_arm), torque_gains(paper_arm)):
+        for slope in np.linspace(*link.slopes, 5):
+            n = link.closed(slope, gains.kappa[link.index], gains.mu[link.index])
+            response = [
+                abs(np.linalg.solve(1j * w * np.eye(2) - n, [0.0, 1.0 / link.inertia])[0])
+                for w in np.logspace(-4, 3, 200)
+            ]
+            assert max(response) <= limit * (1.0 + 1e-9)
+
+
+def test_given_what_cannot_be_had_when_designed_then_code_1_and_no_file(tmp_path, capsys):
+    asked = tmp_path / 'asked.yaml'
+    asked.write_text(
+        (REQUIREMENTS / 'paper.yaml').read_text().replace('decay: 0.25', 'decay: 55.0')
+    )
+    assert design('--requirement', asked, '--out', tmp_path / 'g.yaml') == 1
+    assert 'slower decay' in capsys.readouterr().err
+    assert not (tmp_path / 'g.yaml').exists()

@@ -1,0 +1,1 @@
+"""Parsing, completion and interruption of a command line."""

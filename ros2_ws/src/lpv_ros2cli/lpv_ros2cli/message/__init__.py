@@ -1,0 +1,1 @@
+"""Interface types, and messages as text."""

@@ -1,0 +1,108 @@
+"""The documentation says what the code says: references resolve, the index of equations is complete."""
+
+import functools
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+
+import import_graph
+import pytest
+from places import ROOT
+
+PAGES = sorted((ROOT / 'docs').glob('*.md')) + [
+    ROOT / name for name in ('README.md', 'CONTRIBUTING.md')
+]
+WITHOUT_CODE = {69}
+"""Equations that nothing implements: the paper's remark on a choice of alpha."""
+
+_REFERENCE = re.compile(r'`([A-Za-z]\w*(?:\.[A-Za-z_]\w*)+)(?:\(\))?`')
+_FILES = (
+    'yaml',
+    'yml',
+    'md',
+    'py',
+    'png',
+    'html',
+    'csv',
+    'mcap',
+    'json',
+    'xml',
+    'txt',
+    'db3',
+    'parquet',
+)
+_CLASS = re.compile(r'^class (\w+)', re.MULTILINE)
+
+
+@functools.cache
+def _classes():
+    """Module of every class of this software."""
+    return {
+        name: import_graph.module_name(file, folder)
+        for folder in import_graph.package_folders().values()
+        for file in folder.rglob('*.py')
+        for name in _CLASS.findall(file.read_text(encoding='utf-8'))
+    }
+
+
+def _has(owner, name):
+    """Whether a module or class has a name, one that its instances get included."""
+    if hasattr(owner, name) or name in getattr(owner, '__annotations__', {}):
+        return True
+    return inspect.isclass(owner) and f'self.{name}' in inspect.getsource(owner)
+
+
+def _resolves(reference):
+    parts = reference.split('.')
+    for cut in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module('.'.join(parts[:cut]))
+        except ImportError:
+            continue
+        for name in parts[cut:]:
+            if not _has(found, name):
+                return False
+            found = getattr(found, name, None)
+        return True
+    return False
+
+
+def references(page):
+    """What a page names as code of this software: by its package, or by its class."""
+    for reference in _REFERENCE.findall(page.read_text(encoding='utf-8')):
+        first = reference.split('.')[0]
+        if reference.rpartition('.')[2] in _FILES:
+            continue
+        if first in import_graph.package_folders():
+            yield reference
+        elif first[0].isupper() and first in _classes():
+            yield f'{_classes()[first]}.{reference}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_given_a_page_when_it_names_code_then_that_code_exists(page):
+    assert [name for name in references(page) if not _resolves(name)] == []
+
+
+def test_given_the_docstrings_when_their_equations_are_listed_then_the_index_is_that_list():
+    tool = ROOT / 'tools' / 'equation_index.py'
+    subprocess.run([sys.executable, str(tool), '--check'], check=True)
+
+
+def test_given_the_index_when_read_then_every_equation_of_the_paper_is_in_it():
+    listed = re.findall(
+        r'^\| \((\d+)\) \|', (ROOT / 'docs' / 'equations.md').read_text(), re.MULTILINE
+    )
+    assert set(range(1, 71)) - {int(number) for number in listed} == WITHOUT_CODE
+
+
+def test_given_the_pages_when_the_site_is_built_then_each_is_in_its_contents():
+    contents = (ROOT / 'docs' / 'index.md').read_text(encoding='utf-8').split()
+    missing = [p.stem for p in PAGES if p.parent.name == 'docs' and p.stem not in contents]
+    assert missing == ['index']
+
+
+def test_given_the_readme_when_its_lines_are_counted_then_it_is_short():
+    assert len((ROOT / 'README.md').read_text(encoding='utf-8').splitlines()) <= 120

@@ -1,0 +1,100 @@
+"""Index from the paper's equations to the functions that implement them: ``docs/equations.md``.
+
+Equation numbers are read from docstrings ("eq. (38)", "eqs. (13)-(20)", "LMI (67)"); a function, class or
+module that states one is listed.  ``--check`` fails where the page is not what the docstrings say.
+"""
+
+import argparse
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / 'docs' / 'equations.md'
+FOLDERS = (
+    'ros2_ws/src/lpv_core/lpv_core',
+    'design/lpv_design',
+    'ros2_ws/src/lpv_report/lpv_report',
+)
+LAST = 70
+"""Number of the paper's last equation."""
+
+_NUMBERS = re.compile(r'\((\d{1,2})\)(?:\s*-\s*\((\d{1,2})\))?')
+_STATED = re.compile(
+    r'(?:\b[Ee]qs?\.|\bLMIs?)\s*((?:\(\d{1,2}\)(?:\s*-\s*\(\d{1,2}\))?(?:,\s*|\s+and\s+)?)+)'
+)
+_HEAD = """# Index of equations
+
+Where each equation of the paper is implemented; made by `tools/equation_index.py` from the docstrings, which
+state the numbers. Equations that two methods share name both.
+
+| equation | code |
+| --- | --- |
+"""
+
+
+def stated_equations(text: str) -> set[int]:
+    """Numbers of the paper's equations that a docstring states."""
+    numbers: set[int] = set()
+    for group in _STATED.findall(text):
+        for first, last in _NUMBERS.findall(group):
+            numbers.update(range(int(first), int(last or first) + 1))
+    return {number for number in numbers if 1 <= number <= LAST}
+
+
+def _documented(tree: ast.Module, module: str) -> Iterator[tuple[str, str]]:
+    """Dotted name and docstring of a module's public functions, classes and methods."""
+
+    def walk(node: ast.AST, prefix: str) -> Iterator[tuple[str, str]]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, (ast.FunctionDef, ast.ClassDef)) and child.name != '__init__':
+                name = f'{prefix}.{child.name}'
+                yield name, ast.get_docstring(child) or ''
+                yield from walk(child, name)
+
+    yield module, ast.get_docstring(tree) or ''
+    yield from walk(tree, module)
+
+
+def find_equations() -> dict[int, list[str]]:
+    """Dotted names by equation; a module is named only where none of its functions states the number."""
+    index: dict[int, list[str]] = {}
+    for folder in FOLDERS:
+        for file in sorted((ROOT / folder).rglob('*.py')):
+            module = '.'.join(file.relative_to((ROOT / folder).parent).with_suffix('').parts)
+            entries = list(_documented(ast.parse(file.read_text(encoding='utf-8')), module))
+            inner = set().union(*(stated_equations(text) for _, text in entries[1:]), set())
+            for position, (name, text) in enumerate(entries):
+                for number in stated_equations(text) - (inner if position == 0 else set()):
+                    index.setdefault(number, []).append(name)
+    return index
+
+
+def page() -> str:
+    """The page's text."""
+    index = find_equations()
+    rows = [
+        f'| ({number}) | {", ".join(f"`{name}`" for name in index[number])} |'
+        for number in sorted(index)
+    ]
+    return _HEAD + '\n'.join(rows) + '\n'
+
+
+def main() -> int:
+    """Write the page, or compare it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').splitlines()[0])
+    parser.add_argument('--check', action='store_true', help='fail if the page is not up to date')
+    text = page()
+    if parser.parse_args().check:
+        if not PAGE.exists() or PAGE.read_text(encoding='utf-8') != text:
+            print('docs/equations.md is out of date: run python tools/equation_index.py')
+            return 1
+        return 0
+    PAGE.write_text(text, encoding='utf-8')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
