@@ -9,8 +9,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from lpv_bag.blocks import message_blocks
 from lpv_bag.replay.replay import Replay
-from lpv_bag.rosbag import message_blocks
 from lpv_bag.rosbag.interfaces import make_typestore
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter

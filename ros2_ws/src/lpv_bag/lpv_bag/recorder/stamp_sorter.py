@@ -1,4 +1,4 @@
-"""Messages of a lockstep run in an order that does not depend on who was heard first."""
+"""Messages of a lockstep run in an order that does not depend on the order of arrival."""
 
 import heapq
 from collections.abc import Callable
@@ -11,36 +11,21 @@ What is held back is lost if the recorder is killed.  In a loop that waits for e
 comes some ten milliseconds of stamps late at the most."""
 
 
-class StampOrder:
+class StampSorter:
     """Releases messages sorted by stamp, then topic.
 
     In lockstep all messages of one stamp are published before those of the next, but a recorder
     hears several publishers in an order that differs from run to run.
-
-    Parameters
-    ----------
-    write : callable
-        Takes topic, stamp [ns] and data of each message, in order.
     """
 
     def __init__(self, write: Callable[..., Any]) -> None:
         self._write = write
-        self._heap = []
+        self._heap: list[tuple[int, str, int, bytes]] = []
         self._count = 0
         self._newest = 0
 
     def add(self, topic: str, stamp: int, data: bytes) -> None:
-        """Take one message.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        stamp : int
-            Its stamp [ns].
-        data : bytes
-            CDR.
-        """
+        """Take one message."""
         # The counter keeps messages of one topic and stamp in the order of their arrival.
         heapq.heappush(self._heap, (stamp, topic, self._count, data))
         self._count += 1

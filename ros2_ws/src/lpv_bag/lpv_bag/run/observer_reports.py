@@ -1,9 +1,10 @@
-"""What the observer said of itself on /diagnostics."""
+"""The observer's own reports on /diagnostics."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
 from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.run.record import stamp_of
 
@@ -13,21 +14,11 @@ _OBSERVER = ': observer'
 
 @dataclass(frozen=True)
 class ObserverReport:
-    """One report of an observer.
+    """One report of an observer."""
 
-    Attributes
-    ----------
-    stamp : int
-        [ns].
-    level : int
-        As in diagnostic_msgs/DiagnosticStatus.
-    message : str
-        Its text.
-    """
-
-    stamp: int
-    level: int
-    message: str
+    stamp: int  # [ns]
+    level: int  # as in diagnostic_msgs/DiagnosticStatus
+    message: str  # its text
 
 
 def observer_reports(path: str | Path, namespace: str) -> list[ObserverReport]:
@@ -66,7 +57,7 @@ def observer_reports(path: str | Path, namespace: str) -> list[ObserverReport]:
     return sorted(found, key=lambda report: report.stamp)
 
 
-def _level(value):
+def _level(value: Any) -> int:
     """Levels are bytes in some versions of the definition and numbers in others."""
     if isinstance(value, (bytes, bytearray)):
         if len(value) != 1:

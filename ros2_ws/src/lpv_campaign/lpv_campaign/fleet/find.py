@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.errors import DamageError
 from lpv_bag.rosbag.metadata import FILE_NAME, read_metadata
 from lpv_core.support.errors import ConfigError
 

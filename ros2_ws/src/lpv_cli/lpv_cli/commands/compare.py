@@ -197,7 +197,7 @@ def _both(pair, name):
 
 def _write(out, text, first, second, arm) -> None:
     from lpv_report.comparison_figures import draw_comparison
-    from lpv_report.run.style import png
+    from lpv_report.style import png
 
     if out.exists() and not out.is_dir():
         raise ConfigError('--out', f'{out} is no folder')

@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from lpv_bag.errors import BagError
 from lpv_bag.mcap.writer import PRESETS
-from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.recovery import recover
 
 NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3

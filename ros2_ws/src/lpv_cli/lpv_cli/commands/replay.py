@@ -10,9 +10,9 @@ import numpy as np
 from rich.console import Console
 
 from lpv_bag.mcap.writer import PRESETS
-from lpv_bag.recorder.output_folder import GAINS_NAME
 from lpv_bag.replay.replay import Replay, ReplayOptions
 from lpv_bag.replay.writer import MARK
+from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_core.certificate.gains import load_gains, save_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.model.arm import load_arm

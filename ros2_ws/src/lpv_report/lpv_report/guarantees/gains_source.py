@@ -1,36 +1,24 @@
-"""Which gains a bag was answered with."""
+"""Which gains a run was made with."""
 
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_bag.recorder.output_folder import GAINS_NAME
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
+from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_core.certificate.gains import Gains, load_gains
-from lpv_core.model.arm import arm_from_json
+from lpv_core.model.arm import ArmParameters, arm_from_json
 from lpv_core.support.errors import ConfigError
 
 
 @dataclass(frozen=True)
 class UsedGains:
-    """Gains of a run, or why they are not known.
+    """Gains of a run, or why they are not known."""
 
-    Attributes
-    ----------
-    gains : Gains or None
-        None where they are not known.
-    source : str
-        Where they come from, for the reader.
-    digest : str
-        SHA-256 of their file.
-    problem : str
-        Why they are not known; empty where they are.
-    """
-
-    gains: Gains = None
-    source: str = ''
-    digest: str = ''
-    problem: str = ''
+    gains: Gains | None = None  # none where they are not known
+    source: str = ''  # where they come from, for the reader
+    digest: str = ''  # SHA-256 of their file
+    problem: str = ''  # why they are not known; empty where they are
 
 
 UNKNOWN = UsedGains(problem='The bag carries no gains, and none were given.')
@@ -62,7 +50,7 @@ def read_used_gains(path: str | Path, source: str = '') -> UsedGains:
 
 
 def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGains:
-    """Gains that a bag was answered with: those given, or those that lie in the bag.
+    """Gains of a recorded run: those given, or those in the bag.
 
     Parameters
     ----------
@@ -99,7 +87,7 @@ def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGai
         return UsedGains(problem=f'The gains in the bag cannot be used: {error}')
 
 
-def arm_of(gains: Gains):
+def arm_of(gains: Gains) -> ArmParameters:
     """The arm that a gains file describes.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Stretches of a run in which the diagnosis could not answer, or the arm was stopped."""
+"""Intervals of a run in which the diagnosis could not answer, or the arm was stopped."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lpv_bag.run.observer_reports import observer_reports
+from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import SensorState
 from lpv_core.observer.sampled_observer import Mode
 from lpv_report.history.episodes import intervals
@@ -23,61 +24,41 @@ _MEANING = {
     NO_DATA: 'no usable reading',
 }
 _MOST = 8
-"""Stretches of one kind that are listed one by one."""
+"""Intervals of one kind that are listed individually."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """One stretch.
+    """One interval."""
 
-    Attributes
-    ----------
-    what : str
-        One of the words of this module.
-    sensor : str
-        Of which sensor; empty for the whole arm.
-    start, end : float
-        [s] since the first measurement.
-    """
-
-    what: str
-    sensor: str
-    start: float
-    end: float
+    what: str  # one of the words of this module
+    sensor: str  # of which sensor; empty for the whole arm
+    start: float  # [s] since the first measurement
+    end: float  # [s] since the first measurement
 
     @property
-    def meaning(self):
+    def meaning(self) -> str:
         """What the word means."""
         return _MEANING[self.what]
 
     @property
-    def duration(self):
+    def duration(self) -> float:
         """[s]."""
         return self.end - self.start
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Stretches that are not listed one by one.
+    """Intervals that are not listed individually."""
 
-    Attributes
-    ----------
-    what, sensor : str
-        As in `Phase`.
-    count : int
-        How many.
-    duration : float
-        Of all of them together [s].
-    """
-
-    what: str
-    sensor: str
-    count: int
-    duration: float
+    what: str  # as in `Phase`
+    sensor: str  # as in `Phase`
+    count: int  # how many
+    duration: float  # of all of them together [s]
 
 
-def phases(record, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
-    """All stretches of a run.
+def phases(record: RunRecord, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
+    """All such intervals of a run.
 
     Parameters
     ----------
@@ -107,28 +88,15 @@ def phases(record, bag: str | Path, sensor_names: Sequence[str]) -> list[Phase]:
     return sorted(found, key=lambda p: (p.start, p.what, p.sensor))
 
 
-def starting(record, stamps: np.ndarray) -> np.ndarray:
-    """Which samples are the first ones, of which nobody expects an answer.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    stamps : ndarray of int64, shape (n,)
-        Their stamps [ns].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True where the observer was initialising.
-    """
+def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
+    """Which samples are the first ones, when no answer is expected yet."""
     mode = record.get('state_estimate', 'mode')
     if mode is None:
         return np.zeros(len(stamps), bool)
     return np.isin(stamps, record.stamps['state_estimate'][mode == Mode.INITIALISING])
 
 
-def _of_reports(record, bag):
+def _of_reports(record: RunRecord, bag: str | Path) -> list[Phase]:
     """Reports come once a second and with every alarm: times are as exact as that."""
     topic = record.topics.get('fault_estimate') or record.topics.get('state_estimate')
     if topic is None:
@@ -145,7 +113,7 @@ def _of_reports(record, bag):
     ]
 
 
-def _of_commands(record):
+def _of_commands(record: RunRecord) -> list[Phase]:
     stopped = record.get('torque_command', 'safe_stop')
     if stopped is None:
         return []
@@ -156,18 +124,7 @@ def _of_commands(record):
 
 
 def listed(found: list[Phase]) -> tuple[list[Any], ...]:
-    """What a reader can take in: the longest stretches of each kind, and the sum of the others.
-
-    Parameters
-    ----------
-    found : list of Phase
-        Of `phases`.
-
-    Returns
-    -------
-    tuple of list
-        Phases in the order of time, and a `Rest` for each kind that has more.
-    """
+    """The longest intervals of each kind, and the sum of the others."""
     kept, rests = [], []
     for key in sorted({(p.what, p.sensor) for p in found}):
         same = sorted((p for p in found if (p.what, p.sensor) == key), key=lambda p: -p.duration)

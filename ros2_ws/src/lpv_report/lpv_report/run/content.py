@@ -1,14 +1,22 @@
 """What a report says, as plain values for its template."""
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import NANOSECONDS
-from lpv_report.guarantees.detectability import summary
-from lpv_report.history.episodes import episodes, missed_faults
-from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, listed
+from lpv_report.guarantees.detectability import Detectability, summary
+from lpv_report.guarantees.examination import Certificate
+from lpv_report.guarantees.gains_source import UsedGains
+from lpv_report.guarantees.reproduction import Reproduction
+from lpv_report.history.episodes import Episode, Interval, episodes, missed_faults
+from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, Phase, listed
+from lpv_report.run.table import Row
 from lpv_report.run.versions import installed_versions
 
 _CALENDAR = 946684800 * NANOSECONDS
@@ -16,60 +24,40 @@ _CALENDAR = 946684800 * NANOSECONDS
 
 
 class Tile(NamedTuple):
-    """A figure on top of the page.
+    """A figure on top of the page."""
 
-    Attributes
-    ----------
-    name, value, note : str
-        What it is, the figure, and a remark.
-    look : str
-        '', good, bad or warn.
-    """
-
-    name: str
-    value: str
-    note: str = ''
-    look: str = ''
+    name: str  # what it is
+    value: str  # the figure
+    note: str = ''  # a remark
+    look: str = ''  # '', good, bad or warn
 
 
-def content(
-    record, arm, title: str, table, used, certificate, reproduction, able, found
-) -> dict[str, Any]:
-    """Values for the template.
+@dataclass(frozen=True)
+class Findings:
+    """All that a report is made of."""
 
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    title : str
-        Heading.
-    table : list of Row
-        Of `lpv_report.run.table.make_table`.
-    used : UsedGains
-        Gains, or why they are not known.
-    certificate : Certificate or None
-        Of the gains.
-    reproduction : Reproduction or None
-        Whether the gains give the recorded estimates.
-    able : Detectability or None
-        What could be detected.
-    found : list of Phase
-        Stretches without an answer.
+    record: RunRecord  # the run
+    arm: ArmParameters  # its arm
+    title: str  # heading
+    table: list[Row]  # of `lpv_report.run.table.make_table`
+    used: UsedGains  # gains of the run, or why they are not known
+    certificate: Certificate | None  # of the gains
+    reproduction: Reproduction | None  # whether the gains give the recorded estimates
+    detectable: Detectability | None  # what could be detected
+    phases: list[Phase]  # intervals without an answer, and stops
 
-    Returns
-    -------
-    dict
-        Names of the template.
-    """
+
+def content(findings: Findings) -> dict[str, Any]:
+    """Values for the template."""
+    record, arm, certificate = findings.record, findings.arm, findings.certificate
+    found, able = findings.phases, findings.detectable
     alarms = episodes(record)
     names = record.sensor_names or arm.sensor_names
     missed = missed_faults(record, alarms)
     truth = 'ground_truth' in record.streams
     shown, rests = listed(found)
     return {
-        'title': title,
+        'title': findings.title,
         'duration': record.time[-1],
         'samples': len(record.time),
         'period': _period(record),
@@ -84,13 +72,13 @@ def content(
         'rests': rests,
         'from_reports': (INCONSISTENT, UNSAFE),
         'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
-        'table': table,
-        'compare': any(row.paper is not None for row in table),
+        'table': findings.table,
+        'compare': any(row.paper is not None for row in findings.table),
         'detectable': summary(able, arm.sensor_names) if able is not None else [],
         'resting': able is not None and able.gains is not None,
         'certificate': certificate,
-        'no_gains': used.problem,
-        'reproduction': reproduction,
+        'no_gains': findings.used.problem,
+        'reproduction': findings.reproduction,
         'no_design': (
             'The gains are not known.'
             if certificate is None
@@ -102,23 +90,29 @@ def content(
     }
 
 
-def _period(record):
+def _period(record: RunRecord) -> str:
     stamps = record.stamps['joint_states']
     return f'{np.median(np.diff(stamps)) / 1e6:.3g}' if len(stamps) > 1 else ''
 
 
-def _begin(record):
+def _begin(record: RunRecord) -> str:
     stamp = int(record.stamps['joint_states'][0])
     if stamp < _CALENDAR:
         return ''
     return time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(stamp // NANOSECONDS))
 
 
-def _count(number, one, many):
+def _count(number: int, one: str, many: str) -> str:
     return f'{number or "no"} {one if number == 1 else many}'
 
 
-def _verdict(alarms, missed, found, truth, recorded):
+def _verdict(
+    alarms: list[Episode],
+    missed: list[Interval],
+    found: Sequence[Phase],
+    truth: bool,
+    recorded: bool,
+) -> str:
     """The answer in a sentence or two."""
     stops = sum(phase.what == SAFE_STOP for phase in found)
     odd = sum(phase.what == INCONSISTENT for phase in found)
@@ -141,7 +135,14 @@ def _verdict(alarms, missed, found, truth, recorded):
     return '; '.join(parts)
 
 
-def _tiles(record, alarms, missed, truth, certificate, found):
+def _tiles(
+    record: RunRecord,
+    alarms: list[Episode],
+    missed: list[Interval],
+    truth: bool,
+    certificate: Certificate | None,
+    found: Sequence[Phase],
+) -> list[Tile]:
     tiles = [Tile('alarms', str(len(alarms)), _ongoing(alarms))]
     if truth:
         false = sum(alarm.false_alarm for alarm in alarms)
@@ -158,12 +159,12 @@ def _tiles(record, alarms, missed, truth, certificate, found):
     return [*tiles, _certificate_tile(certificate)]
 
 
-def _ongoing(alarms):
+def _ongoing(alarms: list[Episode]) -> str:
     active = sum(alarm.cleared is None for alarm in alarms)
     return f'{active} to the end' if active else ''
 
 
-def _certificate_tile(certificate):
+def _certificate_tile(certificate: Certificate | None) -> Tile:
     if certificate is None:
         return Tile('certificate', 'unknown', look='warn')
     if certificate.holds:
@@ -175,7 +176,7 @@ def _certificate_tile(certificate):
     )
 
 
-def _arm_facts(arm):
+def _arm_facts(arm: ArmParameters) -> list[tuple[str, str]]:
     return [
         ('name', arm.name),
         ('SHA-256', arm.sha256()),

@@ -1,12 +1,15 @@
 """Messages of a bag in blocks of some megabytes, so that NumPy can work on thousands at once."""
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
+from rosbags.interfaces import Connection
 
-from lpv_bag.mcap.bag import McapBag
-from lpv_bag.mcap.blocks import RECORD_HEADER, Unsuitable, bag_blocks
+from lpv_bag.blocks.mcap_blocks import RECORD_HEADER, Unsuitable, bag_blocks
+from lpv_bag.rosbag.mcap_bag import McapBag
+from lpv_bag.rosbag.reading import BagReader
 
 BLOCK_SIZE = 2 << 20
 """Of about one block [bytes]: it fits into the caches, and overheads do not count."""
@@ -14,38 +17,32 @@ BLOCK_SIZE = 2 << 20
 
 @dataclass
 class Block:
-    """Consecutive messages.
+    """Consecutive messages."""
 
-    Attributes
-    ----------
-    data : ndarray of uint8
-        Bytes that hold all messages; before each are at least `RECORD_HEADER` other bytes.
-    connection : ndarray of int, shape (n,)
-        Index of each message's connection in the list that was asked for.
-    time : ndarray of int64, shape (n,)
-        Log times [ns], in order.
-    start, size : ndarray of int64, shape (n,)
-        Where in ``data`` each message begins, and its length [bytes].
-    """
-
+    # bytes that hold all messages; before each are at least `RECORD_HEADER` other bytes
     data: np.ndarray
+    # index of each message's connection in the list that was asked for; shape (n,)
     connection: np.ndarray
-    time: np.ndarray
-    start: np.ndarray
-    size: np.ndarray
+    time: np.ndarray  # log times [ns], in order; shape (n,)
+    start: np.ndarray  # where in ``data`` each message begins, and its length [bytes]; shape (n,)
+    size: np.ndarray  # where in ``data`` each message begins, and its length [bytes]; shape (n,)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.time)
 
-    def message(self, index):
+    def message(self, index: int) -> bytes:
         """Bytes of one message."""
         start = self.start[index]
         return self.data[start : start + self.size[index]].tobytes()
 
 
 def read_blocks(
-    reader, connections, start: int | None = None, stop: int | None = None, fast: bool = True
-):
+    reader: BagReader,
+    connections: Sequence[Connection],
+    start: int | None = None,
+    stop: int | None = None,
+    fast: bool = True,
+) -> Iterator[Block]:
     """Messages of some connections in the order of ``reader.messages``.
 
     MCAP files in good order are read a chunk at a time.  Everything else, and every file in which
@@ -85,14 +82,18 @@ def read_blocks(
     yield from _collect(islice(messages, done, None), connections)
 
 
-def _fast_blocks(reader, connections, start, stop):
+def _fast_blocks(
+    reader: BagReader, connections: Sequence[Connection], start: int | None, stop: int | None
+) -> Iterator[Block]:
     if not isinstance(reader.source, McapBag):
         raise Unsuitable
     for parts in bag_blocks(reader.source, connections, start, stop, BLOCK_SIZE):
         yield Block(*parts)
 
 
-def _collect(messages, connections):
+def _collect(
+    messages: Iterable[tuple[Connection, int, bytes]], connections: Sequence[Connection]
+) -> Iterator[Block]:
     """Blocks of messages that come one by one."""
     index = {id(c): i for i, c in enumerate(connections)}
     rows, data = [], bytearray()
@@ -110,6 +111,6 @@ def _collect(messages, connections):
         yield _block(rows, data)
 
 
-def _block(rows, data):
+def _block(rows: list[tuple[int, int, int, int]], data: bytearray) -> Block:
     columns = np.array(rows, dtype=np.int64).T
     return Block(np.frombuffer(data, np.uint8), *columns)

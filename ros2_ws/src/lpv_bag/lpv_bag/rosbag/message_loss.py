@@ -7,45 +7,28 @@ from dataclasses import dataclass, field
 
 RECORD_NAME = 'lpv_recorder'
 """Name of the metadata record of a file, and key of the custom data of a bag."""
+Known = dict[str, dict[str, int]]
+"""What a recorder knows of each topic: messages, lost, late, gaps."""
 _WINDOW = 64
 _REGULAR = 0.9
 
 
 @dataclass
 class TopicCount:
-    """Counts of one topic.
+    """Counts of one topic."""
 
-    Attributes
-    ----------
-    messages : int
-        Messages taken.
-    lost : int
-        Messages that were published and did not arrive, by the publishers' sequence numbers.
-    late : int
-        Messages whose stamp is older than one that came before.
-    gaps : int
-        Stamps that are missing, where stamps come at a regular period.
-    """
-
-    messages: int = 0
+    messages: int = 0  # messages taken
+    # messages that were published and did not arrive, by the publishers' sequence numbers
     lost: int = 0
-    late: int = 0
-    gaps: int = 0
-    _newest: int = None
-    _sequences: dict = field(default_factory=dict)
-    _steps: deque = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    late: int = 0  # messages whose stamp is older than one that came before
+    gaps: int = 0  # stamps that are missing, where stamps come at a regular period
+    _newest: int | None = None
+    _sequences: dict[bytes | None, int] = field(default_factory=dict)
+    _steps: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     _period: int = 0
 
     def take(self, publisher: bytes | None = None, sequence: int | None = None) -> None:
-        """Count a message.
-
-        Parameters
-        ----------
-        publisher : bytes, optional
-            Who sent it.
-        sequence : int, optional
-            The publisher's number of it; a publisher's first one is where counting begins.
-        """
+        """Count a message."""
         self.messages += 1
         if sequence is None:
             return
@@ -57,7 +40,7 @@ class TopicCount:
         else:  # it was counted as lost when the next one came
             self.lost = max(0, self.lost - 1)
 
-    def stamp(self, stamp) -> None:
+    def stamp(self, stamp: int) -> None:
         """Take note of a message's stamp [ns]."""
         if self._newest is None:
             self._newest = stamp
@@ -81,35 +64,24 @@ class TopicCount:
         near = sum(abs(step - period) <= period / 4 for step in steps)
         self._period = period if period > 0 and near >= _REGULAR * _WINDOW else 0
 
-    def known(self):
+    def known(self) -> dict[str, int]:
         """Counts by name."""
         return {'messages': self.messages, 'lost': self.lost, 'late': self.late, 'gaps': self.gaps}
 
 
-def as_text(known):
+def as_text(known: Known) -> str:
     """JSON of the counts of all topics."""
     return json.dumps(known, sort_keys=True, separators=(',', ':'))
 
 
-def as_metadata(known):
+def as_metadata(known: Known) -> dict[str, str]:
     """Counts as a metadata record, which has no checksum of its own."""
     text = as_text(known)
     return {'topics': text, 'crc32': f'{zlib.crc32(text.encode()):08x}'}
 
 
-def from_metadata(values: dict[str, str]) -> dict[str, dict[str, int]]:
-    """Counts by topic from a metadata record.
-
-    Parameters
-    ----------
-    values : dict of str to str
-        Of the record.
-
-    Returns
-    -------
-    dict of str to dict of str to int
-        Counts by topic; empty if the record is damaged.
-    """
+def from_metadata(values: dict[str, str]) -> Known:
+    """Counts by topic from a metadata record."""
     text = values.get('topics', '')
     if values.get('crc32') != f'{zlib.crc32(text.encode()):08x}':
         return {}

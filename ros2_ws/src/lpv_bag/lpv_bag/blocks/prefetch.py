@@ -2,35 +2,24 @@
 
 import queue
 import threading
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
 
 _END = object()
+T = TypeVar('T')
 
 
 class _Failure:
-    def __init__(self, error) -> None:
+    def __init__(self, error: BaseException) -> None:
         self.error = error
 
 
-def ahead(items, depth: int = 2):
-    """Items of an iterable that is advanced by another thread.
+def ahead(items: Iterable[T], depth: int = 2) -> Iterator[T]:
+    """Items of an iterable that is advanced by another thread."""
+    waiting: queue.Queue[Any] = queue.Queue(depth)
+    stop = threading.Event()
 
-    Parameters
-    ----------
-    items : iterable
-        Used by the other thread alone.
-    depth : int, optional
-        How many items may wait.
-
-    Yields
-    ------
-    object
-        The items; what the iterable raises is raised here.
-    """
-    waiting, stop = queue.Queue(depth), threading.Event()
-
-    def put(item) -> None:
+    def put(item: object) -> None:
         while not stop.is_set():
             try:
                 waiting.put(item, timeout=0.1)
@@ -70,25 +59,20 @@ class Behind:
 
     What the function raises is raised by the next call or at the end.  If the block itself ends
     with an exception, calls that wait are dropped.
-
-    Parameters
-    ----------
-    function : callable
-        What to call.
-    depth : int, optional
-        How many calls may wait.
     """
 
     def __init__(self, function: Callable[..., Any], depth: int = 2) -> None:
-        self._function, self._waiting = function, queue.Queue(depth)
-        self._error, self._dropped = None, False
+        self._function = function
+        self._waiting: queue.Queue[Any] = queue.Queue(depth)
+        self._error: BaseException | None = None
+        self._dropped = False
         self._thread = threading.Thread(target=self._work, daemon=True)
 
-    def __enter__(self):
+    def __enter__(self) -> 'Behind':
         self._thread.start()
         return self
 
-    def __call__(self, *arguments) -> None:
+    def __call__(self, *arguments: Any) -> None:
         """Call the function soon."""
         if self._error is not None:
             raise self._error
@@ -102,7 +86,7 @@ class Behind:
                 except BaseException as error:  # raised again by the thread that called
                     self._error = error
 
-    def __exit__(self, kind, *_) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._dropped = kind is not None
         self._waiting.put(_END)
         self._thread.join()

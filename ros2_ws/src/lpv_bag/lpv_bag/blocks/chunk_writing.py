@@ -2,12 +2,14 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
 
-from lpv_bag.rosbag.cdr_layout import rows
-from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.rosbag.message_loss import Known
+from lpv_bag.rosbag.writing import BagWriter, FinishedFile
 
 RECORD = np.dtype(
     [
@@ -20,46 +22,17 @@ RECORD = np.dtype(
     ]
 )
 """Head of a message's record."""
-_SEQUENCE = RECORD.fields['sequence'][1]
+OFFSETS = {name: place[1] for name, place in (RECORD.fields or {}).items()}
+"""Of the fields of `RECORD` [bytes]."""
 
 
 def record_head(channel: int, time: int, size: int) -> bytes:
-    """Head of a message's record.
-
-    Parameters
-    ----------
-    channel : int
-        Id of the channel.
-    time : int
-        Log time [ns].
-    size : int
-        Of the message [bytes].
-
-    Returns
-    -------
-    bytes
-        To be followed by the message.
-    """
+    """Head of a message's record."""
     return struct.pack('<BQHIQQ', Opcode.MESSAGE, size + 22, channel, 0, time, time)
 
 
 class ChunkBagWriter(BagWriter):
-    """A bag writer that also takes chunks which are ready.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Directory to create.
-    preset : str, optional
-        Compression, key of `lpv_bag.mcap.writer.PRESETS`.
-    custom_data : dict of str to str, optional
-        To be stored in metadata.yaml.
-
-    Raises
-    ------
-    ConfigError
-        If it exists already or cannot be made.
-    """
+    """A bag writer that also takes chunks which are ready."""
 
     def __init__(
         self, path: str | Path, preset: str = 'none', custom_data: dict[str, str] | None = None
@@ -67,43 +40,31 @@ class ChunkBagWriter(BagWriter):
         self._custom_data = custom_data or {}
         super().__init__(path, preset)
 
-    def channel(self, topic):
+    def channel(self, topic: str) -> int:
         """Channel id of an announced topic."""
         return self._channels[topic]
 
-    def write_chunk(self, data: np.ndarray, index) -> None:
-        """Write a chunk.
-
-        Parameters
-        ----------
-        data : ndarray of uint8
-            Records of messages; their sequence numbers are set here.
-        index : dict of int to tuple of two ndarray of int64
-            Log times [ns] and offsets into ``data`` of the messages of each channel, in the order
-            of their offsets.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+    def write_chunk(
+        self, data: np.ndarray, index: dict[int, tuple[np.ndarray, np.ndarray]]
+    ) -> None:
+        """Write a chunk."""
         self.flush()
         for topic, channel in self._channels.items():
             if channel in index:
                 places = index[channel][1]
                 numbers = np.arange(1, len(places) + 1) + self.counts[topic]
-                rows(data, '<u4')[places + _SEQUENCE] = numbers & 0xFFFFFFFF
+                rows(data, '<u4')[places + OFFSETS['sequence']] = numbers & 0xFFFFFFFF
                 self.counts[topic] += len(places)
         # Signed and unsigned numbers together would become floats, and lose nanoseconds.
         self._file.put_chunk(
-            data,
+            data.data,
             {
                 channel: np.column_stack([c.astype('<u8') for c in columns]).ravel()
                 for channel, columns in index.items()
             },
         )
 
-    def _information(self, files, known):
+    def _information(self, files: list[FinishedFile], known: Known) -> dict[str, Any]:
         found = super()._information(files, known)
         found['custom_data'] = {**(found.get('custom_data') or {}), **self._custom_data}
         return found

@@ -4,22 +4,26 @@ import functools
 import heapq
 import logging
 from collections import Counter
+from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Any
 
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
     MessageDefinition,
     MessageDefinitionFormat,
+    Qos,
 )
 from rosbags.rosbag2.metadata import parse_qos
 
-from lpv_bag.mcap.content import records
-from lpv_bag.mcap.file import McapFile
+from lpv_bag.errors import BagError, DamageError
+from lpv_bag.mcap.content import Message, records
+from lpv_bag.mcap.file import Block, McapFile, Survey
+from lpv_bag.mcap.records import Channel, Schema
 from lpv_bag.mcap.survey import read_metadata, survey
-from lpv_bag.recorder.message_loss import RECORD_NAME, from_metadata
-from lpv_bag.rosbag.errors import BagError, DamageError
-from lpv_bag.rosbag.metadata import FILE_NAME
+from lpv_bag.rosbag.message_loss import RECORD_NAME, Known, from_metadata
+from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata
 
 _LOG = logging.getLogger(__name__)
 _FORMATS = {
@@ -30,45 +34,24 @@ _FORMATS = {
 
 
 class McapBag:
-    """Reads the messages of a bag; goes on behind what is damaged, and says so.
+    """Reads the messages of a bag; continues after damaged parts, and reports them."""
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory or MCAP file.
-    metadata : BagMetadata, optional
-        Of the directory.
-    damage : str, optional
-        What is wrong with the directory itself.
-
-    Attributes
-    ----------
-    connections : list of rosbags.interfaces.Connection
-        Topics; their ``msgcount`` is what can be read, as far as that is known without reading.
-    warnings : list of str
-        What is wrong with the bag; grows while damaged chunks are met.
-    parts : list of tuple
-        `McapFile` and `Survey` of each file.
-    known : dict of str to dict of str to int
-        What the recorder knew of each topic (lost, late, gaps).
-
-    Raises
-    ------
-    BagError
-        If nothing can be read.
-    """
-
-    def __init__(self, path: str | Path, metadata=None, damage: str | None = None) -> None:
+    def __init__(
+        self, path: str | Path, metadata: BagMetadata | None = None, damage: str | None = None
+    ) -> None:
         self.path, self.metadata = Path(path), metadata
-        self.warnings, self.parts, self.connections = [], [], []
-        self.known, self._maps = {}, []
+        self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
+        self.parts: list[tuple[McapFile, Survey]] = []  # of each file
+        self.connections: list[Connection] = []  # their msgcount is what can be read
+        self.known: Known = {}  # what the recorder knew of each topic
+        self._maps: list[dict[int, Any]] = []
         try:
             self._open(damage)
         except BaseException:
             self.close()
             raise
 
-    def _open(self, damage) -> None:
+    def _open(self, damage: str | None) -> None:
         errors = []
         for path in self._paths():
             try:
@@ -83,35 +66,37 @@ class McapBag:
         self._compare_counts()
 
     def close(self) -> None:
-        """Give the files back."""
+        """Close the files."""
         for file, _ in self.parts:
             file.close()
         self.parts = []
 
-    def _warn(self, text) -> None:
+    def _warn(self, text: str) -> None:
         self.warnings.append(text)
         _LOG.warning('%s: %s', self.path, text)
 
     # -------------------------------------------------------------- files
 
-    def _paths(self):
+    def _paths(self) -> list[Path]:
         if not self.path.is_dir():
             return [self.path]
         there = sorted(self.path.glob('*.mcap'), key=lambda p: (len(p.name), p.name))
         if self.metadata is None:
-            return there or self._nothing()
+            return self._checked(there)
         named = [self.path / name for name in self.metadata.files]
         missing = [path.name for path in named if not path.is_file()]
         if missing:
             self._warn(f'{FILE_NAME} names files that are missing: {", ".join(missing)}')
-        return [path for path in named if path.is_file()] or self._nothing()
+        return self._checked([path for path in named if path.is_file()])
 
-    def _nothing(self) -> None:
-        raise BagError(
-            f'{self.path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files'
-        )
+    def _checked(self, paths: list[Path]) -> list[Path]:
+        if not paths:
+            raise BagError(
+                f'{self.path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files'
+            )
+        return paths
 
-    def _open_file(self, path) -> None:
+    def _open_file(self, path: Path) -> None:
         file = McapFile(path)
         try:
             found = survey(file)
@@ -136,7 +121,7 @@ class McapBag:
 
     def _connect(self) -> None:
         """One connection for each topic, type and QoS, whatever numbers the files give them."""
-        found = {}
+        found: dict[tuple[Any, ...], Connection] = {}
         for file, result in self.parts:
             numbers, counts = {}, _counts(result)
             for channel in result.channels.values():
@@ -162,7 +147,7 @@ class McapBag:
             {number: places[key] for number, key in numbers.items()} for numbers in self._maps
         ]
 
-    def _connection(self, channel, schema):
+    def _connection(self, channel: Channel, schema: Schema | None) -> Connection:
         metadata = dict(channel.metadata)
         profiles = list(_profiles(metadata.get('offered_qos_profiles', '')))
         definition = MessageDefinition(MessageDefinitionFormat.NONE, '')
@@ -187,10 +172,10 @@ class McapBag:
         )
 
     def _compare_counts(self) -> None:
-        """Messages that are announced in metadata.yaml and are not there."""
+        """Warn of messages that metadata.yaml announces and the files do not hold."""
         if self.metadata is None:
             return
-        there = Counter()
+        there: Counter[str] = Counter()
         for connection in self.connections:
             there[connection.topic] += connection.msgcount
         for topic, count in self.metadata.counts.items():
@@ -200,47 +185,28 @@ class McapBag:
                 )
 
     @property
-    def start_time(self):
+    def start_time(self) -> int:
         """Log time of the first message [ns]; 2**63 - 1 without messages."""
         return min((b.start for _, found in self.parts for b in found.blocks), default=2**63 - 1)
 
     @property
-    def end_time(self):
+    def end_time(self) -> int:
         """Time after the log time of the last message [ns]; 0 without messages."""
         return max((b.end + 1 for _, found in self.parts for b in found.blocks), default=0)
 
-    def connections_of(self, part: int):
-        """Connection by the channel number of a file.
-
-        Parameters
-        ----------
-        part : int
-            Index into ``parts``.
-
-        Returns
-        -------
-        dict of int to rosbags.interfaces.Connection
-            Of all its channels.
-        """
+    def connections_of(self, part: int) -> dict[int, Connection]:
+        """Connection by the channel number of a file."""
         return self._maps[part]
 
     # -------------------------------------------------------------- messages
 
-    def messages(self, connections=(), start: int | None = None, stop: int | None = None):
-        """Messages in the order of their log times.
-
-        Parameters
-        ----------
-        connections : collection of rosbags.interfaces.Connection, optional
-            Wanted ones; all if empty.
-        start, stop : int, optional
-            First log time, and the one before which to end [ns].
-
-        Yields
-        ------
-        tuple
-            Connection, log time [ns], raw data.
-        """
+    def messages(
+        self,
+        connections: Collection[Connection] = (),
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Messages in the order of their log times."""
         wanted = {connection.id for connection in connections or self.connections}
         for connection, message in self._merged(wanted, start, stop):
             if (start is None or message.log_time >= start) and (
@@ -248,8 +214,10 @@ class McapBag:
             ):
                 yield connection, message.log_time, message.data
 
-    def _merged(self, wanted, start, stop):
-        """Messages by log time; blocks are read when their time has come, not before."""
+    def _merged(
+        self, wanted: set[int], start: int | None, stop: int | None
+    ) -> Iterator[tuple[Connection, Message]]:
+        """Messages by log time; each block is read only when its time has come."""
         blocks = []
         for part, (_, found) in enumerate(self.parts):
             for block in found.blocks:
@@ -257,7 +225,7 @@ class McapBag:
                     blocks.append((block.start, part, block.offset, block))
         blocks.sort(key=lambda entry: entry[:3])
         self._bad = 0
-        heap = []
+        heap: list[tuple[Any, ...]] = []
         for _, part, place, block in blocks:
             while heap and heap[0][0] < block.start:
                 yield from self._step(heap, block.start)
@@ -275,7 +243,9 @@ class McapBag:
             )
 
     @staticmethod
-    def _step(heap, limit):
+    def _step(
+        heap: list[tuple[Any, ...]], limit: int | None
+    ) -> Iterator[tuple[Connection, Message]]:
         """Messages of the block that is due, until another one is."""
         _, place, connection, message, rest = heapq.heappop(heap)
         bound = heap[0][:2] if heap else None
@@ -290,7 +260,7 @@ class McapBag:
                 heapq.heappush(heap, (message.log_time, place, connection, message, rest))
                 return
 
-    def _block(self, part, block, wanted):
+    def _block(self, part: int, block: Block, wanted: set[int]) -> list[tuple[Connection, Message]]:
         """Wanted messages of a block, by log time; none of a damaged one."""
         file, _ = self.parts[part]
         connections = self._maps[part]
@@ -313,19 +283,19 @@ class McapBag:
 
 
 @functools.lru_cache(maxsize=256)
-def _profiles(text):
-    """Offered QoS; none where the text is damaged: it matters to nothing that is computed."""
+def _profiles(text: str) -> tuple[Qos, ...]:
+    """Offered QoS; none where the text is damaged: no result depends on it."""
     try:
         return tuple(parse_qos(text))
     except Exception:  # many kinds
         return ()
 
 
-def _counts(result):
-    """Messages by channel: of a good file as it says itself, of a damaged one as they were met."""
+def _counts(result: Survey) -> dict[int, int]:
+    """Messages by channel: by the statistics of a good file, as counted in a damaged one."""
     if not result.damages:
-        return result.counts
-    found = Counter()
+        return result.counts or {}
+    found: Counter[int] = Counter()
     for block in result.blocks:
         found.update(block.counts)
     return found

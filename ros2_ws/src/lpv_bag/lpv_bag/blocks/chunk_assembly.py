@@ -2,10 +2,13 @@
 
 import numpy as np
 
-from lpv_bag.mcap.blocks import RECORD_HEADER
-from lpv_bag.rosbag.cdr_layout import rows
-from lpv_bag.rosbag.chunk_writing import RECORD, record_head
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.blocks.chunk_writing import RECORD, record_head
+from lpv_bag.blocks.mcap_blocks import RECORD_HEADER
+from lpv_bag.blocks.message_blocks import Block
 
+Index = dict[int, tuple[np.ndarray, np.ndarray]]
+"""Log times [ns] and offsets of messages by channel."""
 _FEW = 16
 """Fewer records of one size than this are copied one by one."""
 
@@ -16,7 +19,7 @@ class Buffer:
     def __init__(self) -> None:
         self._data = np.empty(0, np.uint8)
 
-    def take(self, size):
+    def take(self, size: int) -> np.ndarray:
         """Some bytes, ndarray of uint8; those taken before are lost."""
         if len(self._data) < size:
             self._data = np.empty(size + size // 4, np.uint8)
@@ -24,65 +27,28 @@ class Buffer:
 
 
 class ChunkAssembly:
-    """Records that are added in any order and come out sorted by their slots.
-
-    Parameters
-    ----------
-    slots : int
-        How many places there are; each holds as many records as are added to it, or none.
-    buffer : Buffer, optional
-        Memory for the chunk.
-    """
+    """Records that are added in any order and come out sorted by their slots."""
 
     def __init__(self, slots: int, buffer: Buffer | None = None) -> None:
         self._sizes, self._buffer = np.zeros(slots, np.int64), buffer
-        self._arrays, self._single = [], []
+        self._arrays: list[tuple[np.ndarray, np.ndarray]] = []
+        self._single: list[tuple[int, int, int, int, bytes]] = []
 
     def add_rows(self, slots: np.ndarray, records: np.ndarray) -> None:
-        """Add records of one size and channel.
-
-        Parameters
-        ----------
-        slots : ndarray of int, shape (n,)
-            Place of each; all different and empty as yet.
-        records : ndarray, shape (n,)
-            Whole records; a structured type with the fields of `RECORD`.
-        """
+        """Add records of one size and channel."""
         if len(slots):
             self._sizes[slots] = records.dtype.itemsize
             self._arrays.append((slots, records))
 
     def add_message(self, slot: int, channel: int, time: int, data: bytes) -> None:
-        """Add one message behind those that are in a slot already.
-
-        Parameters
-        ----------
-        slot : int
-            Its place.
-        channel : int
-            Id of its channel.
-        time : int
-            Log time [ns].
-        data : bytes
-            CDR.
-        """
+        """Add one message behind those that are in a slot already."""
         self._single.append((slot, int(self._sizes[slot]), channel, time, data))
         self._sizes[slot] += RECORD_HEADER + len(data)
 
-    def add_copies(self, slots: np.ndarray, block, chosen: np.ndarray, channel: np.ndarray) -> None:
-        """Add messages of a block.
-
-        Parameters
-        ----------
-        slots : ndarray of int, shape (n,)
-            Place of each; all different and empty as yet.
-        block : Block
-            Messages.
-        chosen : ndarray of int, shape (n,)
-            Which of them.
-        channel : ndarray of int, shape (n,)
-            Ids of their new channels.
-        """
+    def add_copies(
+        self, slots: np.ndarray, block: Block, chosen: np.ndarray, channel: np.ndarray
+    ) -> None:
+        """Add messages of a block."""
         sizes = block.size[chosen]
         for size in np.unique(sizes):
             same = np.flatnonzero(sizes == size)
@@ -106,23 +72,16 @@ class ChunkAssembly:
             self._sizes[slots[same]] = dtype.itemsize
             self._arrays.append((slots[same], records))
 
-    def finish(self):
-        """The chunk.
-
-        Returns
-        -------
-        tuple of ndarray of uint8 and dict
-            Bytes and index, as `ChunkWriter.write_chunk` takes them; the index is empty if no
-            record was added.
-        """
+    def finish(self) -> tuple[np.ndarray, Index]:
+        """The chunk."""
         ends = np.cumsum(self._sizes)
         starts = ends - self._sizes
         total = int(ends[-1]) if len(ends) else 0
         data = np.empty(total, np.uint8) if self._buffer is None else self._buffer.take(total)
-        index = {}
+        index: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
         for slots, records in self._arrays:
             places, size = starts[slots], records.dtype.itemsize
-            head = records['head'] if 'head' in records.dtype.names else records
+            head = records['head'] if 'head' in (records.dtype.names or ()) else records
             rows(data, f'V{size}')[places] = records.view(f'V{size}')
             for channel in np.unique(head['channel']):
                 of = head['channel'] == channel
@@ -137,7 +96,7 @@ class ChunkAssembly:
         return data, {channel: _together(parts) for channel, parts in index.items()}
 
 
-def _together(parts):
+def _together(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     if len(parts) == 1:
         return parts[0]
     times, places = (np.concatenate(column) for column in zip(*parts))

@@ -8,8 +8,10 @@ then every number is at a known place, and a whole chunk of messages is read at 
 
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from rosbags.typesys.store import Typestore
 
 _NAME, _ARRAY, _SEQUENCE = 2, 3, 4  # rosbags.interfaces.Nodetype; 1 is a plain value
 _SIZES = {
@@ -40,70 +42,27 @@ class _NoLayout(Exception):
 
 @dataclass(frozen=True)
 class Field:
-    """Numbers at a fixed place.
+    """Numbers at a fixed place."""
 
-    Attributes
-    ----------
-    offset : int
-        From the beginning of the message, representation identifier included [bytes].
-    dtype : str
-        NumPy's name of one number.
-    count : int
-        How many.
-    """
-
-    offset: int
-    dtype: str
-    count: int
+    offset: int  # from the beginning of the message, representation identifier included [bytes]
+    dtype: str  # numPy's name of one number
+    count: int  # how many
 
 
-def rows(buffer: np.ndarray, dtype: np.dtype, starts: np.ndarray | None = None) -> np.ndarray:
-    """Parts of a buffer that start at any byte, as an array of their type.
-
-    Parameters
-    ----------
-    buffer : ndarray of uint8, shape (n,)
-        The bytes.
-    dtype : numpy.dtype
-        Type of a part.
-    starts : ndarray of int, optional
-        Where parts start; every part must end inside the buffer.
-
-    Returns
-    -------
-    ndarray
-        Copies of the parts; without ``starts`` a view that has one part for every byte, to be
-        written to.
-    """
+def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = None) -> np.ndarray:
+    """Parts of a buffer that start at any byte, as an array of their type."""
     dtype = np.dtype(dtype)
     view = np.ndarray((max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,))
     return view if starts is None else view[starts]
 
 
 class Layout:
-    """Shape of one message and of all that are like it.
+    """Shape of one message and of all that are like it."""
 
-    Parameters
-    ----------
-    data : bytes
-        Little-endian CDR.
-    msgtype : str
-        Its type.
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-
-    Attributes
-    ----------
-    size : int
-        Size of the message [bytes].
-    fields : dict of str to Field
-        Numbers by their dotted path, e.g. ``header.stamp.sec``.
-    strings : dict of str to list of str
-        Strings by their path; they are part of the shape.
-    """
-
-    def __init__(self, data: bytes, msgtype: str, typestore) -> None:
-        self.size, self.fields, self.strings = len(data), {}, {}
+    def __init__(self, data: bytes, msgtype: str, typestore: Typestore) -> None:
+        self.size = len(data)
+        self.fields: dict[str, Field] = {}
+        self.strings: dict[str, list[str]] = {}
         self._data, self._typestore = bytes(data), typestore
         self._fixed = [(0, 2)]
         if data[:2] != _LITTLE_ENDIAN:
@@ -116,20 +75,7 @@ class Layout:
         del self._data, self._typestore, self._position
 
     def match(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-        """Which messages have this shape.
-
-        Parameters
-        ----------
-        buffer : ndarray of uint8, shape (n,)
-            Bytes that hold the messages.
-        starts, sizes : ndarray of int, shape (k,)
-            Where each begins and how long it is [bytes].
-
-        Returns
-        -------
-        ndarray of bool, shape (k,)
-            One element a message.
-        """
+        """Which messages have this shape."""
         found = sizes == self.size
         if not found.all():
             starts = starts[found]
@@ -140,22 +86,7 @@ class Layout:
         return found
 
     def read(self, buffer: np.ndarray, starts: np.ndarray, name: str) -> np.ndarray:
-        """Numbers of messages of this shape.
-
-        Parameters
-        ----------
-        buffer : ndarray of uint8, shape (n,)
-            Bytes that hold the messages.
-        starts : ndarray of int, shape (k,)
-            Where each begins.
-        name : str
-            Key of `fields`.
-
-        Returns
-        -------
-        ndarray, shape (k, count)
-            The numbers.
-        """
+        """Numbers of messages of this shape."""
         field = self.fields[name]
         if field.count == 0:
             return np.empty((len(starts), 0), field.dtype)
@@ -163,12 +94,14 @@ class Layout:
         found = rows(buffer, f'V{size}', starts + field.offset)
         return found.view(field.dtype).reshape(len(starts), field.count)
 
-    def stamps(self, buffer, starts, name: str = 'header.stamp'):
+    def stamps(
+        self, buffer: np.ndarray, starts: np.ndarray, name: str = 'header.stamp'
+    ) -> np.ndarray:
         """Times of messages of this shape as nanoseconds, int64, shape (k,)."""
         seconds = self.read(buffer, starts, f'{name}.sec')[:, 0].astype(np.int64)
         return seconds * 1_000_000_000 + self.read(buffer, starts, f'{name}.nanosec')[:, 0]
 
-    def _constant_words(self):
+    def _constant_words(self) -> list[tuple[int, np.unsignedinteger]]:
         """What all messages of the shape have in common, as few numbers to compare."""
         found = []
         for start, end in self._fixed:
@@ -179,11 +112,11 @@ class Layout:
                 start += size
         return found
 
-    def _message(self, path, msgtype) -> None:
+    def _message(self, path: str, msgtype: str) -> None:
         for name, node in self._typestore.fielddefs[msgtype][1]:
             self._node(f'{path}.{name}' if path else name, node)
 
-    def _node(self, path, node) -> None:
+    def _node(self, path: str, node: Any) -> None:
         kind, what = int(node[0]), node[1]
         if kind == _NAME:
             self._message(path, what)
@@ -196,7 +129,7 @@ class Layout:
         else:
             self._numbers(path, what[0], 1)
 
-    def _elements(self, path, node, count) -> None:
+    def _elements(self, path: str, node: Any, count: int) -> None:
         kind, what = int(node[0]), node[1]
         if kind == _NAME:
             for i in range(count):
@@ -208,22 +141,22 @@ class Layout:
         else:
             self._numbers(path, what[0], count)
 
-    def _align(self, size) -> None:
+    def _align(self, size: int) -> None:
         self._position += -(self._position - _HEADER) % size
 
-    def _advance(self, size):
+    def _advance(self, size: int) -> int:
         start, self._position = self._position, self._position + size
         if not start <= self._position <= self.size:
             raise _NoLayout
         return start
 
-    def _length(self):
+    def _length(self) -> int:
         self._align(4)
         start = self._advance(4)
         self._fixed.append((start, start + 4))
         return struct.unpack_from('<I', self._data, start)[0]
 
-    def _string(self, path) -> None:
+    def _string(self, path: str) -> None:
         length = self._length()
         start = self._advance(length)
         if length == 0 or self._data[start + length - 1] != 0:
@@ -233,7 +166,7 @@ class Layout:
         text = self._data[start : start + length - 1].decode()
         self.strings.setdefault(path, []).append(text)
 
-    def _numbers(self, path, kind, count) -> None:
+    def _numbers(self, path: str, kind: str, count: int) -> None:
         if kind not in _SIZES:
             raise _NoLayout
         size = np.dtype(_SIZES[kind]).itemsize
@@ -242,23 +175,8 @@ class Layout:
         self.fields[path] = Field(self._advance(size * count), _SIZES[kind], count)
 
 
-def find_layout(data: bytes, msgtype: str, typestore) -> Layout | None:
-    """Layout of a message.
-
-    Parameters
-    ----------
-    data : bytes
-        CDR.
-    msgtype : str
-        Its type.
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-
-    Returns
-    -------
-    Layout or None
-        None where there is none: another byte order, a long or damaged message.
-    """
+def find_layout(data: bytes, msgtype: str, typestore: Typestore) -> Layout | None:
+    """Layout of a message."""
     if len(data) > _LARGEST:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Where a recorder puts its bag, and what it lays beside the recorded files."""
+"""Output folder of a recorder, and the files that accompany the recording."""
 
 import os
 from itertools import count
@@ -12,18 +12,7 @@ GAINS_NAME = 'gains.yaml'
 
 
 def free_path(path: str | Path) -> Path:
-    """The path itself, or the first of ``path_1``, ``path_2``, ... that nothing is at.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Wanted directory.
-
-    Returns
-    -------
-    pathlib.Path
-        Where nothing is; not even a broken link.
-    """
+    """The path itself, or the first of ``path_1``, ``path_2``, ... that does not exist."""
     path = Path(path)
     if not os.path.lexists(path):
         return path
@@ -32,23 +21,7 @@ def free_path(path: str | Path) -> Path:
 
 
 def read_gains_file(path: str | Path) -> bytes:
-    """Text of a gains file, for `copy_gains`.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Gains file; at most `lpv_core.support.config.MAX_BYTES` long.
-
-    Returns
-    -------
-    bytes
-        Its content.
-
-    Raises
-    ------
-    ConfigError
-        If it is no gains file.
-    """
+    """Text of a gains file, for `copy_gains`."""
     load_gains(path)
     try:
         return Path(path).read_bytes()
@@ -57,20 +30,7 @@ def read_gains_file(path: str | Path) -> bytes:
 
 
 def copy_gains(data: bytes, folder: Path) -> None:
-    """Lay a gains file beside the files of a bag.
-
-    Parameters
-    ----------
-    data : bytes
-        Of `read_gains_file`.
-    folder : pathlib.Path
-        The bag.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be written.
-    """
+    """Copy a gains file into the folder of a bag."""
     try:
         (folder / GAINS_NAME).write_bytes(data)
     except OSError as error:

@@ -1,12 +1,17 @@
 """Messages of MCAP files, many chunks at a time."""
 
 import contextlib
+from collections.abc import Iterator, Sequence
+from typing import BinaryIO
 
 import numpy as np
+from rosbags.interfaces import Connection
 
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.errors import DamageError
 from lpv_bag.mcap.content import inflate
-from lpv_bag.rosbag.cdr_layout import rows
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.mcap.file import Block, McapFile, Survey
+from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_core.support.jit import njit
 
 RECORD_HEADER = 31
@@ -16,35 +21,25 @@ _LARGEST_GROUP = 128 << 20
 """Chunks whose times overlap are sorted together up to this size [bytes]."""
 
 
+Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Data, index of the connection, log time [ns], start and size of messages, as in `Block`."""
+
+Content = tuple[int, np.ndarray, int, int]
+"""Number of a file, bytes of some of its records, least and greatest log time [ns]."""
+
+
 class Unsuitable(Exception):
-    """The bag is damaged, or of a kind that is not read here."""
+    """The bag is damaged, or of a kind that this module does not read."""
 
 
-def bag_blocks(bag, connections, start: int | None, stop: int | None, block_size: int):
-    """Messages of a bag.
-
-    Parameters
-    ----------
-    bag : lpv_bag.mcap.bag.McapBag
-        Open bag.
-    connections : list of rosbags connections
-        Wanted ones.
-    start, stop : int or None
-        First log time, and first one after the end [ns].
-    block_size : int
-        How many bytes a block should have.
-
-    Yields
-    ------
-    tuple of ndarray
-        Data, index of the connection, log time, start and size of messages, as in
-        `lpv_bag.rosbag.message_blocks.Block`.
-
-    Raises
-    ------
-    Unsuitable
-        If something is not as it should be.
-    """
+def bag_blocks(
+    bag: McapBag,
+    connections: Sequence[Connection],
+    start: int | None,
+    stop: int | None,
+    block_size: int,
+) -> Iterator[Parts]:
+    """Messages of a bag."""
     if any(found.damages for _, found in bag.parts):
         raise Unsuitable
     wanted = [_numbers(bag.connections_of(part), connections) for part in range(len(bag.parts))]
@@ -59,7 +54,7 @@ def bag_blocks(bag, connections, start: int | None, stop: int | None, block_size
         )
         last = -1
         for contents in source:
-            parts = _joined([_messages(*content, wanted[part]) for part, *content in contents])
+            parts = _joined([_messages(content, wanted[content[0]]) for content in contents])
             if single and (np.diff(parts[2], prepend=last) < 0).any():
                 raise Unsuitable  # what is read in pieces cannot be sorted
             if len(parts[2]):
@@ -69,7 +64,7 @@ def bag_blocks(bag, connections, start: int | None, stop: int | None, block_size
                 yield parts
 
 
-def _numbers(known, connections):
+def _numbers(known: dict[int, Connection], connections: Sequence[Connection]) -> np.ndarray:
     """Index of the connection by channel number, -1 for others."""
     found = np.full(65536, -1, np.int64)
     index = {connection.id: i for i, connection in enumerate(connections)}
@@ -78,8 +73,9 @@ def _numbers(known, connections):
     return found
 
 
-def _messages(data, low, high, wanted):
+def _messages(content: Content, wanted: np.ndarray) -> Parts:
     """Messages among the records of a buffer; their times must be inside limits."""
+    _, data, low, high = content
     offsets = _record_offsets(data)
     sizes = _column(data, offsets, 1, '<u8').astype(np.int64) - 22
     if (sizes < 0).any():
@@ -96,28 +92,29 @@ def _messages(data, low, high, wanted):
     return data, channel, time, offsets + RECORD_HEADER, sizes
 
 
-def _limited(parts, start, stop):
+def _limited(parts: Parts, start: int | None, stop: int | None) -> Parts:
     data, channel, time, starts, sizes = parts
     kept = np.ones(len(time), bool)
     if start is not None:
         kept &= time >= start
     if stop is not None:
         kept &= time < stop
-    return parts if kept.all() else (data, *(v[kept] for v in parts[1:]))
+    return parts if kept.all() else (data, channel[kept], time[kept], starts[kept], sizes[kept])
 
 
-def _sorted(parts):
+def _sorted(parts: Parts) -> Parts:
     if not (np.diff(parts[2]) < 0).any():
         return parts
-    order = np.argsort(parts[2], kind='stable')
-    return (parts[0], *(v[order] for v in parts[1:]))
+    data, channel, time, starts, sizes = parts
+    order = np.argsort(time, kind='stable')
+    return data, channel[order], time[order], starts[order], sizes[order]
 
 
-def _column(data, offsets, shift, dtype):
+def _column(data: np.ndarray, offsets: np.ndarray, shift: int, dtype: str) -> np.ndarray:
     return rows(data, dtype, offsets + shift)
 
 
-def _record_offsets(data):
+def _record_offsets(data: np.ndarray) -> np.ndarray:
     """Where the message records of a buffer begin."""
     offsets = np.empty(len(data) // RECORD_HEADER + 1, np.int64)
     count, end = _scan(data, offsets)
@@ -126,8 +123,8 @@ def _record_offsets(data):
     return offsets[:count]
 
 
-def _scan(data, offsets):
-    """Walk over records; their count, and the end of the last one that is complete, or -1."""
+def _scan(data: np.ndarray, offsets: np.ndarray) -> tuple[int, int]:
+    """Number of message records, and the end of the last complete one; -1 if one is damaged."""
     if len(data) < 9:
         return 0, 0
     # Every byte as the beginning of a number: lengths are anywhere.
@@ -135,7 +132,7 @@ def _scan(data, offsets):
 
 
 @njit
-def _walk(data, numbers, offsets):
+def _walk(data: np.ndarray, numbers: np.ndarray, offsets: np.ndarray) -> tuple[int, int]:
     position, count, total = 0, 0, len(data)
     while position + 9 <= total:
         size = numbers[position + 1]
@@ -158,9 +155,17 @@ def _walk(data, numbers, offsets):
 # ------------------------------------------------------------------ files
 
 
-def _groups(files, parts, wanted, start, stop, block_size):
+def _groups(
+    files: Sequence[BinaryIO],
+    parts: list[tuple[McapFile, Survey]],
+    wanted: list[np.ndarray],
+    start: int | None,
+    stop: int | None,
+    block_size: int,
+) -> Iterator[list[Content]]:
     """Contents of whole chunks; those whose times overlap are in one group."""
-    group, size, end, furthest = [], 0, -1, (-1, -1)
+    group: list[tuple[int, Block]] = []
+    size, end, furthest = 0, -1, (-1, -1)
     for part, block in sorted(
         _chosen(parts, wanted, start, stop),
         key=lambda entry: (entry[1].start, entry[0], entry[1].offset),
@@ -179,7 +184,12 @@ def _groups(files, parts, wanted, start, stop, block_size):
         yield _contents(files, group)
 
 
-def _chosen(parts, wanted, start, stop):
+def _chosen(
+    parts: list[tuple[McapFile, Survey]],
+    wanted: list[np.ndarray],
+    start: int | None,
+    stop: int | None,
+) -> Iterator[tuple[int, Block]]:
     for part, (_, found) in enumerate(parts):
         for block in found.blocks:
             if start is not None and block.end < start or stop is not None and block.start >= stop:
@@ -188,7 +198,7 @@ def _chosen(parts, wanted, start, stop):
                 yield part, block
 
 
-def _contents(files, group):
+def _contents(files: Sequence[BinaryIO], group: list[tuple[int, Block]]) -> list[Content]:
     # Messages of one time keep the order of the files.
     found = []
     for part, block in sorted(group, key=lambda entry: (entry[0], entry[1].offset)):
@@ -203,22 +213,22 @@ def _contents(files, group):
     return found
 
 
-def _joined(parts):
+def _joined(parts: list[Parts]) -> Parts:
     """Messages of several buffers as those of one."""
     if len(parts) == 1:
         return parts[0]
     begins = np.cumsum([0] + [len(p[0]) for p in parts[:-1]])
-    data, channel, time, starts, sizes = zip(*parts)
-    starts = [s + begin for s, begin in zip(starts, begins)]
-    return tuple(np.concatenate(column) for column in (data, channel, time, starts, sizes))
+    data, channel, time, _, sizes = (np.concatenate(column) for column in zip(*parts))
+    starts = np.concatenate([part[3] + begin for part, begin in zip(parts, begins)])
+    return data, channel, time, starts, sizes
 
 
-def _single(blocks):
+def _single(blocks: list[Block]) -> Block | None:
     """The one block of a file without chunks, or None."""
     return blocks[0] if len(blocks) == 1 and blocks[0].loose and not blocks[0].cut else None
 
 
-def _pieces(file, block, block_size):
+def _pieces(file: BinaryIO, block: Block, block_size: int) -> Iterator[list[Content]]:
     """Whole records of a file without chunks, some megabytes at a time."""
     file.seek(block.offset)
     left, rest = block.length, b''
