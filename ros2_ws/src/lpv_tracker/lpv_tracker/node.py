@@ -95,7 +95,7 @@ class TrackerNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('tracker', SPECS)
-        declare_gains(self)
+        self._unset_gains = declare_gains(self)
         self._estimate_in: Subscription | None = None
         self._watch: Timer | None = None
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
@@ -104,7 +104,7 @@ class TrackerNode(ManagedNode):
     def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
         self._arm = load_arm(required_text(self, 'arm_file'))
-        gains = read_gains(self, self._arm)
+        gains = read_gains(self, self._arm, self._unset_gains)
         self._controller = TrackingController(self._arm, gains)
         self._integrates_measurement = gains.controller.method == 'paper'
         self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)

@@ -2,6 +2,7 @@
 
 import math
 import sys
+import threading
 from collections import deque
 from typing import Any
 
@@ -145,6 +146,7 @@ SPECS = DIAGNOSIS_SPECS + (
         read_only=True,
     ),
 )
+_COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
 _RECENT = 100
 """Measurements that a command may answer, where torques are taken from commands."""
 _UNHEARD = 5.0
@@ -161,7 +163,7 @@ class UioNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('uio', SPECS)
-        declare_gains(self)
+        self._unset_gains = declare_gains(self)
         self._inputs: list[Subscription] = []
         self._watch: Timer | None = None
         self.add_on_set_parameters_callback(self._retune)
@@ -172,12 +174,17 @@ class UioNode(ManagedNode):
         self._monitor = SensorMonitor(
             self.get_fully_qualified_name(),
             self._arm,
-            read_gains(self, self._arm),
+            read_gains(self, self._arm, self._unset_gains),
             self._diagnosis_parameters({}),
             self.get_parameter('max_gap').value,
             self.get_parameter('initial_samples').value,
         )
-        self._monitor.warm_up()
+        note = threading.Timer(1.0, self.get_logger().info, [_COMPILING])
+        note.start()
+        try:
+            self._monitor.warm_up()
+        finally:
+            note.cancel()
         self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._torque = [math.nan, math.nan]

@@ -96,6 +96,8 @@ class DriveLimits:
 
 _MEAN_TIME = 0.1
 """Time constant of the mean age of commands [s]."""
+_SHORTEST_BRAKE = 200_000_000
+"""How long commands must be in time before the drives go on by themselves [ns]."""
 _ARM_MOVED = 0.01
 """Motion of an arm that follows: above the noise of estimates [rad]."""
 _REFERENCE_MOVED = 0.02, 0.06
@@ -126,6 +128,7 @@ DRIVE_WATCHDOG = record_type(
     ('velocity_limit', 'f8', (2,)),  # of the arm file [rad/s]
     ('share', 'f8'),  # of the newest age in the mean
     ('mean_age', 'f8'),  # [ns]
+    ('braked', 'i8'),  # time of the last command that was too late, or NEVER
     ('in_speed', 'i8'),  # time at which the joints were last within the speed limits, or NEVER
     ('latched', 'i8'),  # reason that lasts until reset
 )
@@ -158,6 +161,7 @@ def drive_watchdog(arm: ArmParameters, limits: DriveLimits) -> np.record:
         velocity_limit=arm.velocity_limit,
         share=min(1.0, arm.sample_time / _MEAN_TIME),
         in_speed=NEVER,
+        braked=NEVER,
     )
 
 
@@ -251,10 +255,15 @@ def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: n
     if dog.latched != _NONE:
         return dog.latched
     if safe_stop:
+        dog.braked = NEVER  # the tracker knows, and starts again from where the arm stands
         return _BRAKE_SAFE_STOP
-    if age > dog.command_age:
-        return _BRAKE_LATE
-    return _BRAKE_LATENCY if dog.mean_age > dog.mean_latency else _NONE
+    if age > dog.command_age or dog.mean_age > dog.mean_latency:
+        dog.braked = now
+        return _BRAKE_LATE if age > dog.command_age else _BRAKE_LATENCY
+    if dog.braked != NEVER and now - dog.braked < _SHORTEST_BRAKE:
+        return _BRAKE_LATENCY
+    dog.braked = NEVER
+    return _NONE
 
 
 @njit
