@@ -180,10 +180,7 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
         }
         reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=1000))
         for name in NODES:
-            own = {
-                'simulator': ['max_mean_latency:=0.03'],
-                'view': [f'arm_file:={files["arm"]}', 'port:=0', 'foxglove_port:=0'],
-            }
+            own = {'view': [f'arm_file:={files["arm"]}', 'port:=0', 'foxglove_port:=0']}
             rig.start(name, *own.get(name, []))
         rig.logged('simulator', 'brakes released', 0)
         rig.drive()

@@ -34,7 +34,7 @@ def test_given_a_tracker_that_is_held_up_when_it_goes_on_then_the_arm_never_runs
     with rig_on(tmp_path, files) as rig:
         reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=100))
         for name in ('uio', 'tracker', 'simulator'):
-            rig.start(name, *(['max_mean_latency:=0.03'] if name == 'simulator' else []))
+            rig.start(name)
         rig.logged('simulator', 'brakes released', 0)
         rig.drive()
         for _ in range(8):
@@ -55,7 +55,7 @@ def test_given_random_stalls_of_any_process_when_it_goes_on_then_the_arm_never_r
     rng = np.random.default_rng(7)
     with rig_on(tmp_path, files) as rig:
         for name in ('uio', 'tracker', 'simulator'):
-            rig.start(name, *(['max_mean_latency:=0.03'] if name == 'simulator' else []))
+            rig.start(name)
         rig.logged('simulator', 'brakes released', 0)
         for _ in range(STALLS):
             rig.spin(rng.uniform(0.0, 1.0))

@@ -100,7 +100,7 @@ _SHORTEST_BRAKE = 200_000_000
 """How long commands must be in time before the drives go on by themselves [ns]."""
 _ARM_MOVED = 0.01
 """Motion of an arm that follows: above the noise of estimates [rad]."""
-_REFERENCE_MOVED = 0.02, 0.06
+_REFERENCE_MOVED = 0.02, 0.03
 """Motion of the reference with the arm at rest from which the arm is not following [rad]: before
 its first motion after a start, and later, when friction and faults may hold it back."""
 
