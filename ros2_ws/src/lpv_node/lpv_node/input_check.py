@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from rclpy.node import Node
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 _JUMP = NANOSECONDS
 """Stamps of one stream are never further apart, but where its time restarts [ns]."""

@@ -11,9 +11,10 @@ from enum import IntEnum
 import numpy as np
 
 from lpv_core.model.arm import ArmParameters
-from lpv_core.observer.sampled_observer import NANOSECONDS, Mode
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.jit import njit
 from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS
 
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 
