@@ -13,8 +13,8 @@ import numpy as np
 from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
-from lpv_core.support.timestamps import NANOSECONDS
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 
