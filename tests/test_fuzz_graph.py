@@ -43,7 +43,14 @@ SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 NODES = ('uio', 'tracker', 'simulator', 'view')
 FLOATS = (0.0, -1.0, 1e300, -1e300, 5e-324, math.nan, math.inf, -math.inf)
-STAMPS = ((0, 0), (-(2**31), 0), (-1, 999_999_999), (2**31 - 1, 0), (5, 2**32 - 1))
+STAMPS = (
+    (0, 0),
+    (-(2**31), 0),
+    (-1, 999_999_999),
+    (2**31 - 1, 0),
+    (5, 2**32 - 1),
+    (2**31 - 1, 2**32 - 1),
+)
 TEXTS = ('', 'x', 'link1_angle', 'joint1', '\u2603' * 50, '<script>', 'a' * 10_000, '%s%n')
 INPUTS = {
     'joint_states': JointState,
