@@ -17,8 +17,8 @@ KEYS = {'numpy': 'python3-numpy', 'scipy': 'python3-scipy', 'yaml': 'python3-yam
         'aiohttp': 'python3-aiohttp', 'filterpy': 'python3-filterpy-pip'}
 # Libraries that no key of rosdep, or none for Ubuntu 24.04, stands for.
 PYPI = {'cvxpy': 'cvxpy', 'distributed': 'distributed', 'foxglove': 'foxglove-sdk', 'lz4': 'lz4',
-        'mcap': 'mcap', 'mujoco': 'mujoco', 'numba': 'numba', 'optuna': 'optuna', 'pinocchio': 'pin',
-        'pyarrow': 'pyarrow', 'rosbags': 'rosbags', 'sqlalchemy': 'sqlalchemy',
+        'mcap': 'mcap', 'mujoco': 'mujoco', 'numba': 'numba', 'optuna': 'optuna',
+        'pinocchio': 'pin', 'pyarrow': 'pyarrow', 'rosbags': 'rosbags', 'sqlalchemy': 'sqlalchemy',
         'zstandard': 'zstandard'}
 
 

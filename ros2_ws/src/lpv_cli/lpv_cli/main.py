@@ -15,6 +15,8 @@ COMMANDS = {
     'campaign': ('lpv_cli.campaign', 'run thousands of simulations, or replay many bags'),
     'tune': ('lpv_cli.tune', 'search the weights of a design by campaigns of runs'),
     'run': ('lpv_cli.run_command', 'start a node, as ros2 run does'),
+    'identify': ('lpv_cli.identify', 'identify an arm from recordings of its motion'),
+    'excite': ('lpv_cli.excite', 'plan a motion that identifies an arm well'),
     'import-csv': ('lpv_cli.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replay', 'run observer and diagnosis offline on a bag'),
     'view': ('lpv_cli.view', 'show the running graph: web page, Foxglove, markers'),

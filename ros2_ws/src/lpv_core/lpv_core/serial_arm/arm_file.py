@@ -98,6 +98,9 @@ def parse_serial_arm(
         tip=_triple(top, 'tip'),
         effort_includes_gravity=effort.flag('includes_gravity', True),
         effort_unit=effort.text('unit', 'N m'),
+        effort_bandwidth=effort.number('bandwidth', above=0.0)
+        if 'bandwidth' in effort
+        else math.inf,
         uncertainty=Uncertainty(
             varying.number('payload', 0.0, low=0.0), varying.number('friction', 0.0, 0.0, 1.0)
         ),
@@ -154,6 +157,8 @@ def to_mapping(arm: SerialArm) -> dict[str, Any]:
             'joints': [_joint_mapping(joint) for joint in arm.joints],
         }
     )
+    if math.isfinite(arm.effort_bandwidth):
+        result['effort']['bandwidth'] = arm.effort_bandwidth
     if arm.covariance is not None:
         result['covariance'] = {
             'determined': arm.covariance.determined,
@@ -254,6 +259,11 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
         torque_tolerance=_tolerance(section),
         sensors=_sensors(section, name),
     )
+    if not joint.friction.is_dissipative(limits.velocity):
+        raise section.error(
+            'friction',
+            'drives the joint below its velocity limit: viscous is too negative for coulomb',
+        )
     if joint.torque_gain == 0.0:
         raise section.error('torque_gain', 'must not be 0')
     section.finish()
@@ -286,7 +296,7 @@ def _friction(section: Section) -> JointFriction:
     friction = section.section('friction', required=False)
     result = JointFriction(
         offset=friction.number('offset', 0.0),
-        viscous=friction.number('viscous', 0.0, low=0.0),
+        viscous=friction.number('viscous', 0.0),
         coulomb=friction.number('coulomb', 0.0, low=0.0),
         coulomb_slope=friction.number('coulomb_slope', 100.0, above=0.0),
         load=friction.number('load', 0.0, 0.0, 1.0),

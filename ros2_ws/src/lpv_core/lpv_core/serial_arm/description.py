@@ -76,7 +76,8 @@ class JointFriction:
 
     tau_f = offset + viscous*v + (coulomb + load*abs(tau_rigid))*(2/pi)*atan(coulomb_slope*v), with
     the rigid-body torque tau_rigid of the joint (inertial, Coriolis and gravity torques); where
-    that is not known, the measured torque may stand for it.
+    that is not known, the measured torque may stand for it.  Where friction falls with speed
+    (Stribeck's effect), ``viscous`` is negative; within the velocity limit friction never drives.
     """
 
     offset: float = 0.0  # [N m]
@@ -84,6 +85,13 @@ class JointFriction:
     coulomb: float = 0.0  # [N m]
     coulomb_slope: float = 100.0  # [s/rad]
     load: float = 0.0  # [N m per N m]
+
+    def is_dissipative(self, velocity_limit: float) -> bool:
+        """Whether friction brakes at every speed up to the limit [rad/s], the offset apart."""
+        speed = np.linspace(0.0, velocity_limit, 65)[1:]
+        way = (2.0 / math.pi) * np.arctan(self.coulomb_slope * speed)
+        slack = 0.05 * self.coulomb + 1e-9
+        return bool(np.all(self.viscous * speed + self.coulomb * way >= -slack))
 
     def torque(self, velocity: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
         """Friction torque [N m] at joint rates [rad/s] and rigid-body torques [N m]."""
@@ -213,6 +221,8 @@ class SerialArm:
         What may vary.
     covariance : ParameterCovariance or None
         Of the identified parameters.
+    effort_bandwidth : float
+        Above this frequency the reported efforts carry nothing [Hz]; inf if none is known.
     sample_time : float
         Ts [s].
     """
@@ -226,6 +236,7 @@ class SerialArm:
     locked: tuple[tuple[str, float], ...] = ()
     effort_includes_gravity: bool = True
     effort_unit: str = 'N m'
+    effort_bandwidth: float = math.inf
     uncertainty: Uncertainty = Uncertainty()
     covariance: ParameterCovariance | None = None
     sample_time: float = 0.002
