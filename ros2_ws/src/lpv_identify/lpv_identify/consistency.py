@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.serial_arm.description import N_INERTIAL
+from lpv_core.serial_arm.description import N_INERTIAL, LinkInertia
 from lpv_identify.errors import IdentificationError
 
 _MARGIN = 1e-7  # smallest eigenvalue of a pseudo-inertia, relative to the link's scale
@@ -70,8 +70,9 @@ def nearest_consistent(
     size = max(1.0, float(np.linalg.norm(root * sigma)))
     cost = cp.sum_squares(residual / size) + cp.sum_squares(scaled) / size**2
     lower, upper = ((b - mean) / sigma for b in bounds)
-    constraints = [scaled[k] >= lower[k] for k in np.flatnonzero(np.isfinite(lower))]
-    constraints += [scaled[k] <= upper[k] for k in np.flatnonzero(np.isfinite(upper))]
+    above, below = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
+    constraints = [scaled[above] >= lower[above]] if len(above) else []
+    constraints += [scaled[below] <= upper[below]] if len(below) else []
     for i in range(joints):
         part = slice(N_INERTIAL * i, N_INERTIAL * (i + 1))
         constraints.append(
@@ -96,14 +97,16 @@ def _pseudo_inertia(scaled: cp.Expression, mean: np.ndarray, sigma: np.ndarray) 
     mass_unit = sigma[0]
     length_unit = sigma[1] / sigma[0]
     unit = mass_unit * np.array([1.0] + [length_unit] * 3 + [length_unit**2] * 6)
-    value = cp.multiply(sigma / unit, scaled) + mean / unit
-    mass, first = value[0], value[1:4]
-    xx, xy, yy, xz, yz, zz = (value[k] for k in range(4, 10))
-    return cp.bmat(
-        [
-            [0.5 * (yy + zz - xx), -xy, -xz, first[0]],
-            [-xy, 0.5 * (xx + zz - yy), -yz, first[1]],
-            [-xz, -yz, 0.5 * (xx + yy - zz), first[2]],
-            [first[0], first[1], first[2], mass],
-        ]
+    matrix = _PSEUDO @ np.diag(sigma / unit)
+    return cp.reshape(matrix @ scaled + _PSEUDO @ (mean / unit), (4, 4), order='C')
+
+
+def _pseudo_map() -> np.ndarray:
+    """Matrix from the inertial parameters of a link to the entries of its pseudo-inertia."""
+    return np.stack(
+        [LinkInertia.from_vector(row).pseudo_inertia().ravel() for row in np.eye(N_INERTIAL)],
+        axis=1,
     )
+
+
+_PSEUDO = _pseudo_map()

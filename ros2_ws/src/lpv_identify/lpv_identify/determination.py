@@ -36,7 +36,7 @@ class Determination:
             friction = [m for m in missing if m in TERMS]
             if moments:
                 texts.append(
-                    f'{name}: {", ".join(moments)} not determined; hold it, and the joints '
+                    f'{name}: {", ".join(moments)} not determined; hold it, and those '
                     'before it, in more different postures'
                 )
             if inertial:
@@ -86,7 +86,7 @@ def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
 
 
 def parameter_names(base: BaseParameters, joints: tuple[str, ...]) -> list[str]:
-    """Names of a fit's parameters; a base parameter is called after the column that stands for it."""
+    """Names of a fit's parameters; a base parameter has that of the column that stands for it."""
     names = []
     for column in base.columns:
         if column >= N_INERTIAL * len(joints):

@@ -54,7 +54,7 @@ def predict(
         The measured torque is not filtered.
     """
     predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
-    band = causal_low_pass(rows.effort - predicted, filters.analysis, rows.step)
+    band = causal_low_pass(rows.effort - predicted, filters.test, rows.step)
     part = rows.part
     return Prediction(
         time[part],
@@ -89,7 +89,7 @@ def figures(predictions: Sequence[Prediction], filters: Filters, step: float) ->
     rms = np.sqrt(np.mean(residual**2, axis=0))
     spread = np.maximum(np.ptp(measured, axis=0), 1e-12)
     variance = np.maximum(np.var(measured, axis=0), 1e-24)
-    lag = max(1, int(round(0.5 / (min(filters.analysis, 0.5 / step) * step))))
+    lag = max(1, int(round(0.5 / (min(filters.test, 0.5 / step) * step))))
     centred = band - band.mean(axis=0)
     power = np.maximum(np.mean(centred**2, axis=0), 1e-24)
     correlation = (

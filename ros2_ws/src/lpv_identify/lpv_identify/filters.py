@@ -9,7 +9,9 @@ NYQUIST_SHARE = 0.9
 """Cutoffs above this share of the Nyquist frequency filter nothing."""
 
 
-def low_pass(signal: np.ndarray, cutoff: float, step: float) -> np.ndarray:
+def low_pass(
+    signal: np.ndarray, cutoff: float, step: float, second: float = np.inf, order: int = _ORDER
+) -> np.ndarray:
     """Low-pass filter without delay along the first axis.
 
     Parameters
@@ -20,16 +22,21 @@ def low_pass(signal: np.ndarray, cutoff: float, step: float) -> np.ndarray:
         Frequency at which amplitudes are halved [Hz]; inf for none.
     step : float
         Sample time [s].
+    second : float, optional
+        Cutoff of a second filter after the first [Hz].
+    order : int, optional
+        Of each filter in each direction; a high one leaves what is below the cutoff as it is.
 
     Returns
     -------
     ndarray
         Of the same shape.
     """
-    if not cutoff < NYQUIST_SHARE * 0.5 / step:
+    cutoffs = [c for c in (cutoff, second) if c < NYQUIST_SHARE * 0.5 / step]
+    if not cutoffs:
         return signal
-    sections = butter(_ORDER, cutoff, fs=1.0 / step, output='sos')
-    pad = min(len(signal) - 1, int(np.ceil(1.5 / (cutoff * step))))
+    sections = np.concatenate([butter(order, c, fs=1.0 / step, output='sos') for c in cutoffs])
+    pad = min(len(signal) - 1, int(np.ceil(1.5 / (min(cutoffs) * step))))
     return sosfiltfilt(sections, signal, axis=0, padlen=pad)
 
 

@@ -19,6 +19,8 @@ MIN_TRAVEL = 0.05
 MAX_GAP = 0.1
 """Longest gap that is bridged [s]; longer ones separate segments."""
 _MIN_SEGMENT = 2.0
+_FIT_BAND = 6.0
+_ORDER = 4  # of the filters of positions and rates: motion passes unchanged
 _MAX_GRID = 2_000_000
 
 
@@ -39,7 +41,8 @@ class Bandwidths:
 
     position: float  # below it positions stand out of their noise
     velocity: float  # the same, of rates
-    analysis: float  # that of the regression: it keeps what the motion excites
+    analysis: float  # that of the regression: well above what the motion excites
+    test: float  # that of the figures: what the motion excites
 
 
 @dataclass(frozen=True)
@@ -157,13 +160,14 @@ def find_bandwidths(segments: list[Segment]) -> Bandwidths:
     step = longest.step
     highest = 0.4 * 0.5 / step
     position = _clip(1.5 * _noise_corner(longest.position, step), 3.0, highest)
-    rates = derivative(low_pass(longest.position, position, step), step)
+    rates = derivative(low_pass(longest.position, position, step, order=_ORDER), step)
     velocity = position
     if longest.velocity is not None:
         velocity = _clip(1.5 * _noise_corner(longest.velocity, step), 3.0, highest)
-        rates = low_pass(longest.velocity, velocity, step)
+        rates = low_pass(longest.velocity, velocity, step, order=_ORDER)
     content = _content(rates, step)
-    return Bandwidths(position, velocity, _clip(2.0 * content, 1.5, min(velocity, highest)))
+    analysis = _clip(_FIT_BAND * content, 4.0, highest)
+    return Bandwidths(position, velocity, analysis, _clip(2.0 * content, 1.5, highest))
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -224,9 +228,11 @@ def smooth(
         Of the same length.
     """
     step = segment.step
-    position = low_pass(segment.position, bands.position, step)
+    position = low_pass(segment.position, bands.position, step, order=_ORDER)
     if use_rates and segment.velocity is not None:
-        velocity = shifted(low_pass(segment.velocity, bands.velocity, step), -rate_delay, step)
+        velocity = shifted(
+            low_pass(segment.velocity, bands.velocity, step, order=_ORDER), -rate_delay, step
+        )
     else:
         velocity = derivative(position, step)
     effort = shifted(segment.effort, -effort_delay, step)

@@ -10,16 +10,20 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio
 from scipy.optimize import nnls
+from scipy.stats import f as fisher
+from scipy.stats import t as student
 
 from lpv_identify.base_parameters import BaseParameters
 from lpv_identify.filters import derivative, low_pass
-from lpv_identify.friction import SLOPES, TERMS, direction_slope, friction_columns
+from lpv_identify.friction import SLOPES, TERMS, direction, direction_slope, friction_columns
 from lpv_identify.motion import Motion
 from lpv_identify.rigid_body import momentum_regressor, motion_regressor
 
 HUBER = 3.0
 """Residuals beyond this many scales weigh less (contacts, outliers)."""
 _SWEEPS = 6
+_REFINEMENTS = 3
+_SLOPE_HELD = 1.0  # information on a slope's logarithm: known within a factor of e
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,18 @@ class Rows:
     effort: np.ndarray  # shape (samples, n) [N m]
     speed_limit: np.ndarray  # of the joints, shape (n,) [rad/s]
     part: slice = field(default_factory=lambda: slice(None))  # samples that count
+    cache: dict[tuple[float, float], np.ndarray] = field(  # filtered regressors of base parameters
+        default_factory=dict, compare=False, repr=False
+    )
+
+    def filtered_base(self, filters: 'Filters') -> np.ndarray:
+        """Regressor of the base parameters through both filters."""
+        key = (filters.effort, filters.analysis)
+        if key not in self.cache:
+            if len(self.cache) > 2:  # of the bandwidths that are tried
+                self.cache.clear()
+            self.cache[key] = low_pass(self.base, filters.effort, self.step, filters.analysis)
+        return self.cache[key]
 
 
 @dataclass(frozen=True)
@@ -41,6 +57,7 @@ class Filters:
     effort: float = np.inf  # bandwidth of the effort sensor, applied to the model only [Hz]
     analysis: float = np.inf  # applied to both sides [Hz]
     thinning: int = 1  # every so many samples are kept
+    test: float = np.inf  # of the causal filter through which residuals are rated [Hz]
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,18 @@ class Fit:
     normal: np.ndarray  # normal matrix of the weighted rows, without the prior
     right: np.ndarray  # its right-hand side: normal @ parameters = right without a prior
     covariance: np.ndarray  # of the parameters, with correlated residuals accounted for
+    freedom: float  # degrees of freedom of the covariance
     used_load: np.ndarray  # joints with load-dependent friction, shape (n,)
+
+    def interval(self, level: float = 0.95) -> np.ndarray:
+        """Half width of each parameter's interval at a level of confidence (Student's t)."""
+        factor = float(student.ppf(0.5 + 0.5 * level, self.freedom))
+        return factor * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    def region(self, size: int, level: float = 0.95) -> float:
+        """Largest squared distance, in covariances, inside the joint region (Hotelling's T^2)."""
+        rest = max(1.0, self.freedom - size + 1.0)
+        return size * self.freedom / rest * float(fisher.ppf(level, size, rest))
 
     @property
     def base(self) -> np.ndarray:
@@ -135,25 +163,36 @@ class _Problem:
     def __init__(self, rows: Sequence[Rows], filters: Filters):
         self._rows, self._filters = rows, filters
         self.n = rows[0].effort.shape[1]
-        self.base = np.concatenate([self._reduce(r.base, r, True) for r in rows])
-        self.effort = np.concatenate([self._reduce(r.effort, r, False) for r in rows])
+        self.base = np.concatenate([self._keep(r.filtered_base(filters), r) for r in rows])
+        self.effort = np.concatenate(
+            [self._keep(low_pass(r.effort, filters.analysis, r.step), r) for r in rows]
+        )
         self.lengths = [
             len(range(*r.part.indices(len(r.effort)))[:: filters.thinning]) for r in rows
         ]
+        self._rates = np.concatenate([self._reduce(r.velocity, r) for r in rows])
 
-    def _reduce(self, signal: np.ndarray, rows: Rows, is_model: bool) -> np.ndarray:
-        if is_model:
-            signal = low_pass(signal, self._filters.effort, rows.step)
-        signal = low_pass(signal, self._filters.analysis, rows.step)
+    def _keep(self, signal: np.ndarray, rows: Rows) -> np.ndarray:
         return signal[rows.part][:: self._filters.thinning]
+
+    def _reduce(self, signal: np.ndarray, rows: Rows) -> np.ndarray:
+        """Model torque through both filters, thinned."""
+        filters = self._filters
+        return self._keep(low_pass(signal, filters.effort, rows.step, filters.analysis), rows)
 
     def friction(self, slope: np.ndarray, beta: np.ndarray | None) -> np.ndarray:
         """Filtered friction columns of each joint, shape (rows, n, 4)."""
-        parts = []
+        ways, loads = [], []
         for rows in self._rows:
-            load = np.zeros_like(rows.velocity) if beta is None else rows.base @ beta
-            parts.append(self._reduce(friction_columns(rows.velocity, slope, load), rows, True))
-        return np.concatenate(parts)
+            way = direction(rows.velocity, slope)
+            ways.append(self._reduce(way, rows))
+            loads.append(
+                np.zeros_like(ways[-1])
+                if beta is None
+                else self._reduce(np.abs(rows.base @ beta) * way, rows)
+            )
+        way = np.concatenate(ways)
+        return np.stack([self._rates, way, np.concatenate(loads), np.ones_like(way)], axis=2)
 
     def slope_column(self, slope: np.ndarray, beta: np.ndarray, friction: np.ndarray) -> np.ndarray:
         """Derivative of the torque with respect to log(k), shape (rows, n)."""
@@ -161,7 +200,7 @@ class _Problem:
         for rows in self._rows:
             amplitude = friction[:, 1] + friction[:, 2] * np.abs(rows.base @ beta)
             column = amplitude * direction_slope(rows.velocity, slope)
-            parts.append(self._reduce(column, rows, True))
+            parts.append(self._reduce(column, rows))
         return np.concatenate(parts)
 
 
@@ -215,19 +254,59 @@ def fit_parameters(
             )
         design = _join(problem.base, problem.friction(slope, beta))
         for _ in range(2):
-            normal = _normal_equations(design, problem.effort, weight / scale**2, prior)
-            parameters, active = _solve(*normal, allowed, passive, signed)
+            equations = _normal_equations(design, problem.effort, weight / scale**2, prior)
+            parameters, active = _solve(*equations, allowed, passive, signed)
             residual = problem.effort - design @ parameters
             scale = _scale(residual)
             weight = _huber(residual / scale)
+        if search and sweep == sweeps - 1:
+            for _ in range(_REFINEMENTS):
+                slope, parameters, residual = _refine(
+                    problem, slope, parameters, weight / scale**2, active, prior
+                )
+                scale = _scale(residual)
+                weight = _huber(residual / scale)
+            design = _join(problem.base, problem.friction(slope, parameters[:size]))
     column = problem.slope_column(
         slope, parameters[:size], parameters[size:].reshape(n, len(TERMS))
     )
-    covariance = _uncertainty(
+    covariance, freedom = _uncertainty(
         design, column, residual, weight / scale**2, active, problem.lengths, prior
     )
     normal, right = _normal_equations(design, problem.effort, weight / scale**2, None)
-    return Fit(parameters, slope, scale, size, normal, right, covariance, use_load)
+    return Fit(parameters, slope, scale, size, normal, right, covariance, freedom, use_load)
+
+
+def _refine(
+    problem: _Problem,
+    slope: np.ndarray,
+    parameters: np.ndarray,
+    weight: np.ndarray,
+    active: np.ndarray,
+    prior: Prior | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
+    size, n = problem.base.shape[2], problem.n
+    friction = parameters[size:].reshape(n, len(TERMS))
+    design = _join(problem.base, problem.friction(slope, parameters[:size]))
+    column = problem.slope_column(slope, parameters[:size], friction)
+    full = np.concatenate([design, column[:, :, None] * np.eye(n)], axis=2)
+    matrix = _normal(full, weight)
+    right = np.einsum('ijk,ij->k', full, weight * problem.effort)
+    if prior is not None:
+        matrix[: len(active), : len(active)] += prior.information
+        right[: len(active)] += prior.information @ prior.mean
+    matrix[range(len(active), len(right)), range(len(active), len(right))] += _SLOPE_HELD
+    # What is left out stays where it is: at zero, or at the limit of dissipation.
+    kept = np.concatenate([active, np.ones(n, bool)])
+    fixed = np.concatenate([np.where(active, 0.0, parameters), np.zeros(n)])
+    right -= matrix @ fixed
+    solution = fixed
+    solution[kept] += _invert(matrix[np.ix_(kept, kept)]) @ right[kept]
+    step = np.clip(solution[len(active) :], -0.3, 0.3)
+    residual = problem.effort - full @ np.concatenate([solution[: len(active)], step])
+    slope = np.clip(slope * np.exp(step), SLOPES[0], SLOPES[-1])
+    return slope, solution[: len(active)], residual
 
 
 def _active_columns(size: int, use_load: np.ndarray) -> np.ndarray:
@@ -355,7 +434,7 @@ def _cost(columns: np.ndarray, target: np.ndarray, weight: np.ndarray) -> float:
     root = np.sqrt(weight)
     # The offset may have either sign; the others are friction.
     signed = np.column_stack([columns, -columns[:, -1]]) * root[:, None]
-    upper = np.linalg.qr(np.column_stack([signed[:, :-1], target * root]), mode='r')
+    upper = np.asarray(np.linalg.qr(np.column_stack([signed[:, :-1], target * root]), mode='r'))
     reduced = np.column_stack([upper[:, :-1], -upper[:, -2]])
     return float(nnls(reduced, upper[:, -1])[1] ** 2)
 
@@ -368,35 +447,37 @@ def _uncertainty(
     active: np.ndarray,
     lengths: Sequence[int],
     prior: Prior | None,
-) -> np.ndarray:
+) -> tuple[np.ndarray, float]:
     """Covariance with autocorrelated residuals; slopes are estimated, too."""
     n, size = residual.shape[1], design.shape[2]
     full = np.concatenate([design, slope_column[:, :, None] * np.eye(n)], axis=2)
     # A slope that the rows do not show is held within a factor of e.
     known = np.concatenate([active, np.ones(n, bool)])
     matrix = _normal(full, weight)
-    matrix[range(size, size + n), range(size, size + n)] += 1.0
+    matrix[range(size, size + n), range(size, size + n)] += _SLOPE_HELD
     if prior is not None:
         matrix[:size, :size] += prior.information
     inverse = np.zeros_like(matrix)
     inverse[np.ix_(known, known)] = _invert(matrix[np.ix_(known, known)])
-    meat = _score_covariance(full, residual, weight, lengths)
-    dof = max(1.0, residual.size - known.sum()) / residual.size
-    return (inverse @ meat @ inverse / dof)[:size, :size]
+    meat, effective = _score_covariance(full, residual, weight, lengths)
+    freedom = max(1.0, effective - known.sum())
+    return (inverse @ meat @ inverse * (effective / freedom))[:size, :size], freedom
 
 
 def _score_covariance(
     full: np.ndarray, residual: np.ndarray, weight: np.ndarray, lengths: Sequence[int]
-) -> np.ndarray:
-    """Covariance of X^T W r for stationary residuals of each joint, correlated over time.
+) -> tuple[np.ndarray, float]:
+    """Covariance of X^T W r and number of independent residuals, these being correlated over time.
 
     sum_kl z_k gamma(k - l) z_l^T of weighted rows z, with Parzen's window on the autocovariances.
     """
     total = np.zeros((full.shape[2], full.shape[2]))
+    effective = 0.0
     for j in range(residual.shape[1]):
         root = np.sqrt(weight[:, j])
         gamma = _autocovariance(residual[:, j] * root, lengths)
         rows = full[:, j] * root[:, None]
+        effective += len(rows) * gamma[0] / max(gamma[0], 2.0 * gamma.sum() - gamma[0])
         used = np.flatnonzero(np.any(rows != 0.0, axis=0))
         part = np.zeros((len(used), len(used)))
         start = 0
@@ -407,7 +488,7 @@ def _score_covariance(
                 product = gamma[lag] * (block[lag:].T @ block[: length - lag])
                 part += product if lag == 0 else product + product.T
         total[np.ix_(used, used)] += part
-    return total
+    return total, effective
 
 
 def _autocovariance(residual: np.ndarray, lengths: Sequence[int]) -> np.ndarray:

@@ -72,7 +72,7 @@ def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator
     for train, valid in _folds(rows):
         fit = estimate(train)
         for one in valid:
-            error = residuals(one, fit, filters, filters.analysis)
+            error = residuals(one, fit, filters, filters.test)
             # A contact must not decide.
             bound = 4.0 * np.median(np.abs(error), axis=0) / 0.6745
             total += np.sum(np.clip(error, -bound, bound) ** 2, axis=0)

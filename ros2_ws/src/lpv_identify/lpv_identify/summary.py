@@ -41,7 +41,7 @@ def remarks(result: Identification) -> list[str]:
     band = result.filters.effort
     lines = [
         f'On data held back; "in band": after a causal low-pass at '
-        f'{result.filters.analysis:.1f} Hz; "before": with the parameters given.',
+        f'{result.filters.test:.1f} Hz; "before": with the parameters given.',
         f'{int(determination.determined.sum())} of {len(determination.names)} parameters are '
         'determined by the data.',
     ]

@@ -27,7 +27,8 @@ def torque_tolerance(speed: np.ndarray, residual: np.ndarray) -> TorqueTolerance
     """
     speed, size = np.abs(speed), np.abs(residual)
     edges = np.quantile(speed, np.linspace(0.0, 1.0, _BINS + 1) ** 1.5)
-    knots, torques = [], []
+    knots: list[float] = []
+    torques: list[float] = []
     for low, high in zip(edges[:-1], edges[1:]):
         inside = (speed >= low) & (speed <= high)
         if inside.sum() < _LEAST:
