@@ -13,6 +13,7 @@ from scipy.optimize import nnls
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
+from lpv_identify.autocorrelation import residual_autocovariances, score_covariance
 from lpv_identify.base_parameters import BaseParameters
 from lpv_identify.filters import derivative, low_pass
 from lpv_identify.friction import SLOPES, TERMS, direction, direction_slope, friction_columns
@@ -448,7 +449,7 @@ def _uncertainty(
     lengths: Sequence[int],
     prior: Prior | None,
 ) -> tuple[np.ndarray, float]:
-    """Covariance with autocorrelated residuals; slopes are estimated, too."""
+    """Covariance and its degrees of freedom; slopes are estimated, too."""
     n, size = residual.shape[1], design.shape[2]
     full = np.concatenate([design, slope_column[:, :, None] * np.eye(n)], axis=2)
     # A slope that the rows do not show is held within a factor of e.
@@ -459,54 +460,9 @@ def _uncertainty(
         matrix[:size, :size] += prior.information
     inverse = np.zeros_like(matrix)
     inverse[np.ix_(known, known)] = _invert(matrix[np.ix_(known, known)])
-    meat, effective = _score_covariance(full, residual, weight, lengths)
-    freedom = max(1.0, effective - known.sum())
-    return (inverse @ meat @ inverse * (effective / freedom))[:size, :size], freedom
-
-
-def _score_covariance(
-    full: np.ndarray, residual: np.ndarray, weight: np.ndarray, lengths: Sequence[int]
-) -> tuple[np.ndarray, float]:
-    """Covariance of X^T W r and number of independent residuals, these being correlated over time.
-
-    sum_kl z_k gamma(k - l) z_l^T of weighted rows z, with Parzen's window on the autocovariances.
-    """
-    total = np.zeros((full.shape[2], full.shape[2]))
-    effective = 0.0
-    for j in range(residual.shape[1]):
-        root = np.sqrt(weight[:, j])
-        gamma = _autocovariance(residual[:, j] * root, lengths)
-        rows = full[:, j] * root[:, None]
-        effective += len(rows) * gamma[0] / max(gamma[0], 2.0 * gamma.sum() - gamma[0])
-        used = np.flatnonzero(np.any(rows != 0.0, axis=0))
-        part = np.zeros((len(used), len(used)))
-        start = 0
-        for length in lengths:
-            block = rows[start : start + length][:, used]
-            start += length
-            for lag in range(min(len(gamma), length)):
-                product = gamma[lag] * (block[lag:].T @ block[: length - lag])
-                part += product if lag == 0 else product + product.T
-        total[np.ix_(used, used)] += part
-    return total, effective
-
-
-def _autocovariance(residual: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
-    """Tapered autocovariances up to the lag beyond which they are noise."""
-    most = max(2, int(0.15 * max(lengths)))
-    sums = np.zeros(most)
-    counts = np.zeros(most)
-    start = 0
-    for length in lengths:
-        part = residual[start : start + length]
-        start += length
-        for lag in range(min(most, length)):
-            sums[lag] += part[lag:] @ part[: length - lag]
-            counts[lag] += length
-    gamma = sums / np.maximum(counts, 1.0)
-    small = np.abs(gamma) < 2.0 * gamma[0] / np.sqrt(counts[0])
-    runs = np.flatnonzero(np.convolve(small, np.ones(5), 'valid') >= 5)
-    last = min(most, 2 * (int(runs[0]) + 1)) if len(runs) else most
-    ratio = np.arange(last) / last
-    window = np.where(ratio < 0.5, 1 - 6 * ratio**2 + 6 * ratio**3, 2 * (1 - ratio) ** 3)
-    return gamma[:last] * window
+    root = np.sqrt(weight)
+    rows = full * root[:, :, None]
+    gammas = residual_autocovariances(rows, residual * root, inverse, lengths)
+    covariance = inverse @ score_covariance(rows, gammas, lengths) @ inverse
+    independent = sum(residual.shape[0] * g[0] / max(g[0], 2.0 * g.sum() - g[0]) for g in gammas)
+    return covariance[:size, :size], max(1.0, float(independent) - float(known.sum()))
