@@ -58,6 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='the arm of --arm is known: find mass and centre of its tool only',
     )
+    parser.add_argument(
+        '--known-mass',
+        type=float,
+        metavar='KG',
+        help='with --payload: mass of the tool, by which the scale of the arm is corrected',
+    )
 
 
 def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
@@ -212,11 +218,19 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
     print(f'torque residual {found.rms_before:.3f} -> {found.rms_after:.3f} N m RMS')
     for text in found.warnings:
         print(f'warning: {text}', file=sys.stderr)
+    result, what = with_payload(arm, found), 'arm with its tool'
+    if arguments.known_mass is not None:
+        if not arguments.known_mass > 0.0:
+            raise ConfigError('--known-mass', 'must be greater than 0')
+        from lpv_identify.gains import rescaled
+
+        factor = arguments.known_mass / found.mass
+        result, what = rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
     if arguments.out:
         from lpv_core.serial_arm.arm_file import save_serial_arm
 
-        save_serial_arm(with_payload(arm, found), arguments.out)
-        print(f'arm with its tool written to {arguments.out}')
+        save_serial_arm(result, arguments.out)
+        print(f'{what} written to {arguments.out}')
     return 0
 
 

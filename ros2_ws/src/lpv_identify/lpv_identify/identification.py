@@ -82,6 +82,8 @@ def identify(
     options = options or Options()
     workshop = Workshop(arm, recordings)
     share = 1.0 if tests else options.train_share
+    workshop.estimate_gains(share)
+    arm = workshop.arm
     workshop.choose(share)
     fit, strength = workshop.fit(share)
     found = workshop.arm_of(fit, strength)

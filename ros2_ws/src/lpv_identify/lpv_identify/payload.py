@@ -8,7 +8,7 @@ import numpy as np
 from lpv_core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
 from lpv_identify.errors import IdentificationError
 from lpv_identify.filters import derivative, low_pass
-from lpv_identify.motion import find_bandwidths, smooth, split
+from lpv_identify.motion import Segment, find_bandwidths, smooth, split
 from lpv_identify.recording import Recording
 from lpv_identify.rigid_body import build_model, momentum_regressor, motion_regressor
 
@@ -51,16 +51,21 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     IdentificationError
         If the recordings do not show the tool.
     """
-    rows, target, filtered = [], [], []
+    rows, target = [], []
     for recording in recordings:
         for segment in split(recording):
             design, rest = _balance(arm, segment)
             rows.append(design)
             target.append(rest)
-            filtered.append(len(rest))
     design, rest = np.concatenate(rows), np.concatenate(target)
     scale = np.maximum(np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-6)
-    solution, covariance, residual = _solve(design, rest, scale)
+    linear = np.delete(design, np.s_[4:N_INERTIAL], axis=2)
+    solution, covariance, residual = _solve(linear, rest, scale)
+    for _ in range(3):  # the inertia of a point mass at the centre is known with it
+        mass = max(float(solution[0]), 1e-6)
+        inertia = _point_mass(mass, solution[1:4] / mass)[4:]
+        turning = design[:, :, 4:N_INERTIAL] @ inertia
+        solution, covariance, residual = _solve(linear, rest - turning, scale)
     mass, first = float(solution[0]), solution[1:4]
     sigma = np.sqrt(np.diag(covariance))
     if not mass > 2.0 * sigma[0]:
@@ -77,17 +82,17 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     ]
     return Payload(
         mass,
-        tuple(center),
+        (float(center[0]), float(center[1]), float(center[2])),
         float(sigma[0]),
-        tuple(center_sigma),
+        (float(center_sigma[0]), float(center_sigma[1]), float(center_sigma[2])),
         float(np.sqrt(np.mean(rest**2))),
         float(np.sqrt(np.mean(residual**2))),
         tuple(warnings),
     )
 
 
-def _balance(arm: SerialArm, segment) -> tuple[np.ndarray, np.ndarray]:
-    """Regressor of (m, m c, offsets) and torque that the arm alone does not explain."""
+def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
+    """Regressor of the tool's ten parameters and the offsets, and what the arm leaves of torques."""
     n = len(arm.joints)
     bands = find_bandwidths([segment])
     gain = np.array([joint.torque_gain for joint in arm.joints])
@@ -112,7 +117,7 @@ def _balance(arm: SerialArm, segment) -> tuple[np.ndarray, np.ndarray]:
         axis=1,
     )
     first = N_INERTIAL * (n - 1)
-    tool = regressor[:, :, first : first + 4]
+    tool = regressor[:, :, first : first + N_INERTIAL]
     offsets = np.broadcast_to(np.eye(n), (len(rigid), n, n))
     thin = max(1, int(1.0 / (8.0 * bands.analysis * motion.step)))
     cut = slice(len(rigid) // 20, len(rigid) - len(rigid) // 20, thin)
@@ -151,9 +156,13 @@ def _solve(
 
 def with_payload(arm: SerialArm, payload: Payload) -> SerialArm:
     """The arm with the tool on its last link, a point mass at its centre."""
-    mass, center = payload.mass, np.array(payload.center)
-    inertia = mass * (center @ center * np.eye(3) - np.outer(center, center))
-    tool = np.concatenate([[mass], mass * center, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    tool = _point_mass(payload.mass, np.array(payload.center))
     last = arm.joints[-1]
     link = LinkInertia.from_vector(last.link.to_vector() + tool)
     return replace(arm, joints=(*arm.joints[:-1], replace(last, link=link)))
+
+
+def _point_mass(mass: float, center: np.ndarray) -> np.ndarray:
+    """Standard inertial parameters of a point mass."""
+    inertia = mass * (center @ center * np.eye(3) - np.outer(center, center))
+    return np.concatenate([[mass], mass * center, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])

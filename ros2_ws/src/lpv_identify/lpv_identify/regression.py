@@ -158,7 +158,7 @@ def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
     return rigid + np.einsum('ijk,jk->ij', columns, fit.friction)
 
 
-class _Problem:
+class Problem:
     """Filtered rows of all segments; the columns of friction change with slopes and load."""
 
     def __init__(self, rows: Sequence[Rows], filters: Filters):
@@ -238,7 +238,7 @@ def fit_parameters(
     Fit
         Huber's estimate with one scale for each joint.
     """
-    problem = _Problem(rows, filters)
+    problem = Problem(rows, filters)
     n, size = problem.n, problem.base.shape[2]
     allowed = _active_columns(size, use_load)
     passive = _passive_map(size, rows[0].speed_limit)
@@ -253,7 +253,7 @@ def fit_parameters(
             slope = _search_slopes(
                 problem, parameters, slope, weight, use_load, sweep, rows[0].speed_limit
             )
-        design = _join(problem.base, problem.friction(slope, beta))
+        design = join_columns(problem.base, problem.friction(slope, beta))
         for _ in range(2):
             equations = _normal_equations(design, problem.effort, weight / scale**2, prior)
             parameters, active = _solve(*equations, allowed, passive, signed)
@@ -267,7 +267,7 @@ def fit_parameters(
                 )
                 scale = _scale(residual)
                 weight = _huber(residual / scale)
-            design = _join(problem.base, problem.friction(slope, parameters[:size]))
+            design = join_columns(problem.base, problem.friction(slope, parameters[:size]))
     column = problem.slope_column(
         slope, parameters[:size], parameters[size:].reshape(n, len(TERMS))
     )
@@ -279,7 +279,7 @@ def fit_parameters(
 
 
 def _refine(
-    problem: _Problem,
+    problem: Problem,
     slope: np.ndarray,
     parameters: np.ndarray,
     weight: np.ndarray,
@@ -289,10 +289,10 @@ def _refine(
     """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
     size, n = problem.base.shape[2], problem.n
     friction = parameters[size:].reshape(n, len(TERMS))
-    design = _join(problem.base, problem.friction(slope, parameters[:size]))
+    design = join_columns(problem.base, problem.friction(slope, parameters[:size]))
     column = problem.slope_column(slope, parameters[:size], friction)
     full = np.concatenate([design, column[:, :, None] * np.eye(n)], axis=2)
-    matrix = _normal(full, weight)
+    matrix = normal_matrix(full, weight)
     right = np.einsum('ijk,ij->k', full, weight * problem.effort)
     if prior is not None:
         matrix[: len(active), : len(active)] += prior.information
@@ -303,7 +303,7 @@ def _refine(
     fixed = np.concatenate([np.where(active, 0.0, parameters), np.zeros(n)])
     right -= matrix @ fixed
     solution = fixed
-    solution[kept] += _invert(matrix[np.ix_(kept, kept)]) @ right[kept]
+    solution[kept] += invert_normal(matrix[np.ix_(kept, kept)]) @ right[kept]
     step = np.clip(solution[len(active) :], -0.3, 0.3)
     residual = problem.effort - full @ np.concatenate([solution[: len(active)], step])
     slope = np.clip(slope * np.exp(step), SLOPES[0], SLOPES[-1])
@@ -338,7 +338,7 @@ def _negative(parameters: np.ndarray, passive: np.ndarray) -> np.ndarray:
     return result
 
 
-def _join(base: np.ndarray, friction: np.ndarray) -> np.ndarray:
+def join_columns(base: np.ndarray, friction: np.ndarray) -> np.ndarray:
     """Regressor of all parameters, shape (rows, n, base + 4 n)."""
     count, n, terms = friction.shape
     spread = np.zeros((count, n, n, terms))
@@ -355,7 +355,7 @@ def _huber(ratio: np.ndarray) -> np.ndarray:
     return HUBER / np.maximum(np.abs(ratio), HUBER)
 
 
-def _normal(design: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def normal_matrix(design: np.ndarray, weight: np.ndarray) -> np.ndarray:
     flat = (design * np.sqrt(weight)[:, :, None]).reshape(-1, design.shape[2])
     return flat.T @ flat
 
@@ -363,7 +363,7 @@ def _normal(design: np.ndarray, weight: np.ndarray) -> np.ndarray:
 def _normal_equations(
     design: np.ndarray, effort: np.ndarray, weight: np.ndarray, prior: Prior | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    matrix = _normal(design, weight)
+    matrix = normal_matrix(design, weight)
     right = np.einsum('ijk,ij->k', design, weight * effort)
     if prior is not None:
         matrix = matrix + prior.information
@@ -379,14 +379,14 @@ def _solve(
     active = allowed.copy()
     while True:
         result = np.zeros(len(active))
-        result[active] = _invert(matrix[np.ix_(active, active)]) @ right[active]
+        result[active] = invert_normal(matrix[np.ix_(active, active)]) @ right[active]
         negative = _negative(result, passive) if signed else np.zeros(len(active), bool)
         if not negative.any():
             return passive @ result, active
         active &= ~negative
 
 
-def _invert(matrix: np.ndarray) -> np.ndarray:
+def invert_normal(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a normal matrix; directions that the rows do not show are left out."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
@@ -396,7 +396,7 @@ def _invert(matrix: np.ndarray) -> np.ndarray:
 
 
 def _search_slopes(
-    problem: _Problem,
+    problem: Problem,
     parameters: np.ndarray,
     slope: np.ndarray,
     weight: np.ndarray,
@@ -454,12 +454,12 @@ def _uncertainty(
     full = np.concatenate([design, slope_column[:, :, None] * np.eye(n)], axis=2)
     # A slope that the rows do not show is held within a factor of e.
     known = np.concatenate([active, np.ones(n, bool)])
-    matrix = _normal(full, weight)
+    matrix = normal_matrix(full, weight)
     matrix[range(size, size + n), range(size, size + n)] += _SLOPE_HELD
     if prior is not None:
         matrix[:size, :size] += prior.information
     inverse = np.zeros_like(matrix)
-    inverse[np.ix_(known, known)] = _invert(matrix[np.ix_(known, known)])
+    inverse[np.ix_(known, known)] = invert_normal(matrix[np.ix_(known, known)])
     root = np.sqrt(weight)
     rows = full * root[:, :, None]
     gammas = residual_autocovariances(rows, residual * root, inverse, lengths)

@@ -10,6 +10,7 @@ from lpv_identify.assembly import consistent_parameters, fit_of, with_parameters
 from lpv_identify.base_parameters import BaseParameters, find_base_parameters
 from lpv_identify.delays import effort_delays, rate_delays
 from lpv_identify.friction import TERMS
+from lpv_identify.gains import estimate_gains
 from lpv_identify.motion import Motion, Segment, check_motion, find_bandwidths, smooth, split
 from lpv_identify.noise import noise_deviation, quantization_step
 from lpv_identify.prior import structural_prior
@@ -72,6 +73,22 @@ class Workshop:
             2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
         )
         return bool(np.median(noise_deviation(rates) / np.maximum(derived, 1e-15)) < 1.0)
+
+    def estimate_gains(self, share: float) -> None:
+        """Gains of the efforts, if those are currents and no gains are given."""
+        if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
+            return
+        self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
+        joints = [
+            replace(joint, torque_gain=float(gain))
+            for joint, gain in zip(self.arm.joints, self.gain)
+        ]
+        self.arm = replace(self.arm, joints=tuple(joints))
+        self.warnings.append(
+            'the scale of gains and masses is that of the masses given; a tool of known mass '
+            'corrects it (--payload --known-mass)'
+        )
+        self._prepare()
 
     def _prepare(self) -> None:
         self.motions = [self._motion(segment) for segment in self.segments]
