@@ -92,7 +92,7 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
 
 
 def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
-    """Regressor of the tool's ten parameters and the offsets, and what the arm leaves of torques."""
+    """Regressor of the tool and the offsets, and the torque that the arm leaves unexplained."""
     n = len(arm.joints)
     bands = find_bandwidths([segment])
     gain = np.array([joint.torque_gain for joint in arm.joints])

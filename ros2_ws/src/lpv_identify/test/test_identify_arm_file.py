@@ -39,15 +39,23 @@ def test_given_an_identified_arm_when_saved_and_loaded_then_it_is_the_same(resul
     assert loaded.sha256() == result.arm.sha256()
 
 
-@pytest.mark.parametrize('path, value, field', [
-    (('joints', 0, 'link', 'mass'), -1.0, 'joints[0].link.mass'),
-    (('joints', 1, 'friction', 'coulomb'), 'much', 'joints[1].friction.coulomb'),
-    (('joints', 1, 'friction', 'viscous'), -9.0, 'joints[1].friction'),
-    (('joints', 2, 'axis'), [0, 0, 0], 'joints[2].axis'),
-    (('joints', 2, 'sensors', 'rates'), 'magic', 'joints[2].sensors.rates'),
-    (('joints', 0, 'torque_tolerance', 'speed'), [1.0, 0.5], 'joints[0].torque_tolerance.speed'),
-    (('sample_time',), float('nan'), 'sample_time'),
-    (('weight',), 1, 'weight')])
+@pytest.mark.parametrize(
+    'path, value, field',
+    [
+        (('joints', 0, 'link', 'mass'), -1.0, 'joints[0].link.mass'),
+        (('joints', 1, 'friction', 'coulomb'), 'much', 'joints[1].friction.coulomb'),
+        (('joints', 1, 'friction', 'viscous'), -9.0, 'joints[1].friction'),
+        (('joints', 2, 'axis'), [0, 0, 0], 'joints[2].axis'),
+        (('joints', 2, 'sensors', 'rates'), 'magic', 'joints[2].sensors.rates'),
+        (
+            ('joints', 0, 'torque_tolerance', 'speed'),
+            [1.0, 0.5],
+            'joints[0].torque_tolerance.speed',
+        ),
+        (('sample_time',), float('nan'), 'sample_time'),
+        (('weight',), 1, 'weight'),
+    ],
+)
 def test_given_a_bad_value_when_parsed_then_the_error_names_the_field(arm, path, value, field):
     data = to_mapping(arm)
     place = data
@@ -70,7 +78,7 @@ def test_given_a_joint_name_twice_when_parsed_then_it_is_refused(arm):
 
 def test_given_a_urdf_when_read_then_fixed_and_locked_links_are_merged(urdf):
     arm = read_urdf_chain(urdf, {'slide': 0.5})
-    joint, = arm.joints
+    (joint,) = arm.joints
     assert joint.position == (0.0, 0.0, 0.5)
     assert joint.link.mass == 3.0
     assert joint.link.first_moment == pytest.approx((1.2, 0.0, 0.0))
@@ -82,8 +90,15 @@ def test_given_a_gripper_that_is_not_locked_when_read_then_the_error_says_what_t
         read_urdf_chain(urdf)
 
 
-@pytest.mark.parametrize('text', ['', '<robot', '<html/>', '<robot name="x"><link name="a"/>'
-                                  '<joint name="j" type="revolute"/></robot>'])
+@pytest.mark.parametrize(
+    'text',
+    [
+        '',
+        '<robot',
+        '<html/>',
+        '<robot name="x"><link name="a"/><joint name="j" type="revolute"/></robot>',
+    ],
+)
 def test_given_a_broken_urdf_when_read_then_it_is_a_config_error(tmp_path, text):
     (tmp_path / 'x.urdf').write_text(text)
     with pytest.raises(ConfigError):
@@ -91,8 +106,11 @@ def test_given_a_broken_urdf_when_read_then_it_is_a_config_error(tmp_path, text)
 
 
 def test_given_an_arm_file_with_a_urdf_only_when_loaded_then_joints_come_from_it(urdf, tmp_path):
-    (tmp_path / 'arm.yaml').write_text(yaml.safe_dump(
-        {'kind': 'serial_arm', 'name': 'r', 'urdf': 'r.urdf', 'locked': {'slide': 0.0}}))
+    (tmp_path / 'arm.yaml').write_text(
+        yaml.safe_dump(
+            {'kind': 'serial_arm', 'name': 'r', 'urdf': 'r.urdf', 'locked': {'slide': 0.0}}
+        )
+    )
     assert load_serial_arm(tmp_path / 'arm.yaml').joint_names == ('turn',)
 
 
@@ -103,6 +121,7 @@ def test_given_a_point_mass_when_its_pseudo_inertia_is_formed_then_it_is_physica
 
 def test_given_a_turned_base_when_gravity_is_asked_for_then_it_turns_the_other_way(arm):
     from dataclasses import replace
+
     wall = replace(arm, base_orientation=(np.pi / 2, 0.0, 0.0))
     gravity = rotation_from_rpy(wall.base_orientation) @ wall.gravity_vector()
     assert gravity == pytest.approx([0.0, 0.0, -9.81])

@@ -37,9 +37,12 @@ def test_given_more_trials_when_planned_then_the_motion_informs_more(arm, plan):
 
 def test_given_a_floor_when_planned_then_the_tip_stays_above(arm):
     import pinocchio
+
     from lpv_identify.rigid_body import build_model
-    plan = plan_excitation(arm, 12.0, Bounds(lowest=0.05), center=np.array([0.0, -0.6, 0.3]),
-                           trials=20)
+
+    plan = plan_excitation(
+        arm, 12.0, Bounds(lowest=0.05), center=np.array([0.0, -0.6, 0.3]), trials=20
+    )
     model = build_model(arm)
     data = model.createData()
     for q in plan.trajectory.sample(np.arange(0.0, 12.0, 0.05))[0]:

@@ -11,8 +11,9 @@ from lpv_identify.identification import identify
 from lpv_identify.recording import read_recording
 from lpv_identify.starting_arm import load_any_arm, save_like
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(),
-                                reason='the recordings are not part of the repository')
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason='the recordings are not part of the repository'
+)
 
 
 def identified(folder, urdf):
@@ -36,11 +37,14 @@ RUNS = ('run_143601.csv', 'run_144115.csv')
 
 @pytest.mark.parametrize('train, test', [RUNS, RUNS[::-1]])
 def test_given_a_two_link_arm_when_identified_then_it_beats_the_published_parameters(
-        train, test, tmp_path):
+    train, test, tmp_path
+):
     arm = load_any_arm('real_arm')
     columns = load_column_map(bringup_file('columns', 'real_arm'))
-    one, other = (read_recording(DATA / 'real_arm' / name, arm.joint_names, None, columns)
-                  for name in (train, test))
+    one, other = (
+        read_recording(DATA / 'real_arm' / name, arm.joint_names, None, columns)
+        for name in (train, test)
+    )
     result = identify(arm, [one], tests=[other])
     assert np.all(result.figures.rms <= result.prior_figures.rms)
     assert {joint.sensors.rates for joint in result.arm.joints} == {'derived'}

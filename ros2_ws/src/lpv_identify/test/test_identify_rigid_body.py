@@ -24,7 +24,8 @@ def samples():
 
 
 def test_given_an_arm_when_its_torques_are_computed_then_regressor_and_rnea_agree(
-        arm, model, samples):
+    arm, model, samples
+):
     data = model.createData()
     expected = [pinocchio.rnea(model, data, *sample) for sample in zip(*samples)]
     torque = torque_regressor(model, *samples) @ arm.inertial_parameters()
@@ -32,11 +33,13 @@ def test_given_an_arm_when_its_torques_are_computed_then_regressor_and_rnea_agre
 
 
 def test_given_a_motion_when_momentum_is_differenced_then_the_balance_gives_the_torque(
-        arm, model, samples):
+    arm, model, samples
+):
     q, v, a = samples
     phi, h = arm.inertial_parameters(), 1e-5
-    ahead, behind = (momentum_regressor(model, q + s * v + 0.5 * h * h * a, v + s * a) @ phi
-                     for s in (h, -h))
+    ahead, behind = (
+        momentum_regressor(model, q + s * v + 0.5 * h * h * a, v + s * a) @ phi for s in (h, -h)
+    )
     balance = (ahead - behind) / (2 * h) + motion_regressor(model, q, v) @ phi
     assert balance == pytest.approx(torque_regressor(model, q, v, a) @ phi, abs=1e-6)
 
@@ -44,7 +47,8 @@ def test_given_a_motion_when_momentum_is_differenced_then_the_balance_gives_the_
 def test_given_any_parameters_when_reduced_to_base_ones_then_torques_stay(model, samples):
     base = find_base_parameters(model)
     x = np.random.default_rng(1).normal(size=33)
-    full = np.concatenate([torque_regressor(model, *samples),
-                           samples[2][:, :, None] * np.eye(3)], axis=2)
+    full = np.concatenate(
+        [torque_regressor(model, *samples), samples[2][:, :, None] * np.eye(3)], axis=2
+    )
     assert full[:, :, base.columns] @ (base.combination @ x) == pytest.approx(full @ x, abs=1e-9)
     assert np.linalg.matrix_rank(full[:, :, base.columns].reshape(-1, base.size)) == base.size

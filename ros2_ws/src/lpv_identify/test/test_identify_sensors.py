@@ -43,7 +43,8 @@ def test_given_smoothed_differences_when_compared_then_they_are_derived():
     one = segment('derived')
     rates = 0.5 * (one.velocity + np.roll(one.velocity, 1, axis=0))
     assert rate_sources([Segment(STEP, one.time, one.position, rates, one.effort)])[0] == [
-        'derived']
+        'derived'
+    ]
 
 
 def test_given_late_rates_when_compared_then_the_delay_is_found():
