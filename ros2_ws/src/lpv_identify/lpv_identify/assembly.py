@@ -14,7 +14,7 @@ from lpv_core.serial_arm.description import (
 from lpv_identify.base_parameters import BaseParameters
 from lpv_identify.consistency import Quadratic, nearest_consistent
 from lpv_identify.friction import TERMS
-from lpv_identify.prior import structural_prior
+from lpv_identify.prior import LOAD_WIDTH, structural_prior
 from lpv_identify.regression import Fit
 
 _DRIVE = ('rotor', *TERMS)
@@ -36,7 +36,9 @@ def prior_of_all(arm: SerialArm, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Mean and width of all parameters of an arm; friction is as good as free."""
     mean, sigma = structural_prior(arm)
     size = np.maximum(np.abs(fit.friction), 10.0 * np.maximum(fit.scale, 1e-6)[:, None])
-    friction = 10.0 * size.T.ravel()
+    width = 10.0 * size
+    width[:, TERMS.index('load')] = LOAD_WIDTH
+    friction = width.T.ravel()
     return (np.concatenate([mean, np.zeros(friction.size)]), np.concatenate([sigma, friction]))
 
 

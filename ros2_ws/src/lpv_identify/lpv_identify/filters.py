@@ -1,5 +1,7 @@
 """Zero-phase low-pass filters and derivatives of signals on a uniform grid."""
 
+import functools
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt, sosfiltfilt
@@ -35,7 +37,7 @@ def low_pass(
     cutoffs = [c for c in (cutoff, second) if c < NYQUIST_SHARE * 0.5 / step]
     if not cutoffs:
         return signal
-    sections = np.concatenate([butter(order, c, fs=1.0 / step, output='sos') for c in cutoffs])
+    sections = np.concatenate([_sections(order, c * step) for c in cutoffs])
     pad = min(len(signal) - 1, int(np.ceil(1.5 / (min(cutoffs) * step))))
     return sosfiltfilt(sections, signal, axis=0, padlen=pad)
 
@@ -44,8 +46,14 @@ def causal_low_pass(signal: np.ndarray, cutoff: float, step: float) -> np.ndarra
     """Low-pass filter that uses the past only, along the first axis; as `low_pass`."""
     if not cutoff < NYQUIST_SHARE * 0.5 / step:
         return signal
-    sections = butter(_ORDER, cutoff, fs=1.0 / step, output='sos')
+    sections = _sections(_ORDER, cutoff * step)
     return sosfilt(sections, signal - signal[0], axis=0) + signal[0]
+
+
+@functools.lru_cache(maxsize=64)
+def _sections(order: int, cutoff: float) -> np.ndarray:
+    """Butterworth's filter; cutoff in cycles per sample."""
+    return butter(order, cutoff, fs=1.0, output='sos')
 
 
 def derivative(signal: np.ndarray, step: float) -> np.ndarray:

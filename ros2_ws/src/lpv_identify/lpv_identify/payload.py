@@ -92,7 +92,7 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
 
 
 def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
-    """Regressor of the ten parameters of a tool and the offsets; torques that the arm leaves."""
+    """Regressor of the tool and the offsets, and the torque that the arm leaves unexplained."""
     n = len(arm.joints)
     bands = find_bandwidths([segment])
     gain = np.array([joint.torque_gain for joint in arm.joints])

@@ -2,11 +2,13 @@
 
 import numpy as np
 
-from lpv_core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.rigid_body import build_model
 
 _RELATIVE = 0.3  # of masses; of the lengths that first moments and inertias go with
 _SHARE = 0.02  # of the arm's mass: the least that a link is taken to weigh
+LOAD_WIDTH = 0.1
+"""Standard deviation of load-dependent friction [N m per N m]."""
 _LENGTH = 0.1  # least size of a link [m]
 
 
@@ -46,8 +48,3 @@ def _joint_inertias(arm: SerialArm) -> np.ndarray:
     rng = np.random.default_rng(5)
     seen = [np.diag(pinocchio.crba(model, data, rng.uniform(-3, 3, model.nq))) for _ in range(50)]
     return np.maximum(np.max(seen, axis=0), 0.0)
-
-
-def inertial_size(arm: SerialArm) -> int:
-    """Number of standard inertial parameters."""
-    return N_INERTIAL * len(arm.joints)

@@ -213,6 +213,7 @@ def fit_parameters(
     slope: np.ndarray | None = None,
     signed: bool = True,
     sweeps: int = _SWEEPS,
+    with_covariance: bool = False,
 ) -> Fit:
     """Fit base parameters, friction and slopes.
 
@@ -232,6 +233,8 @@ def fit_parameters(
         Leave out terms of friction that would drive a joint.
     sweeps : int, optional
         Alternations between slopes, load and linear parameters.
+    with_covariance : bool, optional
+        Compute the covariance, too; it is zero otherwise.
 
     Returns
     -------
@@ -243,6 +246,7 @@ def fit_parameters(
     allowed = _active_columns(size, use_load)
     passive = _passive_map(size, rows[0].speed_limit)
     search = slope is None
+    sweeps = sweeps if search else min(sweeps, 3)
     slope = np.full(n, 50.0) if slope is None else slope.copy()
     parameters = np.zeros(size + len(TERMS) * n)
     scale = np.ones(n)
@@ -268,12 +272,15 @@ def fit_parameters(
                 scale = _scale(residual)
                 weight = _huber(residual / scale)
             design = join_columns(problem.base, problem.friction(slope, parameters[:size]))
-    column = problem.slope_column(
-        slope, parameters[:size], parameters[size:].reshape(n, len(TERMS))
-    )
-    covariance, freedom = _uncertainty(
-        design, column, residual, weight / scale**2, active, problem.lengths, prior
-    )
+    covariance, freedom = np.zeros((len(parameters), len(parameters))), 1.0
+    if with_covariance:
+        column = problem.slope_column(
+            slope, parameters[:size], parameters[size:].reshape(n, len(TERMS))
+        )
+        weights = weight / scale**2
+        covariance, freedom = _uncertainty(
+            design, column, residual, weights, active, problem.lengths, prior
+        )
     normal, right = _normal_equations(design, problem.effort, weight / scale**2, None)
     return Fit(parameters, slope, scale, size, normal, right, covariance, freedom, use_load)
 

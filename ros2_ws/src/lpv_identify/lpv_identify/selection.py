@@ -108,20 +108,6 @@ def _raw_error(rows: Sequence[Rows], fit: Fit, filters: Filters) -> np.ndarray:
     return np.mean(np.clip(error, -bound, bound) ** 2, axis=0)
 
 
-def choose_load(
-    rows: Sequence[Rows], filters: Filters, prior: Prior | None, slope: np.ndarray
-) -> np.ndarray:
-    """Joints whose prediction gains from load-dependent friction."""
-    n = rows[0].effort.shape[1]
-
-    def error(use_load: np.ndarray) -> np.ndarray:
-        return validation_error(
-            rows, filters, lambda part: fit_parameters(part, filters, use_load, prior, slope)
-        )
-
-    return error(np.ones(n, bool)) < _GAIN * error(np.zeros(n, bool))
-
-
 def choose_prior(
     rows: Sequence[Rows], filters: Filters, estimator_of: Callable[[float], Estimator]
 ) -> float:

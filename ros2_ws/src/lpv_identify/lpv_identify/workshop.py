@@ -13,18 +13,12 @@ from lpv_identify.friction import TERMS
 from lpv_identify.gains import estimate_gains
 from lpv_identify.motion import Motion, Segment, check_motion, find_bandwidths, smooth, split
 from lpv_identify.noise import noise_deviation, quantization_step
-from lpv_identify.prior import structural_prior
+from lpv_identify.prior import LOAD_WIDTH, structural_prior
 from lpv_identify.rates import rate_sources
 from lpv_identify.recording import Recording
 from lpv_identify.regression import Filters, Fit, Prior, Rows, fit_parameters, make_rows
 from lpv_identify.rigid_body import build_model
-from lpv_identify.selection import (
-    choose_effort_band,
-    choose_load,
-    choose_prior,
-    divide,
-    validation_error,
-)
+from lpv_identify.selection import choose_effort_band, choose_prior, divide, validation_error
 from lpv_identify.sensing import Sensing
 
 WEAK = 1e-3
@@ -123,9 +117,7 @@ class Workshop:
         rows = self.train_rows(share)
         band = choose_effort_band(rows, self.filters, self.use_load, weak)
         self.filters = replace(self.filters, effort=band)
-        rows = self.train_rows(share)
-        slope = fit_parameters(rows, self.filters, self.use_load, weak).slope
-        self.use_load = choose_load(rows, self.filters, weak, slope)
+        self.use_load = np.ones(self.n, bool)
         self._choose_delay(share)
 
     def consistent_fit(
@@ -182,10 +174,18 @@ class Workshop:
         strong = Prior(self.prior.mean, strength * self.prior.information)
         return fit_parameters(rows, self.filters, self.use_load, strong), strength
 
-    def free_fit(self, share: float, slope: np.ndarray) -> Fit:
-        """Fit without a prior: its covariance is that of the data."""
+    def free_fit(self, share: float, slope: np.ndarray | None) -> Fit:
+        """Fit whose inertial parameters have no prior: its covariance is that of the data."""
+        free = self.prior.information.copy()
+        free[: self.base.size, : self.base.size] = 0.0
         return fit_parameters(
-            self.train_rows(share), self.filters, self.use_load, None, slope, signed=False
+            self.train_rows(share),
+            self.filters,
+            self.use_load,
+            Prior(self.prior.mean, free),
+            slope,
+            signed=False,
+            with_covariance=True,
         )
 
     def arm_of(self, fit: Fit, strength: float) -> SerialArm:
@@ -215,4 +215,6 @@ def _base_prior(arm: SerialArm, base: BaseParameters) -> Prior:
     size = base.size + len(TERMS) * len(arm.joints)
     information = np.zeros((size, size))
     information[: base.size, : base.size] = np.linalg.inv(covariance)
+    load = base.size + TERMS.index('load') + len(TERMS) * np.arange(len(arm.joints))
+    information[load, load] = LOAD_WIDTH**-2
     return Prior(np.concatenate([base.combination @ mean, np.zeros(size - base.size)]), information)

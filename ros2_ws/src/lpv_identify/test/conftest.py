@@ -9,6 +9,7 @@ import pytest
 from lpv_core.serial_arm.description import (
     JointFriction,
     JointLimits,
+    JointSensors,
     LinkInertia,
     SerialArm,
     SerialJoint,
@@ -40,7 +41,17 @@ def arm() -> SerialArm:
         ('three', (0.4, 0.0, 0.0), (0.0, 1.0, 0.0), link(1.5, (0.15, 0.0, 0.03))),
     ]
     joints = tuple(
-        SerialJoint(name, position, (0.0, 0.0, 0.0), axis, body, friction, 0.1, limits=limits)
+        SerialJoint(
+            name,
+            position,
+            (0.0, 0.0, 0.0),
+            axis,
+            body,
+            friction,
+            0.1,
+            limits=limits,
+            sensors=JointSensors(f'{name}_encoder'),
+        )
         for name, position, axis, body in parts
     )
     return SerialArm('three', joints, tip=(0.3, 0.0, 0.0))

@@ -87,7 +87,7 @@ def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm
     recording = simulate(driven, motion, 100.0, SensorNoise(), np.random.default_rng(3))
     found = identify(replace(arm, effort_unit='A'), [recording]).arm
     ratio = np.array([joint.torque_gain for joint in found.joints]) / gains
-    assert ratio == pytest.approx(np.full(3, ratio.mean()), rel=0.03)
+    assert ratio == pytest.approx(np.full(3, ratio.mean()), rel=0.1)
     assert ratio.mean() == pytest.approx(1.0, abs=0.25)
 
 

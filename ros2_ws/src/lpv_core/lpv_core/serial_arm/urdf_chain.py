@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 16 << 20
 """Largest URDF that is read [bytes]."""
+_ENDLESS = 1e6  # limits of continuous joints, which the parser wants [rad]
 MAX_JOINTS = 32
 """Largest number of moving joints of an arm."""
 
@@ -125,8 +126,8 @@ def _read(path: Path) -> str:
             limit = joint.find('limit')
             if limit is None:
                 limit = ElementTree.SubElement(joint, 'limit', effort='1e9', velocity='100')
-            limit.set('lower', '-inf')
-            limit.set('upper', 'inf')
+            limit.set('lower', f'{-_ENDLESS}')
+            limit.set('upper', f'{_ENDLESS}')
         if joint.get('type') in ('revolute', 'prismatic'):
             _check_limit(joint, path)
         for mimic in joint.findall('mimic'):
@@ -175,8 +176,8 @@ def _joint(model: 'pinocchio.Model', index: int, source: str) -> SerialJoint:
     placement = model.jointPlacements[index]
     inertia = model.inertias[index].toDynamicParameters()
     limits = JointLimits(
-        float(model.lowerPositionLimit[index - 1]),
-        float(model.upperPositionLimit[index - 1]),
+        _endless(model.lowerPositionLimit[index - 1]),
+        _endless(model.upperPositionLimit[index - 1]),
         _positive(model.velocityLimit[index - 1], 100.0),
         _positive(model.upperEffortLimit[index - 1], 1e9),
     )
@@ -193,6 +194,10 @@ def _joint(model: 'pinocchio.Model', index: int, source: str) -> SerialJoint:
         limits=limits,
         sensors=JointSensors(f'{name}_encoder'),
     )
+
+
+def _endless(value: float) -> float:
+    return float(value) if abs(value) < _ENDLESS else math.copysign(math.inf, value)
 
 
 def _positive(value: Any, default: float) -> float:
