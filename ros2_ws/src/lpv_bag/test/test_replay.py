@@ -26,10 +26,11 @@ from lpv_core.certificate.gains import save_gains
 from lpv_core.control.tracking import TrackingController
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS, Mode
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 PAPER_ARM = str(BRINGUP / 'arms' / 'paper.yaml')
 RECORDINGS = Path(

@@ -238,8 +238,8 @@ def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figur
     [
         (['--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
         (['--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
-        (['--run', '1'], 'belong together'),
-        (['--bag', 'x'], 'belong together'),
+        (['--run', '1'], 'must be given together'),
+        (['--bag', 'x'], 'must be given together'),
     ],
 )
 def test_given_a_run_that_is_not_there_when_asked_for_then_it_is_told(

@@ -27,19 +27,7 @@ COMMANDS = {
 
 
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
-    """Parser of the command line.
-
-    Parameters
-    ----------
-    chosen : str, optional
-        Only this command's module is imported: designing must not wait for plotting, nor
-        replaying for the solver.
-
-    Returns
-    -------
-    argparse.ArgumentParser
-        With one sub-command each.
-    """
+    """Parser of the command line."""
     parser = argparse.ArgumentParser(
         prog='lpv', description='Sensor-fault diagnosis and tracking of two-link robot arms.'
     )

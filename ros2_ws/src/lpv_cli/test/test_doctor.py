@@ -297,9 +297,9 @@ MISTAKES = {
     'remapping': (
         elsewhere,
         ['connections'],
-        '/lpv/uio listens to /lpv/joint_states, which nobody',
+        '/lpv/uio subscribes to /lpv/joint_states, which has',
     ),
-    'qos': (reliable_sink, ['qos'], '/lpv/uio does not hear /lpv/arm_sim'),
+    'qos': (reliable_sink, ['qos'], '/lpv/uio receives nothing from /lpv/arm_sim'),
     'types': (other_type, ['qos'], 'types sensor_msgs/msg/JointState and std_msgs/msg/String'),
     'silence': (lambda s: measure(s, []), ['measurements'], '/lpv/joint_states is silent'),
     'joint names': (
@@ -341,7 +341,7 @@ MISTAKES = {
     'rate': (
         lambda s: measure(s, [NOW + k * 10_000_000 for k in range(50)]),
         ['rate'],
-        'a sample every 10 ms, the arm file says 2 ms',
+        'one sample every 10 ms, the arm file says 2 ms',
     ),
 }
 
@@ -458,4 +458,4 @@ def test_given_two_simulators_and_nobody_else_when_the_command_runs_then_both_mi
     assert '/lpv/joint_states has 2 publishers' in texts['publishers']
     assert 'several nodes /lpv/arm_sim' in texts['names']
     assert '/lpv/uio is unconfigured' in texts['lifecycle']
-    assert '/lpv/torque_command, which nobody publishes' in texts['connections']
+    assert '/lpv/torque_command, which has no publisher' in texts['connections']

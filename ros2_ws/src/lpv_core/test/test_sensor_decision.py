@@ -12,7 +12,7 @@ from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.decision.fault_classification import is_stuck, noise_level
 from lpv_core.decision.fault_magnitude import removable
 from lpv_core.residual.change_detection import WINDOWS, sigmas_for
-from lpv_core.residual.sample_buffer import READING, RESIDUAL
+from lpv_core.residual.sample_buffer import READING, RESIDUAL, SampleBuffer
 
 TS = 2_000_000
 SIGMA = 0.001
@@ -730,5 +730,6 @@ def test_given_a_reading_when_still_while_the_arm_moves_then_it_is_stuck(jitter,
     angle = rate * 0.002 * np.arange(40)
     reading = jitter * np.random.default_rng(0).standard_normal(40)
     values = np.column_stack([reading - angle, reading, 0 * reading, 0 * reading])
-    assert is_stuck(values, 40, SIGMA) is stuck
-    assert not is_stuck(values, 19, SIGMA)
+    stamps = TS * np.arange(40)
+    assert is_stuck(SampleBuffer(stamps, values, np.array([40])), SIGMA) is stuck
+    assert not is_stuck(SampleBuffer(stamps, values, np.array([19])), SIGMA)

@@ -83,7 +83,7 @@ def raising_signals() -> Iterator[list[int]]:
         received.append(number)
         exit_by_signal(number, frame)
 
-    def report(unraisable: sys.UnraisableHookArgs) -> None:
+    def report(unraisable: 'sys.UnraisableHookArgs') -> None:
         if not received or not issubclass(unraisable.exc_type, (KeyboardInterrupt, SystemExit)):
             hook(unraisable)
         else:  # not from here, where it would be lost again

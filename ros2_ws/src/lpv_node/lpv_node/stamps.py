@@ -2,7 +2,7 @@
 
 from builtin_interfaces.msg import Time
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 
 def to_nanoseconds(stamp: Time) -> int:

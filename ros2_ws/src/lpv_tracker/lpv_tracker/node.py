@@ -12,11 +12,12 @@ from lpv_core.control.path_follower import PathFollower
 from lpv_core.control.tracking import COMPENSATION, TrackingController, feedback_position
 from lpv_core.model.arm import load_arm
 from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import stream
-from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds
+from lpv_node.stamps import set_stamp, to_nanoseconds
 
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),

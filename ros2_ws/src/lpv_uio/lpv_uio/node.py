@@ -18,11 +18,12 @@ from lpv_core.model.arm import load_arm
 from lpv_core.monitoring.monitor import Answer, SensorMonitor, describe
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.errors import SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import latched, stream
-from lpv_node.stamps import NANOSECONDS, to_nanoseconds
+from lpv_node.stamps import to_nanoseconds
 from lpv_uio.messages import OutputMessages
 
 _DIAGNOSIS = DiagnosisParameters()

@@ -9,9 +9,9 @@ from lpv_core.control.path import CartesianPath
 from lpv_core.export.urdf import frame_angles
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.errors import SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_view.alarm_list import AlarmList, seconds
 
 Numbers = list[float | None]

@@ -6,28 +6,18 @@ from typing import Any
 
 import yaml
 
+from lpv_campaign.execution.runs import RunPlan
 from lpv_core.certificate.gains import save_gains
-from lpv_core.model.arm import load_arm
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.simulation.scenario import Scenario, load_scenario
 from lpv_core.support.errors import LpvError
 
 NAMES = ('arm.yaml', 'scenario.yaml', 'gains.yaml', 'parameters.yaml')
 """Of the files; ``parameters.yaml`` is one parameter file for all nodes."""
 
 
-def arm_to_dict(arm) -> dict[str, Any]:
-    """Content of an arm file.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-
-    Returns
-    -------
-    dict
-        `lpv_core.model.arm.parse_arm` makes the same arm of it, bit by bit.
-    """
+def arm_to_dict(arm: ArmParameters) -> dict[str, Any]:
+    """Content of an arm file."""
     return {
         'name': arm.name,
         'inertia_reference': arm.inertia_reference,
@@ -65,20 +55,9 @@ def arm_to_dict(arm) -> dict[str, Any]:
     }
 
 
-def scenario_to_dict(scenario) -> dict[str, Any]:
-    """Content of a scenario file.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario.
-
-    Returns
-    -------
-    dict
-        `lpv_core.simulation.scenario.parse_scenario` makes the same scenario of it, bit by bit.
-    """
-    path = {
+def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
+    """Content of a scenario file."""
+    path: dict[str, Any] = {
         'elbow': scenario.elbow,
         'waypoints': [
             {'t': t, 'x': x, 'y': y} for t, (x, y) in zip(scenario.times, scenario.points)
@@ -89,7 +68,7 @@ def scenario_to_dict(scenario) -> dict[str, Any]:
             'center': list(scenario.obstacle.center),
             'radius': scenario.obstacle.radius,
         }
-    plant = {
+    plant: dict[str, Any] = {
         'model': scenario.plant,
         'sinc_min': scenario.sinc_min,
         'mass_factors': list(scenario.mass_factors),
@@ -113,19 +92,8 @@ def scenario_to_dict(scenario) -> dict[str, Any]:
     }
 
 
-def node_parameters(plan) -> dict[str, Any]:
-    """Content of a parameter file with what a run's nodes have other than their defaults.
-
-    Parameters
-    ----------
-    plan : RunPlan
-        The run.
-
-    Returns
-    -------
-    dict
-        For all nodes; each takes what it knows.
-    """
+def node_parameters(plan: RunPlan) -> dict[str, Any]:
+    """Content of a parameter file with what a run's nodes have other than their defaults."""
     return {
         '/**': {
             'ros__parameters': {
@@ -138,21 +106,8 @@ def node_parameters(plan) -> dict[str, Any]:
     }
 
 
-def write_run_files(plan, folder: str | Path) -> None:
-    """Write the files with which the graph repeats a run.
-
-    Parameters
-    ----------
-    plan : RunPlan
-        The run.
-    folder : str or pathlib.Path
-        Existing folder.
-
-    Raises
-    ------
-    LpvError
-        If a file, read again, is not what was simulated.
-    """
+def write_run_files(plan: RunPlan, folder: str | Path) -> None:
+    """Write the files with which the graph repeats a run."""
     folder = Path(folder)
     arm, scenario, gains, parameters = (folder / name for name in NAMES)
     for path, content in (

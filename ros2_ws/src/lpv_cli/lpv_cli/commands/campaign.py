@@ -1,10 +1,14 @@
 """``lpv campaign``: the statistics of thousands of closed-loop runs."""
 
+import argparse
 from pathlib import Path
 
+import pyarrow as pa
 from rich.console import Console
 
 from lpv_campaign.execution.execute import execute
+from lpv_campaign.execution.store import CampaignFolder
+from lpv_campaign.plan.campaign import Campaign
 from lpv_cli.commands import fleet
 from lpv_cli.commands.campaign_files import open_file, open_folder
 from lpv_cli.commands.campaign_run import run_to_bag
@@ -12,14 +16,8 @@ from lpv_cli.progress import counted
 from lpv_core.support.errors import ConfigError
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument(
         'spec',
         nargs='?',
@@ -37,7 +35,7 @@ def add_arguments(parser) -> None:
         '--workers',
         type=int,
         default=None,
-        help='processes on this machine; 0: none but this one (one a core)',
+        help='processes on this machine; 0: this process only (default: one per core)',
     )
     parser.add_argument(
         '--no-report', action='store_true', help='put the results together, and write no report'
@@ -59,18 +57,10 @@ def add_arguments(parser) -> None:
     fleet.add_arguments(parser)
 
 
-def run(arguments) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Run what is missing, and put the results together.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; 3 if a bag of an archive could not be read.
+    Exit code: 0; 3 if a bag of an archive could not be read.
     """
     _check_workers(arguments)
     if arguments.bags is not None:
@@ -104,7 +94,7 @@ def run(arguments) -> int:
     return 0
 
 
-def _report(campaign, folder, table, console) -> None:
+def _report(campaign: Campaign, folder: CampaignFolder, table: pa.Table, console: Console) -> None:
     # Only here: runs must not wait for plotting.
     from lpv_campaign.report import print_summary, write_report
 
@@ -113,7 +103,7 @@ def _report(campaign, folder, table, console) -> None:
     console.print(f'report: {report.html}')
 
 
-def _report_again(arguments, console):
+def _report_again(arguments: argparse.Namespace, console: Console) -> int:
     """Report of what is in a folder, whether it is all or not."""
     if arguments.out is not None:
         raise ConfigError('--out', 'goes with a campaign file, not with a folder of results')
@@ -129,18 +119,24 @@ def _report_again(arguments, console):
     return 0
 
 
-def _check_workers(arguments) -> None:
+def _check_workers(arguments: argparse.Namespace) -> None:
     if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
         raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
 
 
-def _replay_archive(arguments):
+def _replay_archive(arguments: argparse.Namespace) -> int:
     if arguments.spec is not None or arguments.number is not None or arguments.bag is not None:
         raise ConfigError('--bags', 'goes without a campaign file, --run and --bag')
     return fleet.replay_archive(arguments)
 
 
-def _run(arguments, campaign, folder, numbers, console) -> None:
+def _run(
+    arguments: argparse.Namespace,
+    campaign: Campaign,
+    folder: CampaignFolder,
+    numbers: list[int],
+    console: Console,
+) -> None:
     total = campaign.spec.runs
     with counted(console, campaign.spec.name, total, total - len(numbers)) as advance:
         for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):

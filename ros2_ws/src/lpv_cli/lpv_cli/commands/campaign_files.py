@@ -11,23 +11,7 @@ from lpv_core.support.resources import bringup_file
 
 
 def open_folder(path: str | Path) -> tuple[Any, ...]:
-    """Campaign of a results folder.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The folder.
-
-    Returns
-    -------
-    tuple
-        `Campaign` and `CampaignFolder`.
-
-    Raises
-    ------
-    ConfigError
-        If there is no campaign.
-    """
+    """Campaign of a results folder."""
     folder = CampaignFolder(path)
     campaign = folder.load()
     if campaign is None:
@@ -36,25 +20,7 @@ def open_folder(path: str | Path) -> tuple[Any, ...]:
 
 
 def open_file(name: str, out: str | None = None) -> tuple[Any, ...]:
-    """Campaign of a campaign file, with the gains that were used if it has begun already.
-
-    Parameters
-    ----------
-    name : str
-        File, or name of a shipped one.
-    out : str, optional
-        Folder of its results, if it is not the usual one.
-
-    Returns
-    -------
-    tuple
-        `Campaign` and `CampaignFolder`, which may hold nothing, or another campaign.
-
-    Raises
-    ------
-    LpvError
-        If the file or what it names is wrong.
-    """
+    """Campaign of a campaign file, with the gains that were used if it has begun already."""
     path = Path(name)
     if not path.is_file():
         path = bringup_file('campaigns', name)

@@ -1,5 +1,6 @@
 """``lpv campaign DIR --run N --bag FOLDER``: one run again, as a bag."""
 
+import argparse
 from pathlib import Path
 from typing import Any
 
@@ -8,33 +9,20 @@ from rich.table import Table
 
 from lpv_campaign.execution.run_metrics import figures
 from lpv_campaign.execution.run_to_bag import differences, write_run_bag
-from lpv_campaign.execution.runs import plan_run
+from lpv_campaign.execution.runs import RunPlan, plan_run
+from lpv_campaign.execution.store import CampaignFolder
 from lpv_cli.commands.campaign_files import open_file, open_folder
 from lpv_core.support.errors import ConfigError, LpvError
 
 
-def run_to_bag(arguments) -> int:
-    """Simulate a run again, compare its figures with the results, write its bag.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        ``spec`` (results folder or campaign file), ``out``, ``number``, ``bag``.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    LpvError
-        If the figures are not those of the results.
-    """
+def run_to_bag(arguments: argparse.Namespace) -> int:
+    """Simulate a run again, compare its figures with the results, write its bag."""
     if arguments.spec is None:
         raise ConfigError('spec', 'is missing: name the results folder of a campaign, or its file')
     if arguments.number is None or arguments.bag is None:
-        raise ConfigError('--run', 'and --bag belong together: which run, and where to')
+        raise ConfigError(
+            '--run', 'and --bag must be given together: which run, and the bag to write'
+        )
     console = Console(soft_wrap=True, highlight=False)
     if Path(arguments.spec).is_dir():
         campaign, folder = open_folder(arguments.spec)
@@ -64,28 +52,15 @@ def run_to_bag(arguments) -> int:
     return 0
 
 
-def stored_row(folder, number: int) -> dict[str, Any] | None:
-    """Row of a run in the results.
-
-    Parameters
-    ----------
-    folder : CampaignFolder
-        Results.
-    number : int
-        Run.
-
-    Returns
-    -------
-    dict or None
-        None if it is not there.
-    """
+def stored_row(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
+    """Row of a run in the results."""
     if number not in folder.finished():
         return None
     table = folder.table()
     return table.slice(table['number'].index(number).as_py(), 1).to_pylist()[0]
 
 
-def _table(number, stored, found):
+def _table(number: int, stored: dict[str, Any] | None, found: dict[str, Any]) -> Table:
     table = Table(title=f'run {number}', title_justify='left')
     table.add_column('figure')
     table.add_column('results', justify='right')
@@ -97,13 +72,13 @@ def _table(number, stored, found):
     return table
 
 
-def _text(value):
+def _text(value: Any) -> str:
     if value is None or value != value:
         return '-'
     return f'{value:.6g}' if isinstance(value, float) else str(value)
 
 
-def _hints(bag, plan, console) -> None:
+def _hints(bag: Path, plan: RunPlan, console: Console) -> None:
     files = f'--arm {bag}/arm.yaml'
     console.print(f'bag     {bag}')
     console.print(f'report  lpv report {bag} {files} --scenario {bag}/scenario.yaml')

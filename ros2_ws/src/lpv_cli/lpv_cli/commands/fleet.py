@@ -1,19 +1,26 @@
 """``lpv campaign --bags DIR``: an archive of bags replayed, and the statistics of the fleet."""
 
+import argparse
 import time
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from lpv_bag.replay.replay import ReplayOptions
 from lpv_campaign.fleet.archive import FleetSettings, watch_fleet
-from lpv_campaign.fleet.find import find_bags
-from lpv_campaign.fleet.statistics import fleet_statistics
+from lpv_campaign.fleet.find import FoundBag, find_bags
+from lpv_campaign.fleet.statistics import FleetStatistics, fleet_statistics
 from lpv_campaign.fleet.store import FleetFolder
-from lpv_cli.commands.replay import add_diagnosis, add_reading, arm_and_gains, diagnosis_parameters
+from lpv_cli.commands.observing import (
+    add_diagnosis,
+    add_reading,
+    arm_and_gains,
+    diagnosis_parameters,
+    reading_options,
+)
 from lpv_cli.progress import counted
 from lpv_core.certificate.conditions import require
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import ConfigError
 
 FAILED = 3
@@ -23,14 +30,8 @@ _TOGETHER, _EVERY = 50, 2.0
 _SHOWN = 10
 
 
-def add_arguments(parser) -> None:
-    """Declare the arguments of ``--bags``.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        That of ``lpv campaign``.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``--bags``."""
     group = parser.add_argument_group('archives of bags')
     group.add_argument(
         '--bags',
@@ -48,24 +49,8 @@ def add_arguments(parser) -> None:
     add_reading(group)
 
 
-def replay_archive(arguments) -> int:
-    """Replay what has not been replayed, show and write the statistics.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`, and ``out``, ``workers``, ``scheduler``.
-
-    Returns
-    -------
-    int
-        0, or 3 if a bag could not be read.
-
-    Raises
-    ------
-    LpvError
-        If there are no bags, or arm and gains do not belong together.
-    """
+def replay_archive(arguments: argparse.Namespace) -> int:
+    """Replay what has not been replayed, show and write the statistics."""
     console = Console(soft_wrap=True, highlight=False)
     root = Path(arguments.bags)
     folder = FleetFolder(arguments.out or Path('out') / 'fleet' / (root.resolve().name or 'root'))
@@ -94,21 +79,22 @@ def replay_archive(arguments) -> int:
     return FAILED if statistics.failed else 0
 
 
-def _settings(arguments, console):
+def _settings(arguments: argparse.Namespace, console: Console) -> FleetSettings:
     arm, gains = arm_and_gains(arguments, console)
     require(arm, gains, arguments.gains or 'gains')
     diagnosis, others = diagnosis_parameters(arguments.parameters)
-    options = ReplayOptions(
-        topic=arguments.topic,
-        effort_topic=arguments.effort_topic,
-        start=arguments.start,
-        end=arguments.end,
-        torque_from_command=arguments.torque_source == 'command',
-    )
-    return FleetSettings(arm, gains, diagnosis, options=options, **others)
+    return FleetSettings(arm, gains, diagnosis, options=reading_options(arguments), **others)
 
 
-def _replay(arguments, settings, root, bags, folder, console, total) -> None:
+def _replay(
+    arguments: argparse.Namespace,
+    settings: FleetSettings,
+    root: Path,
+    bags: list[FoundBag],
+    folder: FleetFolder,
+    console: Console,
+    total: int,
+) -> None:
     waiting, since = [], time.monotonic()
     with counted(console, 'bags', total, total - len(bags)) as advance:
         try:
@@ -124,7 +110,7 @@ def _replay(arguments, settings, root, bags, folder, console, total) -> None:
                 folder.add(waiting)
 
 
-def _show(statistics, arm, healthy, console) -> None:
+def _show(statistics: FleetStatistics, arm: ArmParameters, healthy: bool, console: Console) -> None:
     # Plotting is imported only when everything is done.
     from lpv_campaign.fleet.report import number, rates, truth_text
 
@@ -164,14 +150,21 @@ def _show(statistics, arm, healthy, console) -> None:
         if trend.significant:
             console.print(
                 f'trend   {trend.unit or "-"}, {arm.sensor_names[trend.sensor]}: '
-                f'{trend.slope:+.2e} rad a day over {trend.days[-1]:.3g} days, reaches '
+                f'{trend.slope:+.2e} rad per day over {trend.days[-1]:.3g} days, reaches '
                 f'its threshold in {number(trend.days_left)} days'
             )
     for row in statistics.failures[:_SHOWN]:
         console.print(f'failed  {row["bag"]}: {row["error"]}', markup=False)
 
 
-def _write_report(path, statistics, arm, root, folder, healthy) -> None:
+def _write_report(
+    path: Path,
+    statistics: FleetStatistics,
+    arm: ArmParameters,
+    root: Path,
+    folder: FleetFolder,
+    healthy: bool,
+) -> None:
     from lpv_campaign.fleet.report import write_fleet_report
 
     write_fleet_report(

@@ -1,38 +1,38 @@
 """``lpv replay``: observer and diagnosis offline on a bag, or the bag into a live graph."""
 
-import os
+import argparse
 import shutil
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from lpv_bag.mcap.writer import PRESETS
-from lpv_bag.replay.injected_faults import judge
-from lpv_bag.replay.replay import Replay, ReplayOptions
+from lpv_bag.replay.injected_faults import InjectedFault, judge
+from lpv_bag.replay.replay import Replay, ReplayResult
 from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
-from lpv_core.certificate.gains import load_gains, save_gains
-from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.model.arm import load_arm
+from lpv_bag.run.streams import RecordedAlarm
+from lpv_cli.commands.observing import (
+    add_diagnosis,
+    add_reading,
+    arm_and_gains,
+    diagnosis_parameters,
+    reading_options,
+)
+from lpv_cli.commands.publish import add_publishing, publish
+from lpv_core.certificate.gains import save_gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor, describe
-from lpv_core.simulation.faults import FaultInjector
+from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('bag', help='rosbag2 directory, MCAP or sqlite3 file')
     add_diagnosis(parser)
     parser.add_argument(
@@ -60,115 +60,17 @@ def add_arguments(parser) -> None:
         default='zstd_fast',
         help='of the new bag (zstd_fast)',
     )
-    _add_publishing(parser)
+    add_publishing(parser)
 
 
-def add_diagnosis(parser) -> None:
-    """Declare the arguments that say what observes.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
-    parser.add_argument(
-        '--arm',
-        help='arm file, or name of a shipped arm; the one that the gains '
-        'were designed for if not given',
-    )
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument('--gains', help='gains file of this arm')
-    source.add_argument(
-        '--requirement',
-        help='requirement to design gains for, a file or a '
-        "shipped one; without both, the shipped one of the arm's name",
-    )
-    parser.add_argument(
-        '--parameters',
-        help='parameter file of the node, for its diagnosis, initial_samples and max_gap',
-    )
-
-
-def add_reading(parser) -> None:
-    """Declare the arguments that say what of a bag is read.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
-    parser.add_argument(
-        '--from',
-        dest='start',
-        type=float,
-        metavar='S',
-        help='leave out what is before this time, counted from the first message of the bag [s]',
-    )
-    parser.add_argument(
-        '--to',
-        dest='end',
-        type=float,
-        metavar='S',
-        help='leave out what is at this time or later [s]',
-    )
-    parser.add_argument('--topic', help='topic of the measurements, where there are several')
-    parser.add_argument(
-        '--effort-topic',
-        help='topic of torques to use in place of the measured '
-        'efforts: TorqueCommand, JointState, Float64MultiArray, JointTrajectory',
-    )
-    parser.add_argument(
-        '--torque-source',
-        choices=('effort', 'command'),
-        default='effort',
-        help='torques as measured, or the recorded commands (effort)',
-    )
-
-
-def _add_publishing(parser) -> None:
-    parser.add_argument(
-        '--publish',
-        action='store_true',
-        help='play the bag into the live graph, with /clock, and run nothing offline; needs ROS 2',
-    )
-    parser.add_argument('--rate', type=float, default=1.0, help='with --publish: speed (1)')
-    parser.add_argument('--loop', action='store_true', help='with --publish: again and again')
-    parser.add_argument(
-        '--clock-rate',
-        type=float,
-        default=100.0,
-        help='with --publish: messages on /clock per second of the bag, 0 for none (100)',
-    )
-    parser.add_argument(
-        '--topics',
-        nargs='+',
-        help='with --publish: topics to play; all but the answers of the diagnosis if not given',
-    )
-    parser.add_argument(
-        '--wait',
-        type=float,
-        default=5.0,
-        help='with --publish: longest time to '
-        'wait for a subscriber before the first message [s] (5)',
-    )
-
-
-def run(arguments) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Replay, report, show what was found.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; 1 if the design is infeasible.
+    Exit code: 0; 1 if the design is infeasible.
     """
     console = Console(soft_wrap=True, highlight=False)
     if arguments.publish:
-        return _publish(arguments, console)
+        return publish(arguments, console)
     out = Path(arguments.out).resolve()
     _check_out(out, Path(arguments.bag).resolve())
     arm, gains = arm_and_gains(arguments, console)
@@ -179,7 +81,12 @@ def run(arguments) -> int:
     _remove(out)
     begin = time.perf_counter()
     result = Replay(
-        monitor, _options(arguments), injector, lambda event: console.print(_alarm_line(event))
+        monitor,
+        reading_options(
+            arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
+        ),
+        injector,
+        lambda event: console.print(_alarm_line(event)),
     ).run(arguments.bag, out)
     save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
@@ -191,39 +98,7 @@ def run(arguments) -> int:
     return 0
 
 
-def _publish(arguments, console):
-    # Nobody else's business: unless the user wants more, nodes of this machine only.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    try:
-        from lpv_bag.replay.player import Player
-    except ImportError as error:
-        raise ConfigError('--publish', f'needs ROS 2 ({error})') from error
-
-    player = Player(
-        arguments.bag,
-        arguments.topics,
-        arguments.topic,
-        arguments.rate,
-        arguments.loop,
-        arguments.clock_rate,
-        arguments.wait,
-        (arguments.start, arguments.end),
-    )
-    count = player.run(lambda text: console.print(text))
-    console.print(f'{count} messages published')
-    return 0
-
-
-def _options(arguments):
-    names = ('topic', 'effort_topic', 'start', 'end', 'estimates_only')
-    return ReplayOptions(
-        torque_from_command=arguments.torque_source == 'command',
-        preset=arguments.compression,
-        **{name: getattr(arguments, name) for name in names},
-    )
-
-
-def _check_out(out, bag) -> None:
+def _check_out(out: Path, bag: Path) -> None:
     if bag == out or bag.is_relative_to(out):
         raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
     if out.is_relative_to(bag):
@@ -232,7 +107,7 @@ def _check_out(out, bag) -> None:
         raise ConfigError('--out', f'{out} exists already and was not written by this command')
 
 
-def _is_ours(out) -> bool:
+def _is_ours(out: Path) -> bool:
     try:
         information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
         return MARK in (information.get('custom_data') or ())
@@ -240,85 +115,12 @@ def _is_ours(out) -> bool:
         return False
 
 
-def _remove(out) -> None:
+def _remove(out: Path) -> None:
     if out.exists():
         shutil.rmtree(out)
 
 
-def arm_and_gains(arguments, console) -> tuple[Any, ...]:
-    """Arm and gains as arguments say.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_diagnosis`.
-    console : rich.console.Console
-        Is told of a design.
-
-    Returns
-    -------
-    tuple
-        `ArmParameters` and `Gains`.
-
-    Raises
-    ------
-    LpvError
-        If a file is wrong, or the design is infeasible.
-    """
-    gains = load_gains(arguments.gains) if arguments.gains else None
-    name = arguments.arm or (gains and gains.arm_name)
-    if not name:
-        raise ConfigError('--arm', 'is needed where no gains are given')
-    arm = load_arm(bringup_file('arms', name))
-    return arm, gains or _design(arguments, arm, console)
-
-
-def _design(arguments, arm, console):
-    # The solver is imported only where it is needed.
-    from lpv_design.design_flow import design
-    from lpv_design.requirement import load_requirement
-
-    requirement = load_requirement(arguments.requirement or arm.name)
-    console.print(f'designing gains for arm {arm.name!r} ...')
-    return design(arm, requirement).gains
-
-
-def diagnosis_parameters(path: str | None) -> tuple[Any, ...]:
-    """Tuning of the diagnosis in a parameter file of the node.
-
-    Parameters
-    ----------
-    path : str or None
-        The file; None for what the node has without one.
-
-    Returns
-    -------
-    tuple
-        `DiagnosisParameters`, and a dict with what is given of ``max_gap`` and
-        ``initial_samples``.
-
-    Raises
-    ------
-    ConfigError
-        Naming what is wrong.
-    """
-    if not path:
-        return DiagnosisParameters(), {}
-    try:
-        values = dict(read_yaml(path)['/**']['ros__parameters'])
-        diagnosis = DiagnosisParameters(**values.get('diagnosis') or {})
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            '/**.ros__parameters', f'is no set of parameters ({error})', path
-        ) from error
-    chosen = {name: values[name] for name in ('max_gap', 'initial_samples') if name in values}
-    for name, value in (*vars(diagnosis).items(), *chosen.items()):
-        if not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
-            raise ConfigError(name, f'must be a number from 0, got {value!r}', path)
-    return diagnosis, chosen
-
-
-def _faults(path):
+def _faults(path: str | None) -> tuple[Fault, ...] | None:
     if path is None:
         return None
     top = Section(read_yaml(path), path)
@@ -327,28 +129,20 @@ def _faults(path):
     return faults
 
 
-def _injector(faults, arm):
+def _injector(faults: tuple[Fault, ...] | None, arm: ArmParameters) -> FaultInjector | None:
     if faults is None:
         return None
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
 
 
-def _alarm_line(event) -> str:
+def _alarm_line(event: RecordedAlarm) -> str:
     """One alarm event with its three times: of the event, of the onset, of the confirmation."""
     now, onset, confirmed = (s / 1e9 for s in (event.stamp, event.onset, event.detected))
     return f'  {now:.3f} s: {describe(event)}; onset {onset:.3f} s, confirmed {confirmed:.3f} s'
 
 
-def show_injected(found, console) -> None:
-    """Show what was found of the injected faults.
-
-    Parameters
-    ----------
-    found : list of InjectedFault
-        Of `lpv_bag.replay.injected_faults.judge`.
-    console : rich.console.Console
-        Where.
-    """
+def show_injected(found: list[InjectedFault], console: Console) -> None:
+    """Show what was found of the injected faults."""
     right = sum(one.found for one in found)
     console.print(f'{right} of {len(found)} injected faults found on the right sensor')
     for one in found:
@@ -362,7 +156,9 @@ def show_injected(found, console) -> None:
         console.print(text)
 
 
-def _summary(result, monitor, seconds, console) -> None:
+def _summary(
+    result: ReplayResult, monitor: SensorMonitor, seconds: float, console: Console
+) -> None:
     console.print(
         f'{result.measurements} measurements, {len(result.events)} alarm events, {seconds:.2f} s'
     )
@@ -373,7 +169,7 @@ def _summary(result, monitor, seconds, console) -> None:
         console.print(f'  rejected {count} times: {text}')
 
 
-def _report(arguments, arm, out, console) -> None:
+def _report(arguments: argparse.Namespace, arm: ArmParameters, out: Path, console: Console) -> None:
     from lpv_report.run import print_table, write_report
 
     folder = Path(arguments.report).resolve()

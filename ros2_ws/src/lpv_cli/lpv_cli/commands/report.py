@@ -1,61 +1,60 @@
 """``lpv report``: the report of a recorded run."""
 
+import argparse
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
-from lpv_cli.completion import shipped
-from lpv_core.model.arm import load_arm
+from lpv_cli.completion import completed, shipped
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('bag', help='rosbag2 directory or MCAP file')
-    parser.add_argument(
-        '--arm',
-        help='arm file, or name of a shipped arm; if not given, the one that the gains describe, '
-        'or the shipped one that the recorded messages name',
-    ).completer = shipped('arms')
+    completed(
+        parser.add_argument(
+            '--arm',
+            help='arm file, or name of a shipped arm; if not given, the one that the gains '
+            'describe, or the shipped one that the recorded messages name',
+        ),
+        shipped('arms'),
+    )
     parser.add_argument(
         '--gains', help='gains file that the run was answered with; the one in the bag if not given'
     )
-    parser.add_argument(
-        '--scenario', help='scenario whose path and obstacle are drawn'
-    ).completer = shipped('scenarios')
+    completed(
+        parser.add_argument(
+            '--scenario',
+            help='scenario whose path and obstacle are drawn; the one in the bag if not given',
+        ),
+        shipped('scenarios'),
+    )
     parser.add_argument('--out', default='out/report', help='folder for the report')
 
 
-def run(arguments) -> int:
-    """Write the report and show its table.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0.
-    """
-    from lpv_report.run import find_shipped_gains, find_used_gains, print_table, write_report
+def run(arguments: argparse.Namespace) -> int:
+    """Write the report and show its table."""
+    from lpv_report.run import (
+        find_scenario,
+        find_shipped_gains,
+        find_used_gains,
+        print_table,
+        write_report,
+    )
 
     used = find_used_gains(arguments.bag, arguments.gains)
     if used.gains is None and not arguments.arm:
         used = find_shipped_gains(arguments.bag)
     arm = _arm(arguments, used)
-    path = None
+    scenario = find_scenario(arguments.bag)
     if arguments.scenario:
-        path = load_scenario(bringup_file('scenarios', arguments.scenario)).path(arm)
+        scenario = load_scenario(bringup_file('scenarios', arguments.scenario))
+    path = scenario.path(arm) if scenario is not None else None
     result = write_report(
         arguments.bag,
         Path(arguments.out),
@@ -72,7 +71,7 @@ def run(arguments) -> int:
     return 0
 
 
-def _arm(arguments, used):
+def _arm(arguments: argparse.Namespace, used: Any) -> ArmParameters:
     from lpv_report.run import arm_of
 
     if arguments.arm:
@@ -85,7 +84,7 @@ def _arm(arguments, used):
     return arm_of(used.gains)
 
 
-def _said(result, used):
+def _said(result: Any, used: Any) -> str:
     certificate, again = result.certificate, result.reproduction
     if certificate is None:
         return f'gains   not known: {used.problem}'

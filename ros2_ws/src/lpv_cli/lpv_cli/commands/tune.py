@@ -1,6 +1,8 @@
 """``lpv tune``: search the weights of a design by campaigns of runs."""
 
+import argparse
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -17,7 +19,7 @@ from lpv_campaign.execution.execute import software, worker_pool
 from lpv_campaign.tune.picture import draw
 from lpv_campaign.tune.result import conclude, write
 from lpv_campaign.tune.search import Search
-from lpv_campaign.tune.study_file import MOST_TRIALS, load_study
+from lpv_campaign.tune.study_file import MOST_TRIALS, Study, load_study
 from lpv_campaign.tune.trial import Bench
 from lpv_core.support.config import sha256_of
 from lpv_core.support.errors import ConfigError
@@ -25,20 +27,14 @@ from lpv_core.support.errors import ConfigError
 EXIT_NOTHING = 1
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('study', help='study file (YAML), see docs/tune.md')
     parser.add_argument(
         '--out',
         default=None,
         help='folder of the results (out/tune/NAME); where it holds a part of '
-        'this study, the search goes on',
+        'this study, the search is resumed',
     )
     parser.add_argument(
         '--trials',
@@ -50,7 +46,7 @@ def add_arguments(parser) -> None:
         '--workers',
         type=int,
         default=None,
-        help='processes on this machine; 0: none but this one (one a core)',
+        help='processes on this machine; 0: this process only (default: one per core)',
     )
     parser.add_argument(
         '--scheduler',
@@ -60,18 +56,10 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> int:
-    """Search, look again, write.
+def run(arguments: argparse.Namespace) -> int:
+    """Search, validate, write.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; 1 if no trial is certified and keeps all limits.
+    Exit code: 0; 1 if no trial is certified and keeps all limits.
     """
     study = load_study(arguments.study)
     trials = study.trials if arguments.trials is None else arguments.trials
@@ -86,7 +74,7 @@ def run(arguments) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         search = Search(study, _key(study, bench), folder / 'study.db')
         _search(search, bench, trials, console)
-        console.print('picking, and looking again on other runs ...')
+        console.print('validating the picked trial on other runs ...')
         result = conclude(bench, search)
     files = write(bench, result, folder)
     draw(result, folder / 'study.png')
@@ -96,7 +84,7 @@ def run(arguments) -> int:
     return EXIT_NOTHING if result['picked'] is None else 0
 
 
-def _key(study, bench):
+def _key(study: Study, bench: Bench) -> str:
     """Trials may be more; everything else makes another study."""
     data = {
         name: value
@@ -106,7 +94,7 @@ def _key(study, bench):
     return sha256_of([data, bench.key, bench.content({}), software()])
 
 
-def _search(search, bench, trials, console) -> None:
+def _search(search: Search, bench: Bench, trials: int, console: Console) -> None:
     done = len(search.trials)
     if done:
         console.print(f'{done} trials are here already')
@@ -128,12 +116,12 @@ def _search(search, bench, trials, console) -> None:
             progress.update(task, advance=1, best=_best(search.trials))
 
 
-def _best(trials):
+def _best(trials: list[dict[str, Any]]) -> str:
     costs = [trial['cost'] for trial in trials if trial['state'] == 'good']
     return f'lowest cost {min(costs):.3f}' if costs else 'nothing yet'
 
 
-def _show(result, console) -> None:
+def _show(result: dict[str, Any], console: Console) -> None:
     states = [trial['state'] for trial in result['trials']]
     console.print(
         f'{len(states)} trials: {states.count("good")} good, '
@@ -155,7 +143,7 @@ def _show(result, console) -> None:
     )
 
 
-def _show_validation(found, console) -> None:
+def _show_validation(found: dict[str, Any], console: Console) -> None:
     table = Table(
         title=f'on {found["runs"]} other runs; intervals hold '
         f'{found["confidence"]:.0%} of {found["resamples"]} resamples'

@@ -5,10 +5,11 @@ import importlib.metadata
 import importlib.util
 import os
 import sys
+from collections.abc import Sequence
 
 from packaging.requirements import Requirement
 
-from lpv_cli.doctor.findings import error, ok, warn
+from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import executable
 
@@ -38,14 +39,8 @@ _SAFE_DOMAIN = 101
 """Domains above have ports that the operating system also gives to others."""
 
 
-def check_environment():
-    """Run all checks of this module.
-
-    Returns
-    -------
-    list of Finding
-        One a check.
-    """
+def check_environment() -> list[Finding]:
+    """Run all checks of this module."""
     return [
         check_python(),
         check_packages(),
@@ -58,7 +53,7 @@ def check_environment():
     ]
 
 
-def check_python():
+def check_python() -> Finding:
     """Version of Python."""
     version = '.'.join(map(str, sys.version_info[:3]))
     if (3, 10) <= sys.version_info[:2] <= (3, 13):
@@ -66,7 +61,7 @@ def check_python():
     return warn('python', f'{version} is not tried', 'use Python 3.10 to 3.13')
 
 
-def check_packages(requirements=REQUIREMENTS):
+def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
     """Versions of the Python packages that all commands need."""
     bad = []
     for requirement in map(Requirement, requirements):
@@ -84,7 +79,7 @@ def check_packages(requirements=REQUIREMENTS):
     return ok('packages', f'{len(requirements)} packages in the versions that are needed')
 
 
-def check_compiler():
+def check_compiler() -> Finding:
     """Whether the recursions run compiled."""
     from lpv_core.support.jit import COMPILED
 
@@ -97,7 +92,7 @@ def check_compiler():
     )
 
 
-def check_ros():
+def check_ros() -> Finding:
     """Whether there is one ROS 2, and only one."""
     distro = os.environ.get('ROS_DISTRO', '')
     try:
@@ -119,7 +114,7 @@ def check_ros():
     return ok('ros', f'{distro} is sourced' if distro else 'from wheels')
 
 
-def check_workspace():
+def check_workspace() -> Finding:
     """Whether messages and programs of this workspace are built."""
     try:
         importlib.import_module('lpv_msgs.msg')
@@ -132,7 +127,7 @@ def check_workspace():
     return ok('workspace', 'messages and programs are there')
 
 
-def check_middleware():
+def check_middleware() -> Finding:
     """Whether the middleware that is asked for is installed."""
     wanted = os.environ.get('RMW_IMPLEMENTATION', '')
     try:
@@ -155,7 +150,7 @@ def check_middleware():
     return ok('middleware', found)
 
 
-def check_domain():
+def check_domain() -> Finding:
     """Whether ROS_DOMAIN_ID is a domain."""
     text = os.environ.get('ROS_DOMAIN_ID', '')
     remedy = 'export ROS_DOMAIN_ID=N with N from 0 to 101, the same for all nodes'
@@ -168,7 +163,7 @@ def check_domain():
     return ok('domain', text)
 
 
-def check_range():
+def check_range() -> Finding:
     """Where nodes are looked for."""
     text = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
     if os.environ.get('ROS_LOCALHOST_ONLY', '') == '1':

@@ -1,10 +1,13 @@
 """Checks of the measurements that were heard."""
 
 import math
+from typing import Any
 
 import numpy as np
 
-from lpv_cli.doctor.findings import error, ok, warn
+from lpv_cli.doctor.findings import Finding, error, ok, warn
+from lpv_cli.doctor.watch import Snapshot
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.support.errors import SampleError
 
@@ -14,21 +17,8 @@ _UNEVEN = 1.5
 """Largest ratio of measured to expected interval."""
 
 
-def check_measurements(shot, arm):
-    """Run all checks of the measurements.
-
-    Parameters
-    ----------
-    shot : lpv_cli.doctor.watch.Snapshot
-        What was heard.
-    arm : ArmParameters or None
-        Without, joint names and rate are not checked.
-
-    Returns
-    -------
-    list of Finding
-        For each topic.
-    """
+def check_measurements(shot: Snapshot, arm: ArmParameters | None) -> list[Finding]:
+    """Run all checks of the measurements."""
     findings = []
     for topic, heard in sorted(shot.measured.items()):
         if not heard:
@@ -55,7 +45,7 @@ def check_measurements(shot, arm):
     return findings
 
 
-def check_joints(topic, message, arm):
+def check_joints(topic: str, message: Any, arm: ArmParameters | None) -> Finding | None:
     """Names and sizes against the arm file."""
     if arm is None:
         return None
@@ -66,12 +56,12 @@ def check_joints(topic, message, arm):
             'joints',
             f'{topic}: {problem}',
             'put the names of the driver into '
-            'joints.names of the arm file and design the gains again, or mend the driver',
+            'joints.names of the arm file and design the gains again, or correct the driver',
         )
     return None
 
 
-def check_efforts(topic, messages, shot):
+def check_efforts(topic: str, messages: list[Any], shot: Snapshot) -> Finding | None:
     """Whether torques are measured where the observer takes them from."""
     sources = [values.get('torque_source') for values in shot.parameters.values()]
     if 'command' in sources and 'effort' not in sources:
@@ -87,7 +77,7 @@ def check_efforts(topic, messages, shot):
     )
 
 
-def check_values(topic, messages):
+def check_values(topic: str, messages: list[Any]) -> Finding | None:
     """Whether positions and rates are numbers."""
     bad = sum(
         not (len(m.velocity) and np.isfinite([*m.position, *m.velocity]).all()) for m in messages
@@ -103,7 +93,7 @@ def check_values(topic, messages):
     )
 
 
-def check_stamps(topic, heard, shot):
+def check_stamps(topic: str, heard: list[tuple[int, Any]], shot: Snapshot) -> Finding | None:
     """Whether stamps are set, increase, and are near the clock."""
     stamps = np.array([_nanoseconds(m) for _, m in heard], dtype=np.int64)
     if not stamps.any():
@@ -136,7 +126,9 @@ def check_stamps(topic, heard, shot):
     )
 
 
-def check_rate(topic, messages, arm, shot):
+def check_rate(
+    topic: str, messages: list[Any], arm: ArmParameters | None, shot: Snapshot
+) -> Finding | None:
     """Whether samples come as often as the gains were designed for."""
     stamps = np.unique([_nanoseconds(m) for m in messages])
     if arm is None or len(stamps) < 10:
@@ -147,11 +139,11 @@ def check_rate(topic, messages, arm, shot):
         return None
     return warn(
         'rate',
-        f'{topic}: a sample every {1e3 * interval:.3g} ms, the arm file says '
+        f'{topic}: one sample every {1e3 * interval:.3g} ms, the arm file says '
         f'{1e3 * arm.sample_time:.3g} ms',
         'set sample_time of the arm file to that of the driver and design the gains again',
     )
 
 
-def _nanoseconds(message):
+def _nanoseconds(message: Any) -> int:
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec

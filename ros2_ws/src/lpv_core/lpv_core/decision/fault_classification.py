@@ -1,28 +1,14 @@
-"""Which kind of fault a confirmed one is, from its course since the onset."""
+"""Which kind of fault a confirmed one is, from its time profile since the onset."""
 
 import numpy as np
 
-from lpv_core.residual.sample_buffer import ALLOWANCE, READING, RESIDUAL
+from lpv_core.decision.fault_kinds import BIAS, DRIFT, NOISE, SCALE, STUCK, UNCLASSIFIED
+from lpv_core.residual.sample_buffer import ALLOWANCE, READING, RESIDUAL, SampleBuffer
 from lpv_core.support.jit import njit
-
-KINDS = (
-    'bias',
-    'drift',
-    'scale',
-    'stuck',
-    'noise',
-    'spike',
-    'dropout',
-    'inconsistent',
-    'unclassified',
-)
-"""What an alarm may be called; ``inconsistent``: the cause is unknown, as rates, torques and model
-contradict each other, or because it may be the rate sensor's fault."""
-
-BIAS, DRIFT, SCALE, STUCK, NOISE, SPIKE, DROPOUT, INCONSISTENT, UNCLASSIFIED = range(len(KINDS))
+from lpv_core.support.timestamps import NANOSECONDS
 
 _SETTLED = 0.1
-"""Shortest time since the onset for a judgement of the course [s]."""
+"""Shortest time since the onset for a decision on the time profile [s]."""
 _STUCK_SAMPLES, _STILL = 20, 0.2
 """A reading stands still if so many samples stay within that part of its standard deviation."""
 _MOVED = 6.0
@@ -34,23 +20,12 @@ residual of a healthy sensor changes, too; and beyond what stated errors of the 
 _EXPLAINED = 0.1
 """Part of the change that a scale error may leave unexplained."""
 _CLEARLY = 4.0
-"""Ratio of residuals at which one course fits clearly better than another."""
+"""Ratio of residuals at which one time profile fits clearly better than another."""
 
 
 @njit
 def span(values: np.ndarray) -> float:
-    """Largest minus smallest value.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        [rad].
-
-    Returns
-    -------
-    float
-        [rad].
-    """
+    """Largest minus smallest of some values."""
     low = high = values[0]
     for k in range(1, len(values)):
         low, high = min(low, values[k]), max(high, values[k])
@@ -58,15 +33,13 @@ def span(values: np.ndarray) -> float:
 
 
 @njit
-def is_stuck(values: np.ndarray, end: int, position_noise: float) -> bool:
+def is_stuck(buffer: SampleBuffer, position_noise: float) -> bool:
     """Whether a reading has stood still while the arm moved.
 
     Parameters
     ----------
-    values : ndarray, shape (n, 4)
-        Samples of a history.
-    end : int
-        Rows in use.
+    buffer : SampleBuffer
+        The sensor's past.
     position_noise : float
         Standard deviation of a healthy reading [rad].
 
@@ -76,13 +49,14 @@ def is_stuck(values: np.ndarray, end: int, position_noise: float) -> bool:
         False without enough motion to tell.
     """
     # Noise alone moves a healthy reading from sample to sample.
-    first = end - _STUCK_SAMPLES
-    if first < 0 or span(values[first:end, READING]) >= _STILL * position_noise:
+    values, count = buffer.values, buffer.used[0]
+    first = count - _STUCK_SAMPLES
+    if first < 0 or span(values[first:count, READING]) >= _STILL * position_noise:
         return False
-    row = standstill(values, end, position_noise)
+    row = standstill(buffer, position_noise)
     moved = (
-        values[end - 1, READING]
-        - values[end - 1, RESIDUAL]
+        values[count - 1, READING]
+        - values[count - 1, RESIDUAL]
         - values[row, READING]
         + values[row, RESIDUAL]
     )
@@ -90,24 +64,10 @@ def is_stuck(values: np.ndarray, end: int, position_noise: float) -> bool:
 
 
 @njit
-def standstill(values: np.ndarray, end: int, position_noise: float) -> int:
-    """First row of those up to the end over which a reading has stood still.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, 4)
-        Samples of a history.
-    end : int
-        Rows in use.
-    position_noise : float
-        Standard deviation of a healthy reading [rad].
-
-    Returns
-    -------
-    int
-        ``end - 1`` or less.
-    """
-    row, last = end - 1, values[end - 1, READING]
+def standstill(buffer: SampleBuffer, position_noise: float) -> int:
+    """First of the latest rows over which a reading has stood still."""
+    values, row = buffer.values, buffer.used[0] - 1
+    last = values[row, READING]
     while row > 0 and abs(values[row - 1, READING] - last) < _STILL * position_noise:
         row -= 1
     return row
@@ -115,17 +75,9 @@ def standstill(values: np.ndarray, end: int, position_noise: float) -> int:
 
 @njit
 def noise_level(values: np.ndarray) -> float:
-    """Standard deviation of white noise in a residual, by second differences.
+    """Standard deviation of white noise in a residual [rad], by second differences.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, 4)
-        At least 10 samples.
-
-    Returns
-    -------
-    float
-        [rad]; the median ignores single spikes and steps.
+    Of at least 10 rows of a `SampleBuffer`; the median ignores single spikes and steps.
     """
     count = len(values) - 2
     second = np.empty(count)
@@ -140,22 +92,16 @@ def noise_level(values: np.ndarray) -> float:
 
 @njit
 def classify(
-    stamps: np.ndarray,
-    values: np.ndarray,
-    first: int,
-    end: int,
-    onset: int,
-    baseline: float,
-    position_noise: float,
+    buffer: SampleBuffer, first: int, onset: int, baseline: float, position_noise: float
 ) -> int:
-    """Name the kind of a fault that still acts.
+    """Kind of a fault that still acts.
 
     Parameters
     ----------
-    stamps, values : ndarray
-        A history, see `lpv_core.residual.sample_buffer`.
-    first, end : int
-        First row since the onset, and rows in use.
+    buffer : SampleBuffer
+        The sensor's past.
+    first : int
+        First row since the onset.
     onset : int
         [ns].
     baseline : float
@@ -166,33 +112,34 @@ def classify(
     Returns
     -------
     int
-        Index into `KINDS`; ``UNCLASSIFIED`` while there is too little to tell.
+        Of `lpv_core.decision.fault_kinds.FaultKind`; ``UNCLASSIFIED`` while it cannot be told.
     """
+    stamps, values, end = buffer.stamps, buffer.values, buffer.used[0]
     count = end - first
-    if is_stuck(values, end, position_noise):
+    if is_stuck(buffer, position_noise):
         return STUCK
     if count >= 25 and noise_level(values[max(first, end - 50) : end]) > 3.0 * position_noise:
         return NOISE
-    if count < 10 or (stamps[end - 1] - onset) / 1e9 < _SETTLED:
+    if count < 10 or (stamps[end - 1] - onset) / NANOSECONDS < _SETTLED:
         return UNCLASSIFIED
-    time = (stamps[first:end] - onset) / 1e9
-    return _course(time, values[first:end], baseline, position_noise)
+    time = (stamps[first:end] - onset) / NANOSECONDS
+    return _time_profile(time, values[first:end], baseline, position_noise)
 
 
 @njit
 def fits_better(
     kind: int, than: int, time: np.ndarray, values: np.ndarray, baseline: float
 ) -> bool:
-    """Whether one course of a fault is to replace another one that was named before.
+    """Whether one time profile of a fault is to replace another one that was found before.
 
     Parameters
     ----------
     kind, than : int
-        ``BIAS``, ``DRIFT`` or ``SCALE``; what `classify` says now, and what was said.
+        What `classify` says now, and what was said.
     time : ndarray, shape (n,)
         Since the onset [s].
     values : ndarray, shape (n, 4)
-        See `lpv_core.residual.sample_buffer`.
+        Rows of a `SampleBuffer`.
     baseline : float
         r before the onset [rad].
 
@@ -202,7 +149,7 @@ def fits_better(
         A scale error shows late, in motion; it does not turn into a bias by standing still.
     """
     fault = values[:, RESIDUAL] - baseline
-    angle = values[:, READING] - fault  # as dead reckoning has it
+    angle = values[:, READING] - fault  # by dead reckoning
     if kind == SCALE:
         return than == BIAS or _CLEARLY * _residual(angle, fault) < _residual(time, fault)
     if kind != BIAS or than != SCALE:
@@ -211,7 +158,9 @@ def fits_better(
 
 
 @njit
-def _course(time, values, baseline, position_noise):
+def _time_profile(
+    time: np.ndarray, values: np.ndarray, baseline: float, position_noise: float
+) -> int:
     """Bias, drift or scale: the model that leaves the smallest residual, simplest first."""
     fault = values[:, RESIDUAL] - baseline
     angle = values[:, READING] - fault
@@ -237,7 +186,7 @@ def _course(time, values, baseline, position_noise):
 
 
 @njit
-def _mean(values, first, last):
+def _mean(values: np.ndarray, first: int, last: int) -> float:
     # In one fixed order of additions, which NumPy's own does not promise.
     total = 0.0
     for k in range(first, last):
@@ -246,7 +195,7 @@ def _mean(values, first, last):
 
 
 @njit
-def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
+def step_height(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
     """Height of a step: two levels with one common slope, by least squares.
 
     The slope is that of the residual's healthy error, which goes on beside the fault.
@@ -256,7 +205,7 @@ def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
     stamps : ndarray, shape (n,)
         Samples before and after the step [ns].
     values : ndarray, shape (n, 4)
-        See `lpv_core.residual.sample_buffer`.
+        Their rows of a `SampleBuffer`.
     row : int
         First sample after the step, with some on either side.
 
@@ -265,7 +214,7 @@ def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
     float
         [rad].
     """
-    time, fault = (stamps - stamps[row]) / 1e9, values[:, RESIDUAL]
+    time, fault = (stamps - stamps[row]) / NANOSECONDS, values[:, RESIDUAL]
     square = cross = height = middle = 0.0
     for first, last, sign in ((0, row, -1.0), (row, len(time), 1.0)):
         mean_time, mean = _mean(time, first, last), _mean(fault, first, last)
@@ -278,7 +227,7 @@ def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
 
 
 @njit
-def _weight(basis, values):
+def _weight(basis: np.ndarray, values: np.ndarray) -> float:
     """Multiple of ``basis`` that comes closest to ``values``."""
     power = cross = 0.0
     for k in range(len(basis)):
@@ -288,7 +237,7 @@ def _weight(basis, values):
 
 
 @njit
-def _residual(basis, values):
+def _residual(basis: np.ndarray, values: np.ndarray) -> float:
     """Sum of squares that a multiple of ``basis`` leaves of ``values``."""
     weight = _weight(basis, values)
     total = 0.0

@@ -8,7 +8,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from lpv_core.decision.diagnosis import SensorState
+import numpy as np
+
+from lpv_core.decision.diagnosis import Alarm, SensorState
+from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import Mode
 
 # Levels of diagnostic_msgs/DiagnosticStatus.
@@ -28,9 +31,10 @@ _MODES = {
     Mode.STALE: (STALE, 'no usable measurements'),
     Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
 }
+_INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradict each other'
 
 
-def state_fields(state) -> dict[str, Any]:
+def state_fields(state: np.record) -> dict[str, Any]:
     """Fields of lpv_msgs/StateEstimate.
 
     Parameters
@@ -57,7 +61,7 @@ def state_fields(state) -> dict[str, Any]:
     }
 
 
-def fault_fields(fault, sensor_names: Sequence[str]) -> dict[str, Any]:
+def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultEstimate.
 
     Parameters
@@ -80,24 +84,18 @@ def fault_fields(fault, sensor_names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def alarm_fields(alarm) -> dict[str, Any]:
-    """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds.
-
-    Parameters
-    ----------
-    alarm : Alarm
-        The event.
-
-    Returns
-    -------
-    dict
-        Field values.
-    """
+def alarm_fields(alarm: Alarm) -> dict[str, Any]:
+    """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds."""
     return {**asdict(alarm), 'event': int(alarm.event)}
 
 
 def diagnostic_fields(
-    name: str, arm, state, fault, inconsistent: bool, values: dict[str, Any]
+    name: str,
+    arm: ArmParameters,
+    state: np.record,
+    fault: np.record | None,
+    inconsistent: bool,
+    values: dict[str, Any],
 ) -> list[dict[str, Any]]:
     """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
 
@@ -124,26 +122,25 @@ def diagnostic_fields(
         if not state.trustworthy:
             level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
         elif inconsistent:
-            level, message = (
-                WARN,
-                ('inconsistent, cause unknown: rates, torques and model contradict each other'),
-            )
+            level, message = WARN, _INCONSISTENT
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     for i, sensor in enumerate(arm.sensor_names):
-        state, values = SensorState.STALE, {}
+        sensor_state, values = SensorState.STALE, {}
         if fault is not None:
-            state = fault.state[i]
+            sensor_state = fault.state[i]
             values = {
                 'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
                 'bound [rad]': f'{fault.bound[i]:.6f}',
                 'threshold [rad]': f'{fault.threshold[i]:.6f}',
             }
-        level, message = _LEVELS[state]
+        level, message = _LEVELS[sensor_state]
         result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
     return result
 
 
-def _status(level, name, message, hardware, values):
+def _status(
+    level: int, name: str, message: str, hardware: str, values: dict[str, Any]
+) -> dict[str, Any]:
     return {
         'level': level,
         'name': name,

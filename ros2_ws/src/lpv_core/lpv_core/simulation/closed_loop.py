@@ -23,7 +23,7 @@ from lpv_core.decision.diagnosis import ALARM_EVENT, Alarm, DiagnosisParameters
 from lpv_core.decision.sensor_decision import NOTHING
 from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor, copy_event, monitor_step
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.residual.sample_buffer import SampleBuffer
 from lpv_core.simulation.arm_simulator import (
     ArmSimulator,
     brake,
@@ -33,7 +33,8 @@ from lpv_core.simulation.arm_simulator import (
 )
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _OFF, _CONFIRMED, _ALWAYS = range(len(COMPENSATION))
 _MAX_DELAY = 64
@@ -113,8 +114,7 @@ class _Monitor(NamedTuple):
 
     constants: np.record
     state: np.record
-    stamps: np.ndarray
-    values: np.ndarray
+    buffers: SampleBuffer
     answer: np.record
     measurement: np.ndarray
 
@@ -195,8 +195,7 @@ def _sense(
     monitor_step(
         monitor.constants,
         monitor.state,
-        monitor.stamps,
-        monitor.values,
+        monitor.buffers,
         answer,
         round(k * loop.period * 1e9),
         measurement[0],

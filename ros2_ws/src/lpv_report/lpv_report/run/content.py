@@ -8,7 +8,7 @@ import numpy as np
 
 from lpv_bag.run.streams import RunRecord
 from lpv_core.model.arm import ArmParameters
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.guarantees.detectability import Detectability, summary
 from lpv_report.guarantees.examination import Certificate
 from lpv_report.guarantees.gains_source import UsedGains
