@@ -82,11 +82,7 @@ class Moving:
                 lost=False,
                 inconsistent=False,
             )
-            removed = (
-                removable(self.decision.constants, self.decision.state)
-                if self.decision.alarm
-                else 0.0
-            )
+            removed = removable(self.decision.state) if self.decision.alarm else 0.0
             errors.append(wrong + noise - removed)
             self.k += 1
         return np.array(errors)

@@ -16,8 +16,8 @@ from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import load_run
+from lpv_campaign.execution.run_files import write_run_files
 from lpv_campaign.execution.runs import RunPlan
-from lpv_campaign.plan.run_files import write_run_files
 from lpv_core.decision.diagnosis import Alarm
 from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor

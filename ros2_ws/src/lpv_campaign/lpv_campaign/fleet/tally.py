@@ -1,5 +1,6 @@
 """Figures of one bag that are summed up while it is replayed."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -173,7 +174,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def alarm_rows(events: list[Alarm], start: int) -> list[dict[str, Any]]:
+def alarm_rows(events: Sequence[Alarm], start: int) -> list[dict[str, Any]]:
     """Alarms of a bag by sensor and kind.
 
     Returns ``sensor``, last said ``kind``, ``count``, and of the first such alarm ``onset`` and

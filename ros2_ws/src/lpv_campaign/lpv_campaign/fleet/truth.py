@@ -1,5 +1,6 @@
 """The figures of a campaign's run, for a bag that holds the truth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -77,7 +78,7 @@ class TruthKeeper:
         """Whether the truth is too long to be held."""
         return self._count > MOST_SAMPLES
 
-    def row(self, events: list[Alarm], scenario: Scenario | None = None) -> dict[str, Any]:
+    def row(self, events: Sequence[Alarm], scenario: Scenario | None = None) -> dict[str, Any]:
         """Figures of the bag."""
         if self.is_too_long or not {'ground_truth', 'answers'} <= set(self._parts):
             return {}

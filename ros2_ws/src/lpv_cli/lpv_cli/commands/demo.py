@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from lpv_cli.completion import completed, shipped
+from lpv_cli.needs import require_ros
 from lpv_cli.processes import Graph, NodeFailure, NodeProcess, ended_by_signals
 from lpv_core.certificate.gains import save_gains
 from lpv_core.control.tracking import COMPENSATION
@@ -73,6 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from lpv_report.run import print_table, read_used_gains, write_report
 
+    require_ros()
     console = Console(soft_wrap=True)
     files = {
         'arm': bringup_file('arms', arguments.arm),

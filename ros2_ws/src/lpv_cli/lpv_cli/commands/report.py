@@ -2,7 +2,7 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -11,6 +11,10 @@ from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
+
+if TYPE_CHECKING:  # drawing takes a second to import
+    from lpv_report.guarantees.gains_source import UsedGains
+    from lpv_report.run import ReportResult
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,12 +75,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _arm(arguments: argparse.Namespace, used: Any) -> ArmParameters:
+def _arm(arguments: argparse.Namespace, used: 'UsedGains') -> ArmParameters:
     from lpv_report.run import arm_of
 
     if arguments.arm:
         arm = load_arm(bringup_file('arms', arguments.arm))
-        if arguments.gains:
+        if arguments.gains and used.gains:
             used.gains.check_arm(arm, arguments.gains)
         return arm
     if used.gains is None:
@@ -84,7 +88,7 @@ def _arm(arguments: argparse.Namespace, used: Any) -> ArmParameters:
     return arm_of(used.gains)
 
 
-def _said(result: Any, used: Any) -> str:
+def _said(result: 'ReportResult', used: 'UsedGains') -> str:
     certificate, again = result.certificate, result.reproduction
     if certificate is None:
         return f'gains   not known: {used.problem}'

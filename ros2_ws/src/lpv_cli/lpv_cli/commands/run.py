@@ -5,6 +5,7 @@ import os
 
 from lpv_cli.completion import completed, packages, programs
 from lpv_cli.discovery import stay_on_this_machine
+from lpv_cli.needs import require_ros
 from lpv_core.support.resources import executable
 
 
@@ -31,5 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Become the program; returns only where it cannot be started."""
     stay_on_this_machine()
+    require_ros()
     path = executable(arguments.package, arguments.program)
     os.execv(path, [str(path), *arguments.rest])

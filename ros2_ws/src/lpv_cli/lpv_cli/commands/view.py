@@ -4,6 +4,7 @@ import argparse
 import os
 
 from lpv_cli.discovery import stay_on_this_machine
+from lpv_cli.needs import require_ros
 from lpv_core.support.resources import bringup_file, executable
 
 
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Become the view node; returns only where it cannot be started."""
+    require_ros()
     program = executable('lpv_view', 'view')
     parameters = {
         'arm_file': bringup_file('arms', arguments.arm),

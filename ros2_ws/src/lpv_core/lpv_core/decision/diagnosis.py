@@ -26,6 +26,7 @@ from lpv_core.decision.sensor_decision import (
 )
 from lpv_core.decision.sensor_state import (
     SENSOR_CONSTANTS,
+    SENSOR_LIMITS,
     SENSOR_STATE,
     reset_sensor,
     restart_sensor,
@@ -48,6 +49,7 @@ from lpv_core.residual.model_consistency import (
     reset_consistency,
     update_consistency,
 )
+from lpv_core.residual.noise_estimation import excess, innovation_gain
 from lpv_core.residual.rate_sensor_test import rate_test
 from lpv_core.residual.sample_buffer import SampleBuffer, buffer_of, new_buffers
 from lpv_core.support.jit import njit
@@ -234,10 +236,14 @@ def diagnosis_constants(
     p = parameters
     sensor = new_record(
         SENSOR_CONSTANTS,
-        changes=change_test(arm, p.false_alarm_hours, p.minimum_threshold),
-        rates=rate_test(arm, gains),
-        noise=arm.position_noise,
-        step=arm.velocity_noise * arm.sample_time,
+        stated=new_record(
+            SENSOR_LIMITS,
+            changes=change_test(arm, p.false_alarm_hours, p.minimum_threshold),
+            rates=rate_test(arm, gains),
+            noise=arm.position_noise,
+            step=arm.velocity_noise * arm.sample_time,
+        ),
+        innovation_noise=arm.velocity_noise * innovation_gain(arm, gains),
         dwell=math.ceil(p.dwell * NANOSECONDS),
         clear_dwell=math.ceil(p.clear_dwell * NANOSECONDS),
         hysteresis=p.hysteresis,
@@ -300,10 +306,12 @@ def diagnose(
     decision, bound, consistency = state.decision, state.bound, state.consistency
     update_dead_reckoning(params.reckoning, state.reckoning, estimate)
     update_bound(params.bound, bound, estimate, state.reckoning.lost)
-    update_consistency(params.consistency, consistency, estimate, bound.momentum)
+    noise = _largest_excess(state)
+    update_consistency(params.consistency, consistency, estimate, bound.momentum, noise)
     decision.inconsistent = consistency.inconsistent
     for i in range(2):
-        decision.bound[i] = bound.bound[i]
+        # Noise that is larger than stated widens the bound as far as that is noise.
+        decision.bound[i] = bound.bound[i] + (noise - 1.0) * params.bound.noise[i]
         decision.threshold[i] = max(
             params.threshold_factor * decision.bound[i], params.minimum_threshold
         )
@@ -312,6 +320,17 @@ def diagnose(
     _update_trust(params, state)
     for i in range(2):
         _compensate(params, state, estimate.interval, i)
+
+
+@njit
+def _largest_excess(state: np.record) -> float:
+    """Factor by which any noise is larger than stated; the observer mixes them all."""
+    largest = 1.0
+    for i in range(2):
+        noise = state.sensors[i].noise
+        for ratio in (noise.reading, noise.rate):
+            largest = max(largest, excess(ratio, noise.windows))
+    return largest
 
 
 @njit
@@ -338,6 +357,7 @@ def _fill_sample(params: np.record, state: np.record, estimate: np.record, i: in
     sample.stamp, sample.fault = estimate.stamp, estimate.fault[i]
     sample.reading, sample.missing = estimate.sensor_position[i], estimate.missing[i]
     sample.residual, sample.allowance = reckoned.residual[i], reckoned.allowance[i]
+    sample.rate = reckoned.rate[i]
     sample.innovation = row_dot(matrix, i, innovation[0], innovation[1])
     sample.threshold, sample.inconsistent = decision.threshold[i], decision.inconsistent
     sample.lost = _is_lost(params, decision, estimate, i)
@@ -349,7 +369,7 @@ def _bound(params: np.record, state: np.record, i: int) -> float:
     bound, sensor = state.decision.bound[i], state.sensors[i]
     if not sensor.alarm.by_change or sensor.alarm.kind == INCONSISTENT:
         return bound
-    return min(bound, size_error(params.sensor, sensor))
+    return min(bound, size_error(sensor))
 
 
 @njit
@@ -381,7 +401,7 @@ def _compensate(params: np.record, state: np.record, interval: float, i: int) ->
     decision.estimate_bound[i] = bound
     if known:
         # Rates alone may lead away in time; gravity's bound holds.
-        best = min(max(removable(params.sensor, sensor), best - bound), best + bound)
+        best = min(max(removable(sensor), best - bound), best + bound)
         decision.estimate_bound[i] = _bound(params, state, i)
     decision.estimate[i] = best
     # An arm that is stopped feels no step.

@@ -1,8 +1,11 @@
 """Which kind of fault a confirmed one is, from its time profile since the onset."""
 
+import math
+
 import numpy as np
 
 from lpv_core.decision.fault_kinds import BIAS, DRIFT, NOISE, SCALE, STUCK, UNCLASSIFIED
+from lpv_core.residual.noise_estimation import noise_level
 from lpv_core.residual.sample_buffer import ALLOWANCE, READING, RESIDUAL, SampleBuffer
 from lpv_core.support.jit import njit
 from lpv_core.support.timestamps import NANOSECONDS
@@ -12,8 +15,8 @@ _SETTLED = 0.1
 _STUCK_SAMPLES, _STILL = 20, 0.2
 """A reading stands still if so many samples stay within that part of its standard deviation."""
 _MOVED = 6.0
-"""Motion that a reading must show, over its standard deviation; that of an encoder's steps is less
-than a third of one."""
+"""Motion that a reading must show, over its standard deviation, beside errors of the rates; a step
+of an encoder whose noise is stated as its standard deviation, step/sqrt(12), is 3.5 of them."""
 _TELLING = 10.0
 """Drifts and scale errors show in a change of so many standard deviations of a reading: the
 residual of a healthy sensor changes, too; and beyond what stated errors of the rates may add."""
@@ -33,71 +36,61 @@ def span(values: np.ndarray) -> float:
 
 
 @njit
-def is_stuck(buffer: SampleBuffer, position_noise: float) -> bool:
+def is_stuck(limits: np.record, buffer: SampleBuffer) -> bool:
     """Whether a reading has stood still while the arm moved.
 
     Parameters
     ----------
+    limits : numpy.record
+        Of type `lpv_core.decision.sensor_state.SENSOR_LIMITS`.
     buffer : SampleBuffer
         The sensor's past.
-    position_noise : float
-        Standard deviation of a healthy reading [rad].
 
     Returns
     -------
     bool
-        False without enough motion to tell.
+        False without enough motion to tell: an encoder reads the same within a step, and errors of
+        the rates add up while it rests.
     """
     # Noise alone moves a healthy reading from sample to sample.
-    values, count = buffer.values, buffer.used[0]
+    stamps, values, count = buffer.stamps, buffer.values, buffer.used[0]
     first = count - _STUCK_SAMPLES
-    if first < 0 or span(values[first:count, READING]) >= _STILL * position_noise:
+    if first < 0 or span(values[first:count, READING]) >= _STILL * limits.noise:
         return False
-    row = standstill(buffer, position_noise)
+    row, last = standstill(limits, buffer), count - 1
     moved = (
-        values[count - 1, READING]
-        - values[count - 1, RESIDUAL]
+        values[last, READING]
+        - values[last, RESIDUAL]
         - values[row, READING]
         + values[row, RESIDUAL]
     )
-    return abs(moved) > _MOVED * position_noise
+    elapsed = (stamps[last] - stamps[row]) / NANOSECONDS
+    error = (
+        limits.changes.walk * math.sqrt(elapsed) + values[last, ALLOWANCE] - values[row, ALLOWANCE]
+    )
+    return abs(moved) > _MOVED * limits.noise + error
 
 
 @njit
-def standstill(buffer: SampleBuffer, position_noise: float) -> int:
+def standstill(limits: np.record, buffer: SampleBuffer) -> int:
     """First of the latest rows over which a reading has stood still."""
     values, row = buffer.values, buffer.used[0] - 1
     last = values[row, READING]
-    while row > 0 and abs(values[row - 1, READING] - last) < _STILL * position_noise:
+    while row > 0 and abs(values[row - 1, READING] - last) < _STILL * limits.noise:
         row -= 1
     return row
 
 
 @njit
-def noise_level(values: np.ndarray) -> float:
-    """Standard deviation of white noise in a residual [rad], by second differences.
-
-    Of at least 10 rows of a `SampleBuffer`; the median ignores single spikes and steps.
-    """
-    count = len(values) - 2
-    second = np.empty(count)
-    for k in range(count):
-        second[k] = abs(
-            values[k + 2, RESIDUAL] - 2.0 * values[k + 1, RESIDUAL] + values[k, RESIDUAL]
-        )
-    second.sort()
-    median = 0.5 * (second[count // 2] + second[(count - 1) // 2])
-    return median / (0.6745 * np.sqrt(6.0))
-
-
-@njit
 def classify(
-    buffer: SampleBuffer, first: int, onset: int, baseline: float, position_noise: float
+    limits: np.record, buffer: SampleBuffer, first: int, onset: int, baseline: float
 ) -> int:
     """Kind of a fault that still acts.
 
     Parameters
     ----------
+    limits : numpy.record
+        Of type `lpv_core.decision.sensor_state.SENSOR_LIMITS`.
     buffer : SampleBuffer
         The sensor's past.
     first : int
@@ -106,8 +99,6 @@ def classify(
         [ns].
     baseline : float
         r before the onset [rad].
-    position_noise : float
-        Standard deviation of a healthy reading [rad].
 
     Returns
     -------
@@ -116,14 +107,15 @@ def classify(
     """
     stamps, values, end = buffer.stamps, buffer.values, buffer.used[0]
     count = end - first
-    if is_stuck(buffer, position_noise):
+    if is_stuck(limits, buffer):
         return STUCK
-    if count >= 25 and noise_level(values[max(first, end - 50) : end]) > 3.0 * position_noise:
+    recent = values[max(first, end - 50) : end]
+    if count >= 25 and noise_level(recent, RESIDUAL) > 3.0 * limits.noise:
         return NOISE
     if count < 10 or (stamps[end - 1] - onset) / NANOSECONDS < _SETTLED:
         return UNCLASSIFIED
     time = (stamps[first:end] - onset) / NANOSECONDS
-    return _time_profile(time, values[first:end], baseline, position_noise)
+    return _time_profile(time, values[first:end], baseline, limits.noise)
 
 
 @njit

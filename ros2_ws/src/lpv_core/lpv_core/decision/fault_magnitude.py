@@ -20,7 +20,7 @@ reading, is no bias; share of a sample in that mean."""
 
 
 @njit
-def removable(params: np.record, state: np.record) -> float:
+def removable(state: np.record) -> float:
     """What is to be removed from the reading of a sensor with an alarm [rad].
 
     A step whose height is known leaves a reading as good as that of a healthy sensor; of noise, its
@@ -30,7 +30,7 @@ def removable(params: np.record, state: np.record) -> float:
     kind, amount = state.alarm.kind, state.alarm.amount
     if kind == SPIKE:
         away = amount - state.scatter.average
-        return away if abs(away) > least_change(params.changes) else 0.0
+        return away if abs(away) > least_change(state.limits.changes) else 0.0
     if kind == NOISE:
         return amount - state.scatter.average
     if kind == SCALE and state.scale.used:
@@ -39,17 +39,19 @@ def removable(params: np.record, state: np.record) -> float:
 
 
 @njit
-def size_error(params: np.record, state: np.record) -> float:
+def size_error(state: np.record) -> float:
     """How far ``amount`` may be from a fault that was seen as a change [rad]."""
-    return params.changes.noise[0] + growth(params, state)
+    return state.limits.changes.noise[0] + growth(state)
 
 
 @njit
-def growth(params: np.record, state: np.record) -> float:
+def growth(state: np.record) -> float:
     """What stated errors of the rates can have added to r since before the fault [rad]."""
     elapsed = max(0.0, (state.sample.stamp - state.alarm.onset) / NANOSECONDS)
     return (
-        params.changes.walk * math.sqrt(elapsed) + state.sample.allowance - state.before.allowance
+        state.limits.changes.walk * math.sqrt(elapsed)
+        + state.sample.allowance
+        - state.before.allowance
     )
 
 
@@ -68,24 +70,24 @@ def measure_step(state: np.record, buffer: SampleBuffer) -> None:
 
 
 @njit
-def follow_fault(params: np.record, state: np.record) -> None:
+def follow_fault(state: np.record) -> None:
     """Follow the mean of noise; drop the height of a step when r leaves it: the fault is over, or
     another one has come."""
     kind, amount, scatter = state.alarm.kind, state.alarm.amount, state.scatter
-    away = abs(amount - scatter.average) > least_change(params.changes)
+    away = abs(amount - scatter.average) > least_change(state.limits.changes)
     if kind == SPIKE and away:
         state.spikes.stamps[0] = state.sample.stamp
     elif kind in SCATTERED:
         # The gain of a Kalman filter at rest: what the rates add in one sample over the scatter.
-        moved = params.step + state.sample.allowance - state.last_allowance
-        share = moved / max(scatter.deviation, params.noise, moved)
+        moved = state.limits.step + state.sample.allowance - state.last_allowance
+        share = moved / max(scatter.deviation, state.limits.noise, moved)
         scatter.average += share * (amount - scatter.average)
     elif kind == SCALE and state.scale.used:
-        follow_scale(params, state)
+        follow_scale(state)
     step = state.step
     if step.measured == MEASURED:
         rest = amount - step.height
         step.rest += _REST_SHARE * (rest - step.rest)
-        apart = _APART * params.noise + 0.5 * growth(params, state)
-        if abs(rest) > least_change(params.changes) or abs(step.rest) > apart:
+        apart = _APART * state.limits.noise + 0.5 * growth(state)
+        if abs(rest) > least_change(state.limits.changes) or abs(step.rest) > apart:
             step.measured = IMPOSSIBLE

@@ -28,38 +28,42 @@ _SURPRISED = 0.6
 
 
 @njit
-def start_scale(params: np.record, state: np.record, buffer: SampleBuffer, row: int) -> None:
+def start_scale(state: np.record, buffer: SampleBuffer, row: int) -> None:
     """Filter what has come since the onset, from its first row on."""
     f, values = state.scale, buffer.values
     f.used, f.scale, f.walk = True, 0.0, 0.0
-    f.variance[0], f.variance[1], f.variance[2] = 1.0, 0.0, 0.1 * params.noise * params.noise
+    f.variance[0], f.variance[1], f.variance[2] = (
+        1.0,
+        0.0,
+        0.1 * state.limits.noise * state.limits.noise,
+    )
     last = state.before.allowance
     for k in range(row, buffer.used[0]):
         change = values[k, RESIDUAL] - state.before.residual
         angle = values[k, READING] - values[k, RESIDUAL] + state.before.residual
-        _follow(params, f, angle, change, values[k, ALLOWANCE] - last)
+        _follow(state.limits, f, angle, change, values[k, ALLOWANCE] - last)
         last = values[k, ALLOWANCE]
     f.surprise = 0.0  # what it learned from does not count
 
 
 @njit
-def follow_scale(params: np.record, state: np.record) -> None:
+def follow_scale(state: np.record) -> None:
     """Filter the present sample; what no scale error does ends it."""
     sample, amount = state.sample, state.alarm.amount
     allowed = sample.allowance - state.last_allowance
-    _follow(params, state.scale, sample.reading - amount, amount, allowed)
+    _follow(state.limits, state.scale, sample.reading - amount, amount, allowed)
     if abs(state.scale.surprise) > _SURPRISED:
         state.scale.used, state.scale.walk = False, 0.0
 
 
 @njit
-def _follow(params: np.record, f: np.record, angle: float, change: float, allowed: float) -> None:
+def _follow(limits: np.record, f: np.record, angle: float, change: float, allowed: float) -> None:
     """One step of the Kalman filter with h = (theta, 1)."""
     p, angle = f.variance, angle + f.walk
-    walk = params.step + allowed
+    walk = limits.step + allowed
     p[2] += walk * walk
     cross_a, cross_w = p[0] * angle + p[1], p[1] * angle + p[2]  # P h
-    power = angle * cross_a + cross_w + params.noise * params.noise  # h P h + R
+    power = angle * cross_a + cross_w + limits.noise * limits.noise  # h P h + R
     innovation = change - f.scale * angle - f.walk
     f.scale += cross_a / power * innovation
     f.walk += cross_w / power * innovation

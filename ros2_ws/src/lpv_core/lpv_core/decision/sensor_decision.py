@@ -16,14 +16,7 @@ import math
 
 import numpy as np
 
-from lpv_core.decision.fault_classification import (
-    classify,
-    fits_better,
-    is_stuck,
-    noise_level,
-    span,
-    standstill,
-)
+from lpv_core.decision.fault_classification import classify, fits_better, is_stuck, span, standstill
 from lpv_core.decision.fault_kinds import (
     DROPOUT,
     INCONSISTENT,
@@ -39,8 +32,9 @@ from lpv_core.decision.fault_kinds import (
 )
 from lpv_core.decision.fault_magnitude import follow_fault, growth, measure_step, size_error
 from lpv_core.decision.scale_filter import start_scale
-from lpv_core.decision.sensor_state import SPIKES, UNMEASURED
+from lpv_core.decision.sensor_state import SPIKES, UNMEASURED, update_limits
 from lpv_core.residual.change_detection import WINDOWS, change_limit, find_change, least_change
+from lpv_core.residual.noise_estimation import noise_level
 from lpv_core.residual.onset_estimation import fit_step_or_ramp, has_jumped, take_baseline
 from lpv_core.residual.rate_sensor_test import (
     IMPLICATED,
@@ -52,6 +46,7 @@ from lpv_core.residual.rate_sensor_test import (
 from lpv_core.residual.sample_buffer import (
     ALLOWANCE,
     READING,
+    RESIDUAL,
     SampleBuffer,
     add_sample,
     clear_buffer,
@@ -109,19 +104,20 @@ def suspected(state: np.record) -> float:
 def decide(params: np.record, state: np.record, buffer: SampleBuffer) -> int:
     """Decide on the sample in ``state.sample``; returns what happened now."""
     sample, alarm = state.sample, state.alarm
+    update_limits(params, state, buffer)
     _update_rate_pull(params, state)
     if sample.missing:
         return _handle_missing(params, state, buffer)
     state.missing_since = NEVER
     if alarm.active and alarm.kind == DROPOUT:
         alarm.amount = _size(state)
-        if abs(alarm.amount) <= max(params.changes.smallest, size_error(params, state)):
+        if abs(alarm.amount) <= max(state.limits.changes.smallest, size_error(state)):
             return _clear_after_dwell(params, state, buffer, True)
         # Readings are there again, and are not what dead reckoning expects.
         alarm.kind, alarm.stepped = UNCLASSIFIED, True
     if alarm.active:
         decided = _decide_alarm(params, state, buffer)
-        follow_fault(params, state)
+        follow_fault(state)
     else:
         decided = _decide_healthy(params, state, buffer)
     add_sample(buffer, sample)
@@ -175,7 +171,7 @@ def _start_check_if_due(state: np.record) -> bool:
 @njit
 def _scatter(buffer: SampleBuffer) -> float:
     count = buffer.used[0]
-    return noise_level(buffer.values[max(0, count - _RECENT) : count])
+    return noise_level(buffer.values[max(0, count - _RECENT) : count], RESIDUAL)
 
 
 @njit
@@ -209,7 +205,7 @@ def _decide_healthy(params: np.record, state: np.record, buffer: SampleBuffer) -
     sample, evidence = state.sample, state.evidence
     if evidence.since != NEVER:
         return _confirm_after_dwell(params, state, buffer)
-    window, row, before = find_change(params.changes, buffer, sample)
+    window, row, before = find_change(state.limits.changes, buffer, sample)
     if window < 0 and not _above(sample):
         return _check_noise_and_stuck(params, state, buffer)
     evidence.since, evidence.window, evidence.residual = sample.stamp, window, before
@@ -243,7 +239,7 @@ def _has_changed(params: np.record, state: np.record) -> bool:
     if evidence.window < 0:
         return False
     error = sample.allowance - evidence.allowance
-    limit = change_limit(params.changes, evidence.window, error)
+    limit = change_limit(state.limits.changes, evidence.window, error)
     return abs(sample.residual - evidence.residual) > limit
 
 
@@ -264,8 +260,8 @@ def _confirm_change(params: np.record, state: np.record, buffer: SampleBuffer) -
         take_baseline(state, buffer, max(0, first_since(buffer, onset) - 1))
     elif not _gravity_confirms(state):
         movement = Movement(state.before.residual, onset, speed)
-        verdict = rate_verdict(params.rates, buffer, movement)
-        if verdict == UNDECIDED and has_jumped(params, state, buffer):
+        verdict = rate_verdict(state.limits.rates, buffer, movement)
+        if verdict == UNDECIDED and has_jumped(state, buffer):
             verdict = RULED_OUT
     # After a recent fault of the sensor, another one is more likely than one of its rate sensor.
     alarm.is_ambiguous = verdict == UNDECIDED and sample.stamp >= state.recent_fault_until
@@ -314,10 +310,10 @@ def _check_noise_and_stuck(params: np.record, state: np.record, buffer: SampleBu
     if not _start_check_if_due(state) or count < _RECENT:
         return NOTHING
     scatter = _scatter(buffer)
-    if is_stuck(buffer, params.noise):
-        first = standstill(buffer, params.noise)
+    if is_stuck(state.limits, buffer):
+        first = standstill(state.limits, buffer)
         kind, row, onset = STUCK, first - 1, buffer.stamps[first]
-    elif scatter > _NOISE_RATIO * params.noise:
+    elif scatter > _NOISE_RATIO * state.limits.noise:
         kind, row, onset = NOISE, count - _NOISY, state.sample.stamp
     else:
         return NOTHING
@@ -353,7 +349,7 @@ def _decide_alarm(params: np.record, state: np.record, buffer: SampleBuffer) -> 
     alarm.peak = max(alarm.peak, abs(alarm.amount))
     changing = False
     if alarm.by_change and alarm.kind == INCONSISTENT:
-        changing = find_change(params.changes, buffer, state.sample)[0] >= 0
+        changing = find_change(state.limits.changes, buffer, state.sample)[0] >= 0
     decided = _update_cause(params, state)
     over = _is_over(params, state, buffer, changing)
     cleared = _clear_after_dwell(params, state, buffer, over)
@@ -397,9 +393,7 @@ def _update_cause(params: np.record, state: np.record) -> int:
     # rates that are wrong for long move the residual away from what gravity says.
     difference = abs(sample.fault - alarm.amount)
     apart = (
-        alarm.by_change
-        and not sample.lost
-        and difference > sample.threshold + size_error(params, state)
+        alarm.by_change and not sample.lost and difference > sample.threshold + size_error(state)
     )
     if not apart and (alarm.stepped or not sample.inconsistent):
         return NOTHING
@@ -420,7 +414,9 @@ def _retest_rate_sensor(params: np.record, state: np.record, buffer: SampleBuffe
         return False
     row = first_since(buffer, 2 * alarm.onset - sample.stamp)
     _, speed, onset = fit_step_or_ramp(state, buffer, row)
-    verdict = rate_verdict(params.rates, buffer, Movement(state.before.residual, onset, speed))
+    verdict = rate_verdict(
+        state.limits.rates, buffer, Movement(state.before.residual, onset, speed)
+    )
     alarm.is_ambiguous, alarm.rate_implicated = verdict == UNDECIDED, verdict == IMPLICATED
     if verdict == RULED_OUT:
         alarm.kind = UNCLASSIFIED
@@ -438,10 +434,10 @@ def _is_over(params: np.record, state: np.record, buffer: SampleBuffer, changing
     if alarm.kind == INCONSISTENT:
         # Errors of the rates stay in the residual when they are over.
         away = abs(sample.fault - state.before.level)
-        back = away <= max(0.5 * abs(alarm.amount), params.changes.smallest)
+        back = away <= max(0.5 * abs(alarm.amount), state.limits.changes.smallest)
         return back and not changing and not _above(sample)
-    level = params.hysteresis * min(sample.threshold, least_change(params.changes)) + min(
-        growth(params, state), _MOST_GROWTH * alarm.peak
+    level = params.hysteresis * min(sample.threshold, least_change(state.limits.changes)) + min(
+        growth(state), _MOST_GROWTH * alarm.peak
     )
     expected = abs(state.scale.scale * (sample.reading - alarm.amount))
     if alarm.kind == SCALE and expected <= 2.0 * level:
@@ -458,12 +454,12 @@ def _has_settled(params: np.record, state: np.record, buffer: SampleBuffer) -> b
         return False
     if alarm.kind == SPIKE and sample.stamp - state.spikes.stamps[0] < _SPIKE_TIME:
         return False
-    if alarm.kind == STUCK and span(recent[:, READING]) < params.noise:
+    if alarm.kind == STUCK and span(recent[:, READING]) < state.limits.noise:
         return False  # a healthy reading shows its noise even at rest
-    limit = max(least_change(params.changes), params.hysteresis * sample.threshold)
-    if abs(alarm.amount) >= limit + growth(params, state):
+    limit = max(least_change(state.limits.changes), params.hysteresis * sample.threshold)
+    if abs(alarm.amount) >= limit + growth(state):
         return False
-    return _scatter(buffer) < 2.0 * params.noise and not is_stuck(buffer, params.noise)
+    return _scatter(buffer) < 2.0 * state.limits.noise and not is_stuck(state.limits, buffer)
 
 
 @njit
@@ -495,7 +491,7 @@ def _reclassify(params: np.record, state: np.record, buffer: SampleBuffer) -> bo
         return False
     alarm.is_ambiguous, alarm.kind = False, kind
     if kind == SCALE:
-        start_scale(params, state, buffer, first_since(buffer, alarm.onset))
+        start_scale(state, buffer, first_since(buffer, alarm.onset))
     return True
 
 
@@ -504,16 +500,18 @@ def _latest_kind(params: np.record, state: np.record, buffer: SampleBuffer) -> i
     """The kind by the latest samples; the present one where they do not tell another."""
     alarm = state.alarm
     if alarm.is_ambiguous and alarm.by_change:  # no rate sensor makes a reading stuck or noisy
-        if is_stuck(buffer, params.noise):
+        if is_stuck(state.limits, buffer):
             return STUCK
         enough = buffer.used[0] >= _RECENT
-        return NOISE if enough and _scatter(buffer) > _NOISE_RATIO * params.noise else alarm.kind
+        return (
+            NOISE if enough and _scatter(buffer) > _NOISE_RATIO * state.limits.noise else alarm.kind
+        )
     if alarm.kind == SPIKE:
-        return NOISE if _scatter(buffer) > _NOISE_RATIO * params.noise else SPIKE
+        return NOISE if _scatter(buffer) > _NOISE_RATIO * state.limits.noise else SPIKE
     if alarm.kind not in TIME_PROFILES:
         return alarm.kind
     row, baseline = first_since(buffer, alarm.onset), state.before.residual
-    kind = classify(buffer, row, alarm.onset, baseline, params.noise)
+    kind = classify(state.limits, buffer, row, alarm.onset, baseline)
     if kind == alarm.kind or kind == UNCLASSIFIED:
         return alarm.kind
     # Later time profiles are those of the arm more than of the fault; but motion tells a scale

@@ -7,10 +7,11 @@ The functions of `lpv_core.decision.sensor_decision`, `lpv_core.residual.onset_e
 
 import numpy as np
 
-from lpv_core.decision.fault_kinds import UNCLASSIFIED
+from lpv_core.decision.fault_kinds import NOISE, UNCLASSIFIED
 from lpv_core.decision.scale_filter import SCALE_FILTER
-from lpv_core.residual.change_detection import CHANGE_TEST
-from lpv_core.residual.rate_sensor_test import RATE_TEST
+from lpv_core.residual.change_detection import CHANGE_TEST, scale_limits
+from lpv_core.residual.noise_estimation import NOISE_ESTIMATE, excess, reset_noise, update_noise
+from lpv_core.residual.rate_sensor_test import RATE_TEST, scale_rate_test
 from lpv_core.residual.sample_buffer import SampleBuffer, clear_buffer
 from lpv_core.support.jit import njit
 from lpv_core.support.records import record_type
@@ -21,11 +22,16 @@ SPIKES = 3
 UNMEASURED, MEASURED, IMPOSSIBLE = range(3)
 """Whether the height of a step is known."""
 
-SENSOR_CONSTANTS = record_type(
+SENSOR_LIMITS = record_type(
     ('changes', CHANGE_TEST),  # limits of changes
     ('rates', RATE_TEST),  # test for faults of the rate sensor
     ('noise', 'f8'),  # standard deviation of readings [rad]
     ('step', 'f8'),  # of what noise of the rates adds to r in one sample time [rad]
+)
+"""What depends on the noise of a sensor."""
+SENSOR_CONSTANTS = record_type(
+    ('stated', SENSOR_LIMITS),  # for the noise that the arm file states
+    ('innovation_noise', 'f8'),  # standard deviation of the innovation's noise [rad/s]
     ('dwell', 'i8'),  # [ns]
     ('clear_dwell', 'i8'),  # [ns]
     ('hysteresis', 'f8'),  # as in `lpv_core.decision.diagnosis.DiagnosisParameters`
@@ -41,6 +47,7 @@ SAMPLE = record_type(
     ('threshold', 'f8'),  # a healthy level stays below [rad]
     ('allowance', 'f8'),  # what errors of the rates can have added to r [rad]
     ('innovation', 'f8'),  # estimated less measured rate of the sensor [rad/s]
+    ('rate', 'f8'),  # measured rate of the sensor [rad/s]
     ('missing', '?'),  # no reading
     ('lost', '?'),  # gravity does not renew the estimate: its level is no evidence
     ('inconsistent', '?'),  # rates, torques and model contradict each other
@@ -95,6 +102,8 @@ EXCURSIONS = record_type(
 
 SENSOR_STATE = record_type(
     ('sample', SAMPLE),  # the present one
+    ('noise', NOISE_ESTIMATE),
+    ('limits', SENSOR_LIMITS),  # for the noise as it is
     ('last_allowance', 'f8'),  # of the last sample [rad]
     ('evidence', EVIDENCE),
     ('alarm', ALARM),
@@ -112,6 +121,18 @@ SENSOR_STATE = record_type(
 
 
 @njit
+def update_limits(params: np.record, state: np.record, buffer: SampleBuffer) -> None:
+    """Limits grow with noise that is larger than stated; a noise fault does not count as such."""
+    stated, limits, noise = params.stated, state.limits, state.noise
+    if not (state.alarm.active and state.alarm.kind == NOISE):
+        update_noise(noise, buffer, stated.noise, params.innovation_noise)
+    reading, rate = excess(noise.reading, noise.windows), excess(noise.rate, noise.windows)
+    scale_limits(stated.changes, reading, rate, limits.changes)
+    scale_rate_test(stated.rates, reading, rate, limits.rates)
+    limits.noise, limits.step = reading * stated.noise, rate * stated.step
+
+
+@njit
 def reset_sensor(state: np.record, buffer: SampleBuffer) -> None:
     """Clear alarm and past."""
     alarm, before = state.alarm, state.before
@@ -122,6 +143,7 @@ def reset_sensor(state: np.record, buffer: SampleBuffer) -> None:
     before.residual = before.level = before.allowance = 0.0
     state.scatter.average = state.scatter.deviation = state.last_allowance = 0.0
     state.step.measured = UNMEASURED
+    reset_noise(state.noise)
     restart_sensor(state, buffer)
 
 

@@ -5,7 +5,7 @@ header), so that neither ROS nor a bag library is needed here.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,27 @@ _MODES = {
     Mode.STALE: (STALE, 'no usable measurements'),
     Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
 }
+_UNSUPPORTED = 'holding: the arm rests, and the measured torques do not hold it (brakes?)'
 _INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradict each other'
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What else is known of observer and sensors.
+
+    Attributes
+    ----------
+    inconsistent : bool
+        Rates, torques and model contradict each other.
+    unsupported : bool
+        The arm rests, and the measured torques do not hold it.
+    warnings : tuple
+        For each sensor, what contradicts the arm file, by subject.
+    """
+
+    inconsistent: bool
+    unsupported: bool
+    warnings: tuple[dict[str, str], ...]
 
 
 def state_fields(state: np.record) -> dict[str, Any]:
@@ -94,7 +114,7 @@ def diagnostic_fields(
     arm: ArmParameters,
     state: np.record,
     fault: np.record | None,
-    inconsistent: bool,
+    findings: Findings,
     values: dict[str, Any],
 ) -> list[dict[str, Any]]:
     """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
@@ -107,8 +127,8 @@ def diagnostic_fields(
         Names of arm and sensors.
     state, fault : numpy.record
         `lpv_core.monitoring.monitor.ANSWER`'s; ``fault`` is None without an estimate.
-    inconsistent : bool
-        Rates, torques and model contradict each other.
+    findings : Findings
+        What else is known.
     values : dict
         Key-value pairs of the observer's status.
 
@@ -121,8 +141,10 @@ def diagnostic_fields(
     if fault is not None and level < STALE:
         if not state.trustworthy:
             level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
-        elif inconsistent:
+        elif findings.inconsistent:
             level, message = WARN, _INCONSISTENT
+        elif findings.unsupported:
+            level, message = WARN, _UNSUPPORTED
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     for i, sensor in enumerate(arm.sensor_names):
         sensor_state, values = SensorState.STALE, {}
@@ -134,6 +156,9 @@ def diagnostic_fields(
                 'threshold [rad]': f'{fault.threshold[i]:.6f}',
             }
         level, message = _LEVELS[sensor_state]
+        if findings.warnings[i]:
+            level = max(level, WARN)
+            message = '; '.join([message, *findings.warnings[i].values()])
         result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
     return result
 

@@ -44,7 +44,9 @@ from lpv_core.observer.sampled_observer import (
     pair,
     reset_observer,
 )
-from lpv_core.residual.sample_buffer import SampleBuffer
+from lpv_core.residual.noise_estimation import excess
+from lpv_core.residual.rate_independence import RATE_SOURCES, UNDECIDED, contradicts, rate_source_of
+from lpv_core.residual.sample_buffer import RATE, READING, SampleBuffer, buffer_of
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
@@ -52,6 +54,8 @@ from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
+_LONGEST_STALE = 50_000_000
+"""Time without a usable measurement after which the last estimate is not trustworthy [ns]."""
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 _SENSOR_STALE = int(SensorState.STALE)
 
@@ -64,6 +68,7 @@ MONITOR_STATE = record_type(
     ('diagnosis', DIAGNOSIS_STATE),
     ('has_estimate', '?'),
     ('next_report', 'i8'),  # [ns]
+    ('rates', 'u1', (2,)),  # what rates are, of `lpv_core.residual.rate_independence`
 )
 
 _STATE = record_type(  # lpv_msgs/StateEstimate
@@ -97,6 +102,10 @@ _REPORT = record_type(
     ('row', 'i8'),  # of the measurement
     ('answer', ANSWER),
     ('counters', COUNTERS),
+    ('unsupported', '?'),  # the arm rests, and the measured torques do not hold it
+    ('reading_noise', 'f8', (2,)),  # over what the arm file states, 1 if that is not less
+    ('rate_noise', 'f8', (2,)),  # the same of the rates
+    ('rates', 'u1', (2,)),  # what rates are, of `lpv_core.residual.rate_independence`
 )
 _EVENT = record_type(
     ('row', 'i8'),  # of the measurement
@@ -104,6 +113,8 @@ _EVENT = record_type(
 )
 _BUFFER = 64
 """Events and reports that are passed at a time."""
+_TESTED = 500
+"""Samples in which it is tested whether rates come from the positions."""
 
 
 class _Measurements(NamedTuple):
@@ -171,10 +182,25 @@ def monitor_step(
     else:
         # An unusable sample is answered with the last estimate; never with silence.
         _fill(params, state, answer, _STALE)
+        if stamp - state.observer.stamp > _LONGEST_STALE:
+            answer.state.trustworthy = False
     # On the clock of the data: replays then report alike.
     answer.due = answer.has_events or state.next_report == NEVER or stamp >= state.next_report
     if answer.due:
         state.next_report = stamp + _REPORT_INTERVAL
+        for i in range(2):
+            _test_rates(state, buffer_of(buffers, i), i)
+
+
+@njit
+def _test_rates(state: np.record, buffer: SampleBuffer, i: int) -> None:
+    """Test whether the latest rates of a sensor come from its positions; keep what was found."""
+    rows = slice(max(0, buffer.used[0] - _TESTED), buffer.used[0])
+    source, _ = rate_source_of(
+        buffer.stamps[rows], buffer.values[rows, READING], buffer.values[rows, RATE]
+    )
+    if source != UNDECIDED:
+        state.rates[i] = source
 
 
 @njit
@@ -182,6 +208,7 @@ def forget_estimate(state: np.record, buffers: SampleBuffer) -> None:
     """Estimates, alarms and the clock of reports restart."""
     reset_diagnosis(state.diagnosis, buffers)
     state.has_estimate, state.next_report = False, NEVER
+    state.rates[:] = UNDECIDED
 
 
 @njit
@@ -220,6 +247,11 @@ def _report(state: np.record, answer: np.record, report: np.record) -> None:
     for i in range(2):
         to.fault.estimate[i], to.fault.bound[i] = answer.fault.estimate[i], answer.fault.bound[i]
         to.fault.threshold[i], to.fault.state[i] = answer.fault.threshold[i], answer.fault.state[i]
+        noise = state.diagnosis.sensors[i].noise
+        report.reading_noise[i] = excess(noise.reading, noise.windows)
+        report.rate_noise[i] = excess(noise.rate, noise.windows)
+        report.rates[i] = state.rates[i]
+    report.unsupported = state.estimate.unsupported
     count, now = report.counters, state.observer.counters
     count.duplicates, count.out_of_order = now.duplicates, now.out_of_order
     count.restarts, count.gaps, count.late_steps = now.restarts, now.gaps, now.late_steps
@@ -292,6 +324,8 @@ class Answer:
         diagnostic_msgs/DiagnosticArray's statuses where a report is due.
     events : list of Alarm
         The alarm events themselves.
+    warnings : list of str
+        What contradicts the arm file and was not said before.
     restarted : bool
         The clock was set back: observer and alarms restarted.
     inconsistent : bool
@@ -304,6 +338,7 @@ class Answer:
     alarms: list[dict[str, Any]] = field(default_factory=list)
     status: list[dict[str, Any]] | None = None
     events: list[Alarm] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     restarted: bool = False
     inconsistent: bool = False
 
@@ -394,6 +429,7 @@ class SensorMonitor:
         """Forget estimates and alarms; counters stay."""
         reset_observer(self._state.observer)
         forget_estimate(self._state, self._buffers)
+        self._warned: set[tuple[int, str]] = set()
 
     def warm_up(self) -> None:
         """Compile with two made-up samples, and forget them: the first real ones must not wait."""
@@ -475,7 +511,9 @@ class SensorMonitor:
             )
             answer.alarms = [message_fields.alarm_fields(event) for event in answer.events]
         if now.due:
-            answer.status = self._status_now()
+            report = self._report_now()
+            answer.status = self._status(report)
+            answer.warnings = self._new_warnings(report)
         return answer
 
     def take_many(
@@ -546,12 +584,42 @@ class SensorMonitor:
             As `lpv_core.monitoring.message_fields.diagnostic_fields`.
         """
         _fill(self._constants, self._state, self._answer, int(mode))
-        return self._status_now()
+        return self._status(self._report_now())
 
-    def _status_now(self) -> list[dict[str, Any]]:
+    def _report_now(self) -> np.record:
         report = new_record(_REPORT)
         _report(self._state, self._answer, report)
-        return self._status(report)
+        return report
+
+    def _warnings(self, report: np.record) -> tuple[dict[str, str], ...]:
+        """What contradicts the arm file, for each sensor by subject."""
+        result: tuple[dict[str, str], ...] = ({}, {})
+        for i, (sensor, warnings) in enumerate(zip(self.arm.sensor_names, result)):
+            for what, ratio in (
+                (sensor, report.reading_noise[i]),
+                (f'the rate of {sensor}', report.rate_noise[i]),
+            ):
+                if ratio > 1.0:
+                    warnings[what] = (
+                        f'noise of {what} is {ratio:.1f} times what the arm file states'
+                    )
+            found = RATE_SOURCES[report.rates[i]]
+            if contradicts(self.arm.rates, found):
+                warnings['rates'] = (
+                    f'rates of {sensor} are {found}, the arm file states {self.arm.rates}'
+                )
+        return result
+
+    def _new_warnings(self, report: np.record) -> list[str]:
+        """Warnings on subjects that were not warned of before."""
+        found = {
+            (i, subject): text
+            for i, warnings in enumerate(self._warnings(report))
+            for subject, text in warnings.items()
+        }
+        new = [text for subject, text in found.items() if subject not in self._warned]
+        self._warned |= set(found)
+        return new
 
     def _status(self, report: np.record) -> list[dict[str, Any]]:
         values = {
@@ -565,7 +633,9 @@ class SensorMonitor:
             self.arm,
             answer.state,
             answer.fault if answer.has_fault else None,
-            bool(answer.inconsistent),
+            message_fields.Findings(
+                bool(answer.inconsistent), bool(report.unsupported), self._warnings(report)
+            ),
             values,
         )
 

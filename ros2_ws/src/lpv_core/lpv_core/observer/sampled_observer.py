@@ -28,6 +28,12 @@ from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _LARGEST_ANGLE = 1e4
 """A position sensor that reads more [rad] is taken as missing; floats lose microradians there."""
+_AT_REST = 5.0
+"""Rates below so many standard deviations of their noise are those of an arm at rest."""
+_SUPPORTED = 0.02
+"""At rest, torques below that part of what gravity needs are not those that hold the arm."""
+_REST = 0.02
+"""An arm is held by something that is not measured if it seems so for this long [s]."""
 _EFFORT_MARGIN = 10.0
 """A torque so many times above the arm's limit is no torque of this arm."""
 
@@ -75,11 +81,15 @@ OBSERVER_CONSTANTS = record_type(
     ('initial_samples', 'i8'),  # samples that the start value is averaged over
     ('velocity_limit', 'f8', (2,)),  # of the joints [rad/s]
     ('effort_limit', 'f8', (2,)),  # of the joints [N m]
+    ('rest_rate', 'f8'),  # rates of an arm at rest stay below [rad/s]
+    ('rest_samples', 'i8'),  # at rest without torque, after which it is held by something else
+    ('torque_tolerance', 'f8', (2,)),  # generalised torques at rest that the model may miss [N m]
 )
 OBSERVER_STATE = record_type(
     ('recursion', RECURSION_STATE),
     ('stamp', 'i8'),  # of the last sample [ns]
     ('started', 'i8'),  # samples since the start
+    ('unsupported', 'i8'),  # samples at rest without the torque that gravity needs
     ('counters', COUNTERS),
     # Outputs in sensor coordinates, positions [rad] and rates [rad/s]:
     ('y', 'f8', (4,)),  # of the last sample
@@ -108,6 +118,7 @@ ESTIMATE = record_type(
     ('absolute_acceleration', 'f8', (2,)),  # theta'' of the model at the estimate [rad/s2]
     ('innovation', 'f8', (2,)),  # estimated minus measured theta' [rad/s]
     ('held', 'u1', (2,)),  # the configuration carries no gravity information: dead reckoning
+    ('unsupported', '?'),  # at rest, and not held by the measured torques: brakes, for example
     ('bridged', '?'),  # the interval was too long: angles went on by the encoders' increments
 )
 """One estimate."""
@@ -126,13 +137,16 @@ def observer_constants(
         initial_samples=max(1, int(initial_samples)),
         velocity_limit=arm.velocity_limit,
         effort_limit=_EFFORT_MARGIN * np.asarray(arm.torque_limit),
+        rest_rate=_AT_REST * arm.velocity_noise,
+        rest_samples=max(5, math.ceil(_REST / arm.sample_time)),
+        torque_tolerance=np.asarray(arm.torque_tolerance) + sum(arm.coulomb),
     )
 
 
 @njit
 def reset_observer(state: np.record) -> None:
     """Forget everything but the counters; the observer restarts with the next sample."""
-    state.stamp, state.started = NEVER, 0
+    state.stamp, state.started, state.unsupported = NEVER, 0, 0
     state.recursion.held[:] = False
     state.y[:] = 0.0
 
@@ -153,7 +167,8 @@ def observe(
     means that the clock was set back: the observer restarts; a position that is not finite, or
     absurd, is carried on by the rates of that sensor (the state estimate does not need it); a
     velocity or effort that is not finite, or beyond what the arm can do, drops the sample; an
-    interval above ``max_gap`` re-anchors the estimate.
+    interval above ``max_gap`` re-anchors the estimate; an arm at rest whose measured torques do not
+    hold it against gravity is held by something else: nothing is learnt from them.
 
     Parameters
     ----------
@@ -187,6 +202,8 @@ def observe(
         _start(params, state)
     elif interval > params.max_gap:
         _bridge(params, state)
+    elif _is_unsupported(params, state):
+        _hold(params, state, interval)
     else:
         _advance(params, state, interval)
     if state.started < params.initial_samples:
@@ -202,6 +219,7 @@ def observe(
     state.started += 1
     estimate.stamp, estimate.interval, estimate.bridged = stamp, interval, interval > params.max_gap
     estimate.missing[0], estimate.missing[1] = missing_1, missing_2
+    estimate.unsupported = state.unsupported >= params.rest_samples
     _fill(params, state, estimate)
     return True
 
@@ -301,7 +319,44 @@ def _bridge(params: np.record, state: np.record) -> None:
 
 
 @njit
+def _is_unsupported(params: np.record, state: np.record) -> bool:
+    """Whether the arm rests although the measured torques do not hold it.
+
+    The torque of brakes is often not measured.  Taken for what acts on the arm, zero torque at rest
+    would mean that both links are vertical.
+    """
+    x, y, arm = state.recursion.x, state.y_new, params.recursion.arm
+    needed = beyond = measured = 0.0
+    for i in range(2):
+        gravity = abs(arm.gravity[i] * math.sin(x[i]))
+        needed = max(needed, gravity)
+        beyond = max(beyond, gravity - params.torque_tolerance[i])
+        measured = max(measured, abs(state.torque[i]))
+    at_rest = abs(y[2]) <= params.rest_rate and abs(y[3]) <= params.rest_rate
+    if at_rest and beyond > 0.0 and measured <= _SUPPORTED * needed:
+        state.unsupported += 1
+    else:
+        state.unsupported = 0
+    return state.unsupported >= params.rest_samples
+
+
+@njit
+def _hold(params: np.record, state: np.record, interval: float) -> None:
+    """Dead reckoning of both links: angles go on by the measured rates."""
+    r, joints = state.recursion, params.recursion.joints
+    for i in range(2):
+        before = row_dot(joints.angle, i, state.y[2], state.y[3])
+        rate = row_dot(joints.angle, i, state.y_new[2], state.y_new[3])
+        r.x[i] += 0.5 * interval * (before + rate)
+        r.x[2 + i], r.held[i] = rate, True
+    for i in range(2):
+        r.x[4 + i] = state.y_new[i] - row_dot(joints.sensor, i, r.x[0], r.x[1])
+    set_state(params.recursion, r, state.y_new)
+
+
+@njit
 def _advance(params: np.record, state: np.record, interval: float) -> None:
+    state.recursion.held[:] = False
     steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
     if steps == 1:
         advance(params.recursion, state.recursion, state.y, state.y_new, state.torque, interval)

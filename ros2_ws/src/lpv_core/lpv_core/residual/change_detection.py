@@ -30,6 +30,7 @@ _MEDIAN_OF = 5
 
 CHANGE_TEST = record_type(
     ('noise', 'f8', (len(WINDOWS),)),  # limit by noise alone for each window [rad]
+    ('reading', 'f8'),  # its part by noise of readings [rad]
     ('walk', 'f8'),  # growth of the limit by noise of the rates [rad/sqrt(s)]
     ('smallest', 'f8'),  # smallest limit [rad]
     ('sample_time', 'f8'),  # [s]
@@ -63,13 +64,27 @@ def change_test(arm: ArmParameters, hours: float, smallest: float = 0.0) -> np.r
     change of interest [rad]."""
     z = sigmas_for(hours, arm.sample_time)
     walk = z * arm.velocity_noise * math.sqrt(arm.sample_time)
-    noise = [
-        math.hypot(z * math.sqrt(2.0) * arm.position_noise, walk * math.sqrt(window))
-        for window in WINDOWS
-    ]
+    reading = z * math.sqrt(2.0) * arm.position_noise
     return new_record(
-        CHANGE_TEST, noise=noise, walk=walk, smallest=smallest, sample_time=arm.sample_time
+        CHANGE_TEST,
+        noise=[math.hypot(reading, walk * math.sqrt(window)) for window in WINDOWS],
+        reading=reading,
+        walk=walk,
+        smallest=smallest,
+        sample_time=arm.sample_time,
     )
+
+
+@njit
+def scale_limits(stated: np.record, reading: float, rate: float, limits: np.record) -> None:
+    """Limits for noise of readings and rates that is so many times what is stated."""
+    limits.smallest, limits.sample_time = stated.smallest, stated.sample_time
+    by_reading, by_rate = reading * stated.reading, rate * stated.walk
+    limits.reading, limits.walk = by_reading, by_rate
+    for k in range(len(WINDOWS)):
+        limits.noise[k] = stated.noise[k]
+        if reading > 1.0 or rate > 1.0:
+            limits.noise[k] = math.hypot(by_reading, by_rate * math.sqrt(WINDOWS[k]))
 
 
 @njit

@@ -78,7 +78,7 @@ def reset_consistency(state: np.record) -> None:
 
 @njit
 def update_consistency(
-    params: np.record, state: np.record, estimate: np.record, healthy: np.ndarray
+    params: np.record, state: np.record, estimate: np.record, healthy: np.ndarray, noise: float
 ) -> None:
     """Test one sample; fills ``inconsistent`` of the state.
 
@@ -90,6 +90,8 @@ def update_consistency(
         Latest estimate.
     healthy : ndarray, shape (2,)
         Bound on the scaled momentum error of a healthy arm [rad/s].
+    noise : float
+        Noise of the rates over what is stated.
     """
     if not params.used:
         return
@@ -99,6 +101,9 @@ def update_consistency(
         for i in range(2):
             momentum = estimate.innovation[i] + off * estimate.innovation[1 - i] / params.inertia[i]
             state.means[f, i] += share * (momentum - state.means[f, i])
-            if abs(state.means[f, i]) > healthy[i] + params.tolerance[i] + params.noise[f, i]:
+            if (
+                abs(state.means[f, i])
+                > healthy[i] + params.tolerance[i] + noise * params.noise[f, i]
+            ):
                 state.until = estimate.stamp + _HOLD
     state.inconsistent = estimate.stamp < state.until

@@ -67,13 +67,13 @@ def fit_step_or_ramp(state: np.record, buffer: SampleBuffer, row: int) -> tuple[
 
 
 @njit
-def has_jumped(params: np.record, state: np.record, buffer: SampleBuffer) -> bool:
+def has_jumped(state: np.record, buffer: SampleBuffer) -> bool:
     """Whether a change that is no step came by jumps, or began with one; rates move r gradually.
 
     Parameters
     ----------
-    params, state : numpy.record
-        Of types `lpv_core.decision.sensor_state.SENSOR_CONSTANTS` and ``SENSOR_STATE``.
+    state : numpy.record
+        Of type `lpv_core.decision.sensor_state.SENSOR_STATE`.
     buffer : SampleBuffer
         The sensor's past.
 
@@ -83,7 +83,7 @@ def has_jumped(params: np.record, state: np.record, buffer: SampleBuffer) -> boo
         True if r differed between neighbouring samples by more than noise, or between the means of
         a few by more than any error of a rate that would not show at once.
     """
-    limit, values, count = least_change(params.changes), buffer.values, buffer.used[0]
+    limit, values, count = least_change(state.limits.changes), buffer.values, buffer.used[0]
     evidence = state.evidence
     first = first_since(buffer, evidence.since - round(WINDOWS[evidence.window] * NANOSECONDS))
     for k in range(first, count):

@@ -81,6 +81,14 @@ def rate_test(arm: ArmParameters, gains: Gains) -> np.record:
 
 
 @njit
+def scale_rate_test(stated: np.record, reading: float, rate: float, scaled: np.record) -> None:
+    """The test for noise of readings and rates that is so many times what is stated."""
+    scaled.used, scaled.fall, scaled.length = stated.used, stated.fall, stated.length
+    scaled.smallest = stated.smallest
+    scaled.noise, scaled.reading = rate * stated.noise, reading * stated.reading
+
+
+@njit
 def rate_verdict(params: np.record, buffer: SampleBuffer, movement: Movement) -> int:
     """Whether a rate went wrong when a residual began to move.
 

@@ -1,4 +1,4 @@
-"""The last seconds of one sensor: residual, reading, allowance, innovation of the rate."""
+"""The last seconds of one sensor: residual, reading, allowance, innovation, rate."""
 
 from typing import NamedTuple
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from lpv_core.support.jit import njit
 
-RESIDUAL, READING, ALLOWANCE, INNOVATION = range(4)
+RESIDUAL, READING, ALLOWANCE, INNOVATION, RATE = range(5)
 """Columns of the values."""
+_COLUMNS = 5
 
 
 class SampleBuffer(NamedTuple):
@@ -19,8 +20,8 @@ class SampleBuffer(NamedTuple):
     stamps: np.ndarray
     """Time of each row [ns], shape (2*size,)."""
     values: np.ndarray
-    """Residual and allowance (`lpv_core.residual.dead_reckoning`) and reading [rad], and innovation
-    of the rate [rad/s], shape (2*size, 4)."""
+    """Residual and allowance (`lpv_core.residual.dead_reckoning`) and reading [rad], innovation of
+    the rate and measured rate [rad/s], shape (2*size, 5)."""
     used: np.ndarray
     """Rows in use, shape (1,); the newest ``size`` of them are certain to be kept."""
 
@@ -29,7 +30,7 @@ def new_buffers(sensors: int, size: int) -> SampleBuffer:
     """Empty buffers of several sensors for so many samples each; see `buffer_of`."""
     return SampleBuffer(
         np.zeros((sensors, 2 * size), np.int64),
-        np.zeros((sensors, 2 * size, 4)),
+        np.zeros((sensors, 2 * size, _COLUMNS)),
         np.zeros((sensors, 1), np.int64),
     )
 
@@ -54,12 +55,13 @@ def add_sample(buffer: SampleBuffer, sample: np.record) -> None:
         count = len(stamps) // 2
         for k in range(count):
             stamps[k] = stamps[count + k]
-            for column in range(4):
+            for column in range(_COLUMNS):
                 values[k, column] = values[count + k, column]
     stamps[count] = sample.stamp
     row = values[count]
     row[RESIDUAL], row[READING] = sample.residual, sample.reading
     row[ALLOWANCE], row[INNOVATION] = sample.allowance, sample.innovation
+    row[RATE] = sample.rate
     buffer.used[0] = count + 1
 
 

@@ -3,6 +3,7 @@
 import argparse
 import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,14 @@ from lpv_bag.replay.replay import Replay, ReplayResult
 from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_bag.run.streams import RecordedAlarm
-from lpv_cli.commands.observing import (
+from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
     arm_and_gains,
     diagnosis_parameters,
     reading_options,
 )
-from lpv_cli.commands.publish import add_publishing, publish
+from lpv_cli.replaying.publish import add_publishing, publish
 from lpv_core.certificate.gains import save_gains
 from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor, describe
@@ -120,7 +121,7 @@ def _remove(out: Path) -> None:
         shutil.rmtree(out)
 
 
-def _faults(path: str | None) -> tuple[Fault, ...] | None:
+def _faults(path: str | None) -> Sequence[Fault] | None:
     if path is None:
         return None
     top = Section(read_yaml(path), path)
@@ -129,7 +130,7 @@ def _faults(path: str | None) -> tuple[Fault, ...] | None:
     return faults
 
 
-def _injector(faults: tuple[Fault, ...] | None, arm: ArmParameters) -> FaultInjector | None:
+def _injector(faults: Sequence[Fault] | None, arm: ArmParameters) -> FaultInjector | None:
     if faults is None:
         return None
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))

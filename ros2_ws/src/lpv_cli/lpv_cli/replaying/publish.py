@@ -5,7 +5,7 @@ import argparse
 from rich.console import Console
 
 from lpv_cli.discovery import stay_on_this_machine
-from lpv_core.support.errors import ConfigError
+from lpv_cli.needs import require_ros
 
 
 def add_publishing(parser: argparse.ArgumentParser) -> None:
@@ -38,10 +38,8 @@ def add_publishing(parser: argparse.ArgumentParser) -> None:
 
 def publish(arguments: argparse.Namespace, console: Console) -> int:
     stay_on_this_machine()
-    try:
-        from lpv_bag.replay.player import Player
-    except ImportError as error:
-        raise ConfigError('--publish', f'needs ROS 2 ({error})') from error
+    require_ros()
+    from lpv_bag.replay.player import Player
 
     player = Player(
         arguments.bag,

@@ -11,7 +11,7 @@ from lpv_campaign.execution.run_metrics import figures
 from lpv_campaign.execution.run_to_bag import differences, write_run_bag
 from lpv_campaign.execution.runs import RunPlan, plan_run
 from lpv_campaign.execution.store import CampaignFolder
-from lpv_cli.commands.campaign_files import open_file, open_folder
+from lpv_cli.campaigns.campaign_files import open_file, open_folder
 from lpv_core.support.errors import ConfigError, LpvError
 
 

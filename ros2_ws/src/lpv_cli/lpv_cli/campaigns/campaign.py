@@ -9,9 +9,9 @@ from rich.console import Console
 from lpv_campaign.execution.execute import execute
 from lpv_campaign.execution.store import CampaignFolder
 from lpv_campaign.plan.campaign import Campaign
-from lpv_cli.commands import fleet
-from lpv_cli.commands.campaign_files import open_file, open_folder
-from lpv_cli.commands.campaign_run import run_to_bag
+from lpv_cli.campaigns import fleet
+from lpv_cli.campaigns.campaign_files import open_file, open_folder
+from lpv_cli.campaigns.campaign_run import run_to_bag
 from lpv_cli.progress import counted
 from lpv_core.support.errors import ConfigError
 

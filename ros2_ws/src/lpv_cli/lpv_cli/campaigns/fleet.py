@@ -11,14 +11,14 @@ from lpv_campaign.fleet.archive import FleetSettings, watch_fleet
 from lpv_campaign.fleet.find import FoundBag, find_bags
 from lpv_campaign.fleet.statistics import FleetStatistics, fleet_statistics
 from lpv_campaign.fleet.store import FleetFolder
-from lpv_cli.commands.observing import (
+from lpv_cli.progress import counted
+from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
     arm_and_gains,
     diagnosis_parameters,
     reading_options,
 )
-from lpv_cli.progress import counted
 from lpv_core.certificate.conditions import require
 from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import ConfigError
