@@ -167,15 +167,13 @@ def _plant(c, s, faults, noise, push, chance, torque, braked, sense, to):
 
 
 @njit
-def _monitor(c, s, stamps, values, answer, measured, period, part, position, velocity, effort):
+def _monitor(c, s, buffers, answer, measured, period, part, position, velocity, effort):
     for k in range(len(measured)):
         for i in range(2):
             position[i], velocity[i] = measured[k, i], measured[k, 2 + i]
             effort[i] = measured[k, 4 + i]
         if part == 2:
-            monitor_step(
-                c, s, stamps, values, answer, round(k * period * 1e9), position, velocity, effort
-            )
+            monitor_step(c, s, buffers, answer, round(k * period * 1e9), position, velocity, effort)
             continue
         observe(
             c.observer, s.observer, s.estimate, round(k * period * 1e9), position, velocity, effort

@@ -63,7 +63,8 @@ class Rig:
         scenario = folder / 'moving.yaml'
         scenario.write_text(MOVING)
         self._own = {
-            'simulator': [arm, f'scenario_file:={scenario}'],
+            # At 200 Hz, and on a busy machine, commands are late: that is not the subject here.
+            'simulator': [arm, f'scenario_file:={scenario}', 'max_mean_latency:=0.03'],
             'uio': [arm],
             'tracker': [arm, f'scenario_file:={scenario}'],
         }
@@ -228,7 +229,7 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         rig.drive()
         death = rig.kill('uio')
         assert_brakes(rig, death)
-        rig.logged('tracker', 'no estimates: safe stop', death)
+        rig.logged('tracker', 'safe stop: no estimates', death)
         assert_recovers(
             rig, 'uio', [('uio', 'measurements flow'), ('tracker', 'following the path')]
         )
@@ -245,7 +246,7 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         assert_recovers(rig, 'tracker', [('tracker', 'following the path'), COMMANDS])
 
         death = rig.kill('simulator')
-        rig.logged('tracker', 'no estimates: safe stop', death)
+        rig.logged('tracker', 'safe stop: no estimates', death)
         assert_recovers(rig, 'simulator', [('uio', 'measurements flow'), COMMANDS])
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
     assert_no_leap(rig)
@@ -286,7 +287,7 @@ def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_
             rig.drive()
             moment = rig.hold(name, 0.6)
             rig.logged('simulator', 'brakes engaged', moment)
-            rig.logged('tracker', 'no estimates: safe stop', moment)
+            rig.logged('tracker', 'safe stop: no estimates', moment)
             rig.drive()
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
     assert_moves_as_an_arm_does(rig)

@@ -19,10 +19,10 @@ from lpv_bag.run.record import BagError, load_run
 from lpv_core.control.tracking import TrackingController
 from lpv_core.monitoring.message_fields import alarm_fields
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.support.errors import SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'

@@ -17,8 +17,8 @@ from runs import ALL, MEASURED, Recorder, record, rows, text
 
 from lpv_bag.run.record import BagError, load_run
 from lpv_cli.main import main
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import Fault
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.history.episodes import episodes, missed_faults
 from lpv_report.run import print_table, write_report
 

@@ -17,8 +17,8 @@ from lpv_core.bound.error_bound import error_bound, static_bound
 from lpv_core.certificate.gains import save_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
 from lpv_core.model.joints import JointMap
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import Fault
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.guarantees.detectability import configurations, detectability, summary
 from lpv_report.guarantees.gains_source import find_used_gains
 from lpv_report.history.phases import Phase, listed, phases

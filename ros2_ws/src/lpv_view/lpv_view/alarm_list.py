@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 RAISED, UPDATED, CLEARED = range(3)
 Row = dict[str, Any]

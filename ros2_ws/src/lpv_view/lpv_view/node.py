@@ -20,9 +20,9 @@ from lpv_core.export.urdf import arm_urdf
 from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_node.managed import VIEWER, ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
-from lpv_node.stamps import NANOSECONDS
 from lpv_view.access import Access
 from lpv_view.foxglove_bridge import BAND, FoxgloveBridge
 from lpv_view.foxglove_gate import gate
@@ -298,7 +298,7 @@ def _leading_stamp(data: bytes) -> int:
     """Stamp of a CDR message whose first field is a Header [ns]."""
     order = '<' if data[1] & 1 else '>'
     seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
-    return max(0, seconds) * NANOSECONDS + nanoseconds
+    return max(0, seconds) * NANOSECONDS + min(nanoseconds, NANOSECONDS - 1)
 
 
 def main(argv: list[str] | None = None) -> None:

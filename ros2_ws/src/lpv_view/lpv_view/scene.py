@@ -9,6 +9,7 @@ from rosbags.typesys.store import Typestore
 from lpv_core.control.path import CartesianPath
 from lpv_core.export.urdf import BASE, points, transforms
 from lpv_core.model.arm import ArmParameters
+from lpv_core.support.timestamps import NANOSECONDS
 
 Colour = tuple[float, float, float, float]
 """Red, green, blue, alpha."""
@@ -201,7 +202,7 @@ class Scene:
         )
 
     def _header(self, stamp: int, frame: str) -> Any:
-        time = self._types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
+        time = self._types['builtin_interfaces/msg/Time'](*divmod(stamp, NANOSECONDS))
         return self._types['std_msgs/msg/Header'](time, frame)
 
     def _new(self, name: str, **fields: Any) -> Any:

@@ -11,7 +11,7 @@ from lpv_bag.blocks.chunk_writing import OFFSETS, RECORD, record_head
 from lpv_bag.blocks.mcap_blocks import RECORD_HEADER
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_core.monitoring.monitor import ANSWER, Answers
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
 ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'

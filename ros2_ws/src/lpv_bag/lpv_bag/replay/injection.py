@@ -9,10 +9,12 @@ from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.run.measurements import Measurements
 from lpv_core.model.joints import JointMap
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.simulation.faults import FaultInjector, rate_bias
+from lpv_core.simulation.faults import FaultInjector, derived_rate_error, rate_bias
 
 CHANGED = ('position', 'velocity')
 """Fields of a measurement that faults act on."""
+_RECENT = 10
+"""A sample within so many sample times is the one before, if some were lost."""
 
 
 class BlockInjector:
@@ -23,6 +25,7 @@ class BlockInjector:
         self._arm, self._joints = monitor.arm, JointMap(monitor.arm)
         self._start: int | None = None
         self._active = False
+        self._last: tuple[float, np.ndarray] | None = None
 
     def apply(
         self,
@@ -45,6 +48,8 @@ class BlockInjector:
         # One sample after a fault, too: a stuck sensor is released.
         after = active | np.concatenate([[self._active], active[:-1]])
         self._active = bool(active[-1])
+        # A rate that is a difference of positions shows the end of a fault, too.
+        written = after if self._arm.rates == 'derived' else active
         changed = {}
         for row in map(int, np.flatnonzero(after)):
             if row in measured.odd:
@@ -53,9 +58,9 @@ class BlockInjector:
             else:
                 position, velocity = measured.position[row], measured.velocity[row]
                 faulty = self._faulty(position, velocity, times[row])
-                if active[row]:
+                if written[row]:
                     position[:], velocity[:] = faulty
-        self._write(block, measured, places, active)
+        self._write(block, measured, places, written)
         return changed
 
     @staticmethod
@@ -74,12 +79,24 @@ class BlockInjector:
         """Position and rate with the faults added."""
         reading = self._joints.sensor_position(position)
         faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
-        bias = [rate_bias(self._injector.records, i, float(time)) for i in range(2)]
-        if any(bias):
+        bias = np.array([rate_bias(self._injector.records, i, float(time)) for i in range(2)])
+        if self._arm.rates == 'derived':
+            bias += self._derived_rate_error(faulty - reading, time)
+        if np.any(bias):
             velocity = self._joints.joint_velocity_from_sensor(
                 self._joints.sensor_velocity(velocity) + bias
             )
         return self._joints.joint_from_sensor(faulty), velocity
+
+    def _derived_rate_error(self, fault: np.ndarray, time: float) -> np.ndarray:
+        """What faults add to rates that are differences of the positions."""
+        before, last = self._last if self._last is not None else (time, np.zeros(2))
+        self._last = time, fault
+        # Faults begin from none: rows before them are not looked at.
+        interval = time - before
+        if not 0.0 < interval < _RECENT * self._arm.sample_time:
+            interval, last = self._arm.sample_time, np.zeros(2)
+        return np.array([derived_rate_error(*pair, interval) for pair in zip(fault, last)])
 
     def _odd(self, message: Any, time: float) -> bool:
         try:

@@ -16,7 +16,7 @@ from lpv_bag.blocks.message_blocks import read_blocks
 from lpv_bag.blocks.prefetch import ahead
 from lpv_bag.rosbag.offered_qos import offered_qos
 from lpv_bag.rosbag.reading import BagReader
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 _DEEPEST = 20000
 _LONGEST_NAP = 0.1

@@ -18,8 +18,8 @@ from lpv_bag.replay.writer import DIAGNOSTICS, OUTPUTS
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import BagError, find_topic, open_bag
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 _CLOCK = '/clock'
 _SETTLING = 1.0

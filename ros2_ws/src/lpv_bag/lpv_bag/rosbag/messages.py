@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 _DTYPES = {'state': np.uint8, 'alarm': np.bool_}
 

@@ -16,8 +16,8 @@ from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import make_typestore
 from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.support.errors import LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 
 class BagReader:

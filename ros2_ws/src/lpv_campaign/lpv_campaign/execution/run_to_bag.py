@@ -21,9 +21,9 @@ from lpv_campaign.execution.runs import RunPlan
 from lpv_core.decision.diagnosis import Alarm
 from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.closed_loop import Run
 from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 NAMESPACE = '/lpv'
 START = NANOSECONDS

@@ -11,7 +11,7 @@ from lpv_campaign.plan.spec import BOTH, NO_FAULT
 from lpv_core.certificate.gains import Gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.model.arm import ArmParameters
-from lpv_core.simulation.closed_loop import Run, run_closed_loop
+from lpv_core.simulation.closed_loop import Run, Transport, run_closed_loop
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import Scenario
 
@@ -43,8 +43,7 @@ class RunPlan:
             self.compensation,
             self.parameters,
             self.substeps,
-            self.delay,
-            self.loss,
+            Transport(self.delay, self.loss),
         )
 
 

@@ -1,11 +1,12 @@
 """Figures of one bag that are summed up while it is replayed."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from lpv_core.decision.diagnosis import Alarm, AlarmEvent, SensorState
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 STATES = tuple(state.name.lower() for state in SensorState)
 """Names of the states of a sensor, in the order of their numbers."""
@@ -173,7 +174,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def alarm_rows(events: list[Alarm], start: int) -> list[dict[str, Any]]:
+def alarm_rows(events: Sequence[Alarm], start: int) -> list[dict[str, Any]]:
     """Alarms of a bag by sensor and kind.
 
     Returns ``sensor``, last said ``kind``, ``count``, and of the first such alarm ``onset`` and

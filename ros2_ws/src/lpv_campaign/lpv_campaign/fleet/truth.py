@@ -1,5 +1,6 @@
 """The figures of a campaign's run, for a bag that holds the truth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,10 +11,10 @@ import numpy as np
 from lpv_campaign.execution.run_metrics import figures
 from lpv_core.decision.diagnosis import Alarm
 from lpv_core.model.arm import ArmParameters
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import Scenario, load_scenario
 from lpv_core.support.errors import LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 STREAMS = ('ground_truth', 'reference', 'torque_command')
 MOST_SAMPLES = 1_000_000
@@ -77,7 +78,7 @@ class TruthKeeper:
         """Whether the truth is too long to be held."""
         return self._count > MOST_SAMPLES
 
-    def row(self, events: list[Alarm], scenario: Scenario | None = None) -> dict[str, Any]:
+    def row(self, events: Sequence[Alarm], scenario: Scenario | None = None) -> dict[str, Any]:
         """Figures of the bag."""
         if self.is_too_long or not {'ground_truth', 'answers'} <= set(self._parts):
             return {}

@@ -93,7 +93,7 @@ def show(result: Comparison, console: Console) -> None:
     """Show a comparison as tables."""
     console.print(
         f'{result.common} answers in both bags, {result.only_first} in the first alone, '
-        f'{result.only_second} in the second alone' + _mark(result.complete)
+        f'{result.only_second} in the second alone  ' + _mark(result.complete)
     )
     _table(
         console,
@@ -122,7 +122,7 @@ def show(result: Comparison, console: Console) -> None:
     }
     _table(
         console,
-        'alarms, first | second',
+        'alarms, first run above second',
         ('sensor', *names.values(), ''),
         [
             (
@@ -142,24 +142,25 @@ def _table(
     if not rows:
         return
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify='left')
-    for column in columns:
-        table.add_column(escape(column), no_wrap=True)
+    # Names may wrap in a narrow terminal, figures must not.
+    for place, column in enumerate(columns):
+        table.add_column(escape(column), no_wrap=place > 0, overflow='fold')
     for row in rows:
         table.add_row(*map(escape, row))
     console.print(table)
 
 
 def _mark(same: bool) -> str:
-    return '' if same else '  <- differs'
+    return '' if same else '<- differs'
 
 
 def _both(pair: AlarmPair, name: str) -> str:
-    """Attribute of both alarms in one cell; once if it reads the same."""
+    """Attribute of both alarms, one above the other; once if it reads the same."""
     texts = []
     for episode in (pair.first, pair.second):
         value = getattr(episode, name) if episode is not None else None
         texts.append('-' if value is None else value if isinstance(value, str) else f'{value:.3f}')
-    return texts[0] if pair.same and texts[0] == texts[1] else ' | '.join(texts)
+    return texts[0] if pair.same and texts[0] == texts[1] else '\n'.join(texts)
 
 
 def _write(out: Path, text: str, first: RunRecord, second: RunRecord, arm: ArmParameters) -> None:

@@ -2,7 +2,7 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -12,6 +12,10 @@ from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
+if TYPE_CHECKING:  # drawing takes a second to import
+    from lpv_report.guarantees.gains_source import UsedGains
+    from lpv_report.run import ReportResult
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -19,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     completed(
         parser.add_argument(
             '--arm',
-            help='arm file, or name of a shipped arm; the one that the gains describe if not given',
+            help='arm file, or name of a shipped arm; if not given, the one that the gains '
+            'describe, or the shipped one that the recorded messages name',
         ),
         shipped('arms'),
     )
@@ -35,9 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the report and show its table."""
-    from lpv_report.run import find_used_gains, print_table, write_report
+    from lpv_report.run import find_shipped_gains, find_used_gains, print_table, write_report
 
     used = find_used_gains(arguments.bag, arguments.gains)
+    if used.gains is None and not arguments.arm:
+        used = find_shipped_gains(arguments.bag)
     arm = _arm(arguments, used)
     path = None
     if arguments.scenario:
@@ -53,17 +60,17 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(soft_wrap=True, highlight=False)
     if result.table:
         print_table(result.table)
-    console.print(_said(result.certificate, used))
+    console.print(_said(result, used))
     console.print(f'report  {result.html}')
     return 0
 
 
-def _arm(arguments: argparse.Namespace, used: Any) -> ArmParameters:
+def _arm(arguments: argparse.Namespace, used: 'UsedGains') -> ArmParameters:
     from lpv_report.run import arm_of
 
     if arguments.arm:
         arm = load_arm(bringup_file('arms', arguments.arm))
-        if arguments.gains:
+        if arguments.gains and used.gains:
             used.gains.check_arm(arm, arguments.gains)
         return arm
     if used.gains is None:
@@ -71,10 +78,13 @@ def _arm(arguments: argparse.Namespace, used: Any) -> ArmParameters:
     return arm_of(used.gains)
 
 
-def _said(certificate: Any, used: Any) -> str:
+def _said(result: 'ReportResult', used: 'UsedGains') -> str:
+    certificate, again = result.certificate, result.reproduction
     if certificate is None:
         return f'gains   not known: {used.problem}'
     if certificate.holds:
-        return f'gains   {used.source}: the certificate holds'
+        other = again is not None and not again.same
+        but = ', but the run had other gains or settings: see the report' if other else ''
+        return f'gains   {used.source}: the certificate holds{but}'
     why = certificate.problem or '; '.join(certificate.failed) or 'its margins were changed'
     return f'gains   {used.source}: the certificate does NOT hold: {why}'

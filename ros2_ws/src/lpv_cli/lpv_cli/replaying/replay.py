@@ -3,15 +3,18 @@
 import argparse
 import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from lpv_bag.mcap.writer import PRESETS
+from lpv_bag.replay.injected_faults import InjectedFault, judge
 from lpv_bag.replay.replay import Replay, ReplayResult
 from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
+from lpv_bag.run.streams import RecordedAlarm
 from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
@@ -23,7 +26,7 @@ from lpv_cli.replaying.publish import add_publishing, publish
 from lpv_core.certificate.gains import save_gains
 from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor, describe
-from lpv_core.simulation.faults import FaultInjector
+from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
@@ -74,7 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
     arm, gains = arm_and_gains(arguments, console)
     diagnosis, others = diagnosis_parameters(arguments.parameters)
     monitor = SensorMonitor('/uio', arm, gains, diagnosis, **others)
-    injector = _injector(arguments.inject, arm)
+    faults = _faults(arguments.inject)
+    injector = _injector(faults, arm)
     _remove(out)
     begin = time.perf_counter()
     result = Replay(
@@ -83,10 +87,12 @@ def run(arguments: argparse.Namespace) -> int:
             arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
         ),
         injector,
-        lambda event: console.print(f'  {event.detected / 1e9:.3f} s: ' + describe(event)),
+        lambda event: console.print(_alarm_line(event)),
     ).run(arguments.bag, out)
     save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
+    if faults is not None:
+        show_injected(judge(faults, result), console)
     console.print(f'bag     {out}')
     if arguments.report:
         _report(arguments, arm, out, console)
@@ -115,13 +121,40 @@ def _remove(out: Path) -> None:
         shutil.rmtree(out)
 
 
-def _injector(path: str | None, arm: ArmParameters) -> FaultInjector | None:
+def _faults(path: str | None) -> Sequence[Fault] | None:
     if path is None:
         return None
     top = Section(read_yaml(path), path)
     faults = parse_faults(top)
     top.finish()
+    return faults
+
+
+def _injector(faults: Sequence[Fault] | None, arm: ArmParameters) -> FaultInjector | None:
+    if faults is None:
+        return None
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+
+
+def _alarm_line(event: RecordedAlarm) -> str:
+    """One alarm event with its three times: of the event, of the onset, of the confirmation."""
+    now, onset, confirmed = (s / 1e9 for s in (event.stamp, event.onset, event.detected))
+    return f'  {now:.3f} s: {describe(event)}; onset {onset:.3f} s, confirmed {confirmed:.3f} s'
+
+
+def show_injected(found: list[InjectedFault], console: Console) -> None:
+    """Show what was found of the injected faults."""
+    right = sum(one.found for one in found)
+    console.print(f'{right} of {len(found)} injected faults found on the right sensor')
+    for one in found:
+        fault = one.fault
+        text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
+        if one.found:
+            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} rad'
+            text += f' within {one.bound:.3f} rad'
+        if one.error is not None:
+            text += f', size error {one.error:+.3f} rad'
+        console.print(text)
 
 
 def _summary(

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from lpv_core.control.path import CartesianPath, Reference
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import forward
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 _NEAR = 0.05
 """A start this near to the path needs no approach [rad]: noise and a resting controller's error are

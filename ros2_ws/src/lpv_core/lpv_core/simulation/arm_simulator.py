@@ -14,7 +14,13 @@ from lpv_core.model.dynamics import inverse_dynamics, rk4_step
 from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
 from lpv_core.model.polytope import sinc_box
 from lpv_core.model.state_space import lpv_rk4_step, vertex_matrices
-from lpv_core.simulation.faults import FaultInjector, apply_faults, is_frozen, rate_bias
+from lpv_core.simulation.faults import (
+    FaultInjector,
+    apply_faults,
+    derived_rate_error,
+    is_frozen,
+    rate_bias,
+)
 from lpv_core.simulation.mujoco_plant import MujocoPlant
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.jit import njit
@@ -40,6 +46,7 @@ PLANT_CONSTANTS = record_type(
     ('noisy', '?'),
     ('position_noise', 'f8'),  # standard deviation [rad]
     ('velocity_noise', 'f8'),  # standard deviation [rad/s]
+    ('derived', '?'),  # rates are differences of the positions: faults are in both
 )
 PLANT_STATE = record_type(
     ('state', 'f8', (4,)),  # absolute angles and rates [rad], [rad/s]
@@ -134,10 +141,14 @@ def read_sensors(
         state.velocity[i] = row_dot(joints.j, i, x[2], x[3])
         state.reading[i] = row_dot(joints.sensor, i, x[0], x[1])
     true_1, true_2 = state.reading[0], state.reading[1]
+    before_1, before_2 = state.fault[0], state.fault[1]
     apply_faults(faults, time, state.reading, params.sample_time, chance)
     state.fault[0], state.fault[1] = state.reading[0] - true_1, state.reading[1] - true_2
     rate_1 = row_dot(joints.sensor, 0, x[2], x[3]) + rate_bias(faults, 0, time)
     rate_2 = row_dot(joints.sensor, 1, x[2], x[3]) + rate_bias(faults, 1, time)
+    if params.derived and state.step_count > 0:
+        rate_1 += derived_rate_error(state.fault[0], before_1, params.sample_time)
+        rate_2 += derived_rate_error(state.fault[1], before_2, params.sample_time)
     # Drawn with or without noise, so that both runs share the later numbers.
     draw_1, draw_2 = noise.standard_normal(), noise.standard_normal()
     draw_3, draw_4 = noise.standard_normal(), noise.standard_normal()
@@ -322,6 +333,7 @@ def _plant_constants(
         noisy=scenario.noise,
         position_noise=scenario.noise_factor * arm.position_noise,
         velocity_noise=scenario.noise_factor * arm.velocity_noise,
+        derived=arm.rates == 'derived',
     )
     if scenario.plant == 'lpv':
         box = sinc_box(scenario.sinc_min)

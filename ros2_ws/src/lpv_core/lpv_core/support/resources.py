@@ -7,7 +7,6 @@ from pathlib import Path
 
 from lpv_core.support.errors import ConfigError
 
-
 _SOURCES = Path(__file__).resolve().parents[3]
 """Where the packages are in a checkout."""
 

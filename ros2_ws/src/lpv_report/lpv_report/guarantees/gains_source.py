@@ -6,9 +6,11 @@ from pathlib import Path
 
 from lpv_bag.errors import BagError
 from lpv_bag.rosbag.output_folder import GAINS_NAME
+from lpv_bag.rosbag.reading import open_bag
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.model.arm import ArmParameters, arm_from_json
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import shipped_files
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,9 @@ class UsedGains:
     problem: str = ''  # why they are not known; empty where they are
 
 
+_ANSWERS = tuple(
+    f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
+)
 UNKNOWN = UsedGains(problem='The bag carries no gains, and none were given.')
 
 
@@ -85,6 +90,68 @@ def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGai
         return read_used_gains(folder / GAINS_NAME, f'{GAINS_NAME} of the bag')
     except (ConfigError, OSError) as error:
         return UsedGains(problem=f'The gains in the bag cannot be used: {error}')
+
+
+def named_arm(bag: str | Path) -> str:
+    """Name of the arm that recorded answers of the diagnosis carry; '' without answers.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        rosbag2 directory or single storage file.
+
+    Returns
+    -------
+    str
+        ``frame_id`` of their headers.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    with open_bag(bag) as reader:
+        answers = [c for c in reader.connections if c.msgtype in _ANSWERS and c.msgcount]
+        for connection, _, data in reader.messages(answers) if answers else ():
+            return str(reader.deserialize(data, connection.msgtype).header.frame_id)
+    return ''
+
+
+def find_shipped_gains(bag: str | Path) -> UsedGains:
+    """Shipped gains of the arm that the messages of a bag name.
+
+    A bag of ``ros2 bag record`` has no gains beside it.  Whether the run had these gains is not
+    known from the name: the report runs the diagnosis again, and says whether it gives the
+    recorded estimates.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        rosbag2 directory or single storage file.
+
+    Returns
+    -------
+    UsedGains
+        Without gains where no message names a shipped arm; its problem says what to give.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    name = named_arm(bag)
+    if not name:
+        return UsedGains(
+            problem='the bag holds neither gains nor answers of the diagnosis; say which arm it '
+            'is of, e.g. lpv report BAG --arm my_arm.yaml'
+        )
+    shipped = shipped_files('gains')
+    if name not in shipped:
+        return UsedGains(
+            problem=f'the bag is of arm {name!r}, which is not a shipped one; give its files, '
+            f'e.g. lpv report BAG --arm {name}.yaml --gains gains.yaml'
+        )
+    return read_used_gains(shipped[name], f'shipped gains of arm {name!r}, which the messages name')
 
 
 def arm_of(gains: Gains) -> ArmParameters:

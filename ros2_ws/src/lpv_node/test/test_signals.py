@@ -1,4 +1,4 @@
-"""Signals to the ros2 command, also where Python cannot raise."""
+"""Signals as exceptions, also where Python cannot raise."""
 
 import signal
 import sys
@@ -6,9 +6,7 @@ import time
 
 import pytest
 
-pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
-
-from lpv_ros2cli.command_line.interrupts import raising_signals  # noqa: E402
+from lpv_node.signals import raising_signals
 
 
 class Dropped:
