@@ -45,7 +45,7 @@ def remedy(module: str | None) -> str:
 def versions() -> str:
     """Version of this software and of what its figures depend on."""
     parts = [f'Python {platform.python_version()}']
-    parts += [f'{name} {_version(name)}' for name in ('numpy', 'numba', 'cvxpy', 'clarabel')]
+    parts += [f'{name} {_version(name)}' for name in ('numpy', 'numba')]
     own = _version(DISTRIBUTION)
     return f'lpv {_version("lpv_cli") if own == "-" else own} ({", ".join(parts)})'
 

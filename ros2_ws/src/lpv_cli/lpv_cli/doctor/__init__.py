@@ -41,7 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
     arm, of_files = check_files(arguments.arm, arguments.gains, arguments.scenario)
     findings += of_files
     if not arguments.offline:
-        findings += _check_graph(arm, arguments, alone=not of_files)
+        blocked = any(f.check in ('ros', 'middleware') and f.level == Level.ERROR for f in findings)
+        if not blocked:  # importing rclpy would end this process
+            findings += _check_graph(arm, arguments, alone=not of_files)
     if arguments.json:
         print(
             json.dumps(

@@ -4,8 +4,11 @@ import importlib
 import importlib.metadata
 import importlib.util
 import os
+import re
+import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from packaging.requirements import Requirement
 
@@ -34,6 +37,17 @@ PROGRAMS = (
     ('lpv_bag', 'recorder'),
 )
 _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT')
+_PROBE = """
+import importlib.util
+spec = importlib.util.find_spec('rclpy')
+if spec is None:
+    raise SystemExit("No module named 'rclpy'")
+print('lpv', spec.origin, flush=True)
+from rclpy.utilities import get_rmw_implementation_identifier
+print('lpv', get_rmw_implementation_identifier(), flush=True)
+"""
+_PROBE_TIMEOUT = 60.0
+"""[s]"""
 _LARGEST_DOMAIN = 232
 _SAFE_DOMAIN = 101
 """Domains above have ports that the operating system also gives to others."""
@@ -41,13 +55,14 @@ _SAFE_DOMAIN = 101
 
 def check_environment() -> list[Finding]:
     """Run all checks of this module."""
+    probe = probe_ros()
     return [
         check_python(),
         check_packages(),
         check_compiler(),
-        check_ros(),
+        check_ros(probe),
         check_workspace(),
-        check_middleware(),
+        check_middleware(probe),
         check_domain(),
         check_range(),
     ]
@@ -92,18 +107,37 @@ def check_compiler() -> Finding:
     )
 
 
-def check_ros() -> Finding:
+@dataclass(frozen=True)
+class RosProbe:
+    """What another process found: rclpy ends a process whose middleware is missing."""
+
+    file: str  # of rclpy; empty where it cannot be imported
+    middleware: str  # that was loaded; empty where none could be
+    problem: str  # last line of what was printed
+
+
+def probe_ros() -> RosProbe:
+    """Import rclpy in another process."""
+    done = subprocess.run(
+        [sys.executable, '-c', _PROBE], capture_output=True, text=True, timeout=_PROBE_TIMEOUT
+    )
+    lines = [line.split(' ', 1)[1] for line in done.stdout.splitlines() if line[:4] == 'lpv ']
+    printed = [line for line in done.stderr.splitlines() if line.strip()]
+    problem = re.sub(r', at /.*', '', printed[-1].split(']: ')[-1]) if printed else ''
+    file, middleware = (lines + ['', ''])[:2]
+    return RosProbe(file, middleware, problem)
+
+
+def check_ros(probe: RosProbe | None = None) -> Finding:
     """Whether there is one ROS 2, and only one."""
-    distro = os.environ.get('ROS_DISTRO', '')
-    try:
-        import rclpy
-    except ImportError as problem:
+    distro, probe = os.environ.get('ROS_DISTRO', ''), probe or probe_ros()
+    if not probe.file:
         return error(
             'ros',
-            f'rclpy cannot be imported: {problem}',
+            f'rclpy cannot be imported: {probe.problem}',
             'make setup, or source the ROS 2 that it was run with',
         )
-    inside = os.path.realpath(rclpy.__file__).startswith(os.path.realpath(sys.prefix) + os.sep)
+    inside = os.path.realpath(probe.file).startswith(os.path.realpath(sys.prefix) + os.sep)
     if distro and inside and sys.prefix != sys.base_prefix:
         return error(
             'ros',
@@ -127,27 +161,19 @@ def check_workspace() -> Finding:
     return ok('workspace', 'messages and programs are there')
 
 
-def check_middleware() -> Finding:
+def check_middleware(probe: RosProbe | None = None) -> Finding:
     """Whether the middleware that is asked for is installed."""
-    wanted = os.environ.get('RMW_IMPLEMENTATION', '')
-    try:
-        from rclpy.utilities import get_rmw_implementation_identifier
-
-        found = get_rmw_implementation_identifier()
-    except Exception as problem:
-        # Missing libraries show up as many kinds of exceptions here.
+    wanted, probe = os.environ.get('RMW_IMPLEMENTATION', ''), probe or probe_ros()
+    remedy = f'install {wanted}, or unset RMW_IMPLEMENTATION' if wanted else 'make setup'
+    if not probe.middleware:
+        return error('middleware', probe.problem or 'none could be loaded', remedy)
+    if wanted and wanted != probe.middleware:
         return error(
             'middleware',
-            ' '.join(str(problem).split()) or type(problem).__name__,
-            f'install {wanted}, or unset RMW_IMPLEMENTATION' if wanted else 'make setup',
+            f'RMW_IMPLEMENTATION is {wanted}, but {probe.middleware} is loaded',
+            remedy,
         )
-    if wanted and wanted != found:
-        return error(
-            'middleware',
-            f'RMW_IMPLEMENTATION is {wanted}, but {found} is loaded',
-            f'install {wanted}, or unset RMW_IMPLEMENTATION',
-        )
-    return ok('middleware', found)
+    return ok('middleware', probe.middleware)
 
 
 def check_domain() -> Finding:

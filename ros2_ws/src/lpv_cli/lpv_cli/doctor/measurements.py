@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from lpv_cli.doctor.findings import Finding, error, ok, warn
+from lpv_cli.doctor.findings import Finding, Level, error, ok, warn
+from lpv_cli.doctor.signals import check_rate_source, check_units
 from lpv_cli.doctor.watch import Snapshot
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
@@ -39,9 +40,13 @@ def check_measurements(shot: Snapshot, arm: ArmParameters | None) -> list[Findin
             check_stamps(topic, heard, shot),
             check_rate(topic, messages, arm, shot),
         ]
-        findings += [p for p in problems if p is not None] or [
-            ok('measurements', f'{topic}: {len(messages)} messages in {shot.seconds:g} s')
-        ]
+        if arm is not None:
+            problems += [check_units(topic, messages, arm), check_rate_source(topic, messages, arm)]
+        found = [p for p in problems if p is not None]
+        if all(p.level == Level.OK for p in found):
+            text = f'{topic}: {len(messages)} messages in {shot.seconds:g} s'
+            found.insert(0, ok('measurements', text))
+        findings += found
     return findings
 
 
@@ -50,7 +55,7 @@ def check_joints(topic: str, message: Any, arm: ArmParameters | None) -> Finding
     if arm is None:
         return None
     try:
-        JointOrder(arm.joint_names).pick(message)
+        JointOrder(arm.joint_names).indices(message.name)
     except SampleError as problem:
         return error(
             'joints',
@@ -78,18 +83,31 @@ def check_efforts(topic: str, messages: list[Any], shot: Snapshot) -> Finding | 
 
 
 def check_values(topic: str, messages: list[Any]) -> Finding | None:
-    """Whether positions and rates are numbers."""
-    bad = sum(
-        not (len(m.velocity) and np.isfinite([*m.position, *m.velocity]).all()) for m in messages
-    )
+    """Whether positions and rates are there, and numbers."""
+    count = len(messages)
+    without = sum(not len(m.velocity) for m in messages)
+    if without:
+        return error(
+            'values',
+            f'{topic}: {without} of {count} messages carry no rates (velocity is empty)',
+            'let the driver publish joint rates in velocity [rad/s]: samples without are not used',
+        )
+    odd = sum({len(m.position), len(m.velocity)} != {len(m.name)} for m in messages)
+    if odd:
+        return error(
+            'values',
+            f'{topic}: {odd} of {count} messages have other numbers of positions or rates than '
+            'of names',
+            'let the driver publish one position and one rate per joint',
+        )
+    bad = sum(not np.isfinite([*m.position, *m.velocity]).all() for m in messages)
     if not bad:
         return None
     return error(
         'values',
-        f'{topic}: {bad} of {len(messages)} messages have positions or rates '
-        'that are missing or no numbers',
-        'see the sensors and their driver; the '
-        'observer bridges positions, and leaves out samples without rates',
+        f'{topic}: {bad} of {count} messages have positions or rates that are not numbers',
+        'see the sensors and their driver; the observer predicts positions for some time, and does '
+        'not use samples without rates',
     )
 
 
