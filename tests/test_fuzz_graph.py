@@ -36,7 +36,7 @@ from lpv_msgs.msg import (  # noqa: E402
 )
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 
 SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '6'))
 SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))
