@@ -149,14 +149,23 @@ class ManagedNode(LifecycleNode):
 
     def _try_begin(self) -> None:
         recorders = self.get_parameter('await_recorders').value
-        if all(
-            self._matched(publisher) >= recorders + self.lockstep * consumers
+        waiting = [
+            publisher.topic_name
             for publisher, consumers in self.outputs().items()
-        ):
-            if self._gate is not None:
-                self.destroy_timer(self._gate)
-            self._gate = None
-            self.begin()
+            if self._matched(publisher) < recorders + self.lockstep * consumers
+        ]
+        if waiting:
+            self.get_logger().warning(
+                f'waiting for subscribers of {", ".join(waiting)}'
+                + (f': {recorders} recorders must be there' if recorders else ''),
+                throttle_duration_sec=5.0,
+                skip_first=True,
+            )
+            return
+        if self._gate is not None:
+            self.destroy_timer(self._gate)
+        self._gate = None
+        self.begin()
 
     def _matched(self, publisher: Publisher) -> int:
         """Subscribers of an output, without viewers.
@@ -251,6 +260,8 @@ def run_node(node_class: Callable[[], ManagedNode], argv: list[str] | None = Non
         initialise(argv)
         node = node_class()
         code = _spin(node, stop)
+    except (KeyboardInterrupt, SystemExit):  # told to stop while it started
+        code = 0
     except (LpvError, ParameterException) as error:
         print(f'[{node_class.__name__}] {error}', file=sys.stderr, flush=True)
     finally:
@@ -269,6 +280,7 @@ def _spin(node: ManagedNode, stop: StopRequest) -> int:
         )
         if not started:
             return 1
+    stop.defer()
     executor = _executor()
     executor.add_node(node)
     # A time-out lets Python see signals; without one EventsExecutor ignores them.

@@ -10,11 +10,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import (
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-    ParameterUninitializedException,
-)
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -29,6 +25,7 @@ _ARRAY, _DOUBLE, _STRING, _INTEGER = (
     Parameter.Type.STRING,
     Parameter.Type.INTEGER,
 )
+_LIKE: dict[Parameter.Type, float | int] = {_DOUBLE: 0.0, _INTEGER: 0}
 
 
 @dataclass(frozen=True)
@@ -68,9 +65,15 @@ class GainField:
     low: float | None = None  # range that makes sense at all; the certificate decides what holds
     high: float | None = None
 
+    def placeholder(self) -> Any:
+        """A value of the parameter's type, for a parameter that no file sets."""
+        if self.kind in (_STRING, _ARRAY):
+            return '' if self.kind is _STRING else [0.0]
+        return type(_LIKE[self.kind])(self.low or 0)
+
     def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor of this parameter."""
-        like: Any = {_DOUBLE: 0.0, _INTEGER: 0}.get(self.kind, '')
+        like: Any = _LIKE.get(self.kind, '')
         text = self.description + ', from the gains file written by lpv design'
         return Spec('', like, text, self.low, self.high, read_only=True).descriptor()
 
@@ -149,26 +152,40 @@ def required_text(node: Node, name: str) -> str:
     return value
 
 
-def declare_gains(node: Node) -> None:
-    """Declare the parameters of a gains file, read-only, without defaults."""
+def declare_gains(node: Node) -> frozenset[str]:
+    """Declare the parameters of a gains file, read-only; returns those that no file sets.
+
+    They get a value all the same: one parameter without a value would make a request for all of a
+    node's parameters return nothing.
+    """
+    unset = set()
     fields = {'format': FORMAT_FIELD, **GAIN_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update({f'observer.{name}': field for name, field in of_method.items()})
     for name, field in fields.items():
-        node.declare_parameter(f'gains.{name}', field.kind, field.descriptor())
+        full, descriptor = f'gains.{name}', field.descriptor()
+        descriptor.read_only = False  # as yet, or it could not be declared again
+        given: Parameter = node.declare_parameter(full, field.kind, descriptor)
+        node.undeclare_parameter(full)
+        if given.type_ is Parameter.Type.NOT_SET:
+            unset.add(name)
+        node.declare_parameter(full, field.placeholder(), field.descriptor())
+    return frozenset(unset)
 
 
-def read_gains(node: Node, arm: ArmParameters) -> Gains:
+def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
     """Gains from the parameters that `declare_gains` declared, with their certificate verified.
+
+    ``unset`` is what that function returned.
 
     Raises ConfigError if no gains file was given, it is not valid, of another arm, or its
     certificate does not hold.
     """
     nested: dict[str, Any] = {}
-    method = _gain(node, 'observer.method')
+    method = _gain(node, 'observer.method', unset)
     own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
     for name in ('format', *GAIN_FIELDS, *own):
-        value = _gain(node, name)
+        value = _gain(node, name, unset)
         *parents, leaf = name.split('.')
         level = nested
         for parent in parents:
@@ -179,12 +196,11 @@ def read_gains(node: Node, arm: ArmParameters) -> Gains:
     return gains
 
 
-def _gain(node: Node, name: str) -> Any:
-    try:
-        return node.get_parameter(f'gains.{name}').value
-    except ParameterUninitializedException:
+def _gain(node: Node, name: str, unset: frozenset[str]) -> Any:
+    if name in unset:
         raise ConfigError(
             f'gains.{name}',
             'is not set: start the node with --params-file GAINS.yaml as written by lpv design',
             node.get_name(),
-        ) from None
+        )
+    return node.get_parameter(f'gains.{name}').value

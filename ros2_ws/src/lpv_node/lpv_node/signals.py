@@ -46,7 +46,10 @@ def exit_by_signal(number: int, _frame: FrameType | None = None) -> None:
 
 
 class StopRequest:
-    """SIGINT and SIGTERM as a flag, from construction to the end of the process.
+    """SIGINT and SIGTERM from construction to the end of the process.
+
+    At first they raise `exit_by_signal`'s exceptions: a start may last, and there is nothing to
+    finish.  From `defer` on they only set a flag.
 
     Attributes
     ----------
@@ -55,11 +58,18 @@ class StopRequest:
     """
 
     def __init__(self) -> None:
-        self.is_set = False
+        self.is_set = self._deferred = False
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._set)
+            signal.signal(number, self._receive)
 
-    def _set(self, _number: int, _frame: FrameType | None) -> None:
+    def defer(self) -> None:
+        """Raise no more exceptions."""
+        self._deferred = True
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        if not (self._deferred or self.is_set):
+            self.is_set = True
+            exit_by_signal(number, frame)
         self.is_set = True
 
 
@@ -83,7 +93,7 @@ def raising_signals() -> Iterator[list[int]]:
         received.append(number)
         exit_by_signal(number, frame)
 
-    def report(unraisable: sys.UnraisableHookArgs) -> None:
+    def report(unraisable: 'sys.UnraisableHookArgs') -> None:
         if not received or not issubclass(unraisable.exc_type, (KeyboardInterrupt, SystemExit)):
             hook(unraisable)
         else:  # not from here, where it would be lost again

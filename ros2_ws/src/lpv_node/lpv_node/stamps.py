@@ -4,6 +4,8 @@ from builtin_interfaces.msg import Time
 
 from lpv_core.support.timestamps import NANOSECONDS
 
+_LAST = 2**31 * NANOSECONDS - 1
+
 
 def to_nanoseconds(stamp: Time) -> int:
     """Nanoseconds of a stamp."""
@@ -11,5 +13,6 @@ def to_nanoseconds(stamp: Time) -> int:
 
 
 def set_stamp(stamp: Time, nanoseconds: int) -> None:
-    """Write nanoseconds, not negative, into a stamp."""
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+    """Write nanoseconds into a stamp, the last one of its type if they are more."""
+    # Stamps of others may have more than a second in their nanoseconds.
+    stamp.sec, stamp.nanosec = divmod(min(nanoseconds, _LAST), NANOSECONDS)

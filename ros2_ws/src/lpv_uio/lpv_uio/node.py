@@ -2,6 +2,8 @@
 
 import math
 import sys
+import threading
+from collections import deque
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,6 +22,7 @@ from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
+from lpv_node.input_check import Refusals, all_finite
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import latched, stream
@@ -144,6 +147,11 @@ SPECS = DIAGNOSIS_SPECS + (
         read_only=True,
     ),
 )
+_COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
+_RECENT = 100
+"""Measurements that a command may answer, where torques are taken from commands."""
+_UNHEARD = 5.0
+"""Time without a measurement after which the observer says so, again and again [s]."""
 
 
 class UioNode(ManagedNode):
@@ -156,7 +164,7 @@ class UioNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('uio', SPECS)
-        declare_gains(self)
+        self._unset_gains = declare_gains(self)
         self._inputs: list[Subscription] = []
         self._watch: Timer | None = None
         self.add_on_set_parameters_callback(self._retune)
@@ -167,18 +175,26 @@ class UioNode(ManagedNode):
         self._monitor = SensorMonitor(
             self.get_fully_qualified_name(),
             self._arm,
-            read_gains(self, self._arm),
+            read_gains(self, self._arm, self._unset_gains),
             self._diagnosis_parameters({}),
             self.get_parameter('max_gap').value,
             self.get_parameter('initial_samples').value,
         )
-        self._monitor.warm_up()
+        note = threading.Timer(1.0, self.get_logger().info, [_COMPILING])
+        note.start()
+        try:
+            self._monitor.warm_up()
+        finally:
+            note.cancel()
         self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._torque = [math.nan, math.nan]
         self._received: int | None = None  # time of the last measurement that fits the arm [ns]
         self._answer: Answer | None = None
+        self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
         self._stale = False
+        self._refusals = Refusals(self)
+        self._recent: deque[int] = deque(maxlen=_RECENT)
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
         self._fault_out = self.create_publisher(FaultEstimate, 'fault_estimate', qos)
@@ -214,7 +230,12 @@ class UioNode(ManagedNode):
             self._watch = None
 
     def _on_command(self, message: TorqueCommand) -> None:
-        self._torque = message.torque
+        if not all_finite(message.torque):
+            self._refusals.add('command with values that are not finite')
+        elif to_nanoseconds(message.header.stamp) not in self._recent:
+            self._refusals.add('command whose stamp answers no measurement')
+        else:
+            self._torque = message.torque
 
     def _on_measurement(self, message: JointState) -> None:
         stamp = to_nanoseconds(message.header.stamp)
@@ -225,6 +246,7 @@ class UioNode(ManagedNode):
             # Nothing overtakes here: the simulator was restarted, however short its run was.
             self.get_logger().warning('lockstep was restarted: observer and alarms restart')
             self._monitor.reset()
+        self._recent.append(stamp)
         try:
             answer = self._monitor.take(
                 stamp, message, self._torque if self._from_command else None
@@ -232,7 +254,7 @@ class UioNode(ManagedNode):
         except SampleError as error:
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
-        self._received = self.get_clock().now().nanoseconds
+        self._received, self._silent_since = self.get_clock().now().nanoseconds, None
         if answer is not None:
             self._publish(answer)
 
@@ -266,9 +288,10 @@ class UioNode(ManagedNode):
             self.get_logger().info(describe(event))
 
     def _check_silence(self) -> None:
-        if self._received is None or self._stale:
-            return
         now = self.get_clock().now().nanoseconds
+        if self._received is None or self._stale:
+            self._warn_of_silence(now)
+            return
         if now - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')
@@ -278,6 +301,19 @@ class UioNode(ManagedNode):
             fault = self._monitor.stale_fault()
             if fault is not None:
                 self._fault_out.publish(self._messages.fault(now, fault))
+
+    def _warn_of_silence(self, now: int) -> None:
+        """Say every few seconds that no measurement comes, and whether anybody publishes any."""
+        if self._silent_since is None:
+            self._silent_since = now
+        if now - self._silent_since < _UNHEARD * NANOSECONDS:
+            return
+        self._silent_since = now
+        topic = self.resolve_topic_name('joint_states')
+        senders = self.count_publishers('joint_states')
+        self.get_logger().warning(
+            f'no measurement that fits the arm on {topic}, which has {senders} publishers'
+        )
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._monitor.reset()

@@ -22,6 +22,7 @@ WINDOW = 30.0
 """Length of the history that a new client gets [s]."""
 QUIET = 1.0
 """A source that was silent for this long is no longer shown as live [s]."""
+_LAST_STAMP = 2**31 * NANOSECONDS - 1
 _MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 16, 300
 _SOURCES = (
     'joint_states',
@@ -234,6 +235,11 @@ class LiveModel:
 
 
 def _stamp(message: Any) -> int:
+    # Within what a stamp can hold, whatever a sender wrote.
+    return min(_LAST_STAMP, max(0, _sent(message)))
+
+
+def _sent(message: Any) -> int:
     return message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
 
 

@@ -298,7 +298,7 @@ def _leading_stamp(data: bytes) -> int:
     """Stamp of a CDR message whose first field is a Header [ns]."""
     order = '<' if data[1] & 1 else '>'
     seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
-    return max(0, seconds) * NANOSECONDS + nanoseconds
+    return max(0, seconds) * NANOSECONDS + min(nanoseconds, NANOSECONDS - 1)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -70,8 +70,9 @@ def _as_row(answer: Answer | None) -> Answers:
     row.answered, row.has_fault = True, answer.fault is not None
     row.restarted, row.inconsistent = answer.restarted, answer.inconsistent
     for part, fields in ((row.state, answer.state), (row.fault, answer.fault)):
-        for name in part.dtype.names if fields is not None else ():
-            part[name][0] = fields[name]
+        if fields is not None:
+            for name in part.dtype.names:
+                part[name][0] = fields[name]
     result.events = [(0, event) for event in answer.events]
     result.reports = [(0, answer.status)] if answer.status is not None else []
     return result

@@ -19,6 +19,7 @@ from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
 from lpv_bag.run.record import BagError, find_topic, open_bag
 from lpv_bag.run.stream_tap import StreamTap
+from lpv_bag.run.streams import RecordedAlarm
 from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
 from lpv_core.monitoring.monitor import Answers, SensorMonitor
 from lpv_core.simulation.faults import FaultInjector
@@ -49,7 +50,7 @@ class Replay:
         monitor: SensorMonitor,
         options: ReplayOptions | None = None,
         injector: FaultInjector | None = None,
-        on_event: Callable[..., Any] | None = None,
+        on_event: Callable[[RecordedAlarm], None] | None = None,
         **changes: Any,
     ) -> None:
         self._monitor, self._injector = monitor, injector
@@ -88,6 +89,8 @@ class Replay:
                 self._run(reader, inputs, writer, result)
                 if not result.measurements:
                     raise _nothing(bag, inputs)
+                if not result.answered and result.rejected:
+                    raise _unusable(bag, result)
                 with result.stage('writing'):
                     writer.close()
             except BaseException:
@@ -138,11 +141,15 @@ class Replay:
 
     def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
         result.measurements += len(batch.positions)
+        stamps = batch.measured.stamp
+        if result.first_stamp is None and len(stamps):
+            result.first_stamp = int(stamps[0])
         with result.stage('recursion'):
             answers = take_all(self._monitor, batch.measured, batch.torque, result.rejected)
-        for _, event in answers.events:
-            result.events.append(event)
-            self._on_event(event)
+        result.answered += int(np.count_nonzero(answers.answered))
+        for row, event in answers.events:
+            result.events.append(RecordedAlarm(**vars(event), stamp=int(stamps[row])))
+            self._on_event(result.events[-1])
         return answers
 
     def _run(
@@ -226,6 +233,14 @@ class _Inputs:
 
 def _nothing(bag: str | Path, inputs: '_Inputs') -> BagError:
     return BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
+
+
+def _unusable(bag: str | Path, result: ReplayResult) -> BagError:
+    (reason, count), *_ = result.rejected.most_common(1)
+    return BagError(
+        f'{bag}: none of its {result.measurements} measurements can be used '
+        f'({count} of them: {reason})'
+    )
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:

@@ -10,7 +10,7 @@ import numpy as np
 
 from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.run.measurements import Measurements
-from lpv_core.decision.diagnosis import Alarm
+from lpv_bag.run.streams import RecordedAlarm
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,10 @@ class ReplayResult:
     """What a replay found."""
 
     measurements: int = 0  # samples read
+    answered: int = 0  # samples that led to an answer
+    first_stamp: int | None = None  # stamp of the first sample [ns]
     rejected: Counter[str] = field(default_factory=Counter)  # unusable samples by reason
-    events: list[Alarm] = field(default_factory=list)  # alarm events
+    events: list[RecordedAlarm] = field(default_factory=list)  # alarm events
     seconds: defaultdict[str, float] = field(
         default_factory=lambda: defaultdict(float)
     )  # processor time by stage [s]

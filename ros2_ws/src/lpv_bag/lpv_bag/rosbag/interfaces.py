@@ -1,6 +1,7 @@
 """Message definitions for reading and writing bags without ROS."""
 
 import os
+import site
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from lpv_core.support.errors import ConfigError
 def share_folders(package: str) -> list[Path]:
     """Folders that may hold a package's interface files, in order of preference."""
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix)]
+    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix, site.getuserbase())]
     folders.append(Path(__file__).resolve().parents[3] / package)
     return folders
 

@@ -65,7 +65,8 @@ class CartesianPath:
     Raises
     ------
     ConfigError
-        If times do not increase, there are fewer than two points, or the tip hits the obstacle.
+        If times do not increase, there are fewer than two points, the tip hits the obstacle, or a
+        joint would be faster than its velocity limit.
     UnreachableError
         If any part of the path is out of reach or singular.
     """
@@ -98,6 +99,7 @@ class CartesianPath:
         self._grid = np.linspace(self.start, self.end, 1001)
         self._turning = self._first_joint(self._grid)
         self._check_clearance()
+        self._check_rates(arm)
 
     def _first_joint(self, times: np.ndarray) -> np.ndarray:
         """Continuous q1 along the path, started within (-pi, pi]."""
@@ -112,6 +114,14 @@ class CartesianPath:
             if distance.min() < self.obstacle.radius:
                 raise ConfigError(
                     'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
+                )
+
+    def _check_rates(self, arm: ArmParameters) -> None:
+        fastest = np.abs(self.sample(self._grid).velocity).max(axis=0)
+        for name, rate, limit in zip(arm.joint_names, fastest, arm.velocity_limit):
+            if rate > limit:
+                raise ConfigError(
+                    'path', f'needs {rate:.3g} rad/s of {name}, whose velocity_limit is {limit:g}'
                 )
 
     def sample(self, times: ArrayLike) -> Reference:

@@ -19,6 +19,17 @@ from lpv_core.control.tracking import (
     track,
     tracking_constants,
 )
+from lpv_core.control.watchdog import (
+    DriveLimits,
+    StopReason,
+    TrackerLimits,
+    check_drive,
+    check_estimate,
+    check_motion,
+    drive_watchdog,
+    note_stop,
+    tracker_watchdog,
+)
 from lpv_core.decision.diagnosis import ALARM_EVENT, Alarm, DiagnosisParameters
 from lpv_core.decision.sensor_decision import NOTHING
 from lpv_core.model.arm import ArmParameters
@@ -37,6 +48,7 @@ from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _OFF, _CONFIRMED, _ALWAYS = range(len(COMPENSATION))
+_NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
 _MAX_DELAY = 64
 """Commands that can be on their way."""
 _EVENTS = 64
@@ -64,11 +76,17 @@ LOOP_STATE = record_type(
     ('loss', 'f8'),  # probability that a measurement is lost
     ('started', '?'),  # whether a command was ever given
     ('previous', 'i8'),  # sample of the last command, or NEVER
+    ('answered', 'i8'),  # sample that the last command answers
+    ('acting', 'i8'),  # sample that the command answers which acts
     ('offset', 'i8'),  # samples by which the path is late
     ('found', 'i8'),  # alarm events since the caller looked
     ('queue', 'f8', (_MAX_DELAY, 2)),  # torques on their way [N m]
     ('stops', 'u1', (_MAX_DELAY,)),  # whether the commands on their way are safe stops
+    ('stamps', 'i8', (_MAX_DELAY,)),  # samples that the commands on their way answer
     ('stop', '?'),  # whether the last command is a safe stop
+    ('reason', 'i8'),  # `StopReason` of the tracker
+    ('torque', 'f8', (2,)),  # of the command that acts [N m]
+    ('braking', '?'),  # whether the command that acts is a safe stop
 )
 
 _ROW = record_type(
@@ -94,8 +112,46 @@ _ROW = record_type(
     ('safe_stop', '?'),
     ('disturbance', 'f8'),
     ('place', 'i8'),
+    ('stop_reason', 'u1'),
+    ('brake_reason', 'u1'),
 )
 """See `Run`."""
+
+
+class Stall(NamedTuple):
+    """A part of the graph that is held up; what it would have passed on is lost."""
+
+    part: str  # one of PARTS
+    begin: float  # [s]
+    duration: float  # [s]
+
+
+PARTS = ('observer', 'tracker', 'commands')
+"""What can stall: the way of measurements to the observer (or the process that publishes them, or
+the observer), the tracker, and the way of its commands to the drives."""
+_NO_MEASUREMENT, _NO_ESTIMATE, _NO_COMMAND = 1, 2, 4
+
+
+@dataclass(frozen=True)
+class Transport:
+    """How messages get from node to node in a simulated run."""
+
+    delay: int = 0  # samples from a measurement to the effect of its command, at most 63
+    loss: float = 0.0  # probability that a measurement is lost; the last command then goes on
+    stalls: tuple[Stall, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.delay < _MAX_DELAY:
+            raise ValueError(f'delay must be 0 to {_MAX_DELAY - 1} samples, got {self.delay}')
+
+    def blocked(self, count: int, period: float) -> np.ndarray:
+        """What is blocked at each sample, as a sum of flags."""
+        flags = np.zeros(count, np.uint8)
+        for stall in self.stalls:
+            first = round(stall.begin / period)
+            last = round((stall.begin + stall.duration) / period)
+            flags[first:last] |= 1 << PARTS.index(stall.part)
+        return flags
 
 
 class _Plant(NamedTuple):
@@ -120,18 +176,21 @@ class _Monitor(NamedTuple):
 
 
 class _Tracker(NamedTuple):
-    """Arguments of `track`; references of all samples, shape (n, 3, 2)."""
+    """Arguments of `track`; references of all samples, shape (n, 3, 2); both watchdogs."""
 
     constants: np.record
     state: np.record
     references: np.ndarray
+    watchdog: np.record
+    drives: np.record
 
 
 class _Log(NamedTuple):
-    """What a run leaves."""
+    """What a run leaves, and what is blocked at each sample."""
 
     rows: np.recarray
     events: np.recarray
+    blocked: np.ndarray
 
 
 @njit
@@ -162,7 +221,7 @@ def _run(
         if loop.phase == _COMMAND:
             _command(loop, monitor.answer.state, tracker, k)
         if loop.phase == _ACT:
-            _act(loop, plant, monitor, tracker, row, k)
+            _act(loop, plant, monitor, tracker, row, log.blocked[k], k)
             if loop.phase == _ADVANCE:
                 return k
         loop.phase = _SENSE
@@ -185,7 +244,12 @@ def _sense(
     read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
     _record_truth(state, row, k * loop.period)
     row.lost = loop.loss > 0.0 and losses.random() < loop.loss
+    row.lost = row.lost or log.blocked[k] & _NO_MEASUREMENT != 0
     loop.phase = _ACT
+    now = round(k * loop.period * 1e9)
+    previous = NEVER if loop.previous == NEVER else round(loop.previous * loop.period * 1e9)
+    if previous != NEVER and now - previous > tracker.watchdog.silence:
+        _stop(loop, tracker, _SILENCE)
     if row.lost:
         return
     measurement, answer = monitor.measurement, monitor.answer
@@ -197,55 +261,74 @@ def _sense(
         monitor.state,
         monitor.buffers,
         answer,
-        round(k * loop.period * 1e9),
+        now,
         measurement[0],
         measurement[1],
         measurement[2],
     )
     _keep_events(loop, monitor, log.events)
-    if not answer.state.trustworthy:
-        # No start value yet, or a fault that cannot be compensated: brake.
-        _stop(loop, tracker.state)
+    if log.blocked[k] & _NO_ESTIMATE != 0:
+        return
+    estimate = answer.state
+    reason = check_estimate(
+        tracker.watchdog, now, 0, estimate.mode, estimate.trustworthy, estimate.velocity
+    )
+    loop.answered = k
+    if reason != _NONE:
+        _stop(loop, tracker, reason)
     else:
         loop.phase = _REFERENCE if loop.previous == NEVER else _COMMAND
 
 
 @njit
-def _stop(loop: np.record, controller: np.record) -> None:
-    loop.stop, loop.previous = True, NEVER
-    controller.integral[:] = 0.0
-    controller.torque[:] = 0.0
+def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
+    loop.stop, loop.previous, loop.reason = True, NEVER, reason
+    tracker.state.integral[:] = 0.0
+    tracker.state.torque[:] = 0.0
+    note_stop(tracker.watchdog)
 
 
 @njit
 def _command(loop: np.record, estimate: np.record, tracker: _Tracker, k: int) -> None:
     """Answer an estimate as the tracker node does."""
+    loop.phase = _ACT
     if loop.compensation == _ALWAYS:
         feedback = estimate.position
     elif loop.compensation == _CONFIRMED:
         feedback = estimate.compensated_position
     else:
         feedback = estimate.measured_position
+    now = round(k * loop.period * 1e9)
+    reference = tracker.references[k - loop.offset]
+    reason = check_motion(tracker.watchdog, now, reference[0], feedback)
+    if reason != _NONE:
+        _stop(loop, tracker, reason)
+        return
     # Eq. (59) literally integrates the faulty measurement; the exact loop does not.
     integrated = estimate.measured_position if loop.literal else feedback
-    elapsed = round(k * loop.period * 1e9) - round(loop.previous * loop.period * 1e9)
     track(
         tracker.constants,
         tracker.state,
-        tracker.references[k - loop.offset],
+        reference,
         feedback,
         estimate.velocity,
         integrated,
-        elapsed / NANOSECONDS,
+        (now - round(loop.previous * loop.period * 1e9)) / NANOSECONDS,
     )
-    loop.stop, loop.previous, loop.phase = False, k, _ACT
+    loop.stop, loop.previous, loop.reason = False, k, _NONE
 
 
 @njit
 def _act(
-    loop: np.record, plant: _Plant, monitor: _Monitor, tracker: _Tracker, row: np.record, k: int
+    loop: np.record,
+    plant: _Plant,
+    monitor: _Monitor,
+    tracker: _Tracker,
+    row: np.record,
+    blocked: int,
+    k: int,
 ) -> None:
-    """Queue the command, and apply the one whose time has come over one sample."""
+    """Queue the command, and let the one that has arrived act over one sample."""
     if loop.stop and loop.started:
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
@@ -253,18 +336,22 @@ def _act(
         monitor.answer, monitor.state.diagnosis.decision, row, tracker.references[place, 0]
     )
     torque, slot = tracker.state.torque, k % _MAX_DELAY
-    row.place, row.safe_stop = place, loop.stop
+    row.place, row.safe_stop, row.stop_reason = place, loop.stop, loop.reason
     row.command[0], row.command[1] = torque[0], torque[1]
     loop.queue[slot, 0], loop.queue[slot, 1] = torque[0], torque[1]
-    loop.stops[slot] = loop.stop
-    acting = (k - loop.delay) % _MAX_DELAY
-    row.braked = k < loop.delay or loop.stops[acting] != 0
+    loop.stops[slot], loop.stamps[slot] = loop.stop, loop.answered
+    arrived = (k - loop.delay) % _MAX_DELAY
+    if k >= loop.delay and blocked & _NO_COMMAND == 0:
+        loop.torque[0], loop.torque[1] = loop.queue[arrived, 0], loop.queue[arrived, 1]
+        loop.braking, loop.acting = loop.stops[arrived] != 0, loop.stamps[arrived]
+    now = round(k * loop.period * 1e9)
+    age = now - round(loop.acting * loop.period * 1e9)
+    row.brake_reason = check_drive(tracker.drives, now, age, loop.braking, plant.state.velocity)
+    row.braked = row.brake_reason != _NONE
     if row.braked:
         brake(plant.constants, plant.state)
         return
-    set_torque(
-        plant.constants, plant.state, loop.queue[acting, 0], loop.queue[acting, 1], plant.push
-    )
+    set_torque(plant.constants, plant.state, loop.torque[0], loop.torque[1], plant.push)
     if loop.external:
         loop.phase = _ADVANCE
     else:
@@ -340,6 +427,8 @@ class Run:
         d over the step before the sample.
     place : ndarray of int, shape (n,)
         Row of ``path`` that is the sample's reference: the path's clock stands still in a stop.
+    stop_reason, brake_reason : ndarray of int, shape (n,)
+        `lpv_core.control.watchdog.StopReason` of the tracker, `BrakeReason` of the drives.
     path : ndarray, shape (4, n, 2)
         Positions, rates, accelerations [rad], [rad/s], [rad/s2] and tip [m] of references.
     alarms : list of Alarm
@@ -368,6 +457,8 @@ class Run:
     safe_stop: np.ndarray
     disturbance: np.ndarray
     place: np.ndarray
+    stop_reason: np.ndarray
+    brake_reason: np.ndarray
     path: np.ndarray
     alarms: list
 
@@ -379,8 +470,7 @@ def run_closed_loop(
     compensation: str = 'confirmed',
     parameters: DiagnosisParameters | None = None,
     substeps: int = 2,
-    delay: int = 0,
-    loss: float = 0.0,
+    transport: Transport = Transport(),
 ) -> Run:
     """Simulate a scenario with observer, diagnosis and tracking.
 
@@ -398,29 +488,26 @@ def run_closed_loop(
         Tuning of the diagnosis.
     substeps : int, optional
         Plant steps per sample.
-    delay : int, optional
-        Samples from a measurement to the effect of the command that answers it, at most 63.
-    loss : float, optional
-        Probability that a measurement is lost; the last command then goes on.
+    transport : Transport, optional
+        Delay, losses and stalls; none otherwise.
 
     Returns
     -------
     Run
         All signals.
     """
-    if not 0 <= delay < _MAX_DELAY:
-        raise ValueError(f'delay must be 0 to {_MAX_DELAY - 1} samples, got {delay}')
     simulator = ArmSimulator(arm, scenario, substeps)
     sensor_monitor = SensorMonitor('loop', arm, gains, parameters)
     loop = new_record(
         LOOP_STATE,
         compensation=COMPENSATION.index(compensation),
         period=arm.sample_time,
-        delay=delay,
-        loss=loss,
+        delay=transport.delay,
+        loss=transport.loss,
         literal=gains.controller.method == 'paper',
         previous=NEVER,
         stop=True,
+        braking=True,
         external=simulator.engine is not None,
     )
     count = round(scenario.duration / arm.sample_time) + 1
@@ -435,10 +522,16 @@ def run_closed_loop(
     )
     monitor = _Monitor._make([*sensor_monitor.parts, np.empty((3, 2))])
     tracker = _Tracker(
-        tracking_constants(arm, gains), new_record(TRACKING_STATE), references.motion
+        tracking_constants(arm, gains),
+        new_record(TRACKING_STATE),
+        references.motion,
+        tracker_watchdog(arm, TrackerLimits()),
+        drive_watchdog(arm, DriveLimits()),
     )
     log = _Log(
-        np.zeros(count, _ROW).view(np.recarray), np.zeros(_EVENTS, ALARM_EVENT).view(np.recarray)
+        np.zeros(count, _ROW).view(np.recarray),
+        np.zeros(_EVENTS, ALARM_EVENT).view(np.recarray),
+        transport.blocked(count, arm.sample_time),
     )
     # A stream of its own: losses must not change noise and disturbance.
     losses = np.random.default_rng([scenario.seed, 1])

@@ -50,7 +50,7 @@ class Detectability:
     # threshold plus bound of the design at rest in the configuration [rad]; infinite where gravity
     # cannot bound the error; shape (k, 2)
     resting: np.ndarray
-    gains: object  # what `configurations` needs
+    gains: Gains | None  # what `configurations` needs
 
 
 def detectability(

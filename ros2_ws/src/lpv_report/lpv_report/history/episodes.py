@@ -18,8 +18,8 @@ class Episode:
     onset: float  # first sample above the threshold, as diagnosed
     raised: float  # when the fault was confirmed
     cleared: float | None  # when the alarm ended; None if it lasted to the end of the run
-    size: float  # fault estimate when the alarm was raised, and the bound of its error [rad]
-    bound: float  # fault estimate when the alarm was raised, and the bound of its error [rad]
+    size: float  # latest fault estimate before the alarm was cleared [rad]
+    bound: float  # bound of its error [rad]
     # fault estimate of largest magnitude during the alarm [rad]; NaN without fault estimates
     largest: float
     kind: str  # latest classification
@@ -100,7 +100,11 @@ def episodes(record: RunRecord) -> list[Episode]:
             closed.append(replace(episode, cleared=record.seconds(event.stamp)))
         else:
             running[event.sensor_index] = replace(
-                episode, kind=event.kind, confidence=event.confidence
+                episode,
+                kind=event.kind,
+                confidence=event.confidence,
+                size=event.size,
+                bound=event.bound,
             )
     found = [_with_largest(record, e) for e in (*closed, *running.values())]
     return sorted(found, key=lambda e: (e.raised, e.sensor_index))

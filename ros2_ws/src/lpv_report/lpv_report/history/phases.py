@@ -1,7 +1,7 @@
 """Intervals of a run in which the diagnosis could not answer, or the arm was stopped."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +9,19 @@ import numpy as np
 
 from lpv_bag.run.observer_reports import observer_reports
 from lpv_bag.run.streams import RunRecord
-from lpv_core.decision.diagnosis import SensorState
+from lpv_core.decision.diagnosis import AlarmEvent, SensorState
 from lpv_core.observer.sampled_observer import Mode
 from lpv_report.history.episodes import intervals
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
 NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
+TOO_FAST, NO_COMMAND = 'above speed limit', 'no command'
 _STATES = {SensorState.NOT_DIAGNOSABLE: NOT_DIAGNOSABLE, SensorState.STALE: NO_DATA}
 _MEANING = {
     INCONSISTENT: 'rates, torques and model contradict each other; cause unknown',
     SAFE_STOP: 'the tracker commanded the drives to brake',
+    TOO_FAST: 'a joint moved faster than the limit of the arm file',
+    NO_COMMAND: 'measurements had no torque command: a watchdog of the drives brakes the arm',
     UNSAFE: 'a confirmed fault could not be compensated safely',
     NOT_DIAGNOSABLE: 'the level of the fault estimate says nothing in this configuration',
     NO_DATA: 'no usable reading',
@@ -74,7 +77,10 @@ def phases(record: RunRecord, bag: str | Path, sensor_names: Sequence[str]) -> l
     list of Phase
         In the order of their beginnings.
     """
-    found = [*_of_reports(record, bag), *_of_commands(record)]
+    reports = _of_reports(record, bag)
+    odd = [p for p in (*reports, *_of_alarms(record)) if p.what == INCONSISTENT]
+    found = [p for p in reports if p.what != INCONSISTENT]
+    found += [*_united(odd), *_of_commands(record)]
     states = record.get('fault_estimate', 'state')
     if states is not None:
         stamps = record.stamps['fault_estimate']
@@ -111,6 +117,32 @@ def _of_reports(record: RunRecord, bag: str | Path) -> list[Phase]:
         for what, begin in kinds
         for part in intervals(np.array([r.message.startswith(begin) for r in reports]), time)
     ]
+
+
+def _of_alarms(record: RunRecord) -> list[Phase]:
+    """Alarms whose cause is unknown, until they are classified or cleared."""
+    found: list[Phase] = []
+    begun: dict[int, float] = {}
+    for event in record.alarms:
+        at = float(record.seconds(event.stamp))
+        unknown = event.kind == INCONSISTENT and event.event != AlarmEvent.CLEARED
+        if unknown:
+            begun.setdefault(event.sensor_index, at)
+        elif event.sensor_index in begun:
+            found.append(Phase(INCONSISTENT, '', begun.pop(event.sensor_index), at))
+    return found + [Phase(INCONSISTENT, '', at, record.time[-1]) for at in begun.values()]
+
+
+def _united(found: list[Phase]) -> list[Phase]:
+    """Intervals of one kind; those that overlap become one."""
+    united: list[Phase] = []
+    for phase in sorted(found, key=lambda p: p.start):
+        if united and phase.start <= united[-1].end:
+            end = max(united[-1].end, phase.end)
+            united[-1] = replace(united[-1], end=end)
+        else:
+            united.append(phase)
+    return united
 
 
 def _of_commands(record: RunRecord) -> list[Phase]:

@@ -11,7 +11,15 @@ from matplotlib.figure import Figure
 from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import SensorState
 from lpv_report.history.episodes import Interval, intervals
-from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, Phase, starting
+from lpv_report.history.phases import (
+    INCONSISTENT,
+    NO_COMMAND,
+    SAFE_STOP,
+    TOO_FAST,
+    UNSAFE,
+    Phase,
+    starting,
+)
 from lpv_report.style import BAND, INK, PALE, SENSOR, SOFT
 
 _HALF = 0.32
@@ -19,6 +27,8 @@ _LINES = (
     (INCONSISTENT, 'inconsistent', SOFT),
     (UNSAFE, 'not trustworthy', '#a5456f'),
     (SAFE_STOP, 'safe stop', INK),
+    (NO_COMMAND, 'no command', BAND),
+    (TOO_FAST, 'above speed limit', '#d01c3b'),
 )
 
 

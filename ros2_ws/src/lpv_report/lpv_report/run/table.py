@@ -1,6 +1,6 @@
 """Table 2 of the paper beside the figures of a run."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich import box
@@ -26,6 +26,16 @@ PAPER = {
     'e_t2': ('tracking, link 2 true', 'rad²', 0.007),
 }
 """MISE of Table 2; states and tracking in absolute angles, as in the paper."""
+
+
+_TABLE_1 = ((10.0, 1.0, 0.5, 0.83), (5.0, 1.0, 0.5, 0.41))
+"""Mass [kg], length, center of mass [m] and inertia [kg m2] of the paper's links."""
+
+
+def is_paper_arm(arm: ArmParameters) -> bool:
+    """Whether an arm is that of the paper's Table 1, whose errors Table 2 lists."""
+    links = tuple((k.mass, k.length, k.center_of_mass, k.inertia) for k in arm.links)
+    return links == _TABLE_1 and arm.arrangement == 'absolute' and arm.sign > 0
 
 
 @dataclass(frozen=True)
@@ -55,7 +65,8 @@ def make_table(record: RunRecord, arm: ArmParameters) -> list[Row]:
         Rows in the order of the paper's Table 2.
     """
     if 'ground_truth' in record.streams and 'state_estimate' in record.streams:
-        return _against_truth(record, JointMap(arm))
+        rows = _against_truth(record, JointMap(arm))
+        return rows if is_paper_arm(arm) else [replace(row, paper=None) for row in rows]
     return _without_truth(record)
 
 
@@ -121,7 +132,9 @@ def _times(row: Row) -> str:
 def print_table(rows: list[Row], console: Console | None = None) -> None:
     """Show a table on the terminal."""
     with_paper = any(row.paper is not None for row in rows)
-    table = Table(title='MISE, eq. (70)' if with_paper else None, box=box.SIMPLE_HEAD)
+    errors = any(row.signal in PAPER for row in rows)
+    title = 'mean squared errors (MISE, eq. (70))' if errors else None
+    table = Table(title=title, box=box.SIMPLE_HEAD)
     for name in ('signal', 'meaning', 'unit'):
         table.add_column(name, no_wrap=True)
     table.add_column('this run', justify='right', no_wrap=True)

@@ -10,7 +10,8 @@ from lpv_core.model.arm import ArmParameters
 from lpv_report.guarantees.detectability import detectability
 from lpv_report.guarantees.examination import Certificate, examine
 from lpv_report.guarantees.gains_source import UsedGains, find_used_gains
-from lpv_report.guarantees.reproduction import reproduce
+from lpv_report.guarantees.reproduction import Reproduction, reproduce
+from lpv_report.history.motion import motion, motion_phases
 from lpv_report.history.phases import phases
 from lpv_report.run.content import Findings, content
 from lpv_report.run.drawing import draw_all
@@ -41,6 +42,7 @@ class ReportResult:
     pictures: list  # PNG files
     table: list  # its table
     certificate: Certificate | None = None  # of the gains; None where they are not known
+    reproduction: Reproduction | None = None  # whether the gains give the recorded estimates
 
 
 def write_report(
@@ -91,7 +93,11 @@ def write_report(
         certificate,
         reproduce(record, arm, gains) if gains is not None else None,
         detectability(record, arm, gains if certificate and certificate.holds else None),
-        phases(record, bag, arm.sensor_names),
+        sorted(
+            [*phases(record, bag, arm.sensor_names), *motion_phases(record, arm)],
+            key=lambda p: (p.start, p.what, p.sensor),
+        ),
+        motion(record, arm),
     )
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -103,4 +109,4 @@ def write_report(
         figures[name] = {'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()}
     html = out / 'report.html'
     html.write_text(render(content(findings), figures), encoding='utf-8')
-    return ReportResult(html, pictures, findings.table, certificate)
+    return ReportResult(html, pictures, findings.table, certificate, findings.reproduction)

@@ -7,6 +7,7 @@ import numpy as np
 
 from lpv_campaign.plan.factors import Range
 from lpv_campaign.report.statistics.intervals import share
+from lpv_campaign.report.statistics.results import Results
 
 _CELLS = 8
 _LEVELS = 10
@@ -16,23 +17,15 @@ _FIRST = ('payload', 'friction', 'mass_1', 'mass_2', 'command_delay', 'sample_lo
 """Preferred where no factor makes a difference."""
 
 
-def stability(results) -> dict[str, Any]:
+def stability(results: Results) -> dict[str, Any]:
     """Rate of stable runs over single factors and over pairs of them.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    dict
-        ``stable``, ``going``: rates over all runs; ``unstable``, ``safe_stops`` (events),
-        ``stopped`` (runs with any): counts; ``factors``: by decreasing ``effect`` (difference
-        between best and worst class), with ``classes``; ``maps``: pairs of the most
-        relevant factors, with ``x`` and
-        ``y`` axes (``edges`` or ``levels``) and ``cells``, rows along y; in ``going``, the same for
-        runs that are stable without a safe stop, which saves an arm and ends its work.
+    Returns ``stable``, ``going``: rates over all runs; ``unstable``, ``safe_stops`` (events),
+    ``stopped`` (runs with any): counts; ``factors``: by decreasing ``effect`` (difference
+    between best and worst class), with ``classes``; ``maps``: pairs of the most relevant
+    factors, with ``x`` and ``y`` axes (``edges`` or ``levels``) and ``cells``, rows along y; in
+    ``going``, the same for runs that are stable without a safe stop, which saves an arm and
+    ends its work.
     """
     stable = results.flag('stable')
     stops = np.nan_to_num(results.number('safe_stops'))
@@ -56,13 +49,13 @@ def stability(results) -> dict[str, Any]:
     }
 
 
-def _relevance(factor):
+def _relevance(factor: Any) -> Any:
     name = factor['name']
     place = _FIRST.index(name) if name in _FIRST else len(_FIRST)
     return -(factor['effect'] or 0.0), name.startswith('fault.'), place
 
 
-def _axis(results, name):
+def _axis(results: Results, name: str) -> dict[str, Any] | None:
     """Classes of one factor: its levels, or cells of equal width; logarithmic as it was drawn."""
     values = results.number(name)
     known = np.isfinite(values)
@@ -83,19 +76,19 @@ def _axis(results, name):
     return {**axis, 'place': np.where(known, place, -1)}
 
 
-def size_of(axis):
+def size_of(axis: dict[str, Any]) -> int:
     """Number of classes of an axis of a map."""
     return len(axis['levels']) if axis['levels'] is not None else len(axis['edges']) - 1
 
 
-def _effect(axis, stable):
+def _effect(axis: dict[str, Any], stable: np.ndarray) -> dict[str, Any]:
     """Difference that a factor makes between its best and its worst class."""
     cells = [share(stable, axis['place'] == k) for k in range(size_of(axis))]
     rates = [cell['rate'] for cell in cells if cell['cases'] >= _LEAST_RUNS]
     return {**_public(axis), 'classes': cells, 'effect': max(rates) - min(rates) if rates else None}
 
 
-def _map(x, y, stable):
+def _map(x: dict[str, Any], y: dict[str, Any], stable: np.ndarray) -> dict[str, Any]:
     return {
         'x': _public(x),
         'y': _public(y),
@@ -109,5 +102,5 @@ def _map(x, y, stable):
     }
 
 
-def _public(axis):
+def _public(axis: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in axis.items() if name != 'place'}
