@@ -22,8 +22,11 @@ _WINDOW = 50
 """Samples of a window."""
 _WINDOWS = 20
 """Windows that the estimate is averaged over."""
-_LARGEST = 3.0
-"""More than so many times the stated noise is a fault, not noise that was stated too small."""
+_LARGEST, _LARGEST_AT_START = 3.0, 4.0
+"""More than so many times the stated noise is a fault, not noise that was stated too small; with
+what is there from the start on, the scatter of a window is allowed for."""
+_START = 5
+"""Windows of the start."""
 _TOLERATED, _UNCERTAIN = 1.2, 0.5
 """Ratio from which noise counts as larger than stated; and what is added to it for n windows, over
 sqrt(n): the scatter of the estimate."""
@@ -94,7 +97,8 @@ def update_noise(
     recent = buffer.values[buffer.used[0] - _WINDOW : buffer.used[0]]
     reading = noise_level(recent, RESIDUAL) / reading_noise
     rate = noise_level(recent, INNOVATION) / rate_noise
-    if reading > _LARGEST or rate > _LARGEST:
+    largest = _LARGEST if state.windows >= _START else _LARGEST_AT_START
+    if max(reading, rate) > largest:
         return
     windows = min(state.windows + 1, _WINDOWS)
     state.reading += (reading - state.reading) / windows
