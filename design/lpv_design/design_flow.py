@@ -6,23 +6,21 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
 from lpv_core.certificate.conditions import Check, controller_loop, verify
-from lpv_core.certificate.error_system import link_errors
 from lpv_core.certificate.gains import (
     ControllerGains,
     ExactObserverGains,
     Gains,
     PaperObserverGains,
 )
+from lpv_core.certificate.noise import exact_fault_sigma, paper_fault_sigma
 from lpv_core.model.arm import ArmParameters, arm_from_json
-from lpv_core.model.joints import JointMap
 from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
 from lpv_design.detectability import undetectable_point
 from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
-from lpv_design.paper_observer import PaperProblem, check_paper, paper_problem, solve_paper
+from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
 from lpv_design.requirement import PaperRequirement, Requirement
 from lpv_design.solve import SOLVER, InfeasibleError
 
@@ -95,6 +93,7 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
                 raise
     found = guarantee(arm, gains)
     gains.certificate.update(
+        note='information: nothing is computed from what is below certificate',
         arm_json=arm.to_json(),
         margins={check.name: float(check.margin) for check in checks},
         guarantee=found.to_dict(),
@@ -250,17 +249,8 @@ def _exact_observer(
             f'(solver: {", ".join(statuses)}); ask for a slower decay or a smaller region'
         )
     return ExactObserverGains(
-        kappa, mu, p, requirement.decay, requirement.fastest, _exact_sigma(arm, p)
+        kappa, mu, p, requirement.decay, requirement.fastest, exact_fault_sigma(arm, p)
     ), ', '.join(statuses)
-
-
-def _exact_sigma(arm: ArmParameters, p: np.ndarray) -> np.ndarray:
-    """P^-1 bounds the covariance of each link's error; sensors add those of their links."""
-    angle = np.array(
-        [link.unit * np.sqrt(np.linalg.inv(p_i)[0, 0]) for link, p_i in zip(link_errors(arm), p)]
-    )
-    spread = np.abs(JointMap(arm).sensor_matrix) @ angle
-    return np.hypot(spread, arm.position_noise)
 
 
 def _paper_observer(
@@ -285,7 +275,7 @@ def _paper_observer(
             f'solution for phi2, phi3 in [{requirement.sinc_min:g}, 1] (solver: {status}, '
             f'largest eigenvalue {margin:.3g})'
         )
-    return PaperObserverGains(
+    observer = PaperObserverGains(
         problem.t1,
         problem.t2,
         k,
@@ -295,8 +285,9 @@ def _paper_observer(
         requirement.gamma,
         requirement.q,
         requirement.r,
-        _paper_sigma(arm, problem, k),
-    ), status
+        np.zeros(2),
+    )
+    return replace(observer, fault_sigma=paper_fault_sigma(arm, observer)), status
 
 
 def _largest_box(arm: ArmParameters, requirement: PaperRequirement) -> str:
@@ -316,28 +307,6 @@ def _largest_box(arm: ArmParameters, requirement: PaperRequirement) -> str:
         f'The largest box on which gamma = {requirement.gamma:g}, q = {requirement.q:g}, '
         f'r = {requirement.r:g} are feasible is phi2, phi3 in [{high:.3f}, 1]'
     )
-
-
-def _paper_sigma(arm: ArmParameters, problem: PaperProblem, k: np.ndarray) -> np.ndarray:
-    """Largest standard deviation of f^ over the vertices for white noise and disturbance."""
-    d, root = problem.descriptor, np.sqrt(arm.sample_time)
-    noise = np.diag([arm.position_noise] * 2 + [arm.velocity_noise] * 2)
-    sigma = np.zeros(2)
-    for a_i, k_i in zip(d.a, k):
-        n = problem.t1 @ a_i + k_i @ d.c
-        push = (
-            np.hstack(
-                [
-                    problem.t1 @ d.bd * np.sqrt(arm.disturbance_variance),
-                    (n @ problem.t2 - k_i) @ noise,
-                ]
-            )
-            * root
-        )
-        spread = solve_continuous_lyapunov(n, -push @ push.T)
-        spread = spread + problem.t2 @ noise @ noise @ problem.t2.T
-        sigma = np.maximum(sigma, np.sqrt(np.diag(spread)[4:]))
-    return sigma
 
 
 def _controller(arm: ArmParameters, requirement: Requirement) -> tuple[ControllerGains, str]:
