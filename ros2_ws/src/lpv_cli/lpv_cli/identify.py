@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 from lpv_core.errors import ConfigError
 
 if TYPE_CHECKING:
+    from lpv_core.serial_arm.description import SerialArm
     from lpv_identify.identification import Identification
     from lpv_identify.recording import Recording
-
-    from lpv_core.serial_arm.description import SerialArm
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -155,9 +154,8 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     """The arm that the fit starts from."""
     from dataclasses import replace
 
-    from lpv_identify.starting_arm import load_any_arm
-
     from lpv_core.serial_arm.urdf_chain import read_urdf_chain
+    from lpv_identify.starting_arm import load_any_arm
 
     if arguments.urdf:
         locked = dict(_locked(text) for text in arguments.lock)
