@@ -3,7 +3,6 @@
 import argparse
 from typing import Any
 
-from lpv_cli.completion import completed, shipped
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.model.arm import ArmParameters, arm_from_json, load_arm
@@ -14,13 +13,10 @@ from lpv_core.support.resources import bringup_file
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument('gains', help='gains file as written by lpv design')
-    completed(
-        parser.add_argument(
-            '--arm',
-            help='arm that the gains are to be used with: file or name of a '
-            'shipped one; without, the arm that the file itself describes',
-        ),
-        shipped('arms'),
+    parser.add_argument(
+        '--arm',
+        help='arm that the gains are to be used with: file or name of a '
+        'shipped one; without, the arm that the file itself describes',
     )
     parser.add_argument(
         '--proof',
