@@ -36,7 +36,7 @@ from lpv_msgs.msg import (  # noqa: E402
 )
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 
 SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '6'))
 SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))
@@ -187,7 +187,11 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
         }
         reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=1000))
         for name in NODES:
-            own = {'view': [f'arm_file:={files["arm"]}', 'port:=0', 'foxglove_port:=0']}
+            own = {
+                'simulator': ['command_timeout:=1.0', 'max_mean_latency:=1.0'],
+                'tracker': ['estimate_timeout:=1.0', 'max_latency:=1.0'],
+                'view': [f'arm_file:={files["arm"]}', 'port:=0', 'foxglove_port:=0'],
+            }
             rig.start(name, *own.get(name, []))
         rig.logged('simulator', 'brakes released', 0)
         rig.drive()

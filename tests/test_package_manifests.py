@@ -42,6 +42,7 @@ PYPI = {
     'lz4': 'lz4',
     'mcap': 'mcap',
     'optuna': 'optuna',
+    'pinocchio': 'pin',
     'pyarrow': 'pyarrow',
     'zstandard': 'zstandard',
 }

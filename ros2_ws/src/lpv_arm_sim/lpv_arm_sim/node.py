@@ -4,7 +4,6 @@ import sys
 import time
 from dataclasses import replace
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -128,7 +127,7 @@ class SimulatorNode(ManagedNode):
         self._watchdog = drive_watchdog(self._arm, limits)
         # Compile before the first step, not on it.
         ArmSimulator(self._arm, scenario, substeps).step([0.0, 0.0])
-        check_drive(drive_watchdog(self._arm, limits), 1, 0, True, np.zeros(2))
+        check_drive(drive_watchdog(self._arm, limits), 1, 0, True, self._plant.state.velocity)
         self._start = self._first = self._answered = 0  # stamps of samples [ns]
         self._refusals = Refusals(self)
         self._period = round(self._arm.sample_time * NANOSECONDS)

@@ -16,6 +16,8 @@ COMMANDS = {
     'campaign': ('lpv_cli.campaigns.campaign', 'run thousands of simulations, or replay many bags'),
     'tune': ('lpv_cli.campaigns.tune', 'search the weights of a design by campaigns of runs'),
     'run': ('lpv_cli.commands.run', 'start a node, as ros2 run does'),
+    'identify': ('lpv_cli.commands.identify', 'identify an arm from recordings of its motion'),
+    'excite': ('lpv_cli.commands.excite', 'plan a motion that identifies an arm well'),
     'import-csv': ('lpv_cli.commands.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replaying.replay', 'run observer and diagnosis offline on a bag'),
     'view': ('lpv_cli.commands.view', 'show the running graph: web page, Foxglove, markers'),

@@ -15,7 +15,14 @@ from lpv_bag.mcap.writer import PRESETS
 from lpv_bag.recorder.input import Heard, RecorderInput, Selection
 from lpv_bag.recorder.stamp_sorter import StampSorter
 from lpv_bag.rosbag.message_loss import TopicCount
-from lpv_bag.rosbag.output_folder import copy_gains, free_path, read_gains_file
+from lpv_bag.rosbag.output_folder import (
+    GAINS_NAME,
+    SCENARIO_NAME,
+    copy_file,
+    free_path,
+    read_gains_file,
+    read_scenario_file,
+)
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
@@ -94,6 +101,12 @@ SPECS = (
         'gains file of this run, copied into the bag as gains.yaml; may be empty',
         read_only=True,
     ),
+    Spec(
+        'scenario_file',
+        '',
+        'scenario file of this run, copied into the bag as scenario.yaml; may be empty',
+        read_only=True,
+    ),
 )
 _POLL = 0.01
 _CHUNK_TIME = 250_000_000
@@ -137,6 +150,7 @@ class RecorderNode(ManagedNode):
         self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
         self._flush_period = value['flush_period']
         gains = read_gains_file(value['gains_file']) if value['gains_file'] else None
+        scenario = read_scenario_file(value['scenario_file']) if value['scenario_file'] else None
         output = required_text(self, 'output')
         path = free_path(output)
         if str(path) != str(Path(output)):
@@ -150,7 +164,9 @@ class RecorderNode(ManagedNode):
             value['fsync'],
         )
         if gains is not None:
-            copy_gains(gains, self._writer.path)
+            copy_file(gains, self._writer.path, GAINS_NAME)
+        if scenario is not None:
+            copy_file(scenario, self._writer.path, SCENARIO_NAME)
 
     def begin(self) -> None:
         """Listen to the wanted topics."""

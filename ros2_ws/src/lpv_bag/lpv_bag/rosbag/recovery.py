@@ -14,7 +14,13 @@ from lpv_bag.mcap.survey import read_metadata
 from lpv_bag.mcap.writer import LIBRARY
 from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_bag.rosbag.message_loss import RECORD_NAME
-from lpv_bag.rosbag.output_folder import GAINS_NAME, copy_gains, read_gains_file
+from lpv_bag.rosbag.output_folder import (
+    GAINS_NAME,
+    SCENARIO_NAME,
+    copy_file,
+    read_gains_file,
+    read_scenario_file,
+)
 from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
@@ -93,7 +99,7 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
             return tally.finish()
         place = _write(bag, tally, out, preset)
         result = tally.finish()
-        result.damages += _copy_gains(bag.path, place)
+        result.damages += _copy_files(bag.path, place)
         return result
 
 
@@ -113,16 +119,16 @@ def _write(bag: McapBag, tally: '_Tally', out: str | Path, preset: str) -> Path:
     return writer.path
 
 
-def _copy_gains(bag: Path, out: Path) -> list[str]:
-    """Copy the gains of the run, if the bag has them; what is wrong with them."""
-    file = bag / GAINS_NAME
-    if not file.is_file():
-        return []
-    try:
-        copy_gains(read_gains_file(file), out)
-    except ConfigError as error:
-        return [f'{GAINS_NAME} is left out: {error}']
-    return []
+def _copy_files(bag: Path, out: Path) -> list[str]:
+    """Copy gains and scenario of the run, if the bag has them; what is wrong with them."""
+    wrong = []
+    for name, read in ((GAINS_NAME, read_gains_file), (SCENARIO_NAME, read_scenario_file)):
+        try:
+            if (bag / name).is_file():
+                copy_file(read(bag / name), out, name)
+        except ConfigError as error:
+            wrong.append(f'{name} is left out: {error}')
+    return wrong
 
 
 def _copy_metadata(part: tuple[McapFile, Survey], writer: BagWriter) -> None:

@@ -115,10 +115,10 @@ def show(result: Comparison, console: Console) -> None:
     )
     names = {
         'kind': 'kind',
-        'raised': 'raised [s]',
-        'delay': 'delay [s]',
-        'cleared': 'cleared [s]',
-        'size': 'size [rad]',
+        'raised': 'raised\n[s]',
+        'delay': 'delay\n[s]',
+        'cleared': 'cleared\n[s]',
+        'size': 'size\n[rad]',
     }
     _table(
         console,
@@ -144,7 +144,8 @@ def _table(
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify='left')
     # Names may wrap in a narrow terminal, figures must not.
     for place, column in enumerate(columns):
-        table.add_column(escape(column), no_wrap=place > 0, overflow='fold')
+        width = None if place else min(12, max(len(row[0]) for row in rows))
+        table.add_column(escape(column), no_wrap=place > 0, overflow='fold', min_width=width)
     for row in rows:
         table.add_row(*map(escape, row))
     console.print(table)

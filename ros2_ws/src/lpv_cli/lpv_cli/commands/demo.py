@@ -141,6 +141,7 @@ def _commands(
             f'output:={out / "bag"}',
             '-p',
             f'gains_file:={files["gains"]}',
+            *scenario,
         ],
         'uio': [executable('lpv_uio', 'uio'), *common, *gains, *arm],
         'tracker': [

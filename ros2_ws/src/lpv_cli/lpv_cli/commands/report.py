@@ -27,21 +27,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--gains', help='gains file that the run was answered with; the one in the bag if not given'
     )
-    parser.add_argument('--scenario', help='scenario whose path and obstacle are drawn')
+    parser.add_argument(
+        '--scenario',
+        help='scenario whose path and obstacle are drawn; the one in the bag if not given',
+    )
     parser.add_argument('--out', default='out/report', help='folder for the report')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the report and show its table."""
-    from lpv_report.run import find_shipped_gains, find_used_gains, print_table, write_report
+    from lpv_report.run import (
+        find_scenario,
+        find_shipped_gains,
+        find_used_gains,
+        print_table,
+        write_report,
+    )
 
     used = find_used_gains(arguments.bag, arguments.gains)
     if used.gains is None and not arguments.arm:
         used = find_shipped_gains(arguments.bag)
     arm = _arm(arguments, used)
-    path = None
+    scenario = find_scenario(arguments.bag)
     if arguments.scenario:
-        path = load_scenario(bringup_file('scenarios', arguments.scenario)).path(arm)
+        scenario = load_scenario(bringup_file('scenarios', arguments.scenario))
+    path = scenario.path(arm) if scenario is not None else None
     result = write_report(
         arguments.bag,
         Path(arguments.out),

@@ -254,7 +254,10 @@ class ArmParameters:
 
     def to_json(self) -> str:
         """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
-        return json.dumps(asdict(self), sort_keys=True)
+        parameters = asdict(self)
+        if self.rates == RATES[0]:
+            del parameters['rates']  # as written before rates could be stated
+        return json.dumps(parameters, sort_keys=True)
 
     def sha256(self) -> str:
         """Hash of every parameter of the design: gains carry it, so that they fit one arm only."""

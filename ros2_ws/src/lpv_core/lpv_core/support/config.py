@@ -279,6 +279,23 @@ class Section:
             raise self.error(key, f'must have {size} numbers, got {len(value)}')
         return [self._number(f'{key}[{i}]', v, low, high, above) for i, v in enumerate(value)]
 
+    def numbers(self, key: str, most: int, low: float = -math.inf) -> list[float]:
+        """Return 1 to ``most`` finite floats."""
+        value = self._get(key, _REQUIRED)
+        if not isinstance(value, list) or not 1 <= len(value) <= most:
+            raise self.error(key, f'must be a list of 1 to {most} numbers')
+        return [self._number(f'{key}[{i}]', v, low, math.inf, None) for i, v in enumerate(value)]
+
+    def rows(self, key: str, width: int, most: int) -> list[list[float]]:
+        """Return 1 to ``most`` lists of ``width`` finite floats each."""
+        value = self._get(key, _REQUIRED)
+        if not isinstance(value, list) or not 1 <= len(value) <= most:
+            raise self.error(key, f'must be a list of 1 to {most} rows')
+        rows = [
+            Section({f'{key}[{i}]': row}, self._source, self._prefix) for i, row in enumerate(value)
+        ]
+        return [row.vector(f'{key}[{i}]', width) for i, row in enumerate(rows)]
+
     def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
         """Return an array of the given shape from a flat list (row-major)."""
         value = self._get(key, _REQUIRED)

@@ -1,14 +1,16 @@
 """Which gains a run was made with."""
 
 import hashlib
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
 from lpv_bag.errors import BagError
-from lpv_bag.rosbag.output_folder import GAINS_NAME
+from lpv_bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
 from lpv_bag.rosbag.reading import open_bag
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.model.arm import ArmParameters, arm_from_json
+from lpv_core.simulation.scenario import Scenario, load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import shipped_files
 
@@ -23,6 +25,7 @@ class UsedGains:
     problem: str = ''  # why they are not known; empty where they are
 
 
+_LOG = logging.getLogger(__name__)
 _ANSWERS = tuple(
     f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
 )
@@ -80,16 +83,42 @@ def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGai
         raise BagError(f'{bag}: there is no such bag')
     if given:
         return read_used_gains(given)
-    folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
-    # A single file belongs to the folder's bag only if that is one.
-    if not (folder / GAINS_NAME).is_file() or not (
-        folder == Path(bag) or (folder / 'metadata.yaml').is_file()
-    ):
+    file = _beside(bag, GAINS_NAME)
+    if file is None:
         return UNKNOWN
     try:
-        return read_used_gains(folder / GAINS_NAME, f'{GAINS_NAME} of the bag')
+        return read_used_gains(file, f'{GAINS_NAME} of the bag')
     except (ConfigError, OSError) as error:
         return UsedGains(problem=f'The gains in the bag cannot be used: {error}')
+
+
+def _beside(bag: str | Path, name: str) -> Path | None:
+    """A file that accompanies a bag; None where there is none."""
+    folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
+    # A single file belongs to the folder's bag only if that is one.
+    ours = folder == Path(bag) or (folder / 'metadata.yaml').is_file()
+    return folder / name if ours and (folder / name).is_file() else None
+
+
+def find_scenario(bag: str | Path) -> Scenario | None:
+    """Scenario that lies in a bag; None where there is none, or none that can be used.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        rosbag2 directory or single storage file.
+
+    Returns
+    -------
+    Scenario or None
+        For its path and obstacle: a damaged copy must not stand in the way of a report.
+    """
+    file = _beside(bag, SCENARIO_NAME)
+    try:
+        return None if file is None else load_scenario(file)
+    except ConfigError as error:
+        _LOG.warning('%s', error)
+        return None
 
 
 def named_arm(bag: str | Path) -> str:

@@ -2,6 +2,7 @@
 
 from lpv_report.guarantees.gains_source import (
     arm_of,
+    find_scenario,
     find_shipped_gains,
     find_used_gains,
     read_used_gains,
@@ -12,6 +13,7 @@ from lpv_report.run.write import ReportResult, write_report
 __all__ = [
     'ReportResult',
     'arm_of',
+    'find_scenario',
     'find_shipped_gains',
     'find_used_gains',
     'print_table',
