@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from lpv_cli.completion import completed, shipped
 from lpv_core.certificate.claims import CLAIMS
 from lpv_core.certificate.conditions import Check, verify
 from lpv_core.certificate.gains import Gains, load_gains
@@ -18,13 +17,10 @@ from lpv_design.guarantee import guarantee
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument('gains', help='gains file as written by lpv design')
-    completed(
-        parser.add_argument(
-            '--arm',
-            help='arm that the gains are to be used with: file or name of a '
-            'shipped one; without, the arm that the file itself describes',
-        ),
-        shipped('arms'),
+    parser.add_argument(
+        '--arm',
+        help='arm that the gains are to be used with: file or name of a '
+        'shipped one; without, the arm that the file itself describes',
     )
     parser.add_argument(
         '--proof',
