@@ -30,7 +30,7 @@ def source_digest(folder):
         16 hexadecimal digits.
     """
     digest = hashlib.sha256()
-    for source in sorted(folder.glob('*.py')):
+    for source in sorted(folder.rglob('*.py')):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 
