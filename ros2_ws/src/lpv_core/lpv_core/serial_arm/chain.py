@@ -13,6 +13,7 @@ from lpv_core.errors import ConfigError
 from lpv_core.serial_arm.description import SerialArm, rotation_from_rpy
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 MAX_JOINTS = 32
 """Longest chain that is accepted; sizes from files are bounded before anything is allocated."""

@@ -1,0 +1,304 @@
+"""Diagnosis of the sensors of a serial arm: one object, one call a sample.
+
+Jumps of readings are found sample by sample; everything else by momentum balances, every 50 ms.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from lpv_core.errors import SampleError
+from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.estimator import HorizonPlan, OffsetEstimator
+from lpv_core.serial_arm.hypotheses import CONTACT, Explanation, explanations
+from lpv_core.serial_arm.moving_fault import MovingFault, begin_moving_fault, follow
+from lpv_core.serial_arm.sampling import (
+    BLOCKS,
+    SPIKE,
+    STEP,
+    Sampler,
+    new_sampler,
+    take_samples,
+)
+
+NANOSECONDS = 1_000_000_000
+STILL_TIME = 0.05
+"""A reading without any change for longer rests [s]."""
+
+
+class SensorState(str, Enum):  # noqa: UP042 - Python 3.10 has no StrEnum
+    """State of a position sensor."""
+
+    OK = 'ok'
+    WARN = 'warn'
+    """A fault that may be this sensor's, or something else's."""
+    ERROR = 'error'
+    """A fault of this sensor."""
+    NOT_DIAGNOSABLE = 'not_diagnosable'
+    """Gravity and motion do not tell its offset; changes are still seen."""
+
+
+@dataclass(frozen=True)
+class MonitorSettings:
+    """Thresholds of the decisions."""
+
+    evidence: float = 10.0  # log-likelihood ratio of a fault; chance 8e-6 a test if healthy
+    margin: float = 4.0  # by which the best explanation must beat those it excludes
+    level_sigmas: float = 3.5  # offset over its standard deviation
+    smallest_level: float = 0.05  # smallest offset that is a fault [rad]
+    smallest_step: float = 0.005  # smallest jump of a reading [rad]
+    widest_level: float = 0.15  # standard deviation of an offset that says nothing [rad]
+    dwell: int = 3  # balances in a row for which a decision must hold
+    level_dwell: int = 10  # the same for the level
+    horizon: float = 10.0  # [s]
+
+
+@dataclass(frozen=True)
+class SerialAlarm:
+    """A fault that was found."""
+
+    sensor: str  # name; '' where none is named
+    kind: str  # bias, drift, scale, slip, stuck, spike, contact, torque_offset, ...
+    onset: float  # [s]
+    detected: float  # [s]
+    size: float  # [rad], or [rad/s] of a drift
+    sigma: float  # standard deviation of size
+    suspects: tuple[str, ...]  # what explains the data about as well
+
+
+@dataclass(frozen=True)
+class SerialEstimate:
+    """What is known after a sample.
+
+    Attributes
+    ----------
+    stamp : int
+        Of the sample [ns].
+    fault : ndarray, shape (n,)
+        Estimated faults f of the position sensors, y = q + f [rad].
+    sigma : ndarray, shape (n,)
+        Their standard deviations [rad].
+    state : tuple of SensorState
+        Of each sensor.
+    suspects : tuple of str
+        What explains a contradiction, best first; empty if there is none.
+    """
+
+    stamp: int
+    fault: FloatArray
+    sigma: FloatArray
+    state: tuple[SensorState, ...]
+    suspects: tuple[str, ...]
+
+
+class SerialMonitor:
+    """Monitor of one arm.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Arm and sensors.
+    settings : MonitorSettings, optional
+        Thresholds.
+    """
+
+    def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
+        self.arm = arm
+        self.settings = settings or MonitorSettings()
+        self.joints = len(arm.joints)
+        self.alarms: list[SerialAlarm] = []
+        self._efforts = np.array([joint.torque_gain for joint in arm.joints])
+        self._push = 0.3 * np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
+        self._first: int | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget samples, estimates and faults."""
+        n, arm = self.joints, self.arm
+        self.plan = HorizonPlan.of(arm.sample_time, horizon=self.settings.horizon)
+        self.estimator = OffsetEstimator(arm, self.plan)
+        noise = np.array([
+            np.hypot(joint.sensors.position_noise, joint.sensors.quantization)
+            for joint in arm.joints
+        ])  # fmt: skip
+        self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        self.sampler: Sampler = new_sampler(
+            self.estimator.balance.derived, 2.0 * noise,
+            np.full(n, self.settings.smallest_step), self._capacity)  # fmt: skip
+        self._state = [SensorState.OK] * n
+        self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.level_dwell)
+        self._level_held = np.zeros(n, int)
+        self._moving: MovingFault | None = None
+        self._suspects: tuple[str, ...] = ()
+        self._last_time = -np.inf
+
+    def update(
+        self, stamp: int, q: npt.ArrayLike, v: npt.ArrayLike, torque: npt.ArrayLike
+    ) -> SerialEstimate:
+        """Take a sample.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns]; later than that of the sample before.
+        q, v, torque : array_like, shape (n,)
+            Readings of the position sensors, rates and efforts [rad], [rad/s].
+
+        Returns
+        -------
+        SerialEstimate
+            What is known now; `alarms` has grown where a fault was found.
+
+        Raises
+        ------
+        SampleError
+            If a value is missing or not finite, or the stamp is not later.
+        """
+        values = np.array([q, v, torque], dtype=float)
+        self.update_many(np.array([stamp]), values[None])
+        return self.estimate(stamp)
+
+    def update_many(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
+        """Take many samples; the same as `update` one by one.
+
+        Parameters
+        ----------
+        stamps : array_like of int, shape (N,)
+            [ns], increasing.
+        samples : array_like, shape (N, 3, n)
+            Readings, rates, efforts.
+
+        Raises
+        ------
+        SampleError
+            As `update`.
+        """
+        values = np.ascontiguousarray(samples, dtype=float)
+        moments = np.asarray(stamps, dtype=np.int64)
+        if values.shape != (len(moments), 3, self.joints):
+            raise SampleError(
+                f'samples must have shape ({len(moments)}, 3, {self.joints}), got {values.shape}'
+            )
+        if not np.isfinite(values).all():
+            raise SampleError('samples must be finite')
+        if len(moments) == 0:
+            return
+        if self._first is None:
+            self._first = int(moments[0])
+        times = (moments - self._first) / NANOSECONDS
+        if not (np.diff(times, prepend=self._last_time) > 0.0).all():
+            raise SampleError('stamps must increase')
+        self._last_time = float(times[-1])
+        values[:, 2] *= self._efforts
+        k = 0
+        plan = self.plan.per_block, self.plan.blocks, 10.0 * self.arm.sample_time
+        while k < len(times):
+            k, complete = take_samples(self.sampler, self.estimator.balance, times, values, k, plan)
+            now = float(times[k - 1])
+            self._report_jumps(now)
+            if complete:
+                self._decide(now)
+
+    def estimate(self, stamp: int) -> SerialEstimate:
+        """What is known after the last sample."""
+        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        state = tuple(
+            SensorState.NOT_DIAGNOSABLE
+            if one is SensorState.OK and sigma[i] > self.settings.widest_level
+            else one
+            for i, one in enumerate(self._state)
+        )
+        fault, sigma = self.sampler.correction + offsets, sigma.copy()
+        if self._moving is not None:
+            i = self._moving.joint
+            fault[i] = self.sampler.correction[i] + self._moving.fault(self._last())
+            sigma[i] = self._moving.sigma
+        return SerialEstimate(stamp, fault, sigma, state, self._suspects)
+
+    def _report_jumps(self, now: float) -> None:
+        """Alarms of steps and spikes."""
+        for i in range(self.joints):
+            if self.sampler.found[i] == STEP:
+                sigma = float(self.sampler.scale[i])
+                self._raise(i, 'bias', now, float(self.sampler.size[i]), sigma)
+            elif self.sampler.found[i] == SPIKE:
+                self.alarms.append(SerialAlarm(self._sensor(i), 'spike', now, now, 0.0, 0.0, ()))
+            self.sampler.found[i] = 0
+
+    def _sensor(self, i: int) -> str:
+        return self.arm.sensor_names[i] if i >= 0 else ''
+
+    def _raise(self, i: int, kind: str, onset: float, size: float, sigma: float) -> None:
+        """A fault of sensor i is confirmed."""
+        self._state[i] = SensorState.ERROR
+        self.alarms.append(SerialAlarm(self._sensor(i), kind, onset, self._last(), size, sigma, ()))
+
+    def _last(self) -> float:
+        return float(self.sampler.time[-1])
+
+    def _blocks(self, intervals: int) -> FloatArray:
+        """The last blocks, oldest first."""
+        written = int(self.sampler.index[BLOCKS])
+        count = min(intervals * self.plan.blocks, written, self._capacity)
+        return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
+
+    def _decide(self, now: float) -> None:
+        """A balance is complete: estimate, compare explanations, decide."""
+        if self._moving is not None:
+            self.estimator.take(now)
+            follow(self._moving, self.estimator, self.sampler, now)
+            return
+        self.estimator.add(now, not self._suspects)
+        if self.estimator.must_linearise():
+            self.estimator.linearise(self._blocks(len(self.estimator.window) + 1))
+        found = explanations(self.estimator, self._push, *self._other_evidence())
+        best = found[0] if found else None
+        if best is None or best.gain < self.settings.evidence:
+            self._suspects = ()
+            self._held.clear()
+            self._decide_level(now)
+            return
+        rivals = [one for one in found if one.gain > best.gain - self.settings.margin]
+        self._suspects = tuple(dict.fromkeys(self._label(one) for one in rivals))
+        self._held.append(('encoder' if best.is_encoder else best.kind, best.joint))
+        held = list(self._held)[-self.settings.dwell :]
+        if len(held) < self.settings.dwell or len(set(held)) > 1:
+            return
+        if best.is_encoder and len({(one.is_encoder, one.joint) for one in rivals}) == 1:
+            self._blame(best)
+
+    def _other_evidence(self) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Other evidence against sensors; how long each rests [balances], its speed before."""
+        time = self.sampler.still * self.arm.sample_time
+        still = time > STILL_TIME
+        abrupt = still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
+        recent = np.array([state is SensorState.ERROR for state in self._state])
+        resting = np.where(still, np.ceil(time / self.plan.interval) + 1, 0).astype(np.int64)
+        return 4.0 * recent + 20.0 * abrupt, resting, np.maximum(self.sampler.stop, 0.1)
+
+    def _label(self, one: Explanation) -> str:
+        """Name of an explanation for people."""
+        return one.kind if one.kind == CONTACT else f'{self._sensor(one.joint)}:{one.kind}'
+
+    def _blame(self, best: Explanation) -> None:
+        """A position sensor explains what nothing else does: its fault is followed from now on."""
+        i = best.joint
+        kind = best.kind
+        self._raise(i, kind, best.begin, best.size, best.sigma)
+        self._moving = begin_moving_fault(self.estimator, i, kind, best.begin)
+        self._suspects = ()
+
+    def _decide_level(self, now: float) -> None:
+        """Offsets that gravity and motion show."""
+        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        beyond = (np.abs(offsets) > self.settings.level_sigmas * sigma) & (
+            np.abs(offsets) > self.settings.smallest_level
+        )
+        self._level_held = np.where(beyond, self._level_held + 1, 0)
+        for i in np.nonzero(self._level_held >= self.settings.level_dwell)[0]:
+            if self._state[i] is not SensorState.ERROR:
+                self._raise(int(i), 'bias', 0.0, float(offsets[i]), float(sigma[i]))
