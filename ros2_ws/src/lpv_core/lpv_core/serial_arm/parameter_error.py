@@ -15,8 +15,8 @@ from lpv_core.serial_arm.payload import payload_parameters
 MODEL_ERROR = 0.05
 """Relative standard deviation of masses and inertias that were not identified."""
 _SAMPLES = 100
-_NEGLIGIBLE = 0.02
-"""Directions with less than this part of the largest effect are left out."""
+_NEGLIGIBLE = 0.005
+"""Directions with a smaller effect on the torques of all joints, relative to them, are left out."""
 
 
 def inertial_factor(arm: SerialArm, chain: Chain) -> FloatArray:
@@ -87,7 +87,7 @@ def _inertia(body: FloatArray) -> FloatArray:
 
 
 def inertial_directions(
-    chain: Chain, factor: FloatArray, speed: FloatArray, limit: int = 12
+    chain: Chain, factor: FloatArray, speed: FloatArray, limit: int = 16
 ) -> FloatArray:
     """The directions that matter most.
 
@@ -109,14 +109,16 @@ def inertial_directions(
     """
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)
-    gravity = np.maximum(np.abs([model.gravity(q) for q in _poses(rng, n)]).max(0), 1e-3)
-    effects = []
+    forces = []
     for q in _poses(rng, n):
-        _, force = model.momentum_regressor(q, speed * rng.uniform(-1.0, 1.0, n))
-        effects.append((force / gravity[:, None]) @ factor.T)
-    _, sizes, right = np.linalg.svd(np.vstack(effects), full_matrices=False)
-    kept = min(limit, int((sizes > _NEGLIGIBLE * max(sizes[0], 1e-300)).sum()))
-    return np.ascontiguousarray((right[:kept] @ factor).reshape(kept, n, 10))
+        forces.append(model.momentum_regressor(q, speed * rng.uniform(-1.0, 1.0, n))[1])
+    usual = np.sqrt(np.mean([(force @ chain.inertial.ravel()) ** 2 for force in forces], axis=0))
+    usual = np.maximum(usual, 0.01 * usual.max() + 1e-9)
+    effects = np.array([(force / usual[:, None]) @ factor.T for force in forces])
+    right = np.linalg.svd(effects.reshape(-1, len(factor)), full_matrices=False)[2]
+    sizes = np.sqrt(((effects @ right.T) ** 2).mean(0)).max(0)
+    kept = right[:limit][sizes[:limit] > _NEGLIGIBLE]
+    return np.ascontiguousarray((kept @ factor).reshape(len(kept), n, 10))
 
 
 def _poses(rng: np.random.Generator, joints: int) -> FloatArray:
