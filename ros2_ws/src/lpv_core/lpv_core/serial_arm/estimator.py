@@ -35,6 +35,8 @@ _LINEAR_WITHIN = 0.05
 _NOISE_SAMPLES = 20
 """Balances that what is expected of the noise counts for."""
 _LARGEST_INFLATION = 15.0
+DISTRUST = 0.02
+"""Factor of the weights of balances while something acts from outside."""
 
 
 @dataclass(frozen=True)
@@ -176,16 +178,27 @@ class OffsetEstimator:
 
     def replace_last(self, rows: FloatArray) -> None:
         """Put new rows, linearised where the balance is, in the place of the last ones."""
-        rows = self._absolute(rows)
-        times = list(self.window.times)[len(self.window) - len(rows) :]
-        self.window.forget(len(self.window) - len(rows))
-        for time, row in zip(times, rows):
-            self.window.add(time, row, self.weights(self.residual(row)), False)
+        self._put_last(self._absolute(rows), 1.0)
+
+    def distrust(self, last: int) -> None:
+        """Take most of the weight off the last balances, and estimate anew."""
+        rows = self.window.last_rows(min(last, len(self.window)))
+        self._put_last(rows, DISTRUST)
+        self.solve()
+
+    def _put_last(self, rows: FloatArray, trust: float) -> None:
+        keep = len(self.window) - len(rows)
+        times, factors = list(self.window.times)[keep:], np.minimum(self.window.trust[keep:], trust)
+        self.window.forget(keep)
+        for time, row, factor in zip(times, rows, factors):
+            self.window.add(time, row, self.weights(self.residual(row)), False, factor)
 
     def _learn_noise(self) -> None:
         """Size and correlation of what the arm's model does not explain, from the horizon."""
-        residual = self.residual(self.window.rows)
+        residual = self.residual(self.window.rows)[self.window.trust == 1.0]
         count = len(residual)
+        if count < 10:
+            return
         size = 1.4826 * np.median(np.abs(residual), axis=0)
         expected, total = self._expected**2 * _NOISE_SAMPLES, _NOISE_SAMPLES + count
         self.noise = np.sqrt((expected + count * size**2) / total)

@@ -3,13 +3,15 @@
 A hypothesis adds columns A to the rows of a window.  With all balances of the horizon under the
 null hypothesis (offsets and parameters x, covariance P), its log-likelihood ratio is
 
-    LLR = s^T I^-1 s / 2,    s = -(A^T W c + A^T W J x),
-    I = A^T W A - A^T W J P J^T W A + prior^-2.
+    LLR = s^2 / (2 I) - log(I prior^2) / 2,    s = -(A^T W c + A^T W J x),
+    I = A^T W A - A^T W J P J^T W A + prior^-2
 
-Twice a ratio of one column is chi-squared with one degree of freedom if the arm is healthy.
+(one column A; the second term is what the freedom of its size costs).  If the arm is healthy,
+s^2 / I is chi-squared with one degree of freedom.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -31,6 +33,12 @@ STUCK_FOR = (4, 8, 20)
 """Balances for which a joint may have moved while its reading rests."""
 STUCK_ACCELERATION = 10.0
 """Usual acceleration of a joint whose reading rests [rad/s2]."""
+CONTACT_TIME = 0.3
+"""Over which a torque from outside is correlated [s]."""
+CONTACT_SHARES = (1.0, 0.3, 0.1, 0.03)
+"""Amplitudes of torques from outside that are tried, in the largest plausible one."""
+CONTACT_PENALTY = 1.4
+"""Logarithm of the number of amplitudes."""
 PRIOR = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 
@@ -41,7 +49,7 @@ class Explanation:
 
     kind: str
     joint: int  # -1 where no joint is named
-    gain: float  # log-likelihood ratio, less half for every column beyond the first
+    gain: float  # logarithm of the ratio of marginal likelihoods
     size: float  # of the fault: [rad/s], [rad], [-], [N m]
     sigma: float  # standard deviation of size
     begin: float  # start of the window [s]
@@ -174,7 +182,8 @@ def _window(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> 
     reduced = null.covariance @ cross
     prior = np.concatenate([np.full(n, PRIOR[k]) if k in PRIOR else torque_prior for k in names])
     information = products[selection, selection] - (cross * reduced).sum(0) + prior**-2
-    gain, size, sigma = 0.5 * score**2 / information, score / information, information**-0.5
+    gain = 0.5 * score**2 / information - 0.5 * np.log(information * prior**2)
+    size, sigma = score / information, information**-0.5
     independent = estimator.balance.derived == 0.0
     found = []
     for k, name in enumerate(names):
@@ -182,9 +191,48 @@ def _window(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> 
             if name not in RATE_KINDS or independent[i]:
                 j = k * n + i
                 found.append(Explanation(name, i, gain[j], size[j], sigma[j], begin))
-    torques = slice(names.index('torque_offset') * n, (names.index('torque_offset') + 1) * n)
-    push = products[np.ix_(selection[torques], selection[torques])]
-    push = push - cross[:, torques].T @ reduced[:, torques] + np.diag(torque_prior**-2)
-    together = 0.5 * score[torques] @ np.linalg.solve(push, score[torques])
-    found.append(Explanation(CONTACT, -1, together - 0.5 * (n - 1), 0.0, 0.0, begin))
+    gain_of_contact = contact_evidence(estimator, last, torque_prior)
+    found.append(Explanation(CONTACT, -1, gain_of_contact, 0.0, 0.0, begin))
     return found
+
+
+def contact_evidence(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> float:
+    """Ratio of marginal likelihoods of torques from outside that come, change and go.
+
+    On each joint a torque of unknown amplitude a, correlated over `CONTACT_TIME`; joints that
+    need none have none.  With the eigenvalues l_k of the correlation and z_k the residuals along
+    its eigenvectors, sum_k [z_k^2 / s^2 * g - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).
+
+    Parameters
+    ----------
+    estimator : OffsetEstimator
+        Its posterior is the null hypothesis.
+    last : int
+        Length of the window [balances].
+    torque_prior : ndarray, shape (n,)
+        Largest of the amplitudes that are tried [N m].
+
+    Returns
+    -------
+    float
+        Log-likelihood ratio.
+    """
+    step = estimator.plan.interval
+    residual = estimator.residual(estimator.window.last_rows(last))
+    values, vectors = _correlation(last, step)
+    along = (vectors.T @ residual) ** 2
+    noise = estimator.noise**2 * estimator.inflation
+    best = np.zeros(estimator.joints)
+    for share in CONTACT_SHARES:
+        signal = values[:, None] * (share * torque_prior * step) ** 2 / noise
+        ratio = 0.5 * (along / noise * signal / (1.0 + signal) - np.log1p(signal)).sum(0)
+        best = np.maximum(best, ratio - CONTACT_PENALTY)
+    return float(best.sum())
+
+
+@cache
+def _correlation(count: int, step: float) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues and eigenvectors of an exponential correlation."""
+    place = step * np.arange(count)
+    values, vectors = np.linalg.eigh(np.exp(-np.abs(place - place[:, None]) / CONTACT_TIME))
+    return values, vectors

@@ -32,6 +32,7 @@ class InformationWindow:
         self._sums: deque[FloatArray] = deque(maxlen=capacity + 1)
         self._sums.append(np.zeros((columns, columns)))
         self.times: deque[float] = deque(maxlen=capacity)
+        self._trust: deque[float] = deque(maxlen=capacity)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -45,7 +46,14 @@ class InformationWindow:
         """Rows of the last balances, shape (count, n, columns), oldest first."""
         return np.array([self._rows[k] for k in range(len(self._rows) - count, len(self._rows))])
 
-    def add(self, time: float, rows: FloatArray, weights: FloatArray, learn: bool) -> None:
+    @property
+    def trust(self) -> FloatArray:
+        """Factors of the weights, shape (L,): small where something acted from outside."""
+        return np.array(self._trust)
+
+    def add(
+        self, time: float, rows: FloatArray, weights: FloatArray, learn: bool, trust: float = 1.0
+    ) -> None:
         """Append a balance.
 
         Parameters
@@ -58,6 +66,8 @@ class InformationWindow:
             Inverse variances.
         learn : bool
             Whether the balance that leaves the window is remembered.
+        trust : float, optional
+            Factor of the weights.
         """
         if len(self._rows) == self.capacity:
             self.past *= self._past_weight
@@ -65,7 +75,8 @@ class InformationWindow:
                 self.past += self._sums[1] - self._sums[0]
         self._rows.append(rows.copy())
         self.times.append(time)
-        self._sums.append(self._sums[-1] + rows.T @ (weights[:, None] * rows))
+        self._trust.append(trust)
+        self._sums.append(self._sums[-1] + trust * rows.T @ (weights[:, None] * rows))
 
     def reset(self, rows: FloatArray, weights: FloatArray) -> None:
         """Replace the rows in the window.
@@ -77,6 +88,7 @@ class InformationWindow:
         weights : ndarray, shape (L, n)
             Inverse variances.
         """
+        weights = weights * self.trust[:, None]
         products = np.einsum('kia,ki,kib->kab', rows, weights, rows, optimize=True)
         total = np.zeros_like(self.past)
         self._sums.clear()
@@ -93,6 +105,7 @@ class InformationWindow:
             self._rows.pop()
             self._sums.pop()
             self.times.pop()
+            self._trust.pop()
 
     def products(self, last: int | None = None) -> FloatArray:
         """Sum of A^T W A over the last balances (all of them by default)."""

@@ -26,6 +26,8 @@ from lpv_core.serial_arm.sampling import (
 )
 
 NANOSECONDS = 1_000_000_000
+CONTACT_PAUSE = 1.0
+"""What is around a contact by less is not learned from [s]."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -46,9 +48,9 @@ class SensorState(str, Enum):  # noqa: UP042 - Python 3.10 has no StrEnum
 class MonitorSettings:
     """Thresholds of the decisions."""
 
-    evidence: float = 10.0  # log-likelihood ratio of a fault; chance 8e-6 a test if healthy
+    evidence: float = 8.0  # logarithm of the ratio of marginal likelihoods of a fault
     margin: float = 4.0  # by which the best explanation must beat those it excludes
-    level_sigmas: float = 3.5  # offset over its standard deviation
+    level_sigmas: float = 4.0  # offset over its standard deviation
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.15  # standard deviation of an offset that says nothing [rad]
@@ -135,6 +137,7 @@ class SerialMonitor:
         self._moving: MovingFault | None = None
         self._suspects: tuple[str, ...] = ()
         self._last_time = -np.inf
+        self._contact_until = -np.inf
 
     def update(
         self, stamp: int, q: npt.ArrayLike, v: npt.ArrayLike, torque: npt.ArrayLike
@@ -260,8 +263,10 @@ class SerialMonitor:
         if best is None or best.gain < self.settings.evidence:
             self._suspects = ()
             self._held.clear()
-            self._decide_level(now)
+            self._decide_level()
             return
+        if best.kind == CONTACT:
+            self._report_contact(now)
         rivals = [one for one in found if one.gain > best.gain - self.settings.margin]
         self._suspects = tuple(dict.fromkeys(self._label(one) for one in rivals))
         self._held.append(('encoder' if best.is_encoder else best.kind, best.joint))
@@ -280,6 +285,13 @@ class SerialMonitor:
         resting = np.where(still, np.ceil(time / self.plan.interval) + 1, 0).astype(np.int64)
         return 4.0 * recent + 20.0 * abrupt, resting, np.maximum(self.sampler.stop, 0.1)
 
+    def _report_contact(self, now: float) -> None:
+        """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
+        if now > self._contact_until:
+            self.alarms.append(SerialAlarm('', CONTACT, now, now, 0.0, 0.0, ()))
+        self._contact_until = now + CONTACT_PAUSE
+        self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
+
     def _label(self, one: Explanation) -> str:
         """Name of an explanation for people."""
         return one.kind if one.kind == CONTACT else f'{self._sensor(one.joint)}:{one.kind}'
@@ -292,7 +304,7 @@ class SerialMonitor:
         self._moving = begin_moving_fault(self.estimator, i, kind, best.begin)
         self._suspects = ()
 
-    def _decide_level(self, now: float) -> None:
+    def _decide_level(self) -> None:
         """Offsets that gravity and motion show."""
         offsets, sigma = self.estimator.posterior.offsets(self.joints)
         beyond = (np.abs(offsets) > self.settings.level_sigmas * sigma) & (
