@@ -10,7 +10,7 @@ null hypothesis (offsets and parameters x, covariance P), its log-likelihood rat
 s^2 / I is chi-squared with one degree of freedom.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -21,18 +21,21 @@ from lpv_core.serial_arm.estimator import OffsetEstimator
 
 WINDOWS = (0.3, 1.0, 2.5)
 """Lengths of the windows in which a fault may have begun [s]."""
+MORE_WINDOWS = (0.5, 0.7, 1.4, 1.8)
+"""Lengths that are looked at, too, once something is suspected [s]."""
 ENCODER_KINDS = {'drift': DRIFT, 'slip': OFFSET, 'scale': SCALE}
 """Faults of a position sensor (with the rate that is derived from it), by their columns."""
 RATE_KINDS = {'rate_bias': RATE}
 TORQUE_KINDS = {'torque_offset': TORQUE, 'torque_gain': GAIN}
-LEAST = 3.0
-"""Smallest ratio to which other evidence is added."""
 CONTACT = 'contact'
 """Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
 STUCK_FOR = (4, 8, 20)
 """Balances for which a joint may have moved while its reading rests."""
 STUCK_ACCELERATION = 10.0
 """Usual acceleration of a joint whose reading rests [rad/s2]."""
+ONSET = 2
+"""Balances at the start of a window in which a fault may come in any way: they are explained by
+free torques, for encoders as for contacts."""
 CONTACT_TIME = 0.3
 """Over which a torque from outside is correlated [s]."""
 CONTACT_SHARES = (1.0, 0.3, 0.1, 0.03)
@@ -63,9 +66,9 @@ class Explanation:
 def explanations(
     estimator: OffsetEstimator,
     torque_prior: FloatArray,
-    favour: FloatArray,
     resting: IntArray,
     speed: FloatArray,
+    suspicious: float,
 ) -> list[Explanation]:
     """All hypotheses for all windows, the best one first.
 
@@ -75,12 +78,12 @@ def explanations(
         Its posterior is the null hypothesis.
     torque_prior : ndarray, shape (n,)
         Standard deviation of torques that may act from outside [N m].
-    favour : ndarray, shape (n,)
-        Other evidence against each position sensor, added where the balances speak against it.
     resting : ndarray of int, shape (n,)
         Balances for which each reading has not changed at all.
     speed : ndarray, shape (n,)
         Of each reading before it came to rest [rad/s].
+    suspicious : float
+        Evidence from which on more windows are looked at.
 
     Returns
     -------
@@ -92,17 +95,16 @@ def explanations(
         last = round(seconds / estimator.plan.interval)
         if len(estimator.window) > last:
             found += _window(estimator, last, torque_prior)
+    if found and max(one.gain for one in found) > suspicious:
+        for seconds in MORE_WINDOWS:
+            last = round(seconds / estimator.plan.interval)
+            if len(estimator.window) > last:
+                found += _window(estimator, last, torque_prior)
     for i in np.nonzero(resting)[0]:
         found += [
             stuck_explanation(estimator, int(i), count, 0.1 if count < resting[i] else speed[i])
             for count in {min(count, int(resting[i])) for count in STUCK_FOR}
         ]
-    found = [
-        replace(one, gain=one.gain + favour[one.joint])
-        if one.is_encoder and one.gain > LEAST
-        else one
-        for one in found
-    ]
     return sorted(found, key=lambda one: -one.gain)
 
 
@@ -146,7 +148,7 @@ def stuck_explanation(
     rates = np.linalg.solve(scaled, walk @ score)
     gain = 0.5 * (score @ rates - np.linalg.slogdet(scaled)[1])
     begin = estimator.window.times[len(estimator.window) - count] - step
-    sigma = step * np.sqrt(np.linalg.solve(scaled, walk).sum())
+    sigma = step * np.sqrt(max(float(np.linalg.solve(scaled, walk).sum()), 0.0))
     return Explanation('stuck', joint, float(gain), float(step * rates.sum()), float(sigma), begin)
 
 
@@ -167,7 +169,7 @@ def _rate_steps(rows: FloatArray, offset: int, rate: int, step: float) -> FloatA
 def _window(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> list[Explanation]:
     """Hypotheses of faults that began with the last balances."""
     n, null = estimator.joints, estimator.posterior
-    products = estimator.window.products(last)
+    products = estimator.window.products(last - ONSET)
     begin = estimator.window.times[len(estimator.window) - last] - estimator.plan.interval
     kinds = {**ENCODER_KINDS, **RATE_KINDS, **TORQUE_KINDS}
     names = list(kinds)
@@ -183,6 +185,7 @@ def _window(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> 
     prior = np.concatenate([np.full(n, PRIOR[k]) if k in PRIOR else torque_prior for k in names])
     information = products[selection, selection] - (cross * reduced).sum(0) + prior**-2
     gain = 0.5 * score**2 / information - 0.5 * np.log(information * prior**2)
+    gain += contact_evidence(estimator, last + 1, torque_prior, ONSET + 1)
     size, sigma = score / information, information**-0.5
     independent = estimator.balance.derived == 0.0
     found = []
@@ -191,17 +194,19 @@ def _window(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> 
             if name not in RATE_KINDS or independent[i]:
                 j = k * n + i
                 found.append(Explanation(name, i, gain[j], size[j], sigma[j], begin))
-    gain_of_contact = contact_evidence(estimator, last, torque_prior)
+    gain_of_contact = contact_evidence(estimator, last, torque_prior, last)
     found.append(Explanation(CONTACT, -1, gain_of_contact, 0.0, 0.0, begin))
     return found
 
 
-def contact_evidence(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> float:
+def contact_evidence(
+    estimator: OffsetEstimator, last: int, torque_prior: FloatArray, count: int
+) -> float:
     """Ratio of marginal likelihoods of torques from outside that come, change and go.
 
     On each joint a torque of unknown amplitude a, correlated over `CONTACT_TIME`; joints that
     need none have none.  With the eigenvalues l_k of the correlation and z_k the residuals along
-    its eigenvectors, sum_k [z_k^2 / s^2 * g - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).
+    its eigenvectors, sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).
 
     Parameters
     ----------
@@ -211,6 +216,8 @@ def contact_evidence(estimator: OffsetEstimator, last: int, torque_prior: FloatA
         Length of the window [balances].
     torque_prior : ndarray, shape (n,)
         Largest of the amplitudes that are tried [N m].
+    count : int
+        Balances of the window that are looked at, from its start on.
 
     Returns
     -------
@@ -218,8 +225,9 @@ def contact_evidence(estimator: OffsetEstimator, last: int, torque_prior: FloatA
         Log-likelihood ratio.
     """
     step = estimator.plan.interval
-    residual = estimator.residual(estimator.window.last_rows(last))
-    values, vectors = _correlation(last, step)
+    rows = estimator.window.last_rows(min(last, len(estimator.window)))[:count]
+    residual = estimator.residual(rows)
+    values, vectors = _correlation(len(rows), step)
     along = (vectors.T @ residual) ** 2
     noise = estimator.noise**2 * estimator.inflation
     best = np.zeros(estimator.joints)

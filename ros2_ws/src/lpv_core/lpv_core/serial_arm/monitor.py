@@ -25,9 +25,15 @@ from lpv_core.serial_arm.sampling import (
     take_samples,
 )
 
+BoolArray = npt.NDArray[np.bool_]
+
 NANOSECONDS = 1_000_000_000
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
+RECENT = 1.0
+"""After a jump so long ago a reading is suspected first [s]."""
+RARE = 0.3
+"""Share of repeated readings below which a reading that rests is frozen."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -54,7 +60,8 @@ class MonitorSettings:
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.15  # standard deviation of an offset that says nothing [rad]
-    dwell: int = 3  # balances in a row for which a decision must hold
+    dwell: int = 4  # balances in a row for which a decision must hold
+    contact_dwell: int = 8  # the same for torques from outside
     level_dwell: int = 10  # the same for the level
     horizon: float = 10.0  # [s]
 
@@ -132,8 +139,9 @@ class SerialMonitor:
             self.estimator.balance.derived, 2.0 * noise,
             np.full(n, self.settings.smallest_step), self._capacity)  # fmt: skip
         self._state = [SensorState.OK] * n
-        self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.level_dwell)
+        self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.contact_dwell)
         self._level_held = np.zeros(n, int)
+        self._jumped = np.full(n, -np.inf)
         self._moving: MovingFault | None = None
         self._suspects: tuple[str, ...] = ()
         self._last_time = -np.inf
@@ -228,6 +236,7 @@ class SerialMonitor:
             if self.sampler.found[i] == STEP:
                 sigma = float(self.sampler.scale[i])
                 self._raise(i, 'bias', now, float(self.sampler.size[i]), sigma)
+                self._jumped[i] = now
             elif self.sampler.found[i] == SPIKE:
                 self.alarms.append(SerialAlarm(self._sensor(i), 'spike', now, now, 0.0, 0.0, ()))
             self.sampler.found[i] = 0
@@ -258,32 +267,69 @@ class SerialMonitor:
         self.estimator.add(now, not self._suspects)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator.window) + 1))
-        found = explanations(self.estimator, self._push, *self._other_evidence())
-        best = found[0] if found else None
-        if best is None or best.gain < self.settings.evidence:
+        found = explanations(
+            self.estimator, self._push, *self._rest(), 0.5 * self.settings.evidence
+        )
+        if not found or found[0].gain < self.settings.evidence:
             self._suspects = ()
             self._held.clear()
             self._decide_level()
             return
-        if best.kind == CONTACT:
-            self._report_contact(now)
-        rivals = [one for one in found if one.gain > best.gain - self.settings.margin]
+        margin = found[0].gain - self.settings.margin
+        rivals = [one for one in found if one.gain > margin]
         self._suspects = tuple(dict.fromkeys(self._label(one) for one in rivals))
-        self._held.append(('encoder' if best.is_encoder else best.kind, best.joint))
-        held = list(self._held)[-self.settings.dwell :]
-        if len(held) < self.settings.dwell or len(set(held)) > 1:
+        verdict = self._verdict(found)
+        if verdict is None:
+            self._held.append(('', -1))
             return
-        if best.is_encoder and len({(one.is_encoder, one.joint) for one in rivals}) == 1:
-            self._blame(best)
+        kind = CONTACT if verdict.kind == CONTACT else 'encoder'
+        self._held.append((kind, verdict.joint))
+        if verdict.kind == CONTACT:
+            if self._has_held(verdict, self.settings.contact_dwell):
+                self._report_contact(now)
+        elif self._has_held(verdict, self.settings.dwell) and now > self._contact_until:
+            self._blame(verdict)
 
-    def _other_evidence(self) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Other evidence against sensors; how long each rests [balances], its speed before."""
+    def _has_held(self, verdict: Explanation, balances: int) -> bool:
+        """Whether the same has been to blame for the last balances."""
+        held = list(self._held)[-balances:]
+        kind = CONTACT if verdict.kind == CONTACT else 'encoder'
+        return held == [(kind, verdict.joint)] * balances
+
+    def _verdict(self, found: list[Explanation]) -> Explanation | None:
+        """The explanation that is beyond doubt for now, if there is one.
+
+        A reading that froze or jumped is evidence of its own, and what the linear columns say of
+        it is rough; else a torque from outside, which may have any course, is excluded only by an
+        encoder's fault that explains clearly more, over a second or longer.
+        """
+        for i in np.nonzero(self._is_conspicuous())[0]:
+            own = [one for one in found if one.joint == i and one.is_encoder]
+            if own and own[0].gain > 0.0:
+                return own[0]
+        contact = max(one.gain for one in found if one.kind == CONTACT)
+        encoder = [one for one in found if one.is_encoder]
+        if contact > 2.0 * max(self.settings.evidence, *(one.gain for one in encoder)):
+            return next(one for one in found if one.kind == CONTACT)
+        late = [one for one in encoder if one.kind == 'stuck' or one.begin < self._last() - 0.6]
+        best = late[0] if late else None
+        if best is None or best.gain < self.settings.evidence:
+            return None
+        others = [one.gain for one in found if one.joint != best.joint or not one.is_encoder]
+        return best if best.gain > max(others) + self.settings.margin else None
+
+    def _is_conspicuous(self) -> BoolArray:
+        """Whether a reading froze while it moved, or jumped not long ago."""
+        still = self.sampler.still * self.arm.sample_time > STILL_TIME
+        froze = still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
+        froze |= still & (self.sampler.repeats < RARE)
+        return froze | (self._last() - self._jumped < RECENT)
+
+    def _rest(self) -> tuple[IntArray, FloatArray]:
+        """For how many balances each reading rests, and its speed before [rad/s]."""
         time = self.sampler.still * self.arm.sample_time
-        still = time > STILL_TIME
-        abrupt = still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
-        recent = np.array([state is SensorState.ERROR for state in self._state])
-        resting = np.where(still, np.ceil(time / self.plan.interval) + 1, 0).astype(np.int64)
-        return 4.0 * recent + 20.0 * abrupt, resting, np.maximum(self.sampler.stop, 0.1)
+        resting = np.where(time > STILL_TIME, np.ceil(time / self.plan.interval) + 1, 0)
+        return resting.astype(np.int64), np.maximum(self.sampler.stop, 0.1)
 
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
@@ -299,7 +345,7 @@ class SerialMonitor:
     def _blame(self, best: Explanation) -> None:
         """A position sensor explains what nothing else does: its fault is followed from now on."""
         i = best.joint
-        kind = best.kind
+        kind = 'stuck' if self.sampler.still[i] * self.arm.sample_time > STILL_TIME else best.kind
         self._raise(i, kind, best.begin, best.size, best.sigma)
         self._moving = begin_moving_fault(self.estimator, i, kind, best.begin)
         self._suspects = ()

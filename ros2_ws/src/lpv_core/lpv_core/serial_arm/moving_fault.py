@@ -15,8 +15,12 @@ from lpv_core.serial_arm.sampling import BLOCKS, Sampler
 
 MEMORY = 1.0
 """Longest time over which offset and drift are taken for constant [s]."""
+STUCK_RATE = 1.0
+"""By which the position of a joint becomes uncertain whose reading rests [rad/s]."""
 _PRIOR = np.array([0.5, 1.0])
 """Standard deviations of offset and drift since the last correction [rad], [rad/s]."""
+_LARGEST = np.array([1.0, 3.0])
+"""Largest correction at once, of offset and drift [rad], [rad/s]."""
 _CORRECT_BEYOND = 0.03
 """Estimated offset that is taken out of the readings [rad]."""
 
@@ -86,6 +90,10 @@ def follow(fault: MovingFault, estimator: OffsetEstimator, sampler: Sampler, now
         Of the last sample [s].
     """
     n, plan, i = estimator.joints, estimator.plan, fault.joint
+    if fault.kind == 'stuck':
+        # The reading says nothing any more, and the dynamics alone do not tell for long.
+        fault.sigma = STUCK_RATE * (now - fault.begin)
+        return
     start = max(fault.begin, now - MEMORY)
     last = max(2, min(sum(time > start for time in estimator.window.times), len(estimator.window)))
     products = estimator.window.products(last)
@@ -103,6 +111,7 @@ def follow(fault: MovingFault, estimator: OffsetEstimator, sampler: Sampler, now
     fault.course, fault.reference = (covariance @ right)[m:], begin
     direction = np.array([1.0, now - begin])
     fault.sigma = float(np.sqrt(direction @ covariance[m:, m:] @ direction))
+    fault.course = np.clip(fault.course, -_LARGEST, _LARGEST)
     if abs(fault.course[0] + fault.course[1] * (now - begin)) > _CORRECT_BEYOND:
         _correct(fault, estimator, sampler, last)
 
