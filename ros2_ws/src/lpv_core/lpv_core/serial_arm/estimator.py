@@ -176,6 +176,11 @@ class OffsetEstimator:
             self.solve()
         self._since_linearised = 0
 
+    def restart(self) -> None:
+        """Begin a new horizon after a gap; what the old one said of arm and offsets is kept."""
+        self.window.past += self.window.products()
+        self.window.forget(0)
+
     def replace_last(self, rows: FloatArray) -> None:
         """Put new rows, linearised where the balance is, in the place of the last ones."""
         self._put_last(self._absolute(rows), 1.0)

@@ -22,12 +22,20 @@ from lpv_core.serial_arm.sampling import (
     STEP,
     Sampler,
     new_sampler,
+    restart,
     take_samples,
 )
 
 BoolArray = npt.NDArray[np.bool_]
 
 NANOSECONDS = 1_000_000_000
+LONGEST_STEP = 10.0
+"""Sample times after which the next sample begins anew."""
+NAMED_AFTER = {'stuck': 0.0, 'drift': 0.6, 'scale': 0.6, 'slip': 1.7}
+"""Shortest windows that tell a fault from a torque from outside [s]; a slip, which changes the
+torques of gravity only, takes longest."""
+NOISE_KNOWN_AFTER = 3.0
+"""Before, a torque from outside is not told from errors of the model [s]."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
 RECENT = 1.0
@@ -59,7 +67,7 @@ class MonitorSettings:
     level_sigmas: float = 4.0  # offset over its standard deviation
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
-    widest_level: float = 0.15  # standard deviation of an offset that says nothing [rad]
+    widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
     dwell: int = 4  # balances in a row for which a decision must hold
     contact_dwell: int = 8  # the same for torques from outside
     level_dwell: int = 10  # the same for the level
@@ -188,7 +196,7 @@ class SerialMonitor:
         SampleError
             As `update`.
         """
-        values = np.ascontiguousarray(samples, dtype=float)
+        values = np.array(samples, dtype=float, order='C')
         moments = np.asarray(stamps, dtype=np.int64)
         if values.shape != (len(moments), 3, self.joints):
             raise SampleError(
@@ -201,14 +209,25 @@ class SerialMonitor:
         if self._first is None:
             self._first = int(moments[0])
         times = (moments - self._first) / NANOSECONDS
-        if not (np.diff(times, prepend=self._last_time) > 0.0).all():
+        steps = np.diff(times, prepend=self._last_time)
+        if not (steps > 0.0).all():
             raise SampleError('stamps must increase')
-        self._last_time = float(times[-1])
         values[:, 2] *= self._efforts
-        k = 0
-        plan = self.plan.per_block, self.plan.blocks, 10.0 * self.arm.sample_time
+        gaps = np.nonzero(steps > LONGEST_STEP * self.arm.sample_time)[0]
+        for begin, end in zip([0, *gaps], [*gaps, len(times)]):
+            if begin > 0 or (len(gaps) > 0 and gaps[0] == 0):
+                restart(self.sampler, self.estimator.balance)
+                self.estimator.restart()
+            self._take(times[begin:end], values[begin:end])
+        self._last_time = float(times[-1])
+
+    def _take(self, times: FloatArray, samples: FloatArray) -> None:
+        """Take samples without a gap between them."""
+        k, plan = 0, (self.plan.per_block, self.plan.blocks)
         while k < len(times):
-            k, complete = take_samples(self.sampler, self.estimator.balance, times, values, k, plan)
+            k, complete = take_samples(
+                self.sampler, self.estimator.balance, times, samples, k, plan
+            )
             now = float(times[k - 1])
             self._report_jumps(now)
             if complete:
@@ -254,7 +273,7 @@ class SerialMonitor:
 
     def _blocks(self, intervals: int) -> FloatArray:
         """The last blocks, oldest first."""
-        written = int(self.sampler.index[BLOCKS])
+        written = int(self.sampler.counters[BLOCKS])
         count = min(intervals * self.plan.blocks, written, self._capacity)
         return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
 
@@ -285,7 +304,8 @@ class SerialMonitor:
         kind = CONTACT if verdict.kind == CONTACT else 'encoder'
         self._held.append((kind, verdict.joint))
         if verdict.kind == CONTACT:
-            if self._has_held(verdict, self.settings.contact_dwell):
+            learned = len(self.estimator.window) * self.plan.interval > NOISE_KNOWN_AFTER
+            if learned and self._has_held(verdict, self.settings.contact_dwell):
                 self._report_contact(now)
         elif self._has_held(verdict, self.settings.dwell) and now > self._contact_until:
             self._blame(verdict)
@@ -309,9 +329,9 @@ class SerialMonitor:
                 return own[0]
         contact = max(one.gain for one in found if one.kind == CONTACT)
         encoder = [one for one in found if one.is_encoder]
-        if contact > 2.0 * max(self.settings.evidence, *(one.gain for one in encoder)):
+        if contact > max(3.0 * self.settings.evidence, *(2.0 * one.gain for one in encoder)):
             return next(one for one in found if one.kind == CONTACT)
-        late = [one for one in encoder if one.kind == 'stuck' or one.begin < self._last() - 0.6]
+        late = [one for one in encoder if self._last() - one.begin > NAMED_AFTER[one.kind]]
         best = late[0] if late else None
         if best is None or best.gain < self.settings.evidence:
             return None
@@ -353,9 +373,10 @@ class SerialMonitor:
     def _decide_level(self) -> None:
         """Offsets that gravity and motion show."""
         offsets, sigma = self.estimator.posterior.offsets(self.joints)
-        beyond = (np.abs(offsets) > self.settings.level_sigmas * sigma) & (
-            np.abs(offsets) > self.settings.smallest_level
+        beyond = np.abs(offsets) > np.maximum(
+            self.settings.level_sigmas * sigma, self.settings.smallest_level
         )
+        beyond &= sigma < self.settings.widest_level
         self._level_held = np.where(beyond, self._level_held + 1, 0)
         for i in np.nonzero(self._level_held >= self.settings.level_dwell)[0]:
             if self._state[i] is not SensorState.ERROR:

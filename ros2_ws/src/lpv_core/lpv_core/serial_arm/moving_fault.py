@@ -121,7 +121,7 @@ def _correct(fault: MovingFault, estimator: OffsetEstimator, sampler: Sampler, l
     n, i = estimator.joints, fault.joint
     offset, drift = fault.course
     derived = sampler.derived[i]
-    capacity, written = len(sampler.blocks), int(sampler.index[BLOCKS])
+    capacity, written = len(sampler.blocks), int(sampler.counters[BLOCKS])
     count = min((last + 1) * estimator.plan.blocks, written, capacity)
     places = np.arange(written - count, written) % capacity
     blocks = sampler.blocks[places]

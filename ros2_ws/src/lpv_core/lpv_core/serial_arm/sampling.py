@@ -22,7 +22,7 @@ DELAY = 5
 NONE, STEP, SPIKE = range(3)
 """What was found at a reading."""
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
-"""Entries of `Sampler.index`: samples since the start, in the block; blocks in the interval;
+"""Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
 TIME, INTERVAL_START, BLOCK_START = range(3)
 """Entries of `Sampler.clock` [s]."""
@@ -65,7 +65,7 @@ class Sampler(NamedTuple):
         Share of readings that equal the one before, as of quantised encoders that move slowly.
     stop : ndarray, shape (n,)
         Speed of the reading before it came to rest [rad/s].
-    index : ndarray of int64, shape (5,)
+    counters : ndarray of int64, shape (5,)
         Counters.
     clock : ndarray, shape (3,)
         Moments [s].
@@ -87,7 +87,7 @@ class Sampler(NamedTuple):
     still: IntArray
     repeats: FloatArray
     stop: FloatArray
-    index: IntArray
+    counters: IntArray
     clock: FloatArray
 
 
@@ -111,13 +111,13 @@ def new_sampler(
         All zero otherwise.
     """
     n = len(derived)
-    index = np.zeros(5, np.int64)
-    index[PENDING] = -1
+    counters = np.zeros(5, np.int64)
+    counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         smallest.copy(), np.zeros(n), np.zeros(n), derived.copy(), np.zeros((3, n)),
         np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64), np.zeros(n),
-        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), index,
+        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), counters,
         np.zeros(3))  # fmt: skip
 
 
@@ -147,7 +147,7 @@ def push_sample(
     sampler.time[HISTORY - 1] = time
     for i in range(n):
         sampler.found[i] = NONE
-        if sampler.index[COUNT] > 0:
+        if sampler.counters[COUNT] > 0:
             sampler.correction[i] += sampler.drift[i] * period
         reading = y[i] - sampler.correction[i]
         if y[i] != sampler.raw[i]:
@@ -164,8 +164,8 @@ def push_sample(
         sampler.samples[HISTORY - 1, 0, i] = reading
         sampler.samples[HISTORY - 1, 1, i] = v[i] - sampler.derived[i] * sampler.drift[i]
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
-    sampler.index[COUNT] += 1
-    if sampler.index[COUNT] >= 3:
+    sampler.counters[COUNT] += 1
+    if sampler.counters[COUNT] >= 3:
         _set_jumps(sampler)
         _find_jumps(sampler)
 
@@ -195,21 +195,21 @@ def _set_jumps(sampler: Sampler) -> None:
 def _find_jumps(sampler: Sampler) -> None:
     """Wait for three samples after a large e, then say what it is."""
     n, k = sampler.scale.shape[0], HISTORY - 2
-    if sampler.index[PENDING] < 0:
+    if sampler.counters[PENDING] < 0:
         for i in range(n):
             size = abs(sampler.jumps[k, i])
             limit = max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
             if size > limit:
-                sampler.index[PENDING] = 0
+                sampler.counters[PENDING] = 0
             else:
                 bounded = min(size, 3.0 * sampler.scale[i])
                 change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
                 sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / 256.0)
         return
-    sampler.index[PENDING] += 1
-    if sampler.index[PENDING] < 3:
+    sampler.counters[PENDING] += 1
+    if sampler.counters[PENDING] < 3:
         return
-    sampler.index[PENDING] = -1
+    sampler.counters[PENDING] = -1
     for i in range(n):
         _name_jump(sampler, i)
 
@@ -256,9 +256,7 @@ def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
 
 
 @njit
-def move_to_balance(
-    sampler: Sampler, balance: Balance, per_block: int, blocks: int, longest: float
-) -> bool:
+def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: int) -> bool:
     """Let the sample that is ``DELAY`` old enter the balance.
 
     Parameters
@@ -269,8 +267,6 @@ def move_to_balance(
         Changed where a block is complete.
     per_block, blocks : int
         Samples of a block, blocks of an interval.
-    longest : float
-        A longer time between samples is a gap: the interval begins again [s].
 
     Returns
     -------
@@ -278,27 +274,23 @@ def move_to_balance(
         Whether a balance is complete.
     """
     k = HISTORY - 1 - DELAY
-    if sampler.index[COUNT] <= DELAY + 1:
-        if sampler.index[COUNT] == DELAY + 1:
+    if sampler.counters[COUNT] <= DELAY + 1:
+        if sampler.counters[COUNT] == DELAY + 1:
             _start_interval(sampler, sampler.time[k])
         return False
     n, now = sampler.scale.shape[0], sampler.time[k]
-    if now - sampler.time[k - 1] > longest:
-        drop_interval(balance)
-        _start_interval(sampler, now)
-        return False
     for part in range(3):
         for i in range(n):
             sampler.sums[part, i] += sampler.samples[k, part, i]
-    sampler.index[IN_BLOCK] += 1
-    if sampler.index[IN_BLOCK] < per_block:
+    sampler.counters[IN_BLOCK] += 1
+    if sampler.counters[IN_BLOCK] < per_block:
         return False
     _close_block(sampler, balance, now, blocks)
-    if sampler.index[IN_INTERVAL] < blocks:
+    if sampler.counters[IN_INTERVAL] < blocks:
         return False
     complete = close_interval(balance, now - sampler.clock[INTERVAL_START])
     sampler.clock[INTERVAL_START] = now
-    sampler.index[IN_INTERVAL] = 0
+    sampler.counters[IN_INTERVAL] = 0
     return complete
 
 
@@ -306,8 +298,8 @@ def move_to_balance(
 def _start_interval(sampler: Sampler, now: float) -> None:
     """Begin block and interval."""
     sampler.sums[:] = 0.0
-    sampler.index[IN_BLOCK] = 0
-    sampler.index[IN_INTERVAL] = 0
+    sampler.counters[IN_BLOCK] = 0
+    sampler.counters[IN_INTERVAL] = 0
     sampler.clock[INTERVAL_START] = now
     sampler.clock[BLOCK_START] = now
 
@@ -315,23 +307,40 @@ def _start_interval(sampler: Sampler, now: float) -> None:
 @njit
 def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) -> None:
     """Give the means of the block to the balance, and keep them."""
-    n, count = sampler.scale.shape[0], sampler.index[IN_BLOCK]
+    n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
     capacity = sampler.blocks.shape[0]
-    row = sampler.blocks[sampler.index[BLOCKS] % capacity]
+    row = sampler.blocks[sampler.counters[BLOCKS] % capacity]
     for part in range(3):
         for i in range(n):
             row[part * n + i] = sampler.sums[part, i] / count
             sampler.sums[part, i] = 0.0
     length = now - sampler.clock[BLOCK_START]
-    place = (sampler.index[IN_INTERVAL] + 0.5) / blocks
+    place = (sampler.counters[IN_INTERVAL] + 0.5) / blocks
     row[3 * n] = 0.5 * (now + sampler.clock[BLOCK_START])
     row[3 * n + 1] = length
     row[3 * n + 2] = place
     add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
-    sampler.index[BLOCKS] += 1
-    sampler.index[IN_BLOCK] = 0
-    sampler.index[IN_INTERVAL] += 1
+    sampler.counters[BLOCKS] += 1
+    sampler.counters[IN_BLOCK] = 0
+    sampler.counters[IN_INTERVAL] += 1
     sampler.clock[BLOCK_START] = now
+
+
+def restart(sampler: Sampler, balance: Balance) -> None:
+    """Begin again after a gap in the samples; corrections and what was learned stay.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed.
+    balance : Balance
+        Changed.
+    """
+    sampler.counters[:] = 0
+    sampler.counters[PENDING] = -1
+    sampler.still[:] = 0
+    sampler.sums[:] = 0.0
+    drop_interval(balance)
 
 
 @njit
@@ -341,7 +350,7 @@ def take_samples(
     times: FloatArray,
     samples: FloatArray,
     begin: int,
-    plan: tuple[int, int, float],
+    plan: tuple[int, int],
 ) -> tuple[int, bool]:
     """Take samples until something has to be decided.
 
@@ -358,7 +367,7 @@ def take_samples(
     begin : int
         The first sample to take.
     plan : tuple
-        Samples of a block, blocks of an interval, longest time between samples [s].
+        Samples of a block, blocks of an interval.
 
     Returns
     -------
@@ -368,7 +377,7 @@ def take_samples(
     n = sampler.scale.shape[0]
     for k in range(begin, times.shape[0]):
         push_sample(sampler, times[k], samples[k, 0], samples[k, 1], samples[k, 2])
-        complete = move_to_balance(sampler, balance, plan[0], plan[1], plan[2])
+        complete = move_to_balance(sampler, balance, plan[0], plan[1])
         jumped = False
         for i in range(n):
             jumped = jumped or sampler.found[i] != NONE

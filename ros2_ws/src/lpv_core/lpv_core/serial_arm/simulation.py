@@ -17,6 +17,7 @@ from lpv_core.serial_arm.chain import (
     VISCOUS,
     Chain,
     FloatArray,
+    IntArray,
     compile_chain,
     workspace,
 )
@@ -54,7 +55,7 @@ class Push:
 class SerialRun:
     """What was simulated."""
 
-    stamps: FloatArray  # [ns] as int64, shape (N,)
+    stamps: IntArray  # [ns], shape (N,)
     samples: FloatArray  # readings, rates, efforts, shape (N, 3, n)
     position: FloatArray  # true joint positions [rad], shape (N, n)
 

@@ -1,5 +1,7 @@
 """Diagnosis of a simulated arm of three joints whose parameters are not known exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
@@ -112,3 +114,26 @@ def test_spike_is_no_lasting_fault():
     monitor.update_many(run.stamps, run.samples)
     assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'spike')]
     assert abs(monitor.estimate(0).fault[1]) < 0.1
+
+
+def test_gap_in_the_samples_is_no_fault_and_forgets_nothing():
+    arm = shoulder_arm()
+    run = SerialSimulator(arm, wrong_plant(arm, 1), 1).run(8.0, [EncoderFault(1, 'bias', 0.0, 0.5)])
+    kept = (np.arange(len(run.stamps)) < 2513) | (np.arange(len(run.stamps)) > 2777)
+    monitor = SerialMonitor(arm)
+    monitor.update_many(run.stamps[kept], run.samples[kept])
+    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
+    assert monitor.estimate(0).fault[1] == pytest.approx(0.5, abs=0.05)
+
+
+def test_efforts_are_scaled_in_a_copy():
+    arm = shoulder_arm()
+    louder = replace(arm, joints=tuple(replace(j, torque_gain=2.0) for j in arm.joints))
+    run = SerialSimulator(arm, seed=1).run(2.0)
+    halved = run.samples.copy()
+    halved[:, 2] *= 0.5
+    before, one, other = halved.copy(), SerialMonitor(arm), SerialMonitor(louder)
+    one.update_many(run.stamps, run.samples)
+    other.update_many(run.stamps, halved)
+    assert np.array_equal(halved, before)
+    assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
