@@ -233,7 +233,7 @@ def _priors(arm: SerialArm, friction: FloatArray) -> list[FloatArray]:
     return [
         np.full(n, OFFSET_PRIOR),
         0.005 * limit,
-        share * friction[:, WET] + 5e-4 * limit,
+        share * np.abs(friction[:, WET]) + 5e-4 * limit,
         share * friction[:, DRY] + 3e-3 * limit,
     ]
 

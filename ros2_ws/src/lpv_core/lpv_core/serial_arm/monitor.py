@@ -10,7 +10,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from lpv_core.errors import SampleError
+from lpv_core.errors import ConfigError, SampleError
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.estimator import HorizonPlan, OffsetEstimator
@@ -121,9 +121,18 @@ class SerialMonitor:
         Arm and sensors.
     settings : MonitorSettings, optional
         Thresholds.
+
+    Raises
+    ------
+    ConfigError
+        If the arm's efforts leave out the torque of gravity: the balances need it.
     """
 
     def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
+        if not arm.effort_includes_gravity:
+            raise ConfigError(
+                'effort.includes_gravity', 'must be true to monitor sensors', arm.name
+            )
         self.arm = arm
         self.settings = settings or MonitorSettings()
         self.joints = len(arm.joints)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
 
-from lpv_core.errors import SampleError
+from lpv_core.errors import ConfigError, SampleError
 from lpv_core.serial_arm.monitor import SensorState, SerialMonitor
 from lpv_core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
 
@@ -137,3 +137,8 @@ def test_efforts_are_scaled_in_a_copy():
     other.update_many(run.stamps, halved)
     assert np.array_equal(halved, before)
     assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
+
+
+def test_efforts_without_gravity_are_refused():
+    with pytest.raises(ConfigError, match='effort.includes_gravity'):
+        SerialMonitor(replace(shoulder_arm(), effort_includes_gravity=False))
