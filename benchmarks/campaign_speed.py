@@ -36,7 +36,7 @@ from lpv_core.simulation.arm_simulator import (
     brake,
     integrate,
     read_sensors,
-    take_torque,
+    set_torque,
 )
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record
@@ -162,20 +162,18 @@ def _plant(c, s, faults, noise, push, chance, torque, braked, sense, to):
         if braked[k]:
             brake(c, s)
         else:
-            take_torque(c, s, torque[k, 0], torque[k, 1], push)
+            set_torque(c, s, torque[k, 0], torque[k, 1], push)
             integrate(c, s)
 
 
 @njit
-def _monitor(c, s, stamps, values, answer, measured, period, part, position, velocity, effort):
+def _monitor(c, s, buffers, answer, measured, period, part, position, velocity, effort):
     for k in range(len(measured)):
         for i in range(2):
             position[i], velocity[i] = measured[k, i], measured[k, 2 + i]
             effort[i] = measured[k, 4 + i]
         if part == 2:
-            monitor_step(
-                c, s, stamps, values, answer, round(k * period * 1e9), position, velocity, effort
-            )
+            monitor_step(c, s, buffers, answer, round(k * period * 1e9), position, velocity, effort)
             continue
         observe(
             c.observer, s.observer, s.estimate, round(k * period * 1e9), position, velocity, effort
@@ -187,19 +185,9 @@ def _monitor(c, s, stamps, values, answer, measured, period, part, position, vel
 
 
 @njit
-def _track(c, s, position, velocity, acceleration, measured, rate, period):
-    for k in range(len(position)):
-        track(
-            c,
-            s,
-            position[k],
-            velocity[k],
-            acceleration[k],
-            measured[k],
-            rate[k],
-            measured[k],
-            period,
-        )
+def _track(params, state, motion, measured, rate, period):
+    for k in range(len(motion)):
+        track(params, state, motion[k], measured[k], rate[k], measured[k], period)
 
 
 def timed(function, *arguments):
@@ -243,9 +231,7 @@ def part_times(plan):
             _track,
             tracking_constants(arm, plan.gains),
             new_record(TRACKING_STATE),
-            reference.position,
-            reference.velocity,
-            reference.acceleration,
+            np.stack([reference.position, reference.velocity, reference.acceleration], axis=1),
             run.measured,
             run.estimated_velocity,
             arm.sample_time,

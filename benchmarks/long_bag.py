@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from lpv_bag.blocks.chunk_assembly import ChunkAssembly
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.replay.answer_records import RecordTemplate
-from lpv_bag.rosbag.chunk_assembly import ChunkAssembly
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
 from lpv_core.control.tracking import TrackingController

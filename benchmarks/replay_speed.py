@@ -60,8 +60,8 @@ def decode(bag):
     """Our reading and decoding alone."""
     import numpy as np
 
-    from lpv_bag.rosbag.message_blocks import read_blocks
-    from lpv_bag.rosbag.prefetch import ahead
+    from lpv_bag.blocks.message_blocks import read_blocks
+    from lpv_bag.blocks.prefetch import ahead
     from lpv_bag.run.measurements import MeasurementReader
     from lpv_bag.run.record import open_bag
     from lpv_bag.run.torque_reader import EffortReader

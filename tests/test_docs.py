@@ -1,4 +1,4 @@
-"""The documentation says what the code says: references resolve, the index of equations is complete."""
+"""The documentation fits the code: references resolve, the index of equations is complete."""
 
 import functools
 import importlib

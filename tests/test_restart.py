@@ -45,6 +45,9 @@ MOVING_ON = 0.35
 """Longest that the arm may move after the death of a node, in its own time [s]."""
 RECOVERY = 1_000_000_000
 """Longest time from the data of a new node to an arm that is moved again [ns]."""
+# A busy machine makes commands late, which is not the subject here: `test_stalls` has the defaults.
+DRIVES = ('command_timeout:=0.2', 'max_mean_latency:=0.2')
+TRACKER = ('estimate_timeout:=0.2', 'max_latency:=0.2')
 RELEASED = ('simulator', 'brakes released')
 COMMANDS = ('simulator', 'commands flow')
 
@@ -63,9 +66,9 @@ class Rig:
         scenario = folder / 'moving.yaml'
         scenario.write_text(MOVING)
         self._own = {
-            'simulator': [arm, f'scenario_file:={scenario}'],
+            'simulator': [arm, f'scenario_file:={scenario}', *DRIVES],
             'uio': [arm],
-            'tracker': [arm, f'scenario_file:={scenario}'],
+            'tracker': [arm, f'scenario_file:={scenario}', *TRACKER],
         }
         self.nodes, self._starts = {}, {}
         self.heard = {}
@@ -228,7 +231,7 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         rig.drive()
         death = rig.kill('uio')
         assert_brakes(rig, death)
-        rig.logged('tracker', 'no estimates: safe stop', death)
+        rig.logged('tracker', 'safe stop: no estimates', death)
         assert_recovers(
             rig, 'uio', [('uio', 'measurements flow'), ('tracker', 'following the path')]
         )
@@ -245,7 +248,7 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         assert_recovers(rig, 'tracker', [('tracker', 'following the path'), COMMANDS])
 
         death = rig.kill('simulator')
-        rig.logged('tracker', 'no estimates: safe stop', death)
+        rig.logged('tracker', 'safe stop: no estimates', death)
         assert_recovers(rig, 'simulator', [('uio', 'measurements flow'), COMMANDS])
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
     assert_no_leap(rig)
@@ -286,7 +289,7 @@ def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_
             rig.drive()
             moment = rig.hold(name, 0.6)
             rig.logged('simulator', 'brakes engaged', moment)
-            rig.logged('tracker', 'no estimates: safe stop', moment)
+            rig.logged('tracker', 'safe stop: no estimates', moment)
             rig.drive()
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
     assert_moves_as_an_arm_does(rig)
@@ -325,7 +328,7 @@ def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_wit
         rig.kill('simulator')
         rig.start('simulator')
         log = tmp_path / 'log' / 'uio2.log'
-        assert rig.client.wait(lambda: 'lockstep starts anew' in log.read_text()), 'no restart'
+        assert rig.client.wait(lambda: 'lockstep was restarted' in log.read_text()), 'no restart'
         assert_advances(rig)
         for name in tuple(rig.nodes):
             rig.kill(name)  # an orderly end would wait for the dead to acknowledge

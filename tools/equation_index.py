@@ -1,7 +1,8 @@
 """Index from the paper's equations to the functions that implement them: ``docs/equations.md``.
 
-Equation numbers are read from docstrings ("eq. (38)", "eqs. (13)-(20)", "LMI (67)"); a function, class or
-module that states one is listed.  ``--check`` fails where the page is not what the docstrings say.
+Equation numbers are read from docstrings ("eq. (38)", "eqs. (13)-(20)", "LMI (67)"); a function,
+class or module that states one is listed.  ``--check`` fails where the page is not what the
+docstrings say.
 """
 
 import argparse
@@ -27,8 +28,8 @@ _STATED = re.compile(
 )
 _HEAD = """# Index of equations
 
-Where each equation of the paper is implemented; made by `tools/equation_index.py` from the docstrings, which
-state the numbers. Equations that two methods share name both.
+Where each equation of the paper is implemented; made by `tools/equation_index.py` from the
+docstrings, which state the numbers. Equations that two methods share name both.
 
 | equation | code |
 | --- | --- |
@@ -59,7 +60,7 @@ def _documented(tree: ast.Module, module: str) -> Iterator[tuple[str, str]]:
 
 
 def find_equations() -> dict[int, list[str]]:
-    """Dotted names by equation; a module is named only where none of its functions states the number."""
+    """Dotted names by equation; a module only where none of its functions states the number."""
     index: dict[int, list[str]] = {}
     for folder in FOLDERS:
         for file in sorted((ROOT / folder).rglob('*.py')):

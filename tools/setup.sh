@@ -31,6 +31,17 @@ choose_source() {
   fi
 }
 
+# CMake, Ninja and the generators of messages split such paths.
+check_paths() {
+  local path
+  for path in "$root" "$venv"; do
+    case $path in
+      *[[:space:]]*) fail "'$path' contains a space, which ROS 2's build tools cannot handle: move" \
+        "the checkout (or set VENV) to a path without spaces" ;;
+    esac
+  done
+}
+
 check_machine() {
   command -v "$python" >/dev/null || fail "$python is missing: apt-get install python3 python3-venv"
   "$python" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' ||
@@ -126,6 +137,7 @@ build_workspace() {
 }
 
 main() {
+  check_paths
   choose_source
   check_machine
   make_venv

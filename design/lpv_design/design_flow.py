@@ -198,7 +198,7 @@ def _reason(check: Check, observer_status: str, controller_status: str) -> str:
 
 
 def _check_lines(checks: list[Check]) -> list[str]:
-    return [f'{check.name}: {check.margin:.3g} (negative: holds)' for check in checks]
+    return [f'holds ({check.margin:.3g} < 0): {check.name}' for check in checks]
 
 
 def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str]:
@@ -211,13 +211,14 @@ def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str
 
     return [
         f'{" and ".join(arm.sensor_names)}:',
-        f'  standard deviation of the fault estimates at most {pair(sigma)}',
-        '  at rest, both links vertical: threshold '
+        f'  standard deviation of the fault estimates: at most {pair(sigma)}',
+        '  at rest, both links vertical: alarm threshold '
         f'{pair(found.threshold[middle, middle])}, lasting faults are detected from '
         f'{pair(found.detectable[middle, middle])}',
-        f'  H-infinity norm from unknown torques: {torque_gains(arm)[0]:.3g}, '
-        f'{torque_gains(arm)[1]:.3g} rad/(N m)',
-        f'  at rest, gravity bounds both errors in {finite:.0%} of the region',
+        f'  an unknown torque of 1 N m shifts the estimated angles by at most '
+        f'{pair(torque_gains(arm))} (H-infinity norm)',
+        f'  at rest, lasting faults of both sensors are detected in {finite:.0%} of the region, '
+        'elsewhere only changes: gravity tells too little there',
     ]
 
 

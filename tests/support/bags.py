@@ -13,7 +13,7 @@ CHATTER = '/chatter'
 def write_small(path, count=20, **options):
     """A bag of some measurements and, every fifth step, a text; a chunk every 10 ms."""
     options = {'preset': 'zstd_fast', 'chunk_time': 10_000_000, **options}
-    known = options.pop('known', None)
+    known, names = options.pop('known', None), options.pop('names', ('a', 'b'))
     with BagWriter(path, **options) as writer:
         messages = BagMessages(writer.typestore, 'arm')
         writer.add_topic(JOINTS, JOINT_STATE, [qos_profile(True, False, 10)])
@@ -21,9 +21,7 @@ def write_small(path, count=20, **options):
         for k in range(count):
             stamp = START + k * STEP
             writer.write(
-                JOINTS,
-                stamp,
-                messages.joint_state(stamp, ('a', 'b'), [k, 1.0], [2.0, 3.0], [4.0, 5.0]),
+                JOINTS, stamp, messages.joint_state(stamp, names, [k, 1.0], [2.0, 3.0], [4.0, 5.0])
             )
             if k % 5 == 0:
                 text = writer.typestore.types['std_msgs/msg/String'](f'hello {k}')

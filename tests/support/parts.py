@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from lpv_core.bound import error_bound
-from lpv_core.decision import fault_classification, sensor_decision, sensor_state
+from lpv_core.decision import fault_classification, fault_kinds, sensor_decision, sensor_state
 from lpv_core.decision.diagnosis import diagnosis_constants
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JointMap
@@ -23,36 +23,41 @@ class History:
     """Buffer of one sensor."""
 
     def __init__(self, size):
-        self.stamps, self.values = sample_buffer.new_history(size)
-        self.end = 0
+        self.buffer = sample_buffer.buffer_of(sample_buffer.new_buffers(1, size), 0)
 
     def clear(self):
-        self.end = 0
+        sample_buffer.clear_buffer(self.buffer)
+
+    @property
+    def count(self):
+        return int(self.buffer.used[0])
 
     def add(self, stamp, residual, reading, allowance=0.0, innovation=0.0):
-        self.end = sample_buffer.add_sample(
-            self.stamps, self.values, self.end, stamp, residual, reading, allowance, innovation
+        fields = dict(
+            residual=residual, reading=reading, allowance=allowance, innovation=innovation
         )
+        sample = new_record(sensor_state.SAMPLE, stamp=stamp, **fields)
+        sample_buffer.add_sample(self.buffer, sample)
 
     def row(self, stamp):
         """Row of a stamp: the same wherever the search starts."""
         rows = {
-            sample_buffer.index_at(self.stamps, self.end, stamp, guess)
-            for guess in (-5, 0, self.end // 2, self.end, self.end + 7)
+            sample_buffer.index_at(self.buffer, stamp, guess)
+            for guess in (-5, 0, self.count // 2, self.count, self.count + 7)
         }
         assert len(rows) == 1
         return rows.pop()
 
     def at(self, stamp):
-        row = self.row(stamp)
-        return None if row < 0 else (self.stamps[row], self.values[row, sample_buffer.RESIDUAL])
+        row, buffer = self.row(stamp), self.buffer
+        return None if row < 0 else (buffer.stamps[row], buffer.values[row, sample_buffer.RESIDUAL])
 
     def median_at(self, stamp, count=5):
-        return sample_buffer.median_before(self.values, self.row(stamp), count)
+        return sample_buffer.median_before(self.buffer, self.row(stamp), count)
 
     def since(self, stamp):
-        first = sample_buffer.first_since(self.stamps, self.end, stamp)
-        return self.stamps[first : self.end], self.values[first : self.end]
+        rows = slice(sample_buffer.first_since(self.buffer, stamp), self.count)
+        return self.buffer.stamps[rows], self.buffer.values[rows]
 
 
 class ChangeTest:
@@ -69,14 +74,12 @@ class ChangeTest:
         sample = new_record(
             sensor_state.SAMPLE, stamp=stamp, residual=residual, allowance=allowance
         )
-        window, _, before = change_detection.find_change(
-            self.constants, past.stamps, past.values, past.end, sample
-        )
+        window, _, before = change_detection.find_change(self.constants, past.buffer, sample)
         return None if window < 0 else (window, before)
 
 
 class SensorDecision:
-    """Decision about one sensor; fields of its state are attributes."""
+    """Decision about one sensor; fields of its alarm are attributes."""
 
     _WORDS = {
         sensor_decision.NOTHING: None,
@@ -88,15 +91,23 @@ class SensorDecision:
     def __init__(self, arm, gains, parameters):
         self.constants = diagnosis_constants(arm, gains, parameters).sensor
         self.state = new_record(sensor_state.SENSOR_STATE)
-        self.past = sample_buffer.new_history(round(1.5 / arm.sample_time))
+        self.past = History(round(1.5 / arm.sample_time))
         self.reset()
 
     def __getattr__(self, name):
-        return getattr(self.state, name)
+        return getattr(self.state.alarm, name)
+
+    @property
+    def alarm(self):
+        return bool(self.state.alarm.active)
 
     @property
     def kind(self):
-        return fault_classification.KINDS[self.state.kind]
+        return fault_kinds.KINDS[self.state.alarm.kind]
+
+    @property
+    def baseline(self):
+        return self.state.before.residual
 
     @property
     def compensable(self):
@@ -107,15 +118,16 @@ class SensorDecision:
         return sensor_decision.suspected(self.state)
 
     def reset(self):
-        sensor_state.reset_sensor(self.state)
+        sensor_state.reset_sensor(self.state, self.past.buffer)
 
     def restart(self):
-        sensor_state.restart_sensor(self.state)
+        sensor_state.restart_sensor(self.state, self.past.buffer)
 
     def update(self, **sample):
         for name, value in sample.items():
             self.state.sample[name] = value
-        return self._WORDS[sensor_decision.decide(self.constants, self.state, *self.past)]
+        decided = sensor_decision.decide(self.constants, self.state, self.past.buffer)
+        return self._WORDS[decided]
 
 
 class ErrorBound:
@@ -134,10 +146,10 @@ class ErrorBound:
 
 
 def classify(stamps, values, onset, baseline, noise):
-    """Name of the kind of a course that fills a history."""
-    return fault_classification.KINDS[
-        fault_classification.classify(stamps, values, 0, len(values), onset, baseline, noise)
-    ]
+    """Name of the kind of a time profile that fills a buffer."""
+    buffer = sample_buffer.SampleBuffer(stamps, values, np.array([len(values)]))
+    limits = new_record(sensor_state.SENSOR_LIMITS, noise=noise)
+    return fault_kinds.KINDS[fault_classification.classify(limits, buffer, 0, onset, baseline)]
 
 
 class Swing:

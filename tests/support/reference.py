@@ -16,8 +16,8 @@ import numpy as np
 from places import DATA
 from rosbags.highlevel import AnyReader
 
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.replay.replay import Replay
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.run.record import stamp_of
 from lpv_cli.commands.compare import load_pair, show

@@ -9,8 +9,8 @@ from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.control.tracking import TrackingController
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.support.timestamps import NANOSECONDS
 
 MEASURED = {'joint_states', 'torque_command', 'state_estimate', 'fault_estimate', 'fault_alarm'}
 ALL = MEASURED | {'ground_truth', 'reference'}

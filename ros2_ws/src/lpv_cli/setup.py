@@ -10,6 +10,7 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
     ],
+    package_data={PACKAGE: ['templates/*.yaml']},
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
     zip_safe=False,

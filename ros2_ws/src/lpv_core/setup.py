@@ -11,7 +11,7 @@ setup(
         ('share/' + PACKAGE, ['package.xml']),
     ],
     install_requires=['setuptools'],
-    extras_require={'test': ['pytest'], 'mujoco': ['mujoco>=3.3.1,<4']},
+    extras_require={'test': ['pytest'], 'mujoco': ['mujoco>=3.3.1,<4'], 'urdf': ['pin>=3.3,<5']},
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',

@@ -11,7 +11,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
-        (f'share/{PACKAGE}/layout', glob('layout/*.json')),
+        (f'share/{PACKAGE}/layout', glob('layout/*')),
     ],
     package_data={PACKAGE: ['static/*']},
     install_requires=['setuptools', 'aiohttp>=3.9'],

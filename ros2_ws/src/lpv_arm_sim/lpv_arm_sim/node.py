@@ -5,19 +5,34 @@ import time
 from dataclasses import replace
 
 from builtin_interfaces.msg import Time
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from lpv_arm_sim.services import FaultServices
+from lpv_core.control.watchdog import (
+    BRAKE_TEXT,
+    BrakeReason,
+    DriveLimits,
+    check_drive,
+    drive_watchdog,
+)
 from lpv_core.model.arm import load_arm
-from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.arm_simulator import ArmSimulator, Measurement, Truth
 from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import GroundTruth, TorqueCommand
+from lpv_node.input_check import Refusals, all_finite
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
 from lpv_node.qos import stream
-from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds
+from lpv_node.stamps import set_stamp, to_nanoseconds
+from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
+_LIMITS = DriveLimits()
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML)', read_only=True),
@@ -39,9 +54,17 @@ SPECS = (
     ),
     Spec(
         'command_timeout',
-        0.2,
-        'real time only: brake when the measurement that was answered last is so old [s]',
+        _LIMITS.command_age,
+        'real time only: brake when the measurement that was answered last is this old [s]',
         0.01,
+        60.0,
+        read_only=True,
+    ),
+    Spec(
+        'max_mean_latency',
+        _LIMITS.mean_latency,
+        'real time only: brake when commands are this old on average over 0.1 s [s]',
+        0.001,
         60.0,
         read_only=True,
     ),
@@ -66,21 +89,26 @@ class SimulatorNode(ManagedNode):
 
     Topics: publishes ``joint_states`` (sensor_msgs/JointState), ``ground_truth``
     (lpv_msgs/GroundTruth, for recording only) and, in lockstep, ``/clock``; subscribes
-    ``torque_command``.  Services: ``~/inject_fault``, ``~/clear_faults``.
+    ``torque_command``.  Services: ``~/inject_fault``, ``~/clear_faults``,
+    ``~/release_brakes``.
 
-    Until the first command, after a safe stop, and in real time when commands stay away, the
-    drives brake and hold the arm where it is.  In real time an arm does not wait for a process that
-    is late: it moves on under the last torque until the drives brake.  In lockstep a sample that
-    nobody answers is sent again when nodes have joined: one that was restarted has not heard it.
+    Until the first command and for the reasons of `lpv_core.control.watchdog` the drives brake and
+    hold the arm where it is; a joint that was too fast keeps them braked until
+    ``~/release_brakes``.  In real time an arm does not wait for a process that
+    is late: it moves on under the last torque until the drives brake.  In lockstep a sample
+    without an answer is sent again when nodes have joined: one that was restarted missed it.
     """
 
     def __init__(self) -> None:
         super().__init__('arm_sim', SPECS)
-        self._command_in = self._ticker = None
-        self._command = None
-        self._waiting = None
+        self._command_in: Subscription | None = None
+        self._ticker: Timer | None = None
+        self._command: TorqueCommand | None = None
+        self._waiting = 0  # stamp of the sample that lockstep wants answered [ns]
+        self._sent = 0.0  # steady time at which it was sent [s]
         self._slips = 0
-        self._braking, self._flowing = True, False
+        self._reason: BrakeReason | None = BrakeReason.NO_COMMAND  # None: brakes released
+        self._flowing = False
 
     def setup(self) -> None:
         """Read arm and scenario, create publishers and services."""
@@ -92,8 +120,16 @@ class SimulatorNode(ManagedNode):
         self._scenario = scenario
         substeps = self.get_parameter('substeps').value
         self._plant = ArmSimulator(self._arm, scenario, substeps)
+        limits = DriveLimits(
+            self.get_parameter('command_timeout').value,
+            self.get_parameter('max_mean_latency').value,
+        )
+        self._watchdog = drive_watchdog(self._arm, limits)
         # Compile before the first step, not on it.
         ArmSimulator(self._arm, scenario, substeps).step([0.0, 0.0])
+        check_drive(drive_watchdog(self._arm, limits), 1, 0, True, self._plant.state.velocity)
+        self._start = self._first = self._answered = 0  # stamps of samples [ns]
+        self._refusals = Refusals(self)
         self._period = round(self._arm.sample_time * NANOSECONDS)
         self._last = round(scenario.duration / self._arm.sample_time)
         qos = stream(self.lockstep)
@@ -102,15 +138,17 @@ class SimulatorNode(ManagedNode):
         self._clock_out = None
         if self.lockstep:
             self._clock_out = self.create_publisher(ClockMessage, '/clock', qos)
+        self._status = StatusReporter(self, 'drives', self._arm.name)
         self._faults = FaultServices(self, self._plant)
+        self.create_service(Trigger, '~/release_brakes', self._on_release)
         self._state_message = JointState(name=list(self._arm.joint_names))
         self._state_message.header.frame_id = 'base_link'
         self._truth_message = GroundTruth()
         self._truth_message.header.frame_id = self._arm.name
 
-    def outputs(self):
+    def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before the first sample."""
-        return {self._joint_states_out: 1, self._truth_out: 0}
+        return {self._joint_states_out: 1, self._truth_out: 0, self._status.publisher: 0}
 
     def listen(self) -> None:
         """Subscribe to commands: the tracker waits for this before it takes estimates."""
@@ -129,41 +167,60 @@ class SimulatorNode(ManagedNode):
         else:
             # Time that passed while the node was inactive is none of the arm's.
             self._start = self.get_clock().now().nanoseconds - self._plant.step_count * self._period
+            self._first = self._start + self._plant.step_count * self._period
             self.get_logger().info(f'real time, {1.0 / self._arm.sample_time:.0f} Hz')
             self._ticker = self.steady_timer(self._arm.sample_time, self._tick)
 
     def end(self) -> None:
         """Stop stepping."""
-        for item, destroy in (
-            (self._command_in, self.destroy_subscription),
-            (self._ticker, self.destroy_timer),
-        ):
-            if item is not None:
-                destroy(item)
+        if self._command_in is not None:
+            self.destroy_subscription(self._command_in)
+        if self._ticker is not None:
+            self.destroy_timer(self._ticker)
         self._command_in = self._ticker = self._command = None
         self._flowing = False
 
     @property
-    def _stamp(self):
+    def _stamp(self) -> int:
         return self._start + self._plant.step_count * self._period
 
-    def _on_command(self, message) -> None:
+    def _on_command(self, message: TorqueCommand) -> None:
         """Lockstep: the answer to the present sample makes the next step. Real time: store it."""
-        if self.lockstep and to_nanoseconds(message.header.stamp) != self._waiting:
+        if self._ticker is None:
+            return  # it answers no sample of this simulator, which has not begun
+        stamp = to_nanoseconds(message.header.stamp)
+        refusal = self._refusal(message, stamp)
+        if refusal:
+            self._refusals.add(refusal)
+            return
+        if self.lockstep and stamp != self._waiting:
             return  # a command for an older sample, e.g. of a tracker that was restarted
-        self._command = message
+        self._command, self._answered = message, stamp
         if self.lockstep:
             self._newcomers = False
             self._advance()
             self._publish()
-        elif not self._flowing and not self._expired():
+        elif not self._flowing and self._age() <= self._watchdog.command_age:
             self._flowing = True
             self.get_logger().info('commands flow')
 
-    def _count_peers(self):
+    def _refusal(self, message: TorqueCommand, stamp: int) -> str:
+        """Why a command is ignored: it must answer a measurement of this arm."""
+        if not all_finite(message.torque):
+            return 'command with values that are not finite'
+        if self.lockstep:
+            return ''
+        if not self._first <= stamp <= self._stamp or (stamp - self._start) % self._period:
+            return 'command whose stamp answers no measurement'
+        # A safe stop answers the last estimate, which may have been answered before.
+        if stamp <= self._answered and not message.safe_stop:
+            return 'command for a measurement that was answered before'
+        return ''
+
+    def _count_peers(self) -> tuple[int, int]:
         return (
             self._joint_states_out.get_subscription_count(),
-            self.count_publishers(self._command_in.topic_name),
+            self.count_publishers('torque_command'),
         )
 
     def _ask_again(self) -> None:
@@ -183,7 +240,7 @@ class SimulatorNode(ManagedNode):
         """Make the steps that are due; only while it is braked may the arm leave some out."""
         behind = (self.get_clock().now().nanoseconds - self._stamp) // self._period
         while behind > 0 and not self.finished:
-            if self._braking and behind > _CATCH_UP:
+            if self._reason is not None and behind > _CATCH_UP:
                 self._start += (behind - 1) * self._period
                 self._slips += behind - 1
                 behind = 1
@@ -192,39 +249,61 @@ class SimulatorNode(ManagedNode):
             behind -= 1
 
     def _advance(self) -> None:
-        command = self._command
-        if command is None:
-            self._brake('no command')
-        elif command.safe_stop:
-            self._brake('safe stop')
-        elif self._expired():
-            self._flowing = False
-            self._brake('commands stay away')
+        """Let the present command act over one sample, or the brakes."""
+        command, velocity = self._command, self._plant.state.velocity
+        reason = BrakeReason.NO_COMMAND
+        if command is not None:
+            age = 0 if self.lockstep else self._age()
+            reason = BrakeReason(
+                check_drive(self._watchdog, self._stamp, age, command.safe_stop, velocity)
+            )
+        if command is not None and reason is BrakeReason.NONE:
+            self._plant.step(command.torque)
         else:
-            self._drive(command.torque)
+            self._flowing &= reason is not BrakeReason.LATE
+            self._plant.hold()
+        self._note(None if reason is BrakeReason.NONE else reason)
 
-    def _drive(self, torque) -> None:
-        try:
-            self._plant.step(torque)
-        except ValueError as error:
-            self._brake(error)
-            return
-        if self._braking:
-            self._braking = False
-            self.get_logger().info('brakes released')
+    def _note(self, reason: BrakeReason | None) -> None:
+        """Say that the brakes were engaged or released, or why they stay."""
+        if reason is not self._reason:
+            if reason is None:
+                self.get_logger().info('brakes released')
+            elif self._reason is None or reason is BrakeReason.OVERSPEED:
+                self.get_logger().error(f'brakes engaged: {self._brake_text(reason)}')
+            self._reason = reason
+        values = {'samples slipped': self._slips, **self._refusals.counts}
+        if reason is BrakeReason.NO_COMMAND:
+            self._status.report(self._stamp, WARN, 'braked: no command yet', values)
+        elif reason is not None:
+            self._status.report(self._stamp, ERROR, f'braked: {self._brake_text(reason)}', values)
+        elif self._refusals.is_recent:
+            self._status.report(self._stamp, WARN, 'driven; commands are refused', values)
+        else:
+            self._status.report(self._stamp, OK, 'driven', values)
 
-    def _brake(self, reason) -> None:
-        self._plant.hold()
-        if not self._braking:
-            self._braking = True
-            self.get_logger().error(f'brakes engaged: {reason}')
+    def _count_senders(self) -> None:
+        """Notice a second sender of commands, which is a fault of the graph."""
+        senders = self.count_publishers('torque_command')
+        if senders > 1:
+            self._refusals.add(f'the topic torque_command has {senders} senders')
 
-    def _expired(self) -> bool:
-        if self.lockstep:
-            return False
-        # By the measurement that it answers: late answers are as bad as none.
-        age = self._stamp - to_nanoseconds(self._command.header.stamp)
-        return age > self.get_parameter('command_timeout').value * NANOSECONDS
+    def _brake_text(self, reason: BrakeReason) -> str:
+        text = BRAKE_TEXT[reason]
+        return f'{text}; stays until ~/release_brakes is called' if self._watchdog.latched else text
+
+    def _age(self) -> int:
+        """Age of the measurement that was answered last [ns]: late answers are as bad as none."""
+        return self._stamp - self._answered
+
+    def _on_release(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success = True
+        response.message = 'brakes may be released' if self._watchdog.latched else 'none latched'
+        self._watchdog.latched = 0
+        self.get_logger().info(f'~/release_brakes: {response.message}')
+        return response
 
     def _publish(self) -> None:
         measurement, truth = self._plant.sense()
@@ -244,7 +323,7 @@ class SimulatorNode(ManagedNode):
         self._sent = time.monotonic()
         self._report_progress()
 
-    def _publish_truth(self, stamp, truth, measurement) -> None:
+    def _publish_truth(self, stamp: int, truth: Truth, measurement: Measurement) -> None:
         message = self._truth_message
         set_stamp(message.header.stamp, stamp)
         message.position, message.velocity = truth.position, truth.velocity
@@ -254,16 +333,21 @@ class SimulatorNode(ManagedNode):
 
     def _report_progress(self) -> None:
         step = self._plant.step_count
-        if step % max(1, round(1.0 / self._arm.sample_time)) == 0 and step <= self._last:
+        every_second = step % max(1, round(1.0 / self._arm.sample_time)) == 0
+        if every_second and not self.lockstep:
+            self._count_senders()
+        if every_second and step <= self._last:
             slipped = f', {self._slips} samples slipped' if self._slips else ''
             self.get_logger().info(
                 f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{slipped}'
             )
+        if step == self._last:
+            self.get_logger().info('the scenario is over')
         if step == self._last and self.get_parameter('shutdown_at_end').value:
             self.finish()
 
 
-def main(argv=None) -> None:
+def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_arm_sim simulator``."""
     sys.exit(run_node(SimulatorNode, argv))
 

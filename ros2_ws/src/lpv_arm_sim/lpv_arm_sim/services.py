@@ -1,39 +1,25 @@
 """Services that inject and clear faults on the running simulator."""
 
+from rclpy.node import Node
+
+from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.errors import LpvError
 from lpv_msgs.srv import ClearFaults, InjectFault
 
 
 class FaultServices:
-    """``~/inject_fault`` and ``~/clear_faults``.
+    """``~/inject_fault`` and ``~/clear_faults``."""
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owns the services.
-    plant : ArmSimulator
-        Receives the faults.
-    """
-
-    def __init__(self, node, plant) -> None:
+    def __init__(self, node: Node, plant: ArmSimulator) -> None:
         self._node, self._plant = node, plant
         node.create_service(InjectFault, '~/inject_fault', self.inject)
         node.create_service(ClearFaults, '~/clear_faults', self.clear)
 
-    def inject(self, request, response):
-        """Start a fault now.
-
-        Parameters
-        ----------
-        request, response
-            lpv_msgs/InjectFault.
-
-        Returns
-        -------
-        lpv_msgs.srv.InjectFault.Response
-            ``success``, and the reason where it is refused.
-        """
+    def inject(
+        self, request: InjectFault.Request, response: InjectFault.Response
+    ) -> InjectFault.Response:
+        """Start a fault now, or say why not."""
         fault = Fault(
             request.sensor,
             request.kind,
@@ -52,19 +38,10 @@ class FaultServices:
         self._node.get_logger().info('injected ' + response.message)
         return response
 
-    def clear(self, request, response):
-        """Remove faults of one sensor or of all.
-
-        Parameters
-        ----------
-        request, response
-            lpv_msgs/ClearFaults.
-
-        Returns
-        -------
-        lpv_msgs.srv.ClearFaults.Response
-            ``success``, the number removed, or the reason where it is refused.
-        """
+    def clear(
+        self, request: ClearFaults.Request, response: ClearFaults.Response
+    ) -> ClearFaults.Response:
+        """Remove faults of one sensor or of all."""
         try:
             response.cleared = self._plant.injector.clear(request.sensor)
         except LpvError as error:

@@ -13,8 +13,8 @@ from bags import CHATTER, JOINT_STATE, JOINTS, START, STEP, contents, storage, w
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from lpv_bag.recorder.message_loss import RECORD_NAME, TopicCount
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
+from lpv_bag.rosbag.message_loss import RECORD_NAME, TopicCount
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.writing import BagWriter

@@ -14,18 +14,17 @@ from mcap.writer import Writer as PeerWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from lpv_bag.mcap import blocks
+from lpv_bag.blocks import mcap_blocks, message_blocks
+from lpv_bag.blocks.cdr_layout import find_layout
+from lpv_bag.blocks.chunk_assembly import Buffer, ChunkAssembly
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
+from lpv_bag.blocks.message_blocks import read_blocks
+from lpv_bag.blocks.prefetch import Behind, ahead
+from lpv_bag.errors import DamageError
 from lpv_bag.replay.answer_records import RecordTemplate
-from lpv_bag.rosbag import message_blocks
-from lpv_bag.rosbag.cdr_layout import find_layout
-from lpv_bag.rosbag.chunk_assembly import Buffer, ChunkAssembly
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
-from lpv_bag.rosbag.errors import DamageError
 from lpv_bag.rosbag.interfaces import make_typestore
-from lpv_bag.rosbag.message_blocks import read_blocks
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
-from lpv_bag.rosbag.prefetch import Behind, ahead
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import BagError, open_bag
 
@@ -180,7 +179,7 @@ def test_given_something_odd_in_the_middle_when_read_in_blocks_then_nothing_is_l
     tmp_path, monkeypatch, small_blocks
 ):
     path = write_peer(tmp_path / 'a.mcap', entries(disorder=15), compression=CompressionType.LZ4)
-    inflate, calls = blocks.inflate, []
+    inflate, calls = mcap_blocks.inflate, []
 
     def failing(*arguments):
         calls.append(arguments)
@@ -188,7 +187,7 @@ def test_given_something_odd_in_the_middle_when_read_in_blocks_then_nothing_is_l
             raise DamageError('not now')
         return inflate(*arguments)
 
-    monkeypatch.setattr(blocks, 'inflate', failing)
+    monkeypatch.setattr(mcap_blocks, 'inflate', failing)
     assert by_blocks(path) == one_by_one(path)
     assert len(calls) == 7
 

@@ -10,8 +10,8 @@ import pytest
 from bags import CHATTER, JOINT_STATE, JOINTS, START, STEP, contents, storage, write_small
 from mcap.writer import CompressionType, Writer
 
+from lpv_bag.errors import BagError
 from lpv_bag.mcap import records
-from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.recovery import recover
 from lpv_bag.rosbag.writing import BagWriter

@@ -1,7 +1,9 @@
 """Replays of recorded bags: same answers as online, everything else untouched, damaged bags."""
 
+import dataclasses
 import math
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +26,11 @@ from lpv_core.certificate.gains import save_gains
 from lpv_core.control.tracking import TrackingController
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS, Mode
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 PAPER_ARM = str(BRINGUP / 'arms' / 'paper.yaml')
 RECORDINGS = Path(
@@ -880,7 +883,33 @@ def test_given_a_file_of_faults_when_the_command_is_run_then_they_are_added(
     faults = tmp_path / 'faults.yaml'
     faults.write_text('faults:\n  - {sensor: link2_angle, kind: bias, onset: 1.0, size: -0.3}\n')
     assert main(command(source, inject=faults)) == 0
-    assert 'ALARM, link2_angle: unclassified, -0.' in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert 'ALARM, link2_angle: unclassified, -0.' in said
+    assert '1 of 1 injected faults found on the right sensor' in said
+    assert re.search(r'link2_angle, bias from 1.000 s on: found after 0.\d+ s as \w+, -0.\d+', said)
+    assert 'size error' in said
+
+
+def test_given_other_joint_names_when_the_command_is_run_then_it_says_so_and_fails(
+    healthy, command, tmp_path, capsys
+):
+    renamed = []
+    for topic, time, content in entries_of(healthy):
+        if topic == '/lpv/joint_states':
+            content = dataclasses.replace(content, name=['left', 'right'])
+        renamed.append((topic, time, content))
+    source = write_bag(tmp_path / 'bag', renamed, TYPES)
+    assert main(command(source)) == 2
+    said = capsys.readouterr().err
+    assert 'none of its' in said and 'measurements can be used' in said and 'left' in said
+    assert not (tmp_path / 'result').exists()
+
+
+def test_given_alarms_when_the_command_is_run_then_their_three_times_are_told(bag, command, capsys):
+    assert main(command(bag)) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if 'alarm updated' in line]
+    times = re.findall(r'(\d+\.\d{3}) s', lines[0])
+    assert len(set(times)) == 3
 
 
 FAULTS_OF_NOBODY = 'faults:\n  - {sensor: nose, kind: bias, onset: 1.0, size: 1.0}\n'

@@ -30,9 +30,10 @@ from lpv_core.control.tracking import TrackingController  # noqa: E402
 from lpv_core.monitoring.monitor import SensorMonitor  # noqa: E402
 from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
 from lpv_core.simulation.faults import Fault  # noqa: E402
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
-from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds  # noqa: E402
+from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

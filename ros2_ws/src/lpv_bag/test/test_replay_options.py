@@ -9,8 +9,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from lpv_bag.blocks import message_blocks
 from lpv_bag.replay.replay import Replay
-from lpv_bag.rosbag import message_blocks
 from lpv_bag.rosbag.interfaces import make_typestore
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
@@ -19,10 +19,10 @@ from lpv_bag.run.record import BagError, load_run
 from lpv_core.control.tracking import TrackingController
 from lpv_core.monitoring.message_fields import alarm_fields
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.support.errors import SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lpv_bag.recorder.stamp_sorter import WINDOW, StampOrder
+from lpv_bag.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import ALARM_TYPE, STREAMS, BagError, load_run
@@ -396,7 +396,7 @@ ENTRIES = st.lists(
 def in_order(entries):
     """What comes out for entries of stamp, topic and data in order of arrival."""
     released = []
-    order = StampOrder(lambda *entry: released.append(entry))
+    order = StampSorter(lambda *entry: released.append(entry))
     for stamp, topic, data in entries:
         order.add(topic, stamp, data)
     order.flush()
@@ -429,7 +429,7 @@ def test_given_any_arrivals_when_ordered_then_nothing_is_lost_and_equal_ones_kee
 
 def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts():
     released = []
-    order = StampOrder(lambda *entry: released.append(entry))
+    order = StampSorter(lambda *entry: released.append(entry))
     for k in range(2000):
         order.add('/a', k * 2 * MS, k)
     assert [k for _, _, k in released] == list(range(1749))  # older than the window of 0.5 s

@@ -16,7 +16,7 @@ from lpv_campaign.limit.linearisation import LinearSystem, linearise, measuremen
 from lpv_campaign.limit.smoother import filter_adaptively, smooth
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.arm_simulator import ArmSimulator
-from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.closed_loop import Transport, run_closed_loop
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.errors import ConfigError, LpvError
 
@@ -188,7 +188,7 @@ def test_given_a_fault_and_no_noise_when_linearised_at_the_truth_then_readings_a
     paper_arm, paper_gains, two_faults, fault
 ):
     scenario = short(two_faults, faults=(fault,), noise=False)
-    run = run_closed_loop(paper_arm, paper_gains, scenario, delay=3, loss=0.1)
+    run = run_closed_loop(paper_arm, paper_gains, scenario, transport=Transport(3, 0.1))
     knowledge, faults = known_exactly(paper_arm, scenario), known_shape(paper_arm, scenario, run)
     states = true_states(paper_arm, run, knowledge, faults)
     if fault.kind in ('bias', 'drift', 'rate_bias'):
@@ -214,7 +214,7 @@ def test_given_a_run_when_the_truth_moves_then_only_the_disturbance_is_not_expla
     paper_arm, paper_gains, two_faults
 ):
     scenario = short(two_faults, mass_factors=(1.04, 0.97), disturbance_factor=1.5)
-    run = run_closed_loop(paper_arm, paper_gains, scenario, delay=2)
+    run = run_closed_loop(paper_arm, paper_gains, scenario, transport=Transport(2))
     knowledge = known_exactly(paper_arm, scenario)
     states = true_states(paper_arm, run, knowledge, [])
     system = linearise(paper_arm, scenario, run, knowledge, [], states)
@@ -351,7 +351,7 @@ def test_given_runs_without_a_fault_of_a_size_when_measured_then_what_is_not_the
     paper_arm, paper_gains, two_faults, faults, loss
 ):
     scenario = short(two_faults, duration=2.5, faults=faults)
-    run = run_closed_loop(paper_arm, paper_gains, scenario, loss=loss)
+    run = run_closed_loop(paper_arm, paper_gains, scenario, transport=Transport(loss=loss))
     found = limit_figures(paper_arm, scenario, run)
     for name, value in found.items():
         none = faults and (name.startswith('fault') or faults[0].kind == 'bias')

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from lpv_bag.run.record import load_run
+from lpv_campaign.execution.run_files import arm_to_dict, scenario_to_dict, write_run_files
 from lpv_campaign.execution.run_to_bag import (
     START,
     check_answers,
@@ -18,7 +19,6 @@ from lpv_campaign.execution.run_to_bag import (
 )
 from lpv_campaign.execution.runs import plan_run
 from lpv_campaign.plan.campaign import resolve
-from lpv_campaign.plan.run_files import arm_to_dict, scenario_to_dict, write_run_files
 from lpv_cli.main import main
 from lpv_core.certificate.gains import load_gains, save_gains
 from lpv_core.model.arm import load_arm, parse_arm
@@ -238,8 +238,8 @@ def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figur
     [
         (['--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
         (['--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
-        (['--run', '1'], 'belong together'),
-        (['--bag', 'x'], 'belong together'),
+        (['--run', '1'], 'must be given together'),
+        (['--bag', 'x'], 'must be given together'),
     ],
 )
 def test_given_a_run_that_is_not_there_when_asked_for_then_it_is_told(

@@ -131,7 +131,7 @@ def test_given_a_worker_of_another_version_when_run_then_its_results_are_refused
 def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_with_a_new_one(
     cluster, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr('lpv_campaign.execution.cluster._LONELY', 2.0)
+    monkeypatch.setattr('lpv_campaign.execution.cluster._NO_WORKER_TIMEOUT', 2.0)
     worker, file, out = cluster.worker('one'), tmp_path / 'many.yaml', tmp_path / 'out'
     file.write_text(yaml.safe_dump(MANY))
     command = [
@@ -146,7 +146,7 @@ def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_w
     found = execute(resolve(MANY, 'many', '.'), range(400), scheduler=cluster.address, chunk=5)
     next(found)
     os.killpg(worker.pid, signal.SIGKILL)
-    with pytest.raises(WorkerError, match='no worker is left'):
+    with pytest.raises(WorkerError, match='no worker has been left'):
         list(found)
     cluster.worker('two')
     assert main(command) == 0

@@ -235,7 +235,7 @@ def test_given_a_file_that_is_no_study_when_it_should_go_on_then_it_is_refused(t
         ),
         (
             {'search': {'diagnosis.latch': {'low': 0.0, 'high': 1.0}}},
-            'is no number of the diagnosis',
+            'is not a number of the diagnosis',
         ),
         (
             {'search': {'diagnosis.threshold_factor': {'low': 0.5, 'high': 2.0}}},

@@ -1,7 +1,8 @@
 """Tab completion of ``lpv``, by argcomplete."""
 
+import argparse
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from lpv_core.support.errors import LpvError
@@ -14,17 +15,19 @@ _PROGRAMS = {
     'lpv_uio': 'uio',
 }
 
+_KINDS = {
+    'arm': 'arms',
+    'columns': 'columns',
+    'gains': 'gains',
+    'requirement': 'requirements',
+    'scenario': 'scenarios',
+    'spec': 'campaigns',
+}
+"""Folder of shipped files by argument."""
 
-def complete(build_parser: Callable[..., Any], commands) -> None:
-    """Answer a request of the shell for completions and leave; otherwise do nothing.
 
-    Parameters
-    ----------
-    build_parser : callable
-        Parser for a command that was typed, or None.
-    commands : collection of str
-        Known commands.
-    """
+def complete(build_parser: Callable[..., Any], commands: Collection[str]) -> None:
+    """Answer a request of the shell for completions and leave; otherwise do nothing."""
     if '_ARGCOMPLETE' not in os.environ:
         return
     import argcomplete
@@ -34,21 +37,22 @@ def complete(build_parser: Callable[..., Any], commands) -> None:
     argcomplete.autocomplete(build_parser(chosen), exclude=['-h', '--help'])
 
 
+def completed(action: argparse.Action, completer: Callable[..., Any]) -> None:
+    """Give an argument its completer, where argcomplete looks for it."""
+    action.completer = completer  # type: ignore[attr-defined]
+
+
+def complete_by_name(parser: argparse.ArgumentParser) -> None:
+    """Complete arguments that take a file with the names of shipped ones."""
+    for action in parser._actions:
+        if action.dest in _KINDS:
+            completed(action, shipped(_KINDS[action.dest]))
+
+
 def shipped(kind: str) -> Callable[..., Any]:
-    """Completer: names of shipped files, and YAML files here.
+    """Completer: names of shipped files, and YAML files here."""
 
-    Parameters
-    ----------
-    kind : {'arms', 'scenarios', 'columns'}
-        Folder of lpv_bringup.
-
-    Returns
-    -------
-    callable
-        Completer.
-    """
-
-    def names(prefix, **_):
+    def names(prefix: str, **_: object) -> list[str]:
         import argcomplete
 
         files = argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix)
@@ -57,19 +61,23 @@ def shipped(kind: str) -> Callable[..., Any]:
     return names
 
 
-def _shipped_names(kind):
+def _shipped_names(kind: str) -> list[str]:
+    if kind == 'requirements':
+        from lpv_design.requirement import SHIPPED
+
+        return sorted(path.stem for path in SHIPPED.glob('*.yaml'))
     try:
         return list(shipped_files(kind))
     except LpvError:  # not installed
         return []
 
 
-def packages(**_):
+def packages(**_: object) -> list[str]:
     """Completer: packages with nodes."""
     return list(_PROGRAMS)
 
 
-def programs(parsed_args, **_):
+def programs(parsed_args: argparse.Namespace, **_: object) -> list[str]:
     """Completer: the programs of the package that was typed."""
     try:
         folder = executable(parsed_args.package, _PROGRAMS[parsed_args.package]).parent

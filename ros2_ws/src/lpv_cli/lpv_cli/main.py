@@ -4,21 +4,25 @@ import argparse
 import importlib
 import sys
 
-from lpv_cli.completion import complete
+from lpv_cli.completion import complete, complete_by_name
+from lpv_cli.needs import remedy, versions
 from lpv_core.support.errors import LpvError
 
 COMMANDS = {
-    'design': ('lpv_design.main', 'design certified gains for an arm'),
+    'design': ('lpv_cli.commands.design', 'design certified gains for an arm'),
     'verify': ('lpv_cli.commands.verify', 'check the certificate of a gains file'),
     'falsify': ('lpv_cli.commands.falsify', 'search for healthy runs that cross a threshold'),
     'demo': ('lpv_cli.commands.demo', 'design, simulate with the real graph, record, report'),
     'doctor': ('lpv_cli.doctor', 'find the usual mistakes in files, environment and graph'),
-    'campaign': ('lpv_cli.commands.campaign', 'run thousands of simulations, or replay many bags'),
-    'tune': ('lpv_cli.commands.tune', 'search the weights of a design by campaigns of runs'),
+    'campaign': ('lpv_cli.campaigns.campaign', 'run thousands of simulations, or replay many bags'),
+    'tune': ('lpv_cli.campaigns.tune', 'search the weights of a design by campaigns of runs'),
     'run': ('lpv_cli.commands.run', 'start a node, as ros2 run does'),
+    'identify': ('lpv_cli.commands.identify', 'identify an arm from recordings of its motion'),
+    'excite': ('lpv_cli.commands.excite', 'plan a motion that identifies an arm well'),
     'import-csv': ('lpv_cli.commands.import_csv', 'turn a CSV recording of an arm into a bag'),
-    'replay': ('lpv_cli.commands.replay', 'run observer and diagnosis offline on a bag'),
+    'replay': ('lpv_cli.replaying.replay', 'run observer and diagnosis offline on a bag'),
     'view': ('lpv_cli.commands.view', 'show the running graph: web page, Foxglove, markers'),
+    'init': ('lpv_cli.commands.init', 'write commented files of an arm to start from'),
     'urdf': ('lpv_cli.commands.urdf', 'print the URDF of an arm'),
     'recover': ('lpv_cli.commands.recover', 'repair a bag that is cut off or damaged'),
     'compare': ('lpv_cli.commands.compare', 'compare the answers in two bags of one recording'),
@@ -28,28 +32,18 @@ COMMANDS = {
 
 
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
-    """Parser of the command line.
-
-    Parameters
-    ----------
-    chosen : str, optional
-        Only this command's module is imported: designing must not wait for plotting, nor
-        replaying for the solver.
-
-    Returns
-    -------
-    argparse.ArgumentParser
-        With one sub-command each.
-    """
+    """Parser of the command line."""
     parser = argparse.ArgumentParser(
         prog='lpv', description='Sensor-fault diagnosis and tracking of two-link robot arms.'
     )
+    parser.add_argument('--version', action='version', version=versions())
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, (module, text) in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text)
         if name == chosen:
             implementation = importlib.import_module(module)
             implementation.add_arguments(sub)
+            complete_by_name(sub)
             sub.set_defaults(run=implementation.run)
     return parser
 
@@ -70,11 +64,14 @@ def main(argv: list[str] | None = None) -> int:
     complete(build_parser, COMMANDS)
     argv = sys.argv[1:] if argv is None else argv
     chosen = next((a for a in argv if a in COMMANDS), None)
-    arguments = build_parser(chosen).parse_args(argv)
     try:
+        arguments = build_parser(chosen).parse_args(argv)
         return arguments.run(arguments)
+    except ModuleNotFoundError as error:
+        print(f'lpv {chosen}: {remedy(error.name)}', file=sys.stderr)
+        return 2
     except (LpvError, OSError) as error:
-        print(f'lpv {arguments.command}: {error}', file=sys.stderr)
+        print(f'lpv {chosen}: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print('interrupted', file=sys.stderr)

@@ -7,10 +7,12 @@ import signal
 import subprocess
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lpv_cli.discovery import stay_on_this_machine
 from lpv_core.support.errors import LpvError
 
 
@@ -20,32 +22,22 @@ class NodeFailure(LpvError):
 
 @dataclass
 class NodeProcess:
-    """One running node.
+    """One running node."""
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    process : subprocess.Popen
-        Leader of its own process group.
-    log : pathlib.Path
-        What it printed.
-    """
-
-    name: str
-    process: subprocess.Popen
-    log: Path
+    name: str  # For messages
+    process: subprocess.Popen  # Leader of its own process group
+    log: Path  # What it printed
 
 
 @contextlib.contextmanager
-def ended_by_signals():
+def ended_by_signals() -> Iterator[None]:
     """Context in which SIGTERM and SIGHUP raise SystemExit: nodes must not outlive the command.
 
     They are in sessions of their own, where neither arrives.  SIGHUP is left alone where it is
     ignored, as nohup asks for.
     """
 
-    def end(number, _frame) -> None:
+    def end(number: int, _frame: object) -> None:
         raise SystemExit(128 + number)
 
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
@@ -73,39 +65,19 @@ class Graph:
     def __init__(self, log_dir: Path, domain_id: int) -> None:
         self._log_dir = Path(log_dir)
         self._log_dir.mkdir(parents=True, exist_ok=True)
-        self._environment = dict(
-            os.environ,
-            ROS_DOMAIN_ID=str(domain_id),
-            # Nobody else's business: nodes are found on this machine only.
-            ROS_AUTOMATIC_DISCOVERY_RANGE=os.environ.get(
-                'ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'
-            ),
-            PYTHONUNBUFFERED='1',
-        )
-        self.nodes = []
-        self.lines = queue.Queue()
+        stay_on_this_machine()
+        self._environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_id), PYTHONUNBUFFERED='1')
+        self.nodes: list[NodeProcess] = []
+        self.lines: queue.Queue[tuple[str, str]] = queue.Queue()
 
-    def __enter__(self):
+    def __enter__(self) -> 'Graph':
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def start(self, name: str, command: list[str]) -> NodeProcess:
-        """Start a node.
-
-        Parameters
-        ----------
-        name : str
-            For messages and the log file.
-        command : list of str
-            Program and arguments.
-
-        Returns
-        -------
-        NodeProcess
-            The node.
-        """
+        """Start a node."""
         process = subprocess.Popen(
             [str(part) for part in command],
             stdout=subprocess.PIPE,
@@ -119,26 +91,15 @@ class Graph:
         self.nodes.append(node)
         return node
 
-    def _pump(self, node) -> None:
+    def _pump(self, node: NodeProcess) -> None:
         with open(node.log, 'w', encoding='utf-8') as log:
-            for line in node.process.stdout:
+            for line in node.process.stdout or ():
                 log.write(line)
                 log.flush()
                 self.lines.put((node.name, line.rstrip()))
 
     def check(self, finite: NodeProcess | None = None) -> None:
-        """Raise if a node has ended that should not.
-
-        Parameters
-        ----------
-        finite : NodeProcess, optional
-            A node that may end with code 0.
-
-        Raises
-        ------
-        NodeFailure
-            With the last lines of its log.
-        """
+        """Raise if a node has ended that should not."""
         for node in self.nodes:
             code = node.process.poll()
             if code is not None and not (node is finite and code == 0):
@@ -147,18 +108,8 @@ class Graph:
     def stop(self, patience: float = 15.0) -> dict[str, Any]:
         """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
 
-        The node that was started first, the recorder where there is one, is stopped last: it takes
-        what the others send until they end.
-
-        Parameters
-        ----------
-        patience : float, optional
-            How long each kind of signal may take [s].
-
-        Returns
-        -------
-        dict
-            Exit code by node name.
+        The node that was started first, the recorder where there is one, is stopped last:
+        it takes what the others send until they end.
         """
         for group in (self.nodes[1:], self.nodes[:1]):
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
@@ -172,12 +123,12 @@ class Graph:
         return {node.name: node.process.poll() for node in self.nodes}
 
 
-def _signal(node, number) -> None:
+def _signal(node: NodeProcess, number: int) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(node.process.pid, number)
 
 
-def _tail(path, count=15):
+def _tail(path: Path, count: int = 15) -> str:
     try:
         return '\n'.join(path.read_text(encoding='utf-8').splitlines()[-count:])
     except OSError:

@@ -1,7 +1,9 @@
 """Progress of long commands: how much is done, and how long the rest takes."""
 
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -13,23 +15,8 @@ from rich.progress import (
 
 
 @contextmanager
-def counted(console, name: str, total: int, done: int):
-    """Bar of a work whose finished part is kept when it is interrupted.
-
-    Parameters
-    ----------
-    console : rich.console.Console
-        Where to.
-    name : str
-        Of the work.
-    total, done : int
-        Pieces in all, and those that were done before.
-
-    Yields
-    ------
-    callable
-        Takes the number of pieces that have been done since the last call.
-    """
+def counted(console: Console, name: str, total: int, done: int) -> Iterator[Callable[[int], None]]:
+    """Bar of a work whose finished part is kept when it is interrupted."""
     columns = (
         TextColumn('{task.description}'),
         BarColumn(),
@@ -43,5 +30,5 @@ def counted(console, name: str, total: int, done: int):
         try:
             yield lambda count: progress.advance(task, count)
         except KeyboardInterrupt:
-            console.print('what is finished is kept; the same command goes on')
+            console.print('finished work is kept; run the same command again to resume')
             raise

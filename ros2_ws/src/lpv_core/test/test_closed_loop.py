@@ -600,9 +600,11 @@ def test_given_a_mode_of_compensation_when_fed_back_then_the_right_position_is_t
     estimate = SimpleNamespace(
         position=np.array([0.2, 0.4]),
         measured_position=np.array([0.5, 0.1]),
-        sensor_position=joints.sensor_position([0.5, 0.1]),
+        compensated_position=joints.joint_from_sensor(
+            joints.sensor_position([0.5, 0.1]) - np.array([0.3, 0.0])
+        ),
     )
-    found = feedback_position(mode, estimate, np.array([0.3, 0.0]), joints)
+    found = feedback_position(mode, estimate)
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 

@@ -22,6 +22,7 @@ from lpv_core.residual.rate_sensor_test import (
     IMPLICATED,
     RULED_OUT,
     UNDECIDED,
+    Movement,
     rate_test,
     rate_verdict,
 )
@@ -127,9 +128,7 @@ def past_of(arm, gains, speed, guilty, rise=0.0, seed=0, noisy=True):
 
 
 def verdict(arm, gains, history, speed, onset=AT):
-    return rate_verdict(
-        rate_test(arm, gains), history.stamps, history.values, history.end, 0.0, onset * TS, speed
-    )
+    return rate_verdict(rate_test(arm, gains), history.buffer, Movement(0.0, onset * TS, speed))
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -177,7 +176,7 @@ def test_given_a_course_that_nothing_explains_when_judged_then_nothing_is_known(
 ):
     history = past_of(paper_arm, paper_gains, 0.5, False)
     rows = np.arange(AT, COUNT)
-    history.values[rows, 0] += 0.02 * np.sin(0.2 * (rows - AT))
+    history.buffer.values[rows, 0] += 0.02 * np.sin(0.2 * (rows - AT))
     assert verdict(paper_arm, paper_gains, history, 0.5) == UNDECIDED
 
 

@@ -8,9 +8,10 @@ import pytest
 from parts import make_estimate
 
 from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
-from lpv_core.observer.sampled_observer import NANOSECONDS, Mode
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault
+from lpv_core.support.timestamps import NANOSECONDS
 
 TS = 2_000_000
 ONSET = 1.5
@@ -226,7 +227,9 @@ def test_given_an_alarm_by_level_when_raised_then_compensation_fades_in_at_its_r
     applied = np.array(
         [diagnoser.update(estimate_at(k, (0.4, 0.0))).confirmed_fault for k in range(1200)]
     )
-    assert diagnoser.state.sensors[0].alarm and not diagnoser.state.sensors[0].by_change
+    assert (
+        diagnoser.state.sensors[0].alarm.active and not diagnoser.state.sensors[0].alarm.by_change
+    )
     steps = np.diff(applied[:, 0])
     np.testing.assert_array_equal(applied[:5], 0.0)
     assert np.all(steps[5:780] == pytest.approx(0.25 * 0.002))
@@ -248,7 +251,9 @@ def test_given_a_fault_that_outgrows_the_compensation_rate_when_faded_in_then_it
             for k, size in enumerate(ramp, 300)
         ]
     )
-    assert diagnoser.state.sensors[0].by_change and not diagnoser.state.sensors[0].stepped
+    assert (
+        diagnoser.state.sensors[0].alarm.by_change and not diagnoser.state.sensors[0].alarm.stepped
+    )
     first = np.flatnonzero(applied)[0]
     # What the fault adds is removed at once, what it was before at the rate.
     steps = np.diff(applied[first + 10 : first + 40])
@@ -396,7 +401,7 @@ def test_given_a_healthy_arm_when_its_model_is_as_wrong_as_stated_then_nothing_i
 def level_alarm(diagnoser, count=100, **fields):
     for k in range(count):
         last = diagnoser.update(estimate_at(k, (0.4, 0.0), **fields))
-    assert last.alarm[0] and not diagnoser.state.sensors[0].by_change
+    assert last.alarm[0] and not diagnoser.state.sensors[0].alarm.by_change
     return last
 
 
@@ -484,14 +489,14 @@ def test_given_a_real_arm_with_an_alarm_when_retuned_then_alarm_and_compensation
         diagnoser.update(estimate_at(k, theta=hanging))
     for k in range(300, 2300):
         before = diagnoser.update(estimate_at(k, (1.4, 0.0), theta=hanging))
-    assert diagnoser.state.sensors[0].by_change == by_change
-    onset = diagnoser.state.sensors[0].onset
+    assert diagnoser.state.sensors[0].alarm.by_change == by_change
+    onset = diagnoser.state.sensors[0].alarm.onset
     diagnoser.retune(DiagnosisParameters(threshold_factor=1.2, dwell=0.05, clear_dwell=0.4))
     after = diagnoser.update(estimate_at(2300, (1.4, 0.0), theta=hanging))
     assert before.alarm.tolist() == after.alarm.tolist() == [True, False]
     assert after.events == []
     assert after.state[0] == SensorState.ERROR
-    assert diagnoser.state.sensors[0].onset == onset
+    assert diagnoser.state.sensors[0].alarm.onset == onset
     np.testing.assert_allclose(after.confirmed_fault, [1.4, 0.0])
     # The new tuning counts from here on.
     news = [

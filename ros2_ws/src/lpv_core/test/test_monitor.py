@@ -12,8 +12,9 @@ from lpv_core.model.joints import JointMap
 from lpv_core.monitoring.message_fields import OK
 from lpv_core.monitoring.message_fields import STALE as STALE_LEVEL
 from lpv_core.monitoring.monitor import SensorMonitor, describe
-from lpv_core.observer.sampled_observer import NANOSECONDS, Counters, Mode
+from lpv_core.observer.sampled_observer import Counters, Mode
 from lpv_core.support.errors import ConfigError, SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 
 TS = 2_000_000
 """Sample time of the arm [ns]."""

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from parts import Swing
 
 from lpv_core.model.joints import JointMap
-from lpv_core.observer.sampled_observer import NANOSECONDS, Counters, Mode, UnknownInputObserver
+from lpv_core.observer.sampled_observer import Counters, Mode, UnknownInputObserver
 from lpv_core.support.errors import ConfigError, SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 
 TS = 2_000_000
 """Sample time of both arms [ns]."""

@@ -20,11 +20,11 @@ def fit(course, seed=0, baseline=0.0):
     history, noise = History(2000), np.random.default_rng(seed).standard_normal(len(course))
     for k, value in enumerate(course[:-1]):
         history.add(k * TS, value + SIGMA * noise[k], 0.0)
-    state = new_record(SENSOR_STATE, baseline=baseline)
+    state = new_record(SENSOR_STATE)
+    state.before.residual = baseline
     state.sample.stamp = (len(course) - 1) * TS
     state.sample.residual = course[-1] + SIGMA * noise[-1]
-    state.end = history.end
-    stepped, speed, onset = fit_step_or_ramp(state, history.stamps, history.values, 0)
+    stepped, speed, onset = fit_step_or_ramp(state, history.buffer, 0)
     return stepped, speed, onset / TS
 
 
@@ -82,11 +82,7 @@ class Moving:
                 lost=False,
                 inconsistent=False,
             )
-            removed = (
-                removable(self.decision.constants, self.decision.state)
-                if self.decision.alarm
-                else 0.0
-            )
+            removed = removable(self.decision.state) if self.decision.alarm else 0.0
             errors.append(wrong + noise - removed)
             self.k += 1
         return np.array(errors)
@@ -103,10 +99,10 @@ def test_given_a_scale_error_when_the_arm_moves_then_the_angle_does_not_go_astra
     moving.swing(4500, lambda angle, k: scale * angle)
     errors = moving.swing(5000, lambda angle, k: scale * angle)
     assert moving.decision.kind == 'scale'
-    assert moving.decision.filter.scale == pytest.approx(scale, abs=0.002)
+    assert moving.decision.state.scale.scale == pytest.approx(scale, abs=0.002)
     assert np.sqrt(np.mean(errors**2)) < 0.0012
     # Dead reckoning alone would have this error by now.
-    assert moving.decision.filter.astray == pytest.approx(moving.astray - before, abs=0.0012)
+    assert moving.decision.state.scale.walk == pytest.approx(moving.astray - before, abs=0.0012)
 
 
 def test_given_a_fault_that_is_no_scale_error_any_more_when_followed_then_the_filter_gives_up(
@@ -115,9 +111,9 @@ def test_given_a_fault_that_is_no_scale_error_any_more_when_followed_then_the_fi
     moving = Moving(paper_arm, paper_gains)
     moving.swing(500, lambda angle, k: 0.0)
     moving.swing(1500, lambda angle, k: 0.3 * angle)
-    assert moving.decision.filter.used
+    assert moving.decision.state.scale.used
     errors = moving.swing(1000, lambda angle, k: 0.3 * angle + 0.0001 * (k - 2000))
-    assert not moving.decision.filter.used
+    assert not moving.decision.state.scale.used
     assert np.abs(errors[-500:]).max() < 0.006
 
 

@@ -14,6 +14,8 @@ from lpv_core.model.state_space import Descriptor, output_matrices, vertex_matri
 from lpv_core.observer.exact_observer import output_injection
 from lpv_core.observer.observer_step import RECURSION_STATE, advance, recursion
 from lpv_core.observer.paper_observer import (
+    PAPER_CONSTANTS,
+    PAPER_STATE,
     decoupling,
     fault_feedthrough,
     observer_matrices,
@@ -155,11 +157,12 @@ def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38
     z = rng.normal(scale=0.3, size=6)
     other = z.copy()
     x = np.zeros(6)
-    work = np.zeros((5, 6)), np.zeros((6, 4)), np.zeros((6, 6)), np.zeros((6, 2)), np.zeros(8)
+    constants = new_record(PAPER_CONSTANTS, t1=t1, t2=t2, c=d.c, box=box, k=gains, a=d.a, b=d.b)
+    state = new_record(PAPER_STATE, z=z)
     y_old = rng.normal(scale=0.3, size=4)
     for _ in range(20):
         y_new, u = y_old + rng.normal(scale=0.05, size=4), rng.normal(scale=20.0, size=2)
-        paper_step(z, y_old, y_new, u, dt, gains, t1, t2, d.c, d.a, d.b, box, x, *work)
+        paper_step(constants, state, x, y_old, y_new, u, dt)
 
         guess = other + t2 @ y_old
         phi = (math.cos(guess[0] - guess[1]), np.sinc(guess[0] / np.pi), np.sinc(guess[1] / np.pi))
@@ -173,7 +176,7 @@ def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38
         second = n @ (other + dt * first) + ell @ y_new + g @ u
         other = other + dt / 2 * (first + second)
 
-        np.testing.assert_allclose(z, other, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(state.z, other, rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(x, other + t2 @ y_new, rtol=1e-10, atol=1e-12)
         y_old = y_new
 

@@ -1,4 +1,4 @@
-"""Start of ROS from a node's command line: what is wrong with it is said in one line."""
+"""Start of ROS from a node's command line, with errors in one line."""
 
 import sys
 from pathlib import Path
@@ -10,17 +10,9 @@ from lpv_core.support.errors import ConfigError
 
 
 def initialise(argv: list[str] | None = None) -> None:
-    """Start ROS without its signal handlers.
+    """Start ROS without its signal handlers, from ``argv`` or the process's command line.
 
-    Parameters
-    ----------
-    argv : list of str, optional
-        Command line; otherwise the process's.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter file is missing, or the ROS arguments cannot be parsed.
+    Raises ConfigError if a parameter file is missing, or the ROS arguments cannot be parsed.
     """
     argv = sys.argv if argv is None else argv
     for option, path in zip(argv, argv[1:]):

@@ -1,7 +1,6 @@
 """Managed (lifecycle) nodes that start themselves, say why they cannot, and stop cleanly."""
 
 import functools
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -11,15 +10,20 @@ import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from lpv_core.support.errors import LpvError
 from lpv_node.arguments import initialise
 from lpv_node.discovery import announce_often
 from lpv_node.parameters import Spec, declare
+from lpv_node.signals import StopRequest
 
-ONLOOKER = 'view'
+VIEWER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""
 _LONGEST_DRAIN = 10.0
 """Longest time that stopping may take [s]."""
@@ -40,7 +44,7 @@ COMMON = (
     Spec(
         'await_recorders',
         0,
-        'wait until each output has so many recorders before taking part: '
+        'wait until each output has this many recorders before taking part: '
         'recordings are then complete from the first sample',
         0,
         100,
@@ -67,7 +71,7 @@ class ManagedNode(LifecycleNode):
     Attributes
     ----------
     drain_time : float
-        After it was told to stop, the node goes on until nothing has come for so long [s].
+        After it was told to stop, the node goes on until nothing has come for this long [s].
     """
 
     drain_time = 0.0
@@ -79,11 +83,11 @@ class ManagedNode(LifecycleNode):
         self.exit_code = 0
         self.finished = False
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._gate = None
+        self._gate: Timer | None = None
         self._taking_part = False
         self._lasting = {*self.publishers, *self.services}
 
-    def on_configure(self, state):
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: read files and parameters."""
         self._lasting = {*self.publishers, *self.services}
         try:
@@ -98,30 +102,30 @@ class ManagedNode(LifecycleNode):
             raise
         return super().on_configure(state)
 
-    def on_activate(self, state):
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: take part in the graph as soon as the outputs are matched."""
         self._taking_part = True
         self.listen()
         self._gate = self.steady_timer(0.02, self._try_begin)
         return super().on_activate(state)
 
-    def on_deactivate(self, state):
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: stop taking part."""
         self._leave()
         return super().on_deactivate(state)
 
-    def on_cleanup(self, state):
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: back to unconfigured."""
         self._take_down()
         return super().on_cleanup(state)
 
-    def on_shutdown(self, state):
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: stop taking part for good; the process stays until it is told to end."""
         self._leave()
         self._take_down()
         return super().on_shutdown(state)
 
-    def on_error(self, state):
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: a transition failed unexpectedly; back to unconfigured."""
         self._leave()
         self._take_down()
@@ -145,48 +149,52 @@ class ManagedNode(LifecycleNode):
 
     def _try_begin(self) -> None:
         recorders = self.get_parameter('await_recorders').value
-        if all(
-            self._matched(publisher) >= recorders + self.lockstep * consumers
+        waiting = [
+            publisher.topic_name
             for publisher, consumers in self.outputs().items()
-        ):
+            if self._matched(publisher) < recorders + self.lockstep * consumers
+        ]
+        if waiting:
+            self.get_logger().warning(
+                f'waiting for subscribers of {", ".join(waiting)}'
+                + (f': {recorders} recorders must be there' if recorders else ''),
+                throttle_duration_sec=5.0,
+                skip_first=True,
+            )
+            return
+        if self._gate is not None:
             self.destroy_timer(self._gate)
-            self._gate = None
-            self.begin()
+        self._gate = None
+        self.begin()
 
-    def _matched(self, publisher):
-        """Readers of an output, without those that only look on.
+    def _matched(self, publisher: Publisher) -> int:
+        """Subscribers of an output, without viewers.
 
         These are the live view, and nodes with hidden names, as those of the ros2 command; a node
-        whose name has not been heard of yet has a hidden name as well.
+        whose name is not known yet has a hidden name as well.
         """
         readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
-        onlookers = sum(r.node_name == ONLOOKER or r.node_name.startswith('_') for r in readers)
-        return publisher.get_subscription_count() - onlookers
+        viewers = sum(r.node_name == VIEWER or r.node_name.startswith('_') for r in readers)
+        return publisher.get_subscription_count() - viewers
 
-    def steady_timer(self, period: float, callback: Callable[..., Any]) -> rclpy.timer.Timer:
-        """Create a timer on the steady clock, which runs whatever /clock does.
-
-        Parameters
-        ----------
-        period : float
-            [s].
-        callback : callable
-            Without arguments.
-
-        Returns
-        -------
-        rclpy.timer.Timer
-            The timer.
-        """
+    def steady_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Create a timer with a period [s] on the steady clock, which runs whatever /clock does."""
         return self.create_timer(period, self._while_active(callback), clock=self._steady)
 
-    def create_subscription(self, msg_type, topic, callback, qos_profile, **options):
+    def create_subscription(  # type: ignore[override]
+        self,
+        msg_type: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos_profile: QoSProfile | int,
+        **options: Any,
+    ) -> Subscription:
         """Subscribe as rclpy does; what arrives while the node is not active is dropped."""
         return super().create_subscription(
             msg_type, topic, self._while_active(callback), qos_profile, **options
         )
 
-    def _while_active(self, callback):
+    def _while_active(self, callback: Callable[..., None]) -> Callable[..., None]:
         """A callback that does nothing while the node takes no part.
 
         Executors still call what was queued before a subscription or timer was destroyed, when
@@ -194,33 +202,27 @@ class ManagedNode(LifecycleNode):
         """
 
         @functools.wraps(callback)
-        def guarded(*arguments) -> None:
+        def guarded(*arguments: Any) -> None:
             if self._taking_part:
                 callback(*arguments)
 
         return guarded
 
     def finish(self, code: int = 0) -> None:
-        """Ask the main loop to stop.
-
-        Parameters
-        ----------
-        code : int, optional
-            Exit code of the process.
-        """
+        """Ask the main loop to stop, with an exit code for the process."""
         self.exit_code, self.finished = code, True
 
     def setup(self) -> None:
         """Read files and parameters, create publishers; may raise LpvError."""
 
-    def progress(self):
-        """A count that grows with every message that was taken while stopping."""
+    def progress(self) -> int:
+        """A count that grows with every message that was received while stopping."""
         return 0
 
     def stopping(self) -> None:
-        """The node was told to stop, and goes on until nothing has come for its drain time."""
+        """The node was told to stop; it goes on until nothing comes for `drain_time`."""
 
-    def outputs(self):
+    def outputs(self) -> dict[Publisher, int]:
         """Publishers, each with the number of graph nodes that consume it."""
         return {}
 
@@ -237,7 +239,7 @@ class ManagedNode(LifecycleNode):
         """Undo `setup`; its publishers and services are destroyed without being named here."""
 
 
-def _executor():
+def _executor() -> Executor:
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:  # older distributions
@@ -245,28 +247,21 @@ def _executor():
     return EventsExecutor()
 
 
-def run_node(node_class, argv: list[str] | None = None) -> int:
+def run_node(node_class: Callable[[], ManagedNode], argv: list[str] | None = None) -> int:
     """Run one managed node until it finishes or is told to stop.
 
-    Parameters
-    ----------
-    node_class : type
-        Subclass of `ManagedNode` whose constructor takes no argument.
-    argv : list of str, optional
-        Command line.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after SIGINT, SIGTERM or a finished run; 1 if the node could not start.
+    Returns the process's exit code: 0 after SIGINT, SIGTERM or a finished run; 1 if the node could
+    not start.
     """
-    stop = _StopRequest()
+    stop = StopRequest()
     node, code = None, 1
     try:
         announce_often()
         initialise(argv)
         node = node_class()
         code = _spin(node, stop)
+    except (KeyboardInterrupt, SystemExit):  # told to stop while it started
+        code = 0
     except (LpvError, ParameterException) as error:
         print(f'[{node_class.__name__}] {error}', file=sys.stderr, flush=True)
     finally:
@@ -277,19 +272,7 @@ def run_node(node_class, argv: list[str] | None = None) -> int:
     return code
 
 
-class _StopRequest:
-    """SIGINT and SIGTERM as a flag."""
-
-    def __init__(self) -> None:
-        self.set = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._raise)
-
-    def _raise(self, _number, _frame) -> None:
-        self.set = True
-
-
-def _spin(node, stop):
+def _spin(node: ManagedNode, stop: StopRequest) -> int:
     if node.get_parameter('autostart').value:
         started = (
             node.trigger_configure() == TransitionCallbackReturn.SUCCESS
@@ -297,10 +280,11 @@ def _spin(node, stop):
         )
         if not started:
             return 1
+    stop.defer()
     executor = _executor()
     executor.add_node(node)
     # A time-out lets Python see signals; without one EventsExecutor ignores them.
-    while rclpy.ok() and not (node.finished or stop.set):
+    while rclpy.ok() and not (node.finished or stop.is_set):
         executor.spin_once(timeout_sec=0.2)
     node.stopping()
     _drain(node, executor)
@@ -311,8 +295,8 @@ def _spin(node, stop):
     return node.exit_code
 
 
-def _drain(node, executor) -> None:
-    """Take what is still queued: until nothing has come for the node's drain time."""
+def _drain(node: ManagedNode, executor: Executor) -> None:
+    """Process what is still queued: until nothing has come for the node's drain time."""
     now = time.monotonic()
     limit, quiet_since, progress = now + _LONGEST_DRAIN, now, node.progress()
     while rclpy.ok() and time.monotonic() < min(limit, quiet_since + node.drain_time):

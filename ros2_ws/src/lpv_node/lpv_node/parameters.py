@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -9,15 +10,13 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import (
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-    ParameterUninitializedException,
-)
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import parse_gains
+from lpv_core.certificate.gains import Gains, parse_gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import ConfigError
 
 _ARRAY, _DOUBLE, _STRING, _INTEGER = (
@@ -26,80 +25,57 @@ _ARRAY, _DOUBLE, _STRING, _INTEGER = (
     Parameter.Type.STRING,
     Parameter.Type.INTEGER,
 )
+_LIKE: dict[Parameter.Type, float | int] = {_DOUBLE: 0.0, _INTEGER: 0}
 
 
 @dataclass(frozen=True)
 class Spec:
-    """Declaration of one parameter.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    default : object
-        Default value; its type is the parameter's type.
-    description : str
-        What it means, with its unit.
-    low, high : float or int, optional
-        Allowed range.
-    choices : tuple of str, optional
-        Allowed strings.
-    read_only : bool, optional
-        Whether it is fixed once the node runs.
-    """
+    """Declaration of one parameter."""
 
     name: str
-    default: object
-    description: str
-    low: float = None
-    high: float = None
-    choices: tuple = ()
-    read_only: bool = False
+    default: Any  # its type is the parameter's type
+    description: str  # meaning, with the unit
+    low: float | None = None  # allowed range
+    high: float | None = None
+    choices: tuple[str, ...] = ()  # allowed strings
+    read_only: bool = False  # fixed once the node runs
 
-    def descriptor(self):
+    def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor of this parameter."""
         result = ParameterDescriptor(description=self.description, read_only=self.read_only)
         if self.choices:
             result.additional_constraints = 'one of ' + ', '.join(self.choices)
-        if self.low is not None and isinstance(self.default, float):
+        if self.low is None or self.high is None:
+            return result
+        if isinstance(self.default, float):
             result.floating_point_range = [
                 FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
             ]
-        elif self.low is not None:
+        else:
             result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high))]
         return result
 
 
 @dataclass(frozen=True)
 class GainField:
-    """Declaration of one parameter of the gains file: no default, read-only.
-
-    Attributes
-    ----------
-    kind : rclpy.parameter.Parameter.Type
-        Type.
-    description : str
-        What it means, with its unit.
-    low, high : float or int, optional
-        Range that makes sense at all; what must hold is checked with the certificate.
-    """
+    """Declaration of one parameter of the gains file: no default, read-only."""
 
     kind: Parameter.Type
-    description: str
-    low: float = None
-    high: float = None
+    description: str  # meaning, with the unit
+    low: float | None = None  # range that makes sense at all; the certificate decides what holds
+    high: float | None = None
 
-    def descriptor(self):
+    def placeholder(self) -> Any:
+        """A value of the parameter's type, for a parameter that no file sets."""
+        if self.kind in (_STRING, _ARRAY):
+            return '' if self.kind is _STRING else [0.0]
+        return type(_LIKE[self.kind])(self.low or 0)
+
+    def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor of this parameter."""
-        like = {_DOUBLE: 0.0, _INTEGER: 0}.get(self.kind, '')
-        return Spec(
-            '',
-            like,
-            self.description + ', from the gains file written by lpv design',
-            self.low,
-            self.high,
-            read_only=True,
-        ).descriptor()
+        like: Any = _LIKE.get(self.kind, '')
+        text = self.description + ', from the gains file written by lpv design'
+        return Spec('', like, text, self.low, self.high, read_only=True).descriptor()
 
 
 FORMAT_FIELD = GainField(_INTEGER, 'version of the format [1]', 1, 1000)
@@ -139,21 +115,12 @@ METHOD_FIELDS = {
 """Parameters below ``gains.observer.`` of each method."""
 
 
-def declare(node, specs: Iterable[Spec]) -> None:
+def declare(node: Node, specs: Iterable[Spec]) -> None:
     """Declare parameters and refuse strings outside their choices, now and later.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    specs : iterable of Spec
-        Declarations.
-
-    Raises
-    ------
-    ConfigError
-        If an override has the wrong type, is out of range or not among the choices.
+    Raises ConfigError if an override has the wrong type, is out of range or not among the choices.
     """
+    specs = tuple(specs)
     choices = {spec.name: spec.choices for spec in specs if spec.choices}
     for spec in specs:
         try:
@@ -167,7 +134,7 @@ def declare(node, specs: Iterable[Spec]) -> None:
                 node.get_name(),
             )
 
-    def check(parameters):
+    def check(parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
             allowed = choices.get(parameter.name)
             if allowed and parameter.value not in allowed:
@@ -178,73 +145,48 @@ def declare(node, specs: Iterable[Spec]) -> None:
     node.add_on_set_parameters_callback(check)
 
 
-def required_text(node, name: str) -> str:
-    """Value of a string parameter that must be set.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    name : str
-        Parameter.
-
-    Returns
-    -------
-    str
-        Not empty.
-
-    Raises
-    ------
-    ConfigError
-        If it is empty.
-    """
+def required_text(node: Node, name: str) -> str:
+    """Value of a string parameter; ConfigError if it is empty."""
     value = node.get_parameter(name).value
     if not value:
         raise ConfigError(name, 'must be set', node.get_name())
     return value
 
 
-def declare_gains(node) -> None:
-    """Declare the parameters of a gains file, read-only, without defaults.
+def declare_gains(node: Node) -> frozenset[str]:
+    """Declare the parameters of a gains file, read-only; returns those that no file sets.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
+    They get a value all the same: one parameter without a value would make a request for all of a
+    node's parameters return nothing.
     """
+    unset = set()
     fields = {'format': FORMAT_FIELD, **GAIN_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update({f'observer.{name}': field for name, field in of_method.items()})
     for name, field in fields.items():
-        node.declare_parameter(f'gains.{name}', field.kind, field.descriptor())
+        full, descriptor = f'gains.{name}', field.descriptor()
+        descriptor.read_only = False  # as yet, or it could not be declared again
+        given: Parameter = node.declare_parameter(full, field.kind, descriptor)
+        node.undeclare_parameter(full)
+        if given.type_ is Parameter.Type.NOT_SET:
+            unset.add(name)
+        node.declare_parameter(full, field.placeholder(), field.descriptor())
+    return frozenset(unset)
 
 
-def read_gains(node, arm):
-    """Gains from a node's parameters, with their certificate verified.
+def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
+    """Gains from the parameters that `declare_gains` declared, with their certificate verified.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        A node on which `declare_gains` was called.
-    arm : ArmParameters
-        The arm that they must be made for.
+    ``unset`` is what that function returned.
 
-    Returns
-    -------
-    Gains
-        Validated.
-
-    Raises
-    ------
-    ConfigError
-        If no gains file was given, it is not valid, of another arm, or its certificate does not
-        hold.
+    Raises ConfigError if no gains file was given, it is not valid, of another arm, or its
+    certificate does not hold.
     """
-    nested = {}
-    method = _gain(node, 'observer.method')
+    nested: dict[str, Any] = {}
+    method = _gain(node, 'observer.method', unset)
     own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
     for name in ('format', *GAIN_FIELDS, *own):
-        value = _gain(node, name)
+        value = _gain(node, name, unset)
         *parents, leaf = name.split('.')
         level = nested
         for parent in parents:
@@ -255,12 +197,11 @@ def read_gains(node, arm):
     return gains
 
 
-def _gain(node, name):
-    try:
-        return node.get_parameter(f'gains.{name}').value
-    except ParameterUninitializedException:
+def _gain(node: Node, name: str, unset: frozenset[str]) -> Any:
+    if name in unset:
         raise ConfigError(
             f'gains.{name}',
             'is not set: start the node with --params-file GAINS.yaml as written by lpv design',
             node.get_name(),
-        ) from None
+        )
+    return node.get_parameter(f'gains.{name}').value

@@ -6,19 +6,11 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 _LOCKSTEP_DEPTH = 20000
 
 
-def stream(lockstep: bool):
+def stream(lockstep: bool) -> QoSProfile:
     """QoS of measurements, estimates and commands.
 
-    Parameters
-    ----------
-    lockstep : bool
-        Reliable with deep queues in lockstep; sensor-data QoS (best effort, the latest few) in
-        real time, where an old sample is worth less than none.
-
-    Returns
-    -------
-    rclpy.qos.QoSProfile
-        For publishers and subscriptions.
+    Reliable with deep queues in lockstep; sensor-data QoS (best effort, the latest few) in real
+    time, where an old sample is worth less than none.
     """
     if lockstep:
         return QoSProfile(
@@ -31,14 +23,8 @@ def stream(lockstep: bool):
     )
 
 
-def latched():
-    """QoS of alarms: late subscribers get the last ones.
-
-    Returns
-    -------
-    rclpy.qos.QoSProfile
-        Reliable and transient local.
-    """
+def latched() -> QoSProfile:
+    """QoS of alarms, reliable and transient local: late subscribers get the last ones."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=50,

@@ -1,32 +1,18 @@
 """Time stamps as integers of nanoseconds, the one form that never rounds."""
 
-NANOSECONDS = 1_000_000_000
+from builtin_interfaces.msg import Time
+
+from lpv_core.support.timestamps import NANOSECONDS
+
+_LAST = 2**31 * NANOSECONDS - 1
 
 
-def to_nanoseconds(stamp) -> int:
-    """Nanoseconds of a builtin_interfaces/Time.
-
-    Parameters
-    ----------
-    stamp : builtin_interfaces.msg.Time
-        The stamp.
-
-    Returns
-    -------
-    int
-        [ns].
-    """
+def to_nanoseconds(stamp: Time) -> int:
+    """Nanoseconds of a stamp."""
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
-def set_stamp(stamp, nanoseconds: int) -> None:
-    """Write nanoseconds into a builtin_interfaces/Time.
-
-    Parameters
-    ----------
-    stamp : builtin_interfaces.msg.Time
-        Written to.
-    nanoseconds : int
-        [ns], not negative.
-    """
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+def set_stamp(stamp: Time, nanoseconds: int) -> None:
+    """Write nanoseconds into a stamp, the last one of its type if they are more."""
+    # Stamps of others may have more than a second in their nanoseconds.
+    stamp.sec, stamp.nanosec = divmod(min(nanoseconds, _LAST), NANOSECONDS)

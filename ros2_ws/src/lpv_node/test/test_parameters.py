@@ -23,10 +23,10 @@ def all_specs():
             path = importlib.import_module(package).__path__
         except ImportError:
             continue
-        for info in pkgutil.iter_modules(path):
-            if 'node' not in info.name:
+        for info in pkgutil.walk_packages(path, f'{package}.'):
+            if not info.name.endswith('.node'):
                 continue
-            module = importlib.import_module(f'{package}.{info.name}')
+            module = importlib.import_module(info.name)
             for spec in getattr(module, 'SPECS', ()):
                 found[f'{package}/{spec.name}'] = spec
     return found

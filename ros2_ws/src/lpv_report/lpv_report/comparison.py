@@ -1,13 +1,17 @@
 """What two runs of one recording have in common, and where they differ."""
 
 import math
+from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import LpvError
-from lpv_report.history.episodes import episodes
+from lpv_report.history.episodes import Episode, episodes
 from lpv_report.run.table import make_table
 
 SIGNALS = {
@@ -29,27 +33,13 @@ _SMALLEST = 1e-7
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What still counts as the same; at zero, every bit must agree.
+    """What still counts as the same; at zero, every bit must agree."""
 
-    Attributes
-    ----------
-    mise : float
-        Relative change of a figure of the table.
-    delay : float
-        Change of the time of an alarm event [s].
-    signal : float
-        Largest difference of estimates, bounds and thresholds [rad], [rad/s].
-    flags : float
-        Share of samples whose mode, state or alarm differs.
-    missing : float
-        Share of answers that only one of the runs has.
-    """
-
-    mise: float = 0.05
-    delay: float = 0.02
-    signal: float = 1e-3
-    flags: float = 0.002
-    missing: float = 0.0
+    mise: float = 0.05  # relative change of a figure of the table
+    delay: float = 0.02  # change of the time of an alarm event [s]
+    signal: float = 1e-3  # largest difference of estimates, bounds and thresholds [rad], [rad/s]
+    flags: float = 0.002  # share of samples whose mode, state or alarm differs
+    missing: float = 0.0  # share of answers that only one of the runs has
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -59,56 +49,36 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of both runs.
+    """One figure of both runs."""
 
-    Attributes
-    ----------
-    name, unit : str
-        What it is.
-    first, second : float or None
-        Values; None where a run does not have it.
-    same : bool
-        Within the tolerance.
-    """
-
-    name: str
-    unit: str
-    first: float
-    second: float
-    same: bool
+    name: str  # what it is
+    unit: str  # what it is
+    first: float | None  # values; None where a run does not have it
+    second: float | None  # values; None where a run does not have it
+    same: bool  # within the tolerance
 
 
 @dataclass(frozen=True)
 class AlarmPair:
     """An alarm of one run and that of the other which corresponds to it, or None."""
 
-    first: object
-    second: object
+    first: Episode | None
+    second: Episode | None
     same: bool
 
 
 @dataclass
 class Comparison:
-    """Result.
+    """Result."""
 
-    Attributes
-    ----------
-    figures : list of Figure
-        MISE or, without ground truth, sizes of the fault estimates.
-    differences : list of Figure
-        By signal the largest difference (``second``) against its tolerance (``first``).
-    alarms : list of AlarmPair
-        In the order of time.
-    common, only_first, only_second : int
-        Answers with the same stamp in both runs, and others.
-    """
-
-    figures: list = field(default_factory=list)
-    differences: list = field(default_factory=list)
-    alarms: list = field(default_factory=list)
-    common: int = 0
-    only_first: int = 0
-    only_second: int = 0
+    # MISE or, without ground truth, sizes of the fault estimates
+    figures: list[Figure] = field(default_factory=list)
+    # by signal the largest difference (``second``) against its tolerance (``first``)
+    differences: list[Figure] = field(default_factory=list)
+    alarms: list[AlarmPair] = field(default_factory=list)  # in the order of time
+    common: int = 0  # answers with the same stamp in both runs, and others
+    only_first: int = 0  # answers with the same stamp in both runs, and others
+    only_second: int = 0  # answers with the same stamp in both runs, and others
     missing_allowed: float = 0.0
 
     @property
@@ -120,16 +90,17 @@ class Comparison:
         )
 
     @property
-    def same(self):
+    def same(self) -> bool:
         """Whether nothing differs beyond the tolerances."""
-        return self.complete and all(
-            entry.same for entry in (*self.figures, *self.differences, *self.alarms)
+        parts = (*self.figures, *self.differences)
+        return (
+            self.complete and all(part.same for part in parts) and all(a.same for a in self.alarms)
         )
 
-    def as_dict(self):
+    def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
 
-        def plain(value):
+        def plain(value: Any) -> Any:
             if isinstance(value, dict):
                 return {k: plain(v) for k, v in value.items()}
             if isinstance(value, list):
@@ -155,11 +126,13 @@ class Comparison:
         )
 
 
-def _alarm(episode):
+def _alarm(episode: Episode | None) -> dict[str, Any] | None:
     return None if episode is None else {**asdict(episode), 'delay': episode.delay}
 
 
-def compare_runs(first, second, arm, tolerances: Tolerances | None = None) -> Comparison:
+def compare_runs(
+    first: RunRecord, second: RunRecord, arm: ArmParameters, tolerances: Tolerances | None = None
+) -> Comparison:
     """Compare the answers of two runs of one recording.
 
     Parameters
@@ -184,26 +157,29 @@ def compare_runs(first, second, arm, tolerances: Tolerances | None = None) -> Co
     tolerances = tolerances or Tolerances()
     result = Comparison(missing_allowed=tolerances.missing)
     stamps = [answer_stamps(record) for record in (first, second)]
-    common = np.intersect1d(*stamps)
+    common = np.intersect1d(stamps[0], stamps[1])
     result.common = len(common)
     result.only_first, result.only_second = (len(s) - len(common) for s in stamps)
     if not len(common):
         raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
-    both = [_restricted(record, common) for record in (first, second)]
-    result.figures = _figures(*both, arm, tolerances.mise)
-    result.differences = [*_differences(*both, tolerances), *_flag_changes(*both, tolerances)]
     result.alarms = _pairs(first, second, tolerances.delay)
+    first, second = _restricted(first, common), _restricted(second, common)
+    result.figures = _figures(first, second, arm, tolerances.mise)
+    result.differences = [
+        *_differences(first, second, tolerances),
+        *_flag_changes(first, second, tolerances),
+    ]
     return result
 
 
-def answer_stamps(record):
+def answer_stamps(record: RunRecord) -> np.ndarray:
     """Stamps of the answers of a run [ns]."""
     return record.stamps[
         'fault_estimate' if 'fault_estimate' in record.stamps else 'state_estimate'
     ]
 
 
-def _restricted(record, common):
+def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:
     """The record with answers at common stamps alone: others must not count for one run only."""
     result = copy(record)
     result.stamps, result.streams = dict(record.stamps), dict(record.streams)
@@ -215,23 +191,22 @@ def _restricted(record, common):
     return result
 
 
-def _figures(first, second, arm, tolerance):
+def _figures(
+    first: RunRecord, second: RunRecord, arm: ArmParameters, tolerance: float
+) -> list[Figure]:
     tables = [
         {(row.signal, row.meaning): row for row in make_table(record, arm)}
         for record in (first, second)
     ]
     found = []
-    for key in dict.fromkeys((*tables[0], *tables[1])):
-        rows = [table.get(key) for table in tables]
-        values = [None if row is None else float(row.value) for row in rows]
-        row = rows[0] or rows[1]
-        found.append(
-            Figure(f'{row.signal}: {row.meaning}', row.unit, *values, _close(*values, tolerance))
-        )
+    units = {key: row.unit for table in tables for key, row in table.items()}
+    for key, unit in units.items():
+        a, b = (float(table[key].value) if key in table else None for table in tables)
+        found.append(Figure(': '.join(key), unit, a, b, _close(a, b, tolerance)))
     return found
 
 
-def _close(first, second, tolerance) -> bool:
+def _close(first: float | None, second: float | None, tolerance: float) -> bool:
     if first is None or second is None:
         return False
     if first == second or (math.isnan(first) and math.isnan(second)):
@@ -240,7 +215,7 @@ def _close(first, second, tolerance) -> bool:
     return abs(first - second) <= (max(allowed, _SMALLEST) if tolerance else 0.0)
 
 
-def _differences(first, second, tolerances):
+def _differences(first: RunRecord, second: RunRecord, tolerances: Tolerances) -> list[Figure]:
     found = []
     for name, a, b in _aligned(first, second, SIGNALS):
         for i in range(a.shape[1]):
@@ -261,7 +236,7 @@ def _differences(first, second, tolerances):
     return found
 
 
-def _flag_changes(first, second, tolerances):
+def _flag_changes(first: RunRecord, second: RunRecord, tolerances: Tolerances) -> list[Figure]:
     found = []
     for name, a, b in _aligned(first, second, _FLAGS):
         share = float(np.mean((a != b).any(axis=1))) if len(a) else 0.0
@@ -273,17 +248,19 @@ def _flag_changes(first, second, tolerances):
     return found
 
 
-def _aligned(first, second, names):
+def _aligned(
+    first: RunRecord, second: RunRecord, names: Mapping[str, tuple[str, ...]]
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     for stream, fields in names.items():
         if stream not in first.stamps or stream not in second.stamps:
             continue
         _, i, j = np.intersect1d(first.stamps[stream], second.stamps[stream], return_indices=True)
         for name in fields:
-            values = [r.get(stream, name)[k] for r, k in ((first, i), (second, j))]
-            yield name, *(v.reshape(len(v), -1) for v in values)
+            a, b = first.streams[stream][name][i], second.streams[stream][name][j]
+            yield name, a.reshape(len(a), -1), b.reshape(len(b), -1)
 
 
-def _pairs(first, second, tolerance):
+def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmPair]:
     """Alarms of one sensor that are nearest in time belong together."""
     left, pairs = list(episodes(second)), []
     shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
@@ -296,20 +273,27 @@ def _pairs(first, second, tolerance):
             other = None
         pairs.append(AlarmPair(alarm, other, _same_alarm(alarm, other, shift, tolerance)))
     pairs += [AlarmPair(None, other, False) for other in left]
-    return sorted(pairs, key=lambda p: (p.first or p.second).raised)
+    return sorted(pairs, key=_begin)
 
 
-def _overlap(one, other, shift) -> bool:
+def _begin(pair: AlarmPair) -> float:
+    alarm = pair.first or pair.second
+    assert alarm is not None
+    return alarm.raised
+
+
+def _overlap(one: Episode, other: Episode, shift: float) -> bool:
     ends = [math.inf if e.cleared is None else e.cleared for e in (one, other)]
     return one.raised <= ends[1] + shift + 0.5 and other.raised + shift <= ends[0] + 0.5
 
 
-def _same_alarm(one, other, shift, tolerance):
+def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: float) -> bool:
     if other is None or one.kind != other.kind:
         return False
     if (one.cleared is None) != (other.cleared is None):
         return False
     times = [(one.raised, other.raised)]
-    times += [(one.cleared, other.cleared)] if one.cleared is not None else []
+    if one.cleared is not None and other.cleared is not None:
+        times.append((one.cleared, other.cleared))
     # Differences of seconds as floats have nanoseconds of rounding.
     return all(abs(a - b - shift) <= tolerance + 1e-9 for a, b in times)

@@ -1,29 +1,25 @@
-"""Pictures of two runs of one recording."""
+"""Figures of two runs of one recording."""
+
+from collections.abc import Iterator
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_report.history.episodes import episodes
-from lpv_report.run.style import INK, PALE, SENSOR, SETTINGS, thin
+from lpv_report.style import INK, PALE, SENSOR, SETTINGS, thin
 
 _SIZE = (8.6, 5.2)
 
 
-def draw_comparison(first, second, arm):
-    """Fault estimates of both runs, and how far they are apart.
-
-    Parameters
-    ----------
-    first, second : RunRecord
-        The runs.
-    arm : ArmParameters
-        Names of its sensors.
-
-    Yields
-    ------
-    tuple of str and matplotlib.figure.Figure
-        Name and figure; the figure is closed afterwards.
-    """
+def draw_comparison(
+    first: RunRecord, second: RunRecord, arm: ArmParameters
+) -> Iterator[tuple[str, Figure]]:
+    """Fault estimates of both runs, and how far they are apart."""
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
     for name, draw in (('faults', _faults), ('differences', _differences)):
@@ -41,21 +37,23 @@ def draw_comparison(first, second, arm):
             plt.close(figure)
 
 
-def _seconds(record, stamps, first):
+def _seconds(record: RunRecord, stamps: np.ndarray, first: RunRecord) -> np.ndarray:
     return (stamps - first.stamps['joint_states'][0]) / 1e9
 
 
-def _faults(axis, first, second, i) -> None:
-    runs = (
+def _faults(axis: Axes, first: RunRecord, second: RunRecord, i: int) -> None:
+    runs: tuple[tuple[RunRecord, str, dict[str, Any]], ...] = (
         (first, 'first', {'color': PALE[i], 'linewidth': 3.4}),
         (second, 'second', {'color': SENSOR[i], 'linewidth': 1.1}),
     )
     for record, label, style in runs:
         time = _seconds(record, record.stamps['fault_estimate'], first)
-        axis.plot(*thin(time, record.get('fault_estimate', 'estimate')[:, i]), label=label, **style)
+        axis.plot(
+            *thin(time, record.streams['fault_estimate']['estimate'][:, i]), label=label, **style
+        )
         for alarm in episodes(record):
             if alarm.sensor_index == i:
-                start = _seconds(record, record.stamps['joint_states'][0], first)
+                start = float(_seconds(record, record.stamps['joint_states'][:1], first)[0])
                 axis.axvline(
                     alarm.raised + start,
                     color=style['color'],
@@ -74,12 +72,15 @@ def _faults(axis, first, second, i) -> None:
     axis.set_ylabel('fault [rad]')
 
 
-def _differences(axis, first, second, i) -> None:
+def _differences(axis: Axes, first: RunRecord, second: RunRecord, i: int) -> None:
     stamps, a, b = np.intersect1d(
         first.stamps['fault_estimate'], second.stamps['fault_estimate'], return_indices=True
     )
     for name, color in (('estimate', SENSOR[i]), ('threshold', PALE[i])):
-        gap = second.get('fault_estimate', name)[b, i] - first.get('fault_estimate', name)[a, i]
+        gap = (
+            second.streams['fault_estimate'][name][b, i]
+            - first.streams['fault_estimate'][name][a, i]
+        )
         axis.plot(
             *thin(_seconds(first, stamps, first), gap), label=f'{name}, second - first', color=color
         )

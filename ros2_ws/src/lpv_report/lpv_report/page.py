@@ -1,26 +1,16 @@
-"""Pages that need nothing from elsewhere: templates, embedded pictures."""
+"""Self-contained pages: templates, embedded pictures."""
 
 import base64
 from pathlib import Path
 
 import jinja2
+from matplotlib.figure import Figure
 
 from lpv_report.style import png
 
 
 def css_string(text: str) -> str:
-    """A string of a style sheet that cannot end the string, the sheet or the element.
-
-    Parameters
-    ----------
-    text : str
-        Any text.
-
-    Returns
-    -------
-    str
-        In quotes, with all but letters and digits escaped by their numbers: safe in HTML, too.
-    """
+    """A string of a style sheet that cannot end the string, the sheet or the element."""
     return (
         '"'
         + ''.join(
@@ -55,18 +45,7 @@ def environment(folder: str | Path) -> jinja2.Environment:
     return found
 
 
-def embedded(figure) -> str:
-    """A figure as text that stands in a page.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure or bytes
-        The figure, or its PNG.
-
-    Returns
-    -------
-    str
-        Address with the scheme ``data``.
-    """
+def embedded(figure: Figure | bytes) -> str:
+    """A figure as a data URL."""
     data = figure if isinstance(figure, bytes) else png(figure)
     return 'data:image/png;base64,' + base64.b64encode(data).decode()

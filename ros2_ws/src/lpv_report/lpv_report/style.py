@@ -1,9 +1,12 @@
 """Look of the figures: palette, Matplotlib settings, thinning of long curves."""
 
 import io
+from collections.abc import Iterable
+from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 
 matplotlib.use('Agg')
 
@@ -15,7 +18,7 @@ PALE = ('#9fcbe6', '#f3bc95')
 INK, SOFT, GRID, BAND = '#1b2733', '#5b6774', '#dde2e8', '#c3cad2'
 PAPER = '#ffffff'
 
-SETTINGS = {
+SETTINGS: Any = {
     'font.family': 'DejaVu Sans',
     'font.size': 9.0,
     'axes.titlesize': 9.5,
@@ -55,21 +58,12 @@ SETTINGS = {
     'figure.constrained_layout.w_pad': 0.05,
 }
 _POINTS = 1500
+SPARSE: dict[str, Any] = {'handlelength': 1.7, 'columnspacing': 1.3, 'handletextpad': 0.5}
+"""Spacing of legends that stand in one row."""
 
 
 def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Fewer points that look the same: of every bin the lowest and the highest one.
-
-    Parameters
-    ----------
-    time, values : ndarray, shape (n,)
-        A curve; NaN makes gaps.
-
-    Returns
-    -------
-    tuple of ndarray
-        time and values of about 3000 points; shorter curves are returned as they are.
-    """
+    """Fewer points that look the same: of every bin the lowest and the highest one."""
     size = len(values) // _POINTS
     if size < 3:
         return time, values
@@ -87,19 +81,27 @@ def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
     return time[index], values[index]
 
 
+def legend_above(axis: Axes) -> None:
+    """Legend in one row on the right, above the data."""
+    handles, labels = axis.get_legend_handles_labels()
+    if handles:
+        place: dict[str, Any] = {'loc': 'lower right', 'bbox_to_anchor': (1.0, 1.0), **SPARSE}
+        axis.legend(handles, labels, ncols=len(handles), borderaxespad=0.25, **place)
+
+
+def shade(axis: Axes, spans: Iterable[tuple[float, float]], label: str, **look: Any) -> None:
+    """Shade intervals of time [s] behind the data, with one entry in the legend."""
+    for number, (start, end) in enumerate(spans):
+        name = None if number else label
+        axis.axvspan(start, end, label=name, linewidth=0, zorder=0, **look)
+
+
+HATCHED = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////'}
+"""Look of intervals in which a sensor is not diagnosable."""
+
+
 def png(figure: matplotlib.figure.Figure) -> bytes:
-    """Picture of a figure as PNG.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        The figure.
-
-    Returns
-    -------
-    bytes
-        PNG, light theme.
-    """
+    """Picture of a figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format='png', dpi=160)
     return buffer.getvalue()

@@ -17,8 +17,8 @@ from runs import ALL, MEASURED, Recorder, record, rows, text
 
 from lpv_bag.run.record import BagError, load_run
 from lpv_cli.main import main
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import Fault
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.history.episodes import episodes, missed_faults
 from lpv_report.run import print_table, write_report
 
@@ -194,13 +194,13 @@ def test_given_a_report_when_written_then_its_pictures_are_files_and_inside_the_
 def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_are_listed(
     report, run
 ):
-    first = load_run(run).alarms[0]
+    first, last = load_run(run).alarms[0], load_run(run).alarms[-1]
     page = report.html.read_text(encoding='utf-8')
     line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
     detected = first.detected / NANOSECONDS
-    assert line[1] == load_run(run).alarms[-1].kind
+    assert line[1] == last.kind
     assert line[2:6] == ['0.800', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
-    assert line[6] == f'{first.size:+.3f}'
+    assert line[6] == f'{last.size:+.3f}'
     assert float(line[8]) == pytest.approx(0.3, abs=0.1)
     assert 'Missed' not in text(page)
     assert 'no false alarms, no faults missed' in text(page)

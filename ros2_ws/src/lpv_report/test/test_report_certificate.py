@@ -11,14 +11,16 @@ import pytest
 import yaml
 from runs import MEASURED, Recorder, record, rows, text
 
+from lpv_bag.rosbag.reading import open_bag
+from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import load_run
 from lpv_cli.main import main
 from lpv_core.bound.error_bound import error_bound, static_bound
 from lpv_core.certificate.gains import save_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
 from lpv_core.model.joints import JointMap
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import Fault
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.guarantees.detectability import configurations, detectability, summary
 from lpv_report.guarantees.gains_source import find_used_gains
 from lpv_report.history.phases import Phase, listed, phases
@@ -142,7 +144,7 @@ def test_given_a_bag_without_gains_when_reported_then_it_says_so_and_claims_noth
     said = text(report.html.read_text(encoding='utf-8'))
     assert report.certificate is None
     assert 'Not known. The bag carries no gains, and none were given.' in said
-    assert 'certificate unknown' in said
+    assert 'certificate of the gains unknown' in said
     assert 'The certificate holds' not in said
     assert 'The gains are not known. Only what was recorded is shown' in said
     assert 'at rest: from' not in said
@@ -230,7 +232,7 @@ def test_given_rubbish_in_the_place_of_the_gains_when_reported_then_the_run_is_s
     (bag / 'gains.yaml').write_bytes(content)
     said = text(page_of(bag, tmp_path / 'report', paper_arm))
     assert 'The gains in the bag cannot be used' in said
-    assert 'certificate unknown' in said
+    assert 'certificate of the gains unknown' in said
 
 
 def test_given_a_single_file_among_others_when_gains_lie_there_then_they_are_not_taken(
@@ -572,3 +574,35 @@ def test_given_streams_of_a_real_arm_when_reported_with_the_gains_then_the_path_
 ):
     path = record(tmp_path / 'bag', paper_arm, paper_gains, scenario, MEASURED)
     assert detectability(load_run(path), paper_arm, paper_gains).source == 'estimated'
+
+
+def test_given_a_bag_of_a_shipped_arm_when_the_command_is_run_without_an_arm_then_it_is_found(
+    bag, tmp_path, monkeypatch, capsys
+):
+    plain(monkeypatch)
+    assert main(['report', str(bag), '--out', str(tmp_path / 'report')]) == 0
+    said = capsys.readouterr().out
+    assert "shipped gains of arm 'paper', which the messages name" in said
+    assert 'certificate holds, but the run had other gains or settings' in said
+    page = (tmp_path / 'report' / 'report.html').read_text(encoding='utf-8')
+    assert 'holds but the run had others' in text(page)
+
+
+def renamed(bag, out, name):
+    """The same bag as another arm's node would have published it."""
+    with open_bag(bag) as reader, BagWriter(out) as writer:
+        for connection in reader.connections:
+            writer.copy_topic(connection)
+        for connection, time, data in reader.messages():
+            writer.write_raw(connection.topic, time, data.replace(b'paper\0', name))
+    return out
+
+
+def test_given_a_bag_of_another_arm_when_the_command_is_run_then_it_asks_for_its_files(
+    bag, tmp_path, capsys
+):
+    other = renamed(bag, tmp_path / 'other', b'mine!\0')
+    assert main(['report', str(other), '--out', str(tmp_path / 'report')]) == 2
+    said = capsys.readouterr().err
+    assert "the bag is of arm 'mine!', which is not a shipped one" in said
+    assert '--arm mine!.yaml --gains gains.yaml' in said and said.count('\n') == 1

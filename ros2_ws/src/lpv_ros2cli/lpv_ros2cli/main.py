@@ -4,17 +4,21 @@ import os
 import signal
 import sys
 
+from lpv_node.discovery import stay_local
+from lpv_node.signals import raising_signals
 from lpv_ros2cli.command_line.completion import complete
-from lpv_ros2cli.command_line.interrupts import raising_signals
 from lpv_ros2cli.command_line.parsing import parse
 from lpv_ros2cli.errors import CliError
 
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point."""
+    if argv is None:
+        # Of the program itself: a signal during its last moments must not change its exit code.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
     complete()
-    # Nodes are found on this machine only, unless asked otherwise.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    stay_local()
     with raising_signals() as received:
         try:
             return _run(sys.argv[1:] if argv is None else argv)

@@ -7,11 +7,11 @@ from places import BRINGUP
 
 pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 
+from lpv_ros2cli.command_line.expressions import evaluate  # noqa: E402
 from lpv_ros2cli.errors import CliError  # noqa: E402
 from lpv_ros2cli.launch.actions import evaluate_file  # noqa: E402
 from lpv_ros2cli.launch.arguments import declared, describe_arguments, parse_arguments  # noqa: E402
 from lpv_ros2cli.launch.context import Context  # noqa: E402
-from lpv_ros2cli.launch.expressions import evaluate  # noqa: E402
 from lpv_ros2cli.launch.files import launch_files_of  # noqa: E402
 from lpv_ros2cli.launch.substitutions import Substitution, parse  # noqa: E402
 from lpv_ros2cli.packages import share_of  # noqa: E402

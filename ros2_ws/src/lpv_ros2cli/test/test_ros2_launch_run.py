@@ -286,3 +286,69 @@ def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no
         assert (tmp_path / name / 'metadata.yaml').exists() == finished
         assert (tmp_path / name / f'{name}.mcap').stat().st_size > 10_000
         assert (tmp_path / name / 'gains.yaml').is_file()
+
+
+STARTING = """
+import time
+print('importing', flush=True)
+time.sleep(30.0)
+"""
+STARTED = """
+import signal, sys, time
+def stop(number, frame):
+    print('caught', signal.Signals(number).name, flush=True)
+    time.sleep(0.5)
+    sys.exit()
+signal.signal(signal.SIGTERM, stop)
+signal.signal(signal.SIGINT, stop)
+print('started', flush=True)
+while True:
+    time.sleep(0.05)
+"""
+
+
+@pytest.fixture
+def node(tmp_path, monkeypatch):
+    """Install a Python program as the node of a package; its element in a launch file."""
+
+    def install(program):
+        prefix = tmp_path / 'prefix'
+        path = prefix / 'lib' / 'some_package' / 'some_node'
+        path.parent.mkdir(parents=True)
+        path.write_text(f'#!{sys.executable}\n{program}')
+        path.chmod(0o755)
+        entry = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'some_package'
+        entry.parent.mkdir(parents=True)
+        entry.touch()
+        monkeypatch.setenv('AMENT_PREFIX_PATH', str(prefix))
+        return '<node pkg="some_package" exec="some_node" name="n" output="screen"/>'
+
+    return install
+
+
+def test_given_a_node_that_is_importing_when_interrupted_then_it_ends_without_a_traceback(
+    launch, node
+):
+    process = launch(node(STARTING))
+    wait_for_line(process, 'importing')
+    process.send_signal(signal.SIGINT)
+    code, text = ended(process)
+    assert code == 0
+    assert 'Traceback' not in text
+    assert re.search(
+        r'\[INFO\] \[some_node-1\]: process was stopped before it had started \[pid \d+\]\n', text
+    )
+
+
+def test_given_a_node_that_has_started_when_interrupted_twice_then_it_gets_sigint_once(
+    launch, node
+):
+    process = launch(node(STARTED))
+    wait_for_line(process, 'started$')
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    code, text = ended(process)
+    assert code == 0
+    assert re.findall('caught (SIG[A-Z]+)', text) == ['SIGINT']
+    assert 'process has finished cleanly' in text

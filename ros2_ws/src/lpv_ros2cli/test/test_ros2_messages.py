@@ -17,11 +17,14 @@ from std_msgs.msg import String, UInt8MultiArray  # noqa: E402
 from lpv_msgs.msg import FaultEstimate  # noqa: E402
 from lpv_msgs.srv import InjectFault  # noqa: E402
 from lpv_ros2cli.errors import CliError  # noqa: E402
+from lpv_ros2cli.graph.receiving import message_filter  # noqa: E402
 from lpv_ros2cli.message.from_text import message_from_text  # noqa: E402
 from lpv_ros2cli.message.to_text import Style, field_of, to_csv, to_yaml  # noqa: E402
 from lpv_ros2cli.message.types import full_type, load  # noqa: E402
 from lpv_ros2cli.topic.bw import Bandwidth  # noqa: E402
+from lpv_ros2cli.topic.delay import Delays  # noqa: E402
 from lpv_ros2cli.topic.hz import Rate  # noqa: E402
+from lpv_ros2cli.topic.statistics import table  # noqa: E402
 
 FINITE = st.floats(allow_nan=False, width=64)
 
@@ -33,11 +36,14 @@ def test_given_a_message_when_shown_then_it_is_block_yaml_in_the_order_of_its_fi
         "header:\n  stamp:\n    sec: 3\n    nanosec: 0\n  frame_id: ''\n"
         'name:\n- a\n- b\nposition:\n- 0.5\n- -1.0\nvelocity: []\neffort: []\n'
     )
-    assert to_yaml(message.header, Style(flow=True)) == (
-        "{stamp: {sec: 3, nanosec: 0}, frame_id: ''}\n"
+    assert to_yaml(message, Style(flow=True)) == (
+        "header:\n  stamp:\n    sec: 3\n    nanosec: 0\n  frame_id: ''\n"
+        'name: [a, b]\nposition: [0.5, -1.0]\nvelocity: []\neffort: []\n'
     )
-    assert to_yaml(message.header.stamp.sec) == '3\n'
-    assert to_csv(message) == '3,0,,a,b,0.5,-1.0'
+    assert to_csv(message) == '3,0,,a,b,0.5,-1.0,,'
+    assert to_csv(DiagnosticStatus(level=b'\x02', message='m')) == "b'\\x02',,m,,"
+    assert to_csv(message, Style(truncate=1)) == '3,0,,a,...,0.5,...,,'
+    assert to_csv(message, Style(no_arr=True)).endswith(',<sequence type: double, length: 0>')
 
 
 def test_given_long_fields_when_shown_then_they_are_shortened_or_left_out():
@@ -148,16 +154,43 @@ def test_given_type_names_when_loaded_then_wrong_ones_are_told():
 
 
 def test_given_messages_at_known_times_when_rate_and_bandwidth_are_asked_then_they_are_exact():
-    rate, bandwidth = Rate(window=100), Bandwidth(window=100)
-    assert rate.describe() == ''
+    rate, bandwidth, delays = Rate(window=100), Bandwidth(window=100), Delays(window=100)
+    assert rate.news() is None
+    assert delays.report() == ''
     assert bandwidth.describe(0.0) == ''
     for i in range(11):
-        rate.take(0.1 * i)
-        bandwidth.take(0.1 * i, 200)
-    assert rate.describe() == (
-        'average rate: 10.000\n\tmin: 0.100s max: 0.100s std dev: 0.00000s window: 11'
+        rate.add(0.1 * i)
+        bandwidth.add(0.1 * i, 200 + i)
+        delays.add(0.25)
+    news = rate.news()
+    assert news.mean == pytest.approx(0.1)
+    assert news.spread() == 'min: 0.100s max: 0.100s std dev: 0.00000s window: 10'
+    assert rate.news() is None
+    assert delays.report() == (
+        'average delay: 0.250\n\tmin: 0.250s max: 0.250s std dev: 0.00000s window: 10'
     )
-    assert rate.describe() == 'no new messages'
+    assert delays.report() == 'no new messages'
     assert bandwidth.describe(1.1) == (
-        '2.00 KB/s from 11 messages\n\tMessage size mean: 200 B min: 200 B max: 200 B'
+        '2.05 KB/s from 11 messages\n\tMessage size mean: 0.20 KB min: 0.20 KB max: 0.21 KB'
     )
+
+
+def test_given_rates_of_topics_when_tabulated_then_columns_are_as_wide_as_their_entries():
+    assert table(('topic', 'rate'), [('/a', '10.000'), ('/longer', '9.5')]) == (
+        ' topic     rate \n================\n/a        10.000\n/longer   9.5   \n'
+    )
+
+
+def test_given_a_filter_when_applied_then_it_sees_fields_of_messages_and_nothing_else():
+    matches = message_filter('m.header.frame_id == "a" and len(m.position) > 1')
+    message = JointState(position=[1.0, 2.0])
+    assert not matches(message)
+    message.header.frame_id = 'a'
+    assert matches(message)
+    for text in ('m.__class__', 'm.header.__init__', 'open("x")', 'm.nix', 'n'):
+        with pytest.raises(CliError, match='--filter: .* is not covered'):
+            message_filter(text)(message)
+    with pytest.raises(CliError, match='--filter: '):
+        message_filter('m.position[5] > 0')(message)
+    with pytest.raises(CliError, match='--filter: '):
+        message_filter('m.')

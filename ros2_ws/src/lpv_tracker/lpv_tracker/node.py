@@ -2,16 +2,37 @@
 
 import sys
 
-from lpv_core.control.path_follower import PathGuide
-from lpv_core.control.tracking import COMPENSATION, TrackingController
+import numpy as np
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from std_srvs.srv import Trigger
+
+from lpv_core.control.latency import tolerated_latency
+from lpv_core.control.path import Reference
+from lpv_core.control.path_follower import PathFollower
+from lpv_core.control.tracking import COMPENSATION, TrackingController, feedback_position
+from lpv_core.control.watchdog import (
+    STOP_TEXT,
+    StopReason,
+    TrackerLimits,
+    check_estimate,
+    check_motion,
+    note_stop,
+    tracker_watchdog,
+)
 from lpv_core.model.arm import load_arm
 from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
+from lpv_node.input_check import Refusals, StampGuard, all_finite
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import stream
-from lpv_node.stamps import NANOSECONDS, set_stamp, to_nanoseconds
+from lpv_node.stamps import set_stamp, to_nanoseconds
+from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
+_LIMITS = TrackerLimits()
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML); its path is tracked', read_only=True),
@@ -24,10 +45,27 @@ SPECS = (
     ),
     Spec(
         'estimate_timeout',
-        0.2,
-        'real time only: command a safe stop when no estimate came for so long [s]',
+        _LIMITS.silence,
+        'real time only: safe stop when no estimate came for this long [s]',
         0.01,
         60.0,
+        read_only=True,
+    ),
+    Spec(
+        'max_latency',
+        _LIMITS.latency,
+        'real time only: safe stop when an estimate answers a measurement that is older [s]',
+        0.001,
+        60.0,
+        read_only=True,
+    ),
+    Spec(
+        'max_tracking_error',
+        _LIMITS.tracking_error,
+        'safe stop, until ~/resume is called, when a joint is further from its reference '
+        'for 0.05 s [rad]',
+        0.01,
+        10.0,
         read_only=True,
     ),
     Spec(
@@ -40,48 +78,73 @@ SPECS = (
         read_only=True,
     ),
 )
-
-_SILENCE = 'no estimates: safe stop'
+_OTHER_CLOCK = 10 * NANOSECONDS
+"""Stamps that differ from this machine's time by more are of another clock [ns]."""
 
 
 class TrackerNode(ManagedNode):
     """Tracking controller.
 
-    Topics: subscribes ``state_estimate``; publishes ``torque_command`` and ``reference``.  The
-    path starts at the stamp of the first estimate; its clock stands still during a safe stop, and
-    an arm that is found elsewhere is led to the path first (`lpv_core.control.path_follower`).
+    Topics: subscribes ``state_estimate``; publishes ``torque_command``, ``reference`` and
+    ``/diagnostics``.  Service: ``~/resume``.  The path starts at the stamp of the first estimate;
+    its clock stands still during a safe stop, and an arm that is found elsewhere is led to the path
+    first (`lpv_core.control.path_follower`).
 
-    Safe stops: when an estimate is not to be trusted, when estimates stay away, and when the node
-    is deactivated or ends.
+    Safe stops: for the reasons of `lpv_core.control.watchdog`, and when the node is deactivated or
+    ends.  A joint that is too fast or far from its reference stops the arm until ``~/resume``.
     """
 
     def __init__(self) -> None:
         super().__init__('tracker', SPECS)
-        declare_gains(self)
-        self._estimate_in = self._watch = None
-        self._stopped = True
+        self._unset_gains = declare_gains(self)
+        self._estimate_in: Subscription | None = None
+        self._watch: Timer | None = None
+        self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
+        self._last: int | None = None  # stamp of the last estimate [ns]
 
     def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
         self._arm = load_arm(required_text(self, 'arm_file'))
-        gains = read_gains(self, self._arm)
+        gains = read_gains(self, self._arm, self._unset_gains)
         self._controller = TrackingController(self._arm, gains)
         self._integrates_measurement = gains.controller.method == 'paper'
         self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
-        self._guide = PathGuide(self._arm, self._path, self.get_parameter('approach_speed').value)
-        # Compile before the first estimate, not on it.
-        self._controller.update(self._path.sample(0.0), [0.0, 0.1], [0.0, 0.0], [0.0, 0.1], 0.0)
-        self._controller.reset()
-        self._last = self._previous = self._received = None
+        speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
+        self._follower = PathFollower(self._arm, self._path, speed)
+        self._tolerated = tolerated_latency(self._arm, gains)
+        self._limits = TrackerLimits(
+            silence=self.get_parameter('estimate_timeout').value,
+            latency=self.get_parameter('max_latency').value,
+            tracking_error=self.get_parameter('max_tracking_error').value,
+        )
+        self._compile()
+        self._watchdog = tracker_watchdog(self._arm, self._limits)
+        self._guard, self._refusals, self._stops = StampGuard(), Refusals(self), 0
+        self._last = None
+        self._previous: int | None = None  # stamp of the last estimate that was followed [ns]
+        self._received = 0  # time at which the last estimate came [ns]
+        self._latency = 0  # of the last estimate [ns]
         qos = stream(self.lockstep)
         self._command_out = self.create_publisher(TorqueCommand, 'torque_command', qos)
         self._reference_out = self.create_publisher(JointReference, 'reference', qos)
+        self._status = StatusReporter(self, 'tracking', self._arm.name)
+        self.create_service(Trigger, '~/resume', self._on_resume)
         self._command, self._reference = TorqueCommand(), JointReference()
         self._command.header.frame_id = self._reference.header.frame_id = self._arm.name
 
-    def outputs(self):
+    def _compile(self) -> None:
+        """Compile before the first estimate, not on it."""
+        still, tilted = np.zeros(2), np.array([0.0, 0.1])
+        self._controller.update(self._path.sample(0.0), tilted, still, tilted, 0.0)
+        self._controller.reset()
+        watchdog = tracker_watchdog(self._arm, self._limits)
+        check_estimate(watchdog, 1, 0, 0, True, still)
+        check_motion(watchdog, 1, still, still)
+        note_stop(watchdog)
+
+    def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before estimates are taken."""
-        return {self._command_out: 1, self._reference_out: 0}
+        return {self._command_out: 1, self._reference_out: 0, self._status.publisher: 0}
 
     def begin(self) -> None:
         """Subscribe."""
@@ -89,8 +152,11 @@ class TrackerNode(ManagedNode):
             StateEstimate, 'state_estimate', self._on_estimate, stream(self.lockstep)
         )
         if not self.lockstep:
-            self._watch = self.steady_timer(0.05, self._check_silence)
-        self.get_logger().info(f'tracking a path of {self._path.end:.1f} s')
+            self._watch = self.steady_timer(0.02, self._check_silence)
+        self.get_logger().info(
+            f'tracking a path of {self._path.end:.1f} s; the loop tolerates a constant latency of '
+            f'{1e3 * self._tolerated:.0f} ms'
+        )
 
     def end(self) -> None:
         """Unsubscribe, and leave the arm braked."""
@@ -100,59 +166,98 @@ class TrackerNode(ManagedNode):
         if self._watch is not None:
             self.destroy_timer(self._watch)
             self._watch = None
-        if not (self._stopped or self.lockstep):
-            self._stop_safely(self.get_clock().now().nanoseconds)
+        if self._reason is None and not self.lockstep:
+            self._stop(StopReason.SILENCE)
 
-    def _on_estimate(self, message) -> None:
+    def _on_estimate(self, message: StateEstimate) -> None:
         stamp = to_nanoseconds(message.header.stamp)
-        self._received = self.get_clock().now().nanoseconds
+        if not self._is_usable(message, stamp):
+            return
+        now = self.get_clock().now().nanoseconds
         if self._last is not None and stamp <= self._last:
             if self.lockstep and stamp == self._last:
                 self._answer_again()
                 return
             if not self.lockstep and self._last - stamp < NANOSECONDS:
                 return  # duplicate or out of order
-            self._stop()
-            self._guide.reset()  # time started anew, and so does the path
-        self._last = stamp
-        # A node that was held up itself has seen no silence: the drives have braked meanwhile.
-        silent = self._previous is not None and self._is_silence(stamp - self._previous)
-        if silent:
-            self.get_logger().error(_SILENCE)
-        if silent or not message.trustworthy:
-            self._stop_safely(stamp)
-            return
-        position = self._feedback(message)
-        reference = self._guide.reference(stamp, position)
-        if not self.lockstep and self._guide.arm_not_following(reference, position):
-            self.get_logger().warning(
-                'the arm does not move: nobody hears the commands, or the drives brake',
-                throttle_duration_sec=5.0,
+            self._restart()
+        self._received, self._last = now, stamp
+        reason = self._judge(message, stamp, now)
+        if reason is StopReason.NONE:
+            position = np.asarray(
+                feedback_position(self.get_parameter('compensation').value, message)
             )
-            self._guide.stop()
-            self._controller.reset()
-            reference = self._guide.reference(stamp, position)
-        if self._stopped:
-            self._stopped = False
+            reference = self._follower.reference(stamp, position)
+            reason = StopReason(check_motion(self._watchdog, stamp, reference.position, position))
+        if reason is not StopReason.NONE:
+            self._stop(reason)
+            return
+        if self._reason is not None:
+            self._reason = None
             self.get_logger().info('following the path')
         self._publish_command(message, position, stamp, reference)
         self._publish_reference(stamp, reference)
         self._previous = stamp
+        self._report(stamp)
 
-    def _stop(self) -> None:
-        """Nothing is followed until the next estimate that can be trusted."""
+    def _is_usable(self, message: StateEstimate, stamp: int) -> bool:
+        """Whether an estimate can be one of the observer's; others are counted and ignored."""
+        if not all_finite(
+            message.position,
+            message.velocity,
+            message.compensated_position,
+            message.measured_position,
+            message.measured_velocity,
+        ):
+            self._refusals.add('estimate with values that are not finite')
+        elif stamp < 0:
+            self._refusals.add('estimate with a negative stamp')
+        elif not (self.lockstep or self._guard.accept(stamp)):
+            self._refusals.add('estimate whose stamp fits no stream')
+        else:
+            return True
+        return False
+
+    def _judge(self, message: StateEstimate, stamp: int, now: int) -> StopReason:
+        """Why an estimate must not be followed."""
+        self._latency = 0
+        if not self.lockstep and abs(now - stamp) < _OTHER_CLOCK:
+            self._latency = now - stamp
+        reason = check_estimate(
+            self._watchdog,
+            stamp,
+            self._latency,
+            message.mode,
+            message.trustworthy,
+            np.asarray(message.velocity),
+        )
+        # A node that was held up itself has seen no silence: the drives have braked meanwhile.
+        silent = self._previous is not None and self._is_silence(stamp - self._previous)
+        return StopReason.SILENCE if silent and not reason else StopReason(reason)
+
+    def _restart(self) -> None:
+        """Time has restarted, and so does the path."""
+        self._forget()
+        self._follower.reset()
+        latched = self._watchdog.latched
+        self._watchdog = tracker_watchdog(self._arm, self._limits)
+        self._watchdog.latched = latched
+
+    def _forget(self) -> None:
         self._controller.reset()
-        self._guide.stop()
+        self._follower.stop()
+        note_stop(self._watchdog)
         self._previous = None
-        self._stopped = True
 
     def _answer_again(self) -> None:
-        """The same estimate again: somebody was restarted and has not heard the answer."""
+        """The same estimate again: a restarted node missed the answer."""
         self._command_out.publish(self._command)
         if not self._command.safe_stop:
             self._reference_out.publish(self._reference)
 
-    def _publish_command(self, message, position, stamp, reference) -> None:
+    def _publish_command(
+        self, message: StateEstimate, position: np.ndarray, stamp: int, reference: Reference
+    ) -> None:
         integrated = message.measured_position if self._integrates_measurement else position
         interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
         command = self._controller.update(
@@ -162,13 +267,7 @@ class TrackerNode(ManagedNode):
         self._command.torque, self._command.safe_stop = command.torque, False
         self._command_out.publish(self._command)
 
-    def _feedback(self, message):
-        mode = self.get_parameter('compensation').value
-        if mode == 'always':
-            return message.position
-        return message.compensated_position if mode == 'confirmed' else message.measured_position
-
-    def _publish_reference(self, stamp, reference) -> None:
+    def _publish_reference(self, stamp: int, reference: Reference) -> None:
         message = self._reference
         set_stamp(message.header.stamp, stamp)
         message.position, message.velocity = reference.position, reference.velocity
@@ -177,26 +276,54 @@ class TrackerNode(ManagedNode):
 
     def _check_silence(self) -> None:
         """Stop safely when the observer is silent: the drives then brake."""
-        if self._stopped:
-            return
         now = self.get_clock().now().nanoseconds
-        if self._is_silence(now - self._received):
-            self.get_logger().error(_SILENCE)
-            self._stop_safely(now)
+        if self._reason is None and self._is_silence(now - self._received):
+            self._stop(StopReason.SILENCE)
+        elif self._last is not None:
+            self._report(self._last + now - self._received)
 
-    def _is_silence(self, interval) -> bool:
-        if self.lockstep:
-            return False
-        return interval > self.get_parameter('estimate_timeout').value * NANOSECONDS
+    def _is_silence(self, interval: int) -> bool:
+        return not self.lockstep and interval > self._watchdog.silence
 
-    def _stop_safely(self, stamp) -> None:
-        self._stop()
+    def _stop(self, reason: StopReason) -> None:
+        """Command a safe stop, which answers the last estimate; say why if that is new."""
+        self._forget()
+        stamp = self._last if self._last is not None else 0
+        if reason is not self._reason:
+            self._reason, self._stops = reason, self._stops + 1
+            self.get_logger().error(f'safe stop: {self._stop_text()}')
         set_stamp(self._command.header.stamp, stamp)
         self._command.torque, self._command.safe_stop = [0.0, 0.0], True
         self._command_out.publish(self._command)
+        self._report(stamp)
+
+    def _stop_text(self) -> str:
+        text = STOP_TEXT[self._reason or StopReason.NONE]
+        return f'{text}; stays until ~/resume is called' if self._watchdog.latched else text
+
+    def _report(self, stamp: int) -> None:
+        values = {
+            'safe stops': self._stops,
+            'latency [ms]': f'{self._latency * 1e-6:.1f}',
+            'tolerated constant latency [ms]': f'{self._tolerated * 1e3:.1f}',
+            **self._refusals.counts,
+        }
+        if self._reason is not None:
+            self._status.report(stamp, ERROR, f'safe stop: {self._stop_text()}', values)
+        elif self._refusals.is_recent:
+            self._status.report(stamp, WARN, 'following the path; messages are refused', values)
+        else:
+            self._status.report(stamp, OK, 'following the path', values)
+
+    def _on_resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = True
+        response.message = 'the arm resumes' if self._watchdog.latched else 'nothing was latched'
+        self._watchdog.latched = 0
+        self.get_logger().info(f'~/resume: {response.message}')
+        return response
 
 
-def main(argv=None) -> None:
+def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_tracker tracker``."""
     sys.exit(run_node(TrackerNode, argv))
 

@@ -1,9 +1,14 @@
 """Puts the fields of lpv_core.monitoring.message_fields into ROS messages."""
 
+from typing import Any, TypeVar
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
 from lpv_node.stamps import set_stamp
+
+Fields = dict[str, Any]
+M = TypeVar('M', StateEstimate, FaultEstimate, FaultAlarm)
 
 
 class OutputMessages:
@@ -19,19 +24,19 @@ class OutputMessages:
         self._frame_id = frame_id
         self._state, self._fault = self._headed(StateEstimate()), self._headed(FaultEstimate())
 
-    def _headed(self, message):
+    def _headed(self, message: M) -> M:
         message.header.frame_id = self._frame_id
         return message
 
-    def state(self, stamp, fields):
+    def state(self, stamp: int, fields: Fields) -> StateEstimate:
         """lpv_msgs/StateEstimate with a stamp [ns] and fields."""
         return _fill(self._state, stamp, fields)
 
-    def fault(self, stamp, fields):
+    def fault(self, stamp: int, fields: Fields) -> FaultEstimate:
         """lpv_msgs/FaultEstimate with a stamp [ns] and fields."""
         return _fill(self._fault, stamp, fields)
 
-    def alarm(self, stamp, fields):
+    def alarm(self, stamp: int, fields: Fields) -> FaultAlarm:
         """A new lpv_msgs/FaultAlarm with a stamp [ns] and fields."""
         message = self._headed(FaultAlarm())
         times = {name: fields[name] for name in ('onset', 'detected')}
@@ -41,7 +46,7 @@ class OutputMessages:
         return message
 
     @staticmethod
-    def diagnostics(stamp, status):
+    def diagnostics(stamp: int, status: list[Fields]) -> DiagnosticArray:
         """A new diagnostic_msgs/DiagnosticArray with a stamp [ns] and statuses."""
         array = DiagnosticArray(
             status=[
@@ -59,7 +64,7 @@ class OutputMessages:
         return array
 
 
-def _fill(message, stamp, fields):
+def _fill(message: M, stamp: int, fields: Fields) -> M:
     set_stamp(message.header.stamp, stamp)
     for name, value in fields.items():
         setattr(message, name, value)

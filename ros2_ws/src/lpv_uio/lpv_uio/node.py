@@ -2,22 +2,31 @@
 
 import math
 import sys
+import threading
+from collections import deque
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters
+from lpv_core.decision.diagnosis import Alarm, AlarmEvent, DiagnosisParameters
 from lpv_core.model.arm import load_arm
-from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.monitoring.monitor import Answer, SensorMonitor, describe
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.errors import SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
+from lpv_node.input_check import Refusals, all_finite
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import latched, stream
-from lpv_node.stamps import NANOSECONDS, to_nanoseconds
+from lpv_node.stamps import to_nanoseconds
 from lpv_uio.messages import OutputMessages
 
 _DIAGNOSIS = DiagnosisParameters()
@@ -138,6 +147,11 @@ SPECS = DIAGNOSIS_SPECS + (
         read_only=True,
     ),
 )
+_COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
+_RECENT = 100
+"""Measurements that a command may answer, where torques are taken from commands."""
+_UNHEARD = 5.0
+"""Time without a measurement after which the observer says so, again and again [s]."""
 
 
 class UioNode(ManagedNode):
@@ -150,9 +164,9 @@ class UioNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('uio', SPECS)
-        declare_gains(self)
-        self._inputs = []
-        self._watch = None
+        self._unset_gains = declare_gains(self)
+        self._inputs: list[Subscription] = []
+        self._watch: Timer | None = None
         self.add_on_set_parameters_callback(self._retune)
 
     def setup(self) -> None:
@@ -161,17 +175,26 @@ class UioNode(ManagedNode):
         self._monitor = SensorMonitor(
             self.get_fully_qualified_name(),
             self._arm,
-            read_gains(self, self._arm),
+            read_gains(self, self._arm, self._unset_gains),
             self._diagnosis_parameters({}),
             self.get_parameter('max_gap').value,
             self.get_parameter('initial_samples').value,
         )
-        self._monitor.warm_up()
+        note = threading.Timer(1.0, self.get_logger().info, [_COMPILING])
+        note.start()
+        try:
+            self._monitor.warm_up()
+        finally:
+            note.cancel()
         self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._torque = [math.nan, math.nan]
-        self._received = self._answer = None
+        self._received: int | None = None  # time of the last measurement that fits the arm [ns]
+        self._answer: Answer | None = None
+        self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
         self._stale = False
+        self._refusals = Refusals(self)
+        self._recent: deque[int] = deque(maxlen=_RECENT)
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
         self._fault_out = self.create_publisher(FaultEstimate, 'fault_estimate', qos)
@@ -179,7 +202,7 @@ class UioNode(ManagedNode):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_service(Trigger, '~/reset', self._on_reset)
 
-    def outputs(self):
+    def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before measurements are taken."""
         return {self._state_out: 1, self._fault_out: 0, self._diagnostics_out: 0}
 
@@ -206,18 +229,24 @@ class UioNode(ManagedNode):
             self.destroy_timer(self._watch)
             self._watch = None
 
-    def _on_command(self, message) -> None:
-        self._torque = message.torque
+    def _on_command(self, message: TorqueCommand) -> None:
+        if not all_finite(message.torque):
+            self._refusals.add('command with values that are not finite')
+        elif to_nanoseconds(message.header.stamp) not in self._recent:
+            self._refusals.add('command whose stamp answers no measurement')
+        else:
+            self._torque = message.torque
 
-    def _on_measurement(self, message) -> None:
+    def _on_measurement(self, message: JointState) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         if self.lockstep and self._answer is not None and stamp <= self._answer.stamp:
             if stamp == self._answer.stamp:
-                self._publish_estimates(self._answer)  # somebody was restarted and asks again
+                self._publish_estimates(self._answer)  # a restarted node missed it
                 return
             # Nothing overtakes here: the simulator was restarted, however short its run was.
-            self.get_logger().warning('lockstep starts anew: so do observer and alarms')
+            self.get_logger().warning('lockstep was restarted: observer and alarms restart')
             self._monitor.reset()
+        self._recent.append(stamp)
         try:
             answer = self._monitor.take(
                 stamp, message, self._torque if self._from_command else None
@@ -225,41 +254,44 @@ class UioNode(ManagedNode):
         except SampleError as error:
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
-        self._received = self.get_clock().now().nanoseconds
+        self._received, self._silent_since = self.get_clock().now().nanoseconds, None
         if answer is not None:
             self._publish(answer)
 
-    def _publish(self, answer) -> None:
+    def _publish(self, answer: Answer) -> None:
         if self._answer is None or self._stale:
             self.get_logger().info('measurements flow')
         self._stale = False
         self._answer = answer
         stamp, messages = answer.stamp, self._messages
         if answer.restarted:
-            self.get_logger().warning('time went backwards: observer and alarms start anew')
+            self.get_logger().warning('time went backwards: observer and alarms restart')
         self._publish_estimates(answer)
         for fields in answer.alarms:
             self._alarm_out.publish(messages.alarm(stamp, fields))
         for event in answer.events:
             self._log(event)
+        for warning in answer.warnings:
+            self.get_logger().warning(warning)
         if answer.status is not None:
             self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
 
-    def _publish_estimates(self, answer) -> None:
+    def _publish_estimates(self, answer: Answer) -> None:
         self._state_out.publish(self._messages.state(answer.stamp, answer.state))
         if answer.fault is not None:
             self._fault_out.publish(self._messages.fault(answer.stamp, answer.fault))
 
-    def _log(self, event) -> None:
+    def _log(self, event: Alarm) -> None:
         if event.event == AlarmEvent.RAISED:
             self.get_logger().error(describe(event))
         else:
             self.get_logger().info(describe(event))
 
     def _check_silence(self) -> None:
-        if self._received is None or self._stale:
-            return
         now = self.get_clock().now().nanoseconds
+        if self._received is None or self._stale:
+            self._warn_of_silence(now)
+            return
         if now - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')
@@ -270,26 +302,39 @@ class UioNode(ManagedNode):
             if fault is not None:
                 self._fault_out.publish(self._messages.fault(now, fault))
 
-    def _on_reset(self, _request, response):
+    def _warn_of_silence(self, now: int) -> None:
+        """Say every few seconds that no measurement comes, and whether anybody publishes any."""
+        if self._silent_since is None:
+            self._silent_since = now
+        if now - self._silent_since < _UNHEARD * NANOSECONDS:
+            return
+        self._silent_since = now
+        topic = self.resolve_topic_name('joint_states')
+        senders = self.count_publishers('joint_states')
+        self.get_logger().warning(
+            f'no measurement that fits the arm on {topic}, which has {senders} publishers'
+        )
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._monitor.reset()
-        response.success, response.message = True, 'observer and alarms start anew'
+        response.success, response.message = True, 'observer and alarms restart'
         return response
 
-    def _diagnosis_parameters(self, changed):
+    def _diagnosis_parameters(self, changed: dict[str, Any]) -> DiagnosisParameters:
         values = {}
         for spec in DIAGNOSIS_SPECS:
             value = changed.get(spec.name, self.get_parameter(spec.name).value)
             values[spec.name.split('.')[1]] = value
         return DiagnosisParameters(**values)
 
-    def _retune(self, parameters):
+    def _retune(self, parameters: list[Parameter]) -> SetParametersResult:
         changed = {p.name: p.value for p in parameters if p.name.startswith('diagnosis.')}
         if changed and hasattr(self, '_monitor'):
             self._monitor.retune(self._diagnosis_parameters(changed))
         return SetParametersResult(successful=True)
 
 
-def main(argv=None) -> None:
+def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_uio uio``."""
     sys.exit(run_node(UioNode, argv))
 

@@ -4,7 +4,7 @@ import hmac
 import ipaddress
 import secrets
 import socket
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from lpv_core.support.errors import ConfigError
 
@@ -55,19 +55,8 @@ class Access:
             self._hosts |= {name, f'{name}.local'}
         self._origins = {o.lower().rstrip('/') for o in origins if o}
 
-    def refusal(self, headers) -> str:
-        """Why a request is refused.
-
-        Parameters
-        ----------
-        headers : mapping
-            Of the request.
-
-        Returns
-        -------
-        str
-            Empty if it is not.
-        """
+    def refusal(self, headers: Mapping[str, str]) -> str:
+        """Why a request with these headers is refused; empty if it is not."""
         host = headers.get('Host', '')
         name = _host_name(host)
         if not (_is_address(name) or name in self._hosts):
@@ -86,40 +75,16 @@ class Access:
         return ''
 
     def accepts(self, token: str) -> bool:
-        """Whether a token is the right one; takes the same time for every wrong one.
-
-        Parameters
-        ----------
-        token : str
-            As given by a client.
-
-        Returns
-        -------
-        bool
-            True also if no token is needed.
-        """
+        """Whether a client's token is right, or none is needed; in the same time for all."""
         return not self.token or hmac.compare_digest(
             token.encode('utf-8', 'backslashreplace'), self.token.encode()
         )
 
 
 def is_loopback(address: str) -> bool:
-    """Whether an address is of this machine alone.
+    """Whether only this machine can reach an IP address or ``localhost``.
 
-    Parameters
-    ----------
-    address : str
-        IP address or ``localhost``.
-
-    Returns
-    -------
-    bool
-        Whether nobody else can reach it.
-
-    Raises
-    ------
-    ConfigError
-        If it is neither.
+    Raises ConfigError if it is neither.
     """
     if address == 'localhost':
         return True
@@ -133,14 +98,14 @@ def is_loopback(address: str) -> bool:
         ) from None
 
 
-def _host_name(host):
+def _host_name(host: str) -> str:
     """Name of a Host header, without its port and brackets."""
     if host.startswith('['):
         return host[1:].split(']', 1)[0].lower()
     return host.rsplit(':', 1)[0].lower() if host.count(':') == 1 else host.lower()
 
 
-def _is_address(name) -> bool:
+def _is_address(name: str) -> bool:
     try:
         ipaddress.ip_address(name)
     except ValueError:

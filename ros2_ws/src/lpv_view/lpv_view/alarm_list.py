@@ -3,25 +3,15 @@
 import math
 from typing import Any
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 RAISED, UPDATED, CLEARED = range(3)
+Row = dict[str, Any]
 _MOST_ROWS, _MOST_TEXT = 200, 100
 
 
 def seconds(nanoseconds: int) -> float:
-    """Seconds of a stamp, to the microsecond.
-
-    Parameters
-    ----------
-    nanoseconds : int
-        [ns].
-
-    Returns
-    -------
-    float
-        [s].
-    """
+    """Seconds of a stamp in nanoseconds, to the microsecond."""
     return round(nanoseconds / NANOSECONDS, 6)
 
 
@@ -35,11 +25,12 @@ class AlarmList:
     """
 
     def __init__(self) -> None:
-        self._rows, self._open = [], {}
+        self._rows: list[Row] = []
+        self._open: dict[str, Row] = {}
         self._count = 0
         self.changed = False
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Row]:
         """The alarms, oldest first.
 
         Returns
@@ -50,18 +41,12 @@ class AlarmList:
         """
         return [dict(row) for row in self._rows]
 
-    def take(self, event: object) -> None:
-        """Take one event.
-
-        Parameters
-        ----------
-        event : object
-            With the fields of lpv_msgs/FaultAlarm.
-        """
+    def add(self, event: Any) -> None:
+        """Add one event, with the fields of lpv_msgs/FaultAlarm."""
         sensor = event.sensor[:_MOST_TEXT]
         if event.event == RAISED and sensor in self._open:
             self._end(sensor, _time(event.onset))
-        row = self._open.get(sensor) or self._over(event) or self._new_row(sensor)
+        row = self._open.get(sensor) or self._ended_row(event) or self._new_row(sensor)
         row.update(
             kind=event.kind[:_MOST_TEXT],
             onset=_time(event.onset),
@@ -75,19 +60,17 @@ class AlarmList:
             row.update(size=_finite(event.size), bound=_finite(event.bound))
         self.changed = True
 
-    def _over(self, event):
+    def _ended_row(self, event: Any) -> Row | None:
         """The row that `follow` ended before the event that says so came."""
         last = next((r for r in reversed(self._rows) if r['sensor'] == event.sensor), None)
-        over = last is not None and event.event == CLEARED and last['onset'] == _time(event.onset)
-        return last if over else None
+        if last is None or event.event != CLEARED or last['onset'] != _time(event.onset):
+            return None
+        return last
 
-    def follow(self, faults: object) -> None:
+    def follow(self, faults: Any) -> None:
         """End alarms that the diagnosis no longer reports, e.g. after it was reset.
 
-        Parameters
-        ----------
-        faults : object
-            With the fields of lpv_msgs/FaultEstimate.
+        ``faults`` has the fields of lpv_msgs/FaultEstimate.
         """
         stamp = _time(faults.header.stamp)
         for sensor, alarm in zip(faults.sensor_names, faults.alarm):
@@ -96,9 +79,9 @@ class AlarmList:
             if row is not None and not alarm and abs(stamp - row['detected']) > 0.5:
                 self._end(sensor, max(stamp, row['detected']))
 
-    def _new_row(self, sensor):
+    def _new_row(self, sensor: str) -> Row:
         self._count += 1
-        row = {'id': self._count, 'sensor': sensor, 'ended': None, 'size': None, 'bound': None}
+        row: Row = {'id': self._count, 'sensor': sensor, 'ended': None, 'size': None, 'bound': None}
         self._rows.append(row)
         self._open[sensor] = row
         if len(self._rows) > _MOST_ROWS:
@@ -107,14 +90,14 @@ class AlarmList:
                 del self._open[oldest['sensor']]
         return row
 
-    def _end(self, sensor, stamp) -> None:
+    def _end(self, sensor: str, stamp: float) -> None:
         self._open.pop(sensor)['ended'] = stamp
         self.changed = True
 
 
-def _time(stamp):
+def _time(stamp: Any) -> float:
     return seconds(stamp.sec * NANOSECONDS + stamp.nanosec)
 
 
-def _finite(value):
+def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None

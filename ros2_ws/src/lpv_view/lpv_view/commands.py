@@ -2,12 +2,15 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.errors import LpvError
 
+Reply = Callable[[bool, str], None]
+"""Told whether a command succeeded, and a text."""
 _LARGEST = 1e6
 _MOST_TEXT = 256
 
@@ -33,7 +36,7 @@ class Command:
 
     name: str
     number: int = 0
-    fields: dict = field(default_factory=dict)
+    fields: dict[str, Any] = field(default_factory=dict)
 
 
 def parse_command(text: str, sensors: Sequence[str]) -> Command:
@@ -68,13 +71,16 @@ def parse_command(text: str, sensors: Sequence[str]) -> Command:
     if name == 'clear':
         return Command(name, number, {'sensor': _choice(data, 'sensor', ('', *sensors), '')})
     if name == 'inject':
-        fields = {'sensor': _choice(data, 'sensor', sensors), 'kind': _choice(data, 'kind', KINDS)}
+        fields: dict[str, Any] = {
+            'sensor': _choice(data, 'sensor', sensors),
+            'kind': _choice(data, 'kind', KINDS),
+        }
         fields.update({key: _number(data, key) for key in ('size', 'rate', 'duration')})
         return Command(name, number, fields)
     raise CommandError('type: must be one of token, inject, clear, reset')
 
 
-def _decode(text):
+def _decode(text: str) -> dict[str, Any]:
     try:
         data = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -84,25 +90,27 @@ def _decode(text):
     return data
 
 
-def _refuse_constant(name) -> None:
+def _refuse_constant(name: str) -> None:
     raise ValueError(f'{name} is not JSON')
 
 
-def _text(data, key):
+def _text(data: dict[str, Any], key: str) -> str:
     value = data.get(key)
     if not isinstance(value, str) or len(value) > _MOST_TEXT:
         raise CommandError(f'{key}: must be text of at most {_MOST_TEXT} characters')
     return value
 
 
-def _choice(data, key, choices, default=None):
+def _choice(
+    data: dict[str, Any], key: str, choices: Sequence[str], default: str | None = None
+) -> str:
     value = data.get(key, default)
     if not isinstance(value, str) or value not in choices:
         raise CommandError(f'{key}: must be one of ' + ', '.join(c for c in choices if c))
     return value
 
 
-def _number(data, key):
+def _number(data: dict[str, Any], key: str) -> float:
     value = data.get(key, 0.0)
     # Comparison comes first: an enormous int has no float.
     if (

@@ -3,6 +3,8 @@
 import logging
 import secrets
 from collections import deque
+from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
@@ -52,7 +54,9 @@ class FoxgloveBridge:
         foxglove = _sdk()
         self._context = foxglove.Context()
         typestore = make_typestore()
-        self._channels, self._kept, self._by_id = {}, {}, {}
+        self._channels: dict[str, Any] = {}
+        self._kept: dict[str, deque[tuple[bytes, int]]] = {}
+        self._by_id: dict[int, str] = {}
         self._newest = 0
         for topic, (msgtype, keep) in topics.items():
             add_type(typestore, msgtype)
@@ -70,27 +74,17 @@ class FoxgloveBridge:
         self._server = _start(foxglove, name, self._context, self)
 
     @property
-    def address(self):
+    def address(self) -> str:
         """Address of the SDK's server."""
         return self._server[1]
 
     @property
-    def port(self):
+    def port(self) -> int:
         """Port of the SDK's server."""
         return self._server[0].port
 
     def send(self, topic: str, data: bytes, stamp: int) -> None:
-        """Forward one message.
-
-        Parameters
-        ----------
-        topic : str
-            Full name.
-        data : bytes
-            CDR with its header.
-        stamp : int
-            Time of the message [ns].
-        """
+        """Forward one message of a topic's full name: CDR with its header, and its time [ns]."""
         self._newest = max(self._newest, stamp)
         kept = self._kept[topic]
         if kept.maxlen:
@@ -98,14 +92,9 @@ class FoxgloveBridge:
         self._channels[topic].log(data, log_time=stamp)
 
     def send_band(self, sample: dict[str, Any], stamp: int) -> None:
-        """Send estimate -+ bound and -+ threshold.
+        """Send estimate -+ bound and -+ threshold of `LiveModel.frame` at a stamp [ns].
 
-        Parameters
-        ----------
-        sample : dict
-            As of `LiveModel.frame`; nothing is sent where values are missing.
-        stamp : int
-            [ns].
+        Nothing is sent where values are missing.
         """
         values = [sample[name] for name in ('estimate', 'bound', 'threshold')]
         if not any(None in pair for pair in values):
@@ -121,15 +110,15 @@ class FoxgloveBridge:
             )
 
     def restart(self) -> None:
-        """Time started anew: clients forget what they have."""
+        """Time restarted: clients forget what they have."""
         for kept in self._kept.values():
             kept.clear()
         self._newest = 0
         self._server[0].clear_session()
 
-    def on_subscribe(self, client, channel) -> None:
+    def on_subscribe(self, client: Any, channel: Any) -> None:
         """Called by the SDK: a late client gets what was latched."""
-        topic = self._by_id.get(channel.id)
+        topic = self._by_id.get(channel.id, '')
         for data, stamp in list(self._kept.get(topic, ())):
             # As of now, or the client's time line would begin with the first of them.
             self._channels[topic].log(data, log_time=max(stamp, self._newest), sink_id=client.id)
@@ -142,16 +131,16 @@ class FoxgloveBridge:
 class _Listener:
     """What the SDK asks of its listener; only one event matters."""
 
-    def __init__(self, on_subscribe) -> None:
+    def __init__(self, on_subscribe: Callable[[Any, Any], None]) -> None:
         self.on_subscribe = on_subscribe
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Callable[..., None]:
         if name.startswith('on_'):
             return lambda *_, **__: None
         raise AttributeError(name)
 
 
-def _sdk():
+def _sdk() -> ModuleType:
     try:
         import foxglove
     except ImportError as error:
@@ -163,7 +152,9 @@ def _sdk():
     return foxglove
 
 
-def _start(foxglove, name, context, bridge):
+def _start(
+    foxglove: ModuleType, name: str, context: Any, bridge: FoxgloveBridge
+) -> tuple[Any, str]:
     # All of 127.0.0.0/8 is loopback on Linux; elsewhere it is one address.
     parts = [secrets.randbelow(254) + 1 for _ in range(3)]
     listener = _Listener(bridge.on_subscribe)

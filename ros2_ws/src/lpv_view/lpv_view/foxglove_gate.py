@@ -6,13 +6,15 @@ import contextlib
 import aiohttp
 from aiohttp import WSMsgType, web
 
+from lpv_view.access import Access
 from lpv_view.foxglove_bridge import PROTOCOL
 from lpv_view.server import guard
 
+Socket = web.WebSocketResponse | aiohttp.ClientWebSocketResponse
 _LARGEST_REQUEST, _LARGEST_MESSAGE = 1 << 16, 1 << 22
 
 
-def gate(access, address, port, max_clients: int = 8) -> aiohttp.web.Application:
+def gate(access: Access, address: str, port: int, max_clients: int = 8) -> web.Application:
     """Application that lets accepted WebSockets through to the SDK's server.
 
     Parameters
@@ -31,7 +33,7 @@ def gate(access, address, port, max_clients: int = 8) -> aiohttp.web.Application
     """
     count = 0
 
-    async def on_socket(request):
+    async def on_socket(request: web.Request) -> web.WebSocketResponse:
         nonlocal count
         offered = request.headers.get('Sec-WebSocket-Protocol', '')
         if PROTOCOL not in [p.strip() for p in offered.split(',')]:
@@ -49,7 +51,7 @@ def gate(access, address, port, max_clients: int = 8) -> aiohttp.web.Application
     return application
 
 
-async def _pass_on(request, url):
+async def _pass_on(request: web.Request, url: str) -> web.WebSocketResponse:
     outside = web.WebSocketResponse(
         protocols=[PROTOCOL],
         max_msg_size=_LARGEST_REQUEST,
@@ -81,7 +83,7 @@ async def _pass_on(request, url):
     return outside
 
 
-async def _pump(source, sink) -> None:
+async def _pump(source: Socket, sink: Socket) -> None:
     """Pass messages on; a slow sink makes the source wait, whose SDK then drops old messages."""
     async for message in source:
         if message.type == WSMsgType.TEXT:

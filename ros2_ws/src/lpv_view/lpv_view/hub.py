@@ -5,13 +5,15 @@ import json
 from collections import deque
 from typing import Any
 
+from aiohttp import web
+
 _MOST_WAITING = 64
-"""A client with more messages waiting than this is let go; frames do not count."""
+"""A client with more messages waiting than this is dropped; frames do not count."""
 _LONGEST_SEND = 10.0
-"""A client that takes no data for so long is let go [s]."""
+"""A client that takes no data for this long is dropped [s]."""
 
 
-def encode(message):
+def encode(message: dict[str, Any]) -> str:
     """One message as JSON; refuses NaN, which JSON does not have."""
     return json.dumps(message, separators=(',', ':'), allow_nan=False)
 
@@ -27,14 +29,15 @@ class Client:
         Prepared.
     """
 
-    def __init__(self, socket) -> None:
+    def __init__(self, socket: web.WebSocketResponse) -> None:
         self._socket = socket
-        self._waiting, self._frame = deque(), None
+        self._waiting: deque[str] = deque()
+        self._frame: str | None = None
         self._wake = asyncio.Event()
         self.granted = self.welcomed = self.lost = self._ending = False
         self.wrong_tokens = 0
 
-    def put(self, text) -> None:
+    def put(self, text: str) -> None:
         """Queue a message that must arrive, or give the client up."""
         if len(self._waiting) >= _MOST_WAITING:
             self.close()
@@ -42,7 +45,7 @@ class Client:
             self._waiting.append(text)
             self._wake.set()
 
-    def put_frame(self, text) -> None:
+    def put_frame(self, text: str) -> None:
         """Put the newest frame in place of one that was not sent yet."""
         if self.welcomed:
             self._frame = text
@@ -69,7 +72,7 @@ class Client:
                 if self._waiting:
                     text = self._waiting.popleft()
                 else:
-                    text, self._frame = self._frame, None
+                    text, self._frame = self._frame or '', None
                 try:
                     await asyncio.wait_for(self._socket.send_str(text), _LONGEST_SEND)
                 # Python 3.10 has two kinds of time-out.
@@ -87,30 +90,24 @@ class Hub:
     """
 
     def __init__(self) -> None:
-        self.clients = set()
+        self.clients: set[Client] = set()
 
     def welcome(self, hello: dict[str, Any]) -> None:
-        """Send the first message to clients that have not had it.
-
-        Parameters
-        ----------
-        hello : dict
-            As of `LiveModel.hello`.
-        """
+        """Send the first message, of `LiveModel.hello`, to clients that have not had it."""
         text = encode(hello)
         for client in self.clients:
             if not client.welcomed:
                 client.put(text)
                 client.welcomed = True
 
-    def frame(self, message) -> None:
+    def frame(self, message: dict[str, Any]) -> None:
         """Send a frame to all; a slow client skips some."""
         if self.clients:
             text = encode(message)
             for client in self.clients:
                 client.put_frame(text)
 
-    def tell(self, message) -> None:
+    def tell(self, message: dict[str, Any]) -> None:
         """Send a message to all that must arrive."""
         text = encode(message)
         for client in self.clients:
@@ -118,6 +115,6 @@ class Hub:
                 client.put(text)
 
     @property
-    def newcomers(self):
+    def newcomers(self) -> bool:
         """Whether some client has had no first message yet."""
         return any(not client.welcomed for client in self.clients)

@@ -2,22 +2,27 @@
 
 import math
 from collections import deque
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from lpv_core.control.path import CartesianPath
 from lpv_core.export.urdf import frame_angles
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.errors import SampleError
+from lpv_core.support.timestamps import NANOSECONDS
 from lpv_view.alarm_list import AlarmList, seconds
 
+Numbers = list[float | None]
 MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
 STATES = ('OK', 'WARN', 'ERROR', 'STALE', 'NOT_DIAGNOSABLE')
 LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 WINDOW = 30.0
 """Length of the history that a new client gets [s]."""
 QUIET = 1.0
-"""A source that said nothing for so long is no longer shown as live [s]."""
+"""A source that was silent for this long is no longer shown as live [s]."""
+_LAST_STAMP = 2**31 * NANOSECONDS - 1
 _MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 16, 300
 _SOURCES = (
     'joint_states',
@@ -50,30 +55,31 @@ class LiveModel:
         Whether each of ``inject``, ``clear`` and ``reset`` is there to be called.
     """
 
-    def __init__(self, arm, path=None) -> None:
+    def __init__(self, arm: ArmParameters, path: CartesianPath | None = None) -> None:
         self._arm, self._path = arm, path
         self._order = JointOrder(arm.joint_names)
         self.alarms = AlarmList()
         self.services = {'inject': False, 'clear': False, 'reset': False}
-        self._latest, self._received = {}, {}
-        self._history = deque(maxlen=_MOST_SAMPLES)
-        self._statuses = {}
-        self._stamp = None
+        self._latest: dict[str, Any] = {}
+        self._received: dict[str, float] = {}  # steady times [s]
+        self._history: deque[dict[str, Any]] = deque(maxlen=_MOST_SAMPLES)
+        self._statuses: dict[str, dict[str, str]] = {}
+        self._stamp: int | None = None
 
-    def take(self, source: str, message: object, now: float) -> None:
+    def take(self, source: str, message: Any, now: float) -> None:
         """Take one message.
 
         Parameters
         ----------
         source : str
             Topic name as in the documentation, e.g. ``state_estimate``.
-        message : object
+        message : Any
             With the fields of the topic's message.
         now : float
             Steady time of reception [s].
         """
         if source == 'fault_alarm':
-            self.alarms.take(message)
+            self.alarms.add(message)
         elif source == 'diagnostics':
             self._take_statuses(message)
         elif source in _SOURCES:
@@ -83,7 +89,7 @@ class LiveModel:
         else:
             raise KeyError(source)
 
-    def _take_statuses(self, message) -> None:
+    def _take_statuses(self, message: Any) -> None:
         for status in message.status:
             level = _index(status.level)
             if status.name not in self._statuses and len(self._statuses) >= _MOST_STATUSES:
@@ -95,13 +101,7 @@ class LiveModel:
             }
 
     def hello(self) -> dict[str, Any]:
-        """What a client is told first.
-
-        Returns
-        -------
-        dict
-            Constants of the arm, history and alarms.
-        """
+        """First message to a client: constants of the arm, history and alarms."""
         arm = self._arm
         return {
             'type': 'hello',
@@ -117,7 +117,7 @@ class LiveModel:
             'alarms': self.alarms.rows(),
         }
 
-    def _scene(self):
+    def _scene(self) -> dict[str, Any]:
         if self._path is None:
             return {'path': [], 'obstacle': None}
         start, end = self._path.start, self._path.end
@@ -130,24 +130,16 @@ class LiveModel:
         }
 
     def frame(self, now: float) -> dict[str, Any]:
-        """The present, for the clients that are connected; also adds it to the history.
+        """The present at a steady time [s], for clients; it is also added to the history.
 
-        Parameters
-        ----------
-        now : float
-            Steady time [s].
-
-        Returns
-        -------
-        dict
-            Values are None where they are not known or not finite.
+        Values are None where they are not known or not finite.
         """
         state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
         angles = {
             name: None if q is None else _numbers(frame_angles(self._arm, q), 5)
             for name, q in self.arms(now).items()
         }
-        result = {
+        result: dict[str, Any] = {
             'type': 'frame',
             'live': self._live(now),
             'services': dict(self.services),
@@ -166,17 +158,9 @@ class LiveModel:
         return result
 
     def arms(self, now: float) -> dict[str, Any]:
-        """Joint positions of the arms to draw.
+        """Joint positions [rad], or None, of the arms to draw at a steady time [s].
 
-        Parameters
-        ----------
-        now : float
-            Steady time [s].
-
-        Returns
-        -------
-        dict
-            ``true``, ``estimated``, ``measured``: two joint positions [rad], or None.
+        The keys are ``true``, ``estimated`` and ``measured``.
         """
         live = self._live(now)
         found = {
@@ -189,11 +173,11 @@ class LiveModel:
             found['estimated'] = None
         return {name: q if q is not None and None not in q else None for name, q in found.items()}
 
-    def stamp(self):
+    def stamp(self) -> int | None:
         """Stamp of the newest measurement, estimate or command [ns], None before the first."""
         if not self._latest:
             return None
-        # What fell silent is left out: its clock may be one that has started anew since.
+        # What fell silent is left out: its clock may have restarted since.
         newest = max(self._received.values())
         return max(
             _stamp(message)
@@ -201,20 +185,20 @@ class LiveModel:
             if self._received[source] > newest - QUIET
         )
 
-    def _live(self, now):
+    def _live(self, now: float) -> dict[str, bool]:
         return {
             name: name in self._received and now - self._received[name] < QUIET for name in _SOURCES
         }
 
-    def _age(self, now):
+    def _age(self, now: float) -> float | None:
         newest = max(self._received.values(), default=None)
         return None if newest is None else round(max(0.0, now - newest), 1)
 
-    def _field(self, source, field, live):
+    def _field(self, source: str, field: str, live: dict[str, bool]) -> Numbers | None:
         message = self._latest.get(source) if live[source] else None
         return None if message is None else _numbers(getattr(message, field))
 
-    def _measured(self, live):
+    def _measured(self, live: dict[str, bool]) -> Numbers | None:
         message = self._latest.get('joint_states') if live['joint_states'] else None
         if message is None:
             return None
@@ -223,7 +207,7 @@ class LiveModel:
         except SampleError:
             return None
 
-    def _sample(self, now):
+    def _sample(self, now: float) -> dict[str, Any]:
         """One point of the charts; enters the history when time has gone on."""
         live = self._live(now)
         stamp = self.stamp()
@@ -236,13 +220,13 @@ class LiveModel:
             ('torque', 'torque_command', 'torque'),
             ('tip', 'reference', 'tip_position'),
         )
-        sample = {'t': seconds(stamp) if stamp is not None else None}
+        sample: dict[str, Any] = {'t': seconds(stamp) if stamp is not None else None}
         sample.update(
             {name: self._field(source, field, live) or none for name, source, field in fields}
         )
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
-                self._history.clear()  # time started anew
+                self._history.clear()  # time restarted
             self._stamp = stamp
             self._history.append(sample)
             while self._history[0]['t'] < sample['t'] - WINDOW:
@@ -250,18 +234,23 @@ class LiveModel:
         return sample
 
 
-def _stamp(message):
+def _stamp(message: Any) -> int:
+    # Within what a stamp can hold, whatever a sender wrote.
+    return min(_LAST_STAMP, max(0, _sent(message)))
+
+
+def _sent(message: Any) -> int:
     return message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
 
 
-def _index(level):
+def _index(level: bytes | int) -> int:
     """diagnostic_msgs/DiagnosticStatus.level is a byte, which Python sees as bytes."""
     return level[0] if isinstance(level, (bytes, bytearray)) and level else int(level or 0)
 
 
-def _name(names, index):
+def _name(names: Sequence[str], index: int) -> str:
     return names[index] if 0 <= index < len(names) else 'UNKNOWN'
 
 
-def _numbers(values, digits=6):
+def _numbers(values: Iterable[float], digits: int = 6) -> Numbers:
     return [round(float(v), digits) if math.isfinite(v) else None for v in values]

@@ -5,19 +5,24 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Callable
+from typing import Any
 
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
 from lpv_core.export.urdf import arm_urdf
-from lpv_core.model.arm import load_arm
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
-from lpv_node.managed import ONLOOKER, ManagedNode, run_node
+from lpv_core.support.timestamps import NANOSECONDS
+from lpv_node.managed import VIEWER, ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
-from lpv_node.stamps import NANOSECONDS
 from lpv_view.access import Access
 from lpv_view.foxglove_bridge import BAND, FoxgloveBridge
 from lpv_view.foxglove_gate import gate
@@ -25,7 +30,7 @@ from lpv_view.model import LiveModel
 from lpv_view.requests import Requests
 from lpv_view.scene import MARKERS, TRANSFORMS, Scene
 from lpv_view.server import ViewServer
-from lpv_view.topics import TOPICS, Inbox
+from lpv_view.topics import TOPICS, Inbox, Topic
 
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
@@ -90,11 +95,14 @@ class ViewNode(ManagedNode):
     ``arm_sim/clear_faults`` and ``uio/reset`` when a button is pressed.
     """
 
-    _server = _foxglove = _requests = _ticker = None  # also if the constructor fails
-
     def __init__(self) -> None:
-        super().__init__(ONLOOKER, SPECS)
-        self._inboxes, self._subscriptions_in = [], []
+        super().__init__(VIEWER, SPECS)
+        self._server: ViewServer | None = None
+        self._foxglove: FoxgloveBridge | None = None
+        self._requests: Requests | None = None
+        self._ticker: Timer | None = None
+        self._inboxes: list[Inbox] = []
+        self._inputs: list[Subscription] = []
 
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
@@ -105,19 +113,23 @@ class ViewNode(ManagedNode):
         typestore = make_typestore()
         add_type(typestore, MARKERS)
         self._scene = Scene(arm, typestore, path)
-        self._ticks, self._stamp, self._alarms_due = 0, None, 0.0
+        self._ticks, self._alarms_due = 0, 0.0
+        self._stamp: int | None = None
         self._requests = Requests(self)
         self._create_publishers()
-        self._open(arm)
+        self._open(arm, self._requests)
         self._describe(arm)
-        forward = self._forwarder if self._foxglove is not None else lambda _: None
+        bridge = self._foxglove
         period = 1.0 / self.get_parameter('foxglove_rate').value
-        self._inboxes = [Inbox(topic, forward(topic), period) for topic in TOPICS]
+        self._inboxes = [
+            Inbox(topic, self._forwarder(bridge, topic) if bridge else None, period)
+            for topic in TOPICS
+        ]
         self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
 
     def _create_publishers(self) -> None:
         once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._outputs = {
+        self._outputs: dict[str, tuple[Publisher | None, str]] = {
             name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
             for name in _DESCRIPTIONS
         }
@@ -133,12 +145,12 @@ class ViewNode(ManagedNode):
         else:
             self._outputs['/tf'] = (self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS)
 
-    def _open(self, arm) -> None:
+    def _open(self, arm: ArmParameters, requests: Requests) -> None:
         """Open the ports; says once where they are."""
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
         address = value['address']
         access = Access(address, os.environ.get(_TOKEN_VARIABLE, ''), value['hosts'])
-        self._server = ViewServer(access, arm.sensor_names, self._requests.submit)
+        self._server = ViewServer(access, arm.sensor_names, requests.submit)
         sites = [(self._server.application(), address, value['port'])]
         if value['foxglove_port']:
             self._foxglove = FoxgloveBridge(
@@ -166,7 +178,7 @@ class ViewNode(ManagedNode):
         if len(ports) > 1:
             self.get_logger().info(f'Foxglove: ws://{shown}:{ports[1]}')
 
-    def _forwarded(self):
+    def _forwarded(self) -> dict[str, tuple[str, int]]:
         """Topics for Foxglove: type and number of messages kept for late clients."""
         keep = {'fault_alarm': 50, **dict.fromkeys(_DESCRIPTIONS, 1)}
         types = {topic.name: topic.msgtype for topic in TOPICS}
@@ -176,23 +188,23 @@ class ViewNode(ManagedNode):
             for name, msgtype in types.items()
         }
 
-    def _forwarder(self, topic):
+    def _forwarder(self, bridge: FoxgloveBridge, topic: Topic) -> Callable[[bytes], None]:
         name = self.resolve_topic_name(topic.name)
 
-        def forward(data) -> None:
+        def forward(data: bytes) -> None:
             stamp = _leading_stamp(data)
             restarted = self._stamp is not None and stamp < self._stamp - NANOSECONDS
             if restarted and not topic.every:  # those of the latter are latched, and may be old
-                self._foxglove.restart()
+                bridge.restart()
             if self._stamp is None or restarted and not topic.every:
                 self._stamp = stamp
                 self._describe_again()
             self._stamp = max(stamp, self._stamp)
-            self._foxglove.send(name, data, self._stamp if topic.every else stamp)
+            bridge.send(name, data, self._stamp if topic.every else stamp)
 
         return forward
 
-    def _describe(self, arm) -> None:
+    def _describe(self, arm: ArmParameters) -> None:
         descriptions = []
         for colours in ((), (_GREEN,)):
             try:
@@ -209,7 +221,7 @@ class ViewNode(ManagedNode):
 
     def begin(self) -> None:
         """Subscribe."""
-        self._subscriptions_in = [
+        self._inputs = [
             self.create_subscription(
                 inbox.topic.kind, inbox.topic.name, inbox.store, inbox.topic.qos, raw=True
             )
@@ -218,9 +230,9 @@ class ViewNode(ManagedNode):
 
     def end(self) -> None:
         """Unsubscribe; the page stays, and says that nothing comes."""
-        for subscription in self._subscriptions_in:
+        for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        self._subscriptions_in = []
+        self._inputs = []
 
     def teardown(self) -> None:
         """Close the ports and destroy what `setup` created."""
@@ -243,6 +255,8 @@ class ViewNode(ManagedNode):
         super().destroy_node()
 
     def _tick(self) -> None:
+        if self._requests is None or self._server is None:
+            return
         self._requests.work()
         for inbox in self._inboxes:
             for received, message in inbox.take():
@@ -262,7 +276,7 @@ class ViewNode(ManagedNode):
         self._server.frame(frame)
         self._publish_arms(self._model.arms(now), frame['sample'], every_second)
 
-    def _publish_arms(self, arms, sample, with_path) -> None:
+    def _publish_arms(self, arms: dict[str, Any], sample: dict[str, Any], with_path: bool) -> None:
         stamp = self._model.stamp()
         if stamp is None or not any(arms.values()):
             return
@@ -271,7 +285,7 @@ class ViewNode(ManagedNode):
         self._publish('arm_markers', self._scene.markers(arms, stamp, with_path), stamp)
         self._publish('/tf', self._scene.tree(arms, stamp), stamp)
 
-    def _publish(self, name, data, stamp) -> None:
+    def _publish(self, name: str, data: bytes, stamp: int | None) -> None:
         publisher, _ = self._outputs[name]
         if publisher is not None:
             publisher.publish(data)
@@ -280,14 +294,14 @@ class ViewNode(ManagedNode):
             self._foxglove.send(self.resolve_topic_name(name), data, stamp)
 
 
-def _leading_stamp(data):
+def _leading_stamp(data: bytes) -> int:
     """Stamp of a CDR message whose first field is a Header [ns]."""
     order = '<' if data[1] & 1 else '>'
     seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
-    return max(0, seconds) * NANOSECONDS + nanoseconds
+    return max(0, seconds) * NANOSECONDS + min(nanoseconds, NANOSECONDS - 1)
 
 
-def main(argv=None) -> None:
+def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_view view``."""
     sys.exit(run_node(ViewNode, argv))
 

@@ -2,12 +2,14 @@
 
 import queue
 import time
-from collections.abc import Callable
-from typing import Any
 
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from lpv_msgs.srv import ClearFaults, InjectFault
+from lpv_view.commands import Command, Reply
 
 _PATIENCE = 3.0
 """How long an answer may take [s]."""
@@ -24,38 +26,25 @@ class Requests:
         Owns the clients.
     """
 
-    def __init__(self, node) -> None:
+    def __init__(self, node: Node) -> None:
         self._node = node
-        self._clients = {
+        self._clients: dict[str, Client] = {
             'inject': node.create_client(InjectFault, 'arm_sim/inject_fault'),
             'clear': node.create_client(ClearFaults, 'arm_sim/clear_faults'),
             'reset': node.create_client(Trigger, 'uio/reset'),
         }
-        self._incoming = queue.Queue(_MOST)
-        self._pending = []
+        self._incoming: queue.Queue[tuple[Command, Reply]] = queue.Queue(_MOST)
+        self._pending: list[tuple[Client, Future, Reply, float]] = []
 
-    def submit(self, command, reply: Callable[..., Any]) -> bool:
-        """Queue a command; called in the server's thread.
-
-        Parameters
-        ----------
-        command : Command
-            The command.
-        reply : callable
-            Gets success and a text.
-
-        Returns
-        -------
-        bool
-            False if there are too many already.
-        """
+    def submit(self, command: Command, reply: Reply) -> bool:
+        """Queue a command, in the server's thread; False if too many are waiting."""
         try:
             self._incoming.put_nowait((command, reply))
         except queue.Full:
             return False
         return True
 
-    def available(self):
+    def available(self) -> dict[str, bool]:
         """Whether each service is there, by name."""
         return {name: client.service_is_ready() for name, client in self._clients.items()}
 
@@ -67,10 +56,10 @@ class Requests:
         for client, future, reply, deadline in self._pending:
             if future.done():
                 answer, error = future.result(), future.exception()
-                reply(
-                    error is None and answer.success,
-                    str(error) if error is not None else answer.message,
-                )
+                if answer is None:
+                    reply(False, str(error))
+                else:
+                    reply(answer.success, answer.message)
             elif time.monotonic() > deadline:
                 client.remove_pending_request(future)
                 reply(False, f'{client.srv_name} does not answer')
@@ -78,7 +67,7 @@ class Requests:
                 waiting.append((client, future, reply, deadline))
         self._pending = waiting
 
-    def _send(self, command, reply) -> None:
+    def _send(self, command: Command, reply: Reply) -> None:
         client = self._clients[command.name]
         if not client.service_is_ready():
             reply(False, f'{client.srv_name} is not there')

@@ -1,17 +1,25 @@
 """Markers and transforms of the arms, for RViz and Foxglove, as serialised messages."""
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from rosbags.typesys.store import Typestore
 
+from lpv_core.control.path import CartesianPath
 from lpv_core.export.urdf import BASE, points, transforms
+from lpv_core.model.arm import ArmParameters
+from lpv_core.support.timestamps import NANOSECONDS
+
+Colour = tuple[float, float, float, float]
+"""Red, green, blue, alpha."""
 
 ARMS = {
     'true': (0.13, 0.55, 0.30, 0.45),
     'estimated': (0.12, 0.40, 0.85, 1.0),
     'measured': (0.85, 0.40, 0.05, 0.9),
 }
-"""Red, green, blue, alpha of each arm."""
+"""Colour of each arm."""
 MARKERS, TRANSFORMS = 'visualization_msgs/msg/MarkerArray', 'tf2_msgs/msg/TFMessage'
 _LINE_STRIP, _SPHERE_LIST, _CYLINDER = 4, 7, 3
 _LIFETIME = 500_000_000
@@ -30,7 +38,9 @@ class Scene:
         Path of the scenario, with its obstacle.
     """
 
-    def __init__(self, arm, typestore, path=None) -> None:
+    def __init__(
+        self, arm: ArmParameters, typestore: Typestore, path: CartesianPath | None = None
+    ) -> None:
         self._arm, self._store, self._types = arm, typestore, typestore.types
         self._path = path
         self._width = 0.05 * sum(arm.lengths) / 2
@@ -61,22 +71,21 @@ class Scene:
             corners = np.zeros((3, 3))
             corners[1:, [0, 2]] = points(self._arm, q)
             corners[:, 1] = 0.3 * self._width * (1 - depth)
-            found.append(self._marker(name, 0, _LINE_STRIP, colour, self._width, stamp, corners))
+            found.append(self._marker((name, 0), _LINE_STRIP, colour, self._width, stamp, corners))
             found.append(
-                self._marker(name, 1, _SPHERE_LIST, colour, 1.6 * self._width, stamp, corners)
+                self._marker((name, 1), _SPHERE_LIST, colour, 1.6 * self._width, stamp, corners)
             )
         if with_path and self._path is not None:
-            found += self._surroundings(stamp)
+            found += self._surroundings(self._path, stamp)
         return self._bytes(MARKERS, self._types[MARKERS](found))
 
-    def _surroundings(self, stamp):
-        tips = self._path.sample(np.linspace(self._path.start, self._path.end, 151)).tip
+    def _surroundings(self, path: CartesianPath, stamp: int) -> list[Any]:
+        tips = path.sample(np.linspace(path.start, path.end, 151)).tip
         line = np.zeros((len(tips), 3))
         line[:, [0, 2]] = tips
         result = [
             self._marker(
-                'path',
-                0,
+                ('path', 0),
                 _LINE_STRIP,
                 (0.5, 0.5, 0.5, 0.8),
                 0.2 * self._width,
@@ -85,10 +94,10 @@ class Scene:
                 lifetime=0,
             )
         ]
-        obstacle = self._path.obstacle
+        obstacle = path.obstacle
         if obstacle is not None:
             marker = self._marker(
-                'obstacle', 0, _CYLINDER, (0.8, 0.2, 0.2, 0.5), 1.0, stamp, (), lifetime=0
+                ('obstacle', 0), _CYLINDER, (0.8, 0.2, 0.2, 0.5), 1.0, stamp, (), lifetime=0
             )
             marker.pose.position.x, marker.pose.position.z = map(float, obstacle.center)
             marker.pose.orientation.x = marker.pose.orientation.w = 0.5**0.5
@@ -97,18 +106,10 @@ class Scene:
             result.append(marker)
         return result
 
-    def tree(self, arms, stamp) -> bytes:
+    def tree(self, arms: dict[str, Any], stamp: int) -> bytes:
         """Transforms of the true and the estimated arm, with the frame prefixes of their names.
 
-        Parameters
-        ----------
-        arms, stamp
-            As of `markers`.
-
-        Returns
-        -------
-        bytes
-            tf2_msgs/TFMessage in CDR.
+        The bytes are a tf2_msgs/TFMessage in CDR.
         """
         found = []
         for name in ('true', 'estimated'):
@@ -124,20 +125,29 @@ class Scene:
             ]
         return self._bytes(TRANSFORMS, self._types[TRANSFORMS](found))
 
-    def text(self, content):
+    def text(self, content: str) -> bytes:
         """std_msgs/String in CDR."""
         return self._bytes('std_msgs/msg/String', self._types['std_msgs/msg/String'](content))
 
-    def _bytes(self, msgtype, message):
+    def _bytes(self, msgtype: str, message: Any) -> bytes:
         return bytes(self._store.serialize_cdr(message, msgtype))
 
-    def _marker(self, namespace, number, kind, colour, width, stamp, corners, lifetime=_LIFETIME):
+    def _marker(
+        self,
+        identity: tuple[str, int],
+        kind: int,
+        colour: Colour,
+        width: float,
+        stamp: int,
+        corners: Iterable[Sequence[float]],
+        lifetime: int = _LIFETIME,
+    ) -> Any:
         new = self._new
         point = self._types['geometry_msgs/msg/Point']
         return self._types['visualization_msgs/msg/Marker'](
             header=self._header(stamp, BASE),
-            ns=namespace,
-            id=number,
+            ns=identity[0],
+            id=identity[1],
             type=kind,
             action=0,
             pose=self._pose(),
@@ -163,14 +173,21 @@ class Scene:
             ),
         )
 
-    def _pose(self):
+    def _pose(self) -> Any:
         return self._new(
             'geometry_msgs/msg/Pose',
             position=self._new('geometry_msgs/msg/Point', x=0.0, y=0.0, z=0.0),
             orientation=self._new('geometry_msgs/msg/Quaternion', x=0.0, y=0.0, z=0.0, w=1.0),
         )
 
-    def _transform(self, stamp, parent, child, translation, quaternion):
+    def _transform(
+        self,
+        stamp: int,
+        parent: str,
+        child: str,
+        translation: Sequence[float],
+        quaternion: Sequence[float],
+    ) -> Any:
         new = self._new
         moved = new(
             'geometry_msgs/msg/Transform',
@@ -184,9 +201,9 @@ class Scene:
             transform=moved,
         )
 
-    def _header(self, stamp, frame):
-        time = self._types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
+    def _header(self, stamp: int, frame: str) -> Any:
+        time = self._types['builtin_interfaces/msg/Time'](*divmod(stamp, NANOSECONDS))
         return self._types['std_msgs/msg/Header'](time, frame)
 
-    def _new(self, name, **fields):
+    def _new(self, name: str, **fields: Any) -> Any:
         return self._types[name](**fields)

@@ -9,9 +9,11 @@ from importlib import resources
 from typing import Any
 
 from aiohttp import WSMsgType, web
+from aiohttp.typedefs import Handler, Middleware
 
 from lpv_core.support.errors import ConfigError
-from lpv_view.commands import CommandError, parse_command
+from lpv_view.access import Access
+from lpv_view.commands import Command, CommandError, Reply, parse_command
 from lpv_view.hub import Client, Hub, encode
 
 LARGEST_MESSAGE = 4096
@@ -61,14 +63,19 @@ class ViewServer:
     """
 
     def __init__(
-        self, access, sensors: Sequence[str], submit: Callable[..., Any], max_clients: int = 16
+        self,
+        access: Access,
+        sensors: Sequence[str],
+        submit: Callable[[Command, Reply], bool],
+        max_clients: int = 16,
     ) -> None:
         self._access, self._sensors, self._submit = access, tuple(sensors), submit
         self._max_clients = max_clients
         self._hub = Hub()
         self._pages = _load_pages()
         self._loop = asyncio.new_event_loop()
-        self._runners, self._thread = [], None
+        self._runners: list[web.AppRunner] = []
+        self._thread: threading.Thread | None = None
 
     def start(self, sites: Sequence[tuple[Any, ...]]) -> list[int]:
         """Open the ports and start serving.
@@ -98,7 +105,7 @@ class ViewServer:
         self._thread.start()
         return ports
 
-    async def _open(self, application, address, port):
+    async def _open(self, application: web.Application, address: str, port: int) -> int:
         runner = web.AppRunner(
             application, access_log=None, handle_signals=False, shutdown_timeout=1.0
         )
@@ -135,14 +142,8 @@ class ViewServer:
             self._thread.join(5.0)
             self._thread = None
 
-    def application(self):
-        """The page and its WebSocket.
-
-        Returns
-        -------
-        aiohttp.web.Application
-            For `start`.
-        """
+    def application(self) -> web.Application:
+        """The page and its WebSocket, for `start`."""
         application = web.Application(middlewares=[guard(self._access)])
         application.router.add_get('/ws', self._on_socket)
         for path in self._pages:
@@ -150,31 +151,31 @@ class ViewServer:
         return application
 
     @property
-    def newcomers(self):
+    def newcomers(self) -> bool:
         """Whether a client waits for its first message; see `welcome`."""
         return self._hub.newcomers
 
-    def welcome(self, hello) -> None:
+    def welcome(self, hello: dict[str, Any]) -> None:
         """Send new clients their first message: they get frames from then on."""
         self._call(self._hub.welcome, {**hello, 'token_needed': bool(self._access.token)})
 
-    def frame(self, message) -> None:
+    def frame(self, message: dict[str, Any]) -> None:
         """Send a frame to all clients; those that are slow skip some."""
         self._call(self._hub.frame, message)
 
-    def tell(self, message) -> None:
+    def tell(self, message: dict[str, Any]) -> None:
         """Send a message to all clients that none of them may miss."""
         self._call(self._hub.tell, message)
 
-    def _call(self, function, *arguments) -> None:
+    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # closed meanwhile
             self._loop.call_soon_threadsafe(function, *arguments)
 
-    async def _on_page(self, request):
+    async def _on_page(self, request: web.Request) -> web.Response:
         body, kind = self._pages[request.path]
         return web.Response(body=body, content_type=kind, charset='utf-8')
 
-    async def _on_socket(self, request):
+    async def _on_socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._hub.clients) >= self._max_clients:
             raise web.HTTPServiceUnavailable(text='too many clients')
         socket = web.WebSocketResponse(
@@ -201,7 +202,7 @@ class ViewServer:
                 await asyncio.wait_for(socket.close(), 3.0)
         return socket
 
-    async def _read(self, socket, client) -> None:
+    async def _read(self, socket: web.WebSocketResponse, client: Client) -> None:
         allowance, last = _BURST, time.monotonic()
         async for message in socket:
             now = time.monotonic()
@@ -220,7 +221,7 @@ class ViewServer:
             if not await self._obey(client, command):
                 return
 
-    async def _obey(self, client, command):
+    async def _obey(self, client: Client, command: Command) -> bool:
         """Carry a command out; False ends the connection."""
         if command.name == 'token':
             return await self._on_token(client, command)
@@ -228,14 +229,14 @@ class ViewServer:
             client.put(_reply(command, False, 'the token is needed for this'))
             return True
 
-        def reply(ok, text) -> None:
+        def reply(ok: bool, text: str) -> None:
             self._call(client.put, _reply(command, ok, text))
 
         if not self._submit(command, reply):
             client.put(_reply(command, False, 'busy with earlier commands: try again'))
         return True
 
-    async def _on_token(self, client, command) -> bool:
+    async def _on_token(self, client: Client, command: Command) -> bool:
         client.granted = self._access.accepts(command.fields['token'])
         if client.granted:
             client.put(_reply(command, True, 'token accepted'))
@@ -246,22 +247,11 @@ class ViewServer:
         return client.wrong_tokens < _MOST_WRONG_TOKENS
 
 
-def guard(access) -> Callable[..., Any]:
-    """Middleware that refuses requests from elsewhere and adds security headers.
-
-    Parameters
-    ----------
-    access : Access
-        Decides.
-
-    Returns
-    -------
-    callable
-        For `aiohttp.web.Application`.
-    """
+def guard(access: Access) -> Middleware:
+    """Middleware that refuses requests from elsewhere and adds security headers."""
 
     @web.middleware
-    async def middleware(request, handler):
+    async def middleware(request: web.Request, handler: Handler) -> web.StreamResponse:
         refusal = access.refusal(request.headers)
         if refusal:
             return web.Response(status=403, text=f'refused: {refusal}\n', headers=HEADERS)
@@ -277,12 +267,12 @@ def guard(access) -> Callable[..., Any]:
     return middleware
 
 
-def _reply(command, ok, text):
+def _reply(command: Command, ok: bool, text: str) -> str:
     return encode(
         {'type': 'reply', 'id': command.number, 'command': command.name, 'ok': ok, 'message': text}
     )
 
 
-def _load_pages():
+def _load_pages() -> dict[str, tuple[bytes, str]]:
     folder = resources.files('lpv_view') / 'static'
     return {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}

@@ -43,12 +43,12 @@ class Topic:
     every: bool = False
 
     @property
-    def source(self):
+    def source(self) -> str:
         """Name by which `LiveModel` knows it."""
         return self.name.lstrip('/')
 
     @property
-    def msgtype(self):
+    def msgtype(self) -> str:
         """ROS name of the message type."""
         return f'{self.kind.__module__.split(".")[0]}/msg/{self.kind.__name__}'
 
@@ -83,9 +83,10 @@ class Inbox:
     def __init__(self, topic: Topic, forward: Callable[..., Any] | None, period: float) -> None:
         self.topic = topic
         self._forward, self._period = forward, period
-        self._waiting, self._due = [], 0.0
+        self._waiting: list[tuple[float, bytes]] = []
+        self._due = 0.0
 
-    def store(self, data) -> None:
+    def store(self, data: bytes) -> None:
         """Callback of the subscription."""
         now = time.monotonic()
         if self.topic.every:
@@ -97,13 +98,7 @@ class Inbox:
             self._due = max(self._due + self._period, now - self._period)
             self._forward(data)
 
-    def take(self) -> list[tuple[Any, ...]]:
-        """Messages since the last call.
-
-        Returns
-        -------
-        list of tuple
-            Steady time of reception [s] and message.
-        """
+    def take(self) -> list[tuple[float, Any]]:
+        """Steady times of reception [s] and messages since the last call."""
         waiting, self._waiting = self._waiting, []
         return [(now, deserialize_message(data, self.topic.kind)) for now, data in waiting]

@@ -202,7 +202,7 @@ def test_given_a_running_graph_when_a_fault_is_injected_from_the_page_then_its_a
     assert time.monotonic() - begin < 5.0
     assert 'bias on link2_angle' in page.inner_text('#reply')
     page.wait_for_selector('#verdict.error')
-    assert page.inner_text('#verdict-head') == 'link2_angle lies'
+    assert page.inner_text('#verdict-head') == 'link2_angle is faulty'
     reading = page.locator('#sensor-1 .reading b')
     until(page, lambda: abs(float(reading.text_content()[1:6]) - 0.4) < 0.1)
     assert page.inner_text('#sensor-1 .pill') == '✕ faulty'

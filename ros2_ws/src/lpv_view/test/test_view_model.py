@@ -143,11 +143,11 @@ def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(paper_a
 
 def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
     alarms = AlarmList()
-    alarms.take(alarm(RAISED, 1.01, kind='unclassified', size=0.29))
+    alarms.add(alarm(RAISED, 1.01, kind='unclassified', size=0.29))
     assert alarms.rows()[0]['ended'] is None
-    alarms.take(alarm(UPDATED, 1.5))
-    alarms.take(alarm(RAISED, 2.0, onset=1.9, sensor=SENSORS[1]))
-    alarms.take(alarm(CLEARED, 3.0, size=0.0, bound=0.0))
+    alarms.add(alarm(UPDATED, 1.5))
+    alarms.add(alarm(RAISED, 2.0, onset=1.9, sensor=SENSORS[1]))
+    alarms.add(alarm(CLEARED, 3.0, size=0.0, bound=0.0))
     first, second = alarms.rows()
     assert (first['kind'], first['size'], first['ended']) == ('bias', 0.3, 3.0)
     assert (second['sensor'], second['onset'], second['ended']) == (SENSORS[1], 1.9, None)
@@ -155,21 +155,21 @@ def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
 
 def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_ends():
     alarms = AlarmList()
-    alarms.take(alarm(RAISED, 1.01))
+    alarms.add(alarm(RAISED, 1.01))
     alarms.follow(fault_estimate(1.02))
     assert alarms.rows()[0]['ended'] is None, 'topics may come in any order'
     alarms.follow(fault_estimate(2.0, alarm=(True, False)))
     assert alarms.rows()[0]['ended'] is None
     alarms.follow(fault_estimate(2.5))
     assert alarms.rows()[0]['ended'] == 2.5
-    alarms.take(alarm(CLEARED, 2.5))
+    alarms.add(alarm(CLEARED, 2.5))
     assert len(alarms.rows()) == 1, 'the event came after the estimate'
 
 
 def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
     alarms = AlarmList()
     for k in range(1000):
-        alarms.take(alarm(RAISED, k + 0.01, onset=float(k)))
+        alarms.add(alarm(RAISED, k + 0.01, onset=float(k)))
     rows = alarms.rows()
     assert len(rows) == 200 and rows[-1]['onset'] == 999.0
     assert [row['ended'] is None for row in rows].count(True) == 1

@@ -1,4 +1,4 @@
-"""Contents of chunks: decompression in bounds, and the records in them."""
+"""Contents of chunks: bounded decompression, and the records in them."""
 
 import zlib
 from typing import Any, NamedTuple
@@ -7,8 +7,16 @@ import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
 
-from lpv_bag.mcap.records import HEADER, MAX_CHUNK, MESSAGE, parse_channel, parse_schema
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.errors import DamageError
+from lpv_bag.mcap.records import (
+    HEADER,
+    MAX_CHUNK,
+    MESSAGE,
+    Channel,
+    Schema,
+    parse_channel,
+    parse_schema,
+)
 
 _PIECE = 1 << 22
 
@@ -23,7 +31,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-def _pieces(stream, limit):
+def _pieces(stream: Any, limit: int) -> tuple[bytes, Exception | None]:
     """What a decompressing stream gives until it ends or fails, at most ``limit`` bytes."""
     found, error = [], None
     while limit > 0:
@@ -39,7 +47,7 @@ def _pieces(stream, limit):
     return b''.join(found), error
 
 
-def _stream(data, compression):
+def _stream(data: bytes | memoryview, compression: str) -> Any:
     if compression == 'zstd':
         return zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(bytes(data))
     if compression == 'lz4':
@@ -48,38 +56,18 @@ def _stream(data, compression):
 
 
 class _Lz4Stream:
-    def __init__(self, data) -> None:
+    def __init__(self, data: bytes | memoryview) -> None:
         self._decompressor, self._data = lz4.frame.LZ4FrameDecompressor(), bytes(data)
 
-    def read(self, limit):
+    def read(self, limit: int) -> bytes:
         if self._decompressor.eof:
             return b''
         data, self._data = self._data, b''
         return self._decompressor.decompress(data, limit)
 
 
-def inflate(data, compression: str, size: int, crc: int) -> bytes:
-    """Content of a whole chunk, checked.
-
-    Parameters
-    ----------
-    data : bytes or memoryview
-        As stored.
-    compression : str
-        '', 'zstd' or 'lz4'.
-    size, crc : int
-        Of the content; a checksum of 0 is none.
-
-    Returns
-    -------
-    bytes
-        Content.
-
-    Raises
-    ------
-    DamageError
-        If it cannot be decompressed, or size or checksum differ.
-    """
+def inflate(data: bytes | memoryview, compression: str, size: int, crc: int) -> bytes:
+    """Content of a whole chunk, checked."""
     if size > MAX_CHUNK:
         raise DamageError(f'a chunk claims to hold {size} bytes')
     if compression:
@@ -95,23 +83,8 @@ def inflate(data, compression: str, size: int, crc: int) -> bytes:
     return content
 
 
-def inflate_part(data, compression: str, size: int) -> bytes:
-    """The beginning of a chunk's content, as far as it can be had.
-
-    Parameters
-    ----------
-    data : bytes or memoryview
-        As stored, cut off somewhere.
-    compression : str
-        '', 'zstd' or 'lz4'.
-    size : int
-        Claimed size of the content.
-
-    Returns
-    -------
-    bytes
-        At most ``size`` of them.
-    """
+def inflate_part(data: bytes | memoryview, compression: str, size: int) -> bytes:
+    """The beginning of a chunk's content, as far as it is readable."""
     if not compression:
         return bytes(data[:size])
     try:
@@ -120,23 +93,13 @@ def inflate_part(data, compression: str, size: int) -> bytes:
         return b''
 
 
-def records(content: bytes, wanted: set[int] | None = None) -> tuple[Any, ...]:
-    """Messages, schemas and channels of a chunk's content.
-
-    Parameters
-    ----------
-    content : bytes
-        Decompressed.
-    wanted : set of int, optional
-        Channels whose messages are wanted; all if not given.
-
-    Returns
-    -------
-    tuple
-        List of `Message` in the order of the content, list of `Schema` and `Channel` as they
-        came, and None or the text of what is wrong behind them.
-    """
-    messages, definitions, at, size = [], [], 0, len(content)
+def records(
+    content: bytes, wanted: set[int] | None = None
+) -> tuple[list[Message], list[Schema | Channel], str | None]:
+    """Messages, schemas and channels of a chunk's content."""
+    messages: list[Message] = []
+    definitions: list[Schema | Channel] = []
+    at, size = 0, len(content)
     unpack_header, unpack_message = HEADER.unpack_from, MESSAGE.unpack_from
     try:
         while at < size:

@@ -3,114 +3,61 @@
 import mmap
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap.content import inflate, inflate_part
-from lpv_bag.rosbag.errors import BagError, DamageError
+from lpv_bag.mcap.records import Channel, Schema
 
 
 @dataclass
 class Block:
-    """A part of the file that holds messages: a chunk, or messages outside of chunks.
+    """A part of the file that holds messages: a chunk, or messages outside of chunks."""
 
-    Attributes
-    ----------
-    offset, length : int
-        Of the stored data.
-    compression : str
-        '', 'zstd' or 'lz4'.
-    size, crc : int
-        Of the content; a checksum of 0 is none.
-    start, end : int
-        Least and greatest log time [ns].
-    counts : dict of int to int
-        Messages by channel, where known.
-    cut : bool
-        Whether the file ends within it.
-    loose : bool
-        Whether its messages are outside of chunks.
-    """
-
-    offset: int
-    length: int
-    compression: str
-    size: int
-    crc: int
-    start: int = 0
-    end: int = 0
-    counts: dict = field(default_factory=dict)
-    cut: bool = False
-    loose: bool = False
+    offset: int  # of the stored data [bytes]
+    length: int  # of the stored data [bytes]
+    compression: str  # '', 'zstd' or 'lz4'
+    size: int  # of the content [bytes]
+    crc: int  # checksum of the content; 0 is none
+    start: int = 0  # least log time [ns]
+    end: int = 0  # greatest log time [ns]
+    counts: dict[int, int] = field(default_factory=dict)  # messages by channel, where known
+    cut: bool = False  # whether the file ends within it
+    loose: bool = False  # whether its messages are outside of chunks
 
 
 @dataclass
 class Survey:
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes
-    ----------
-    schemas, channels : dict of int
-        `Schema` and `Channel` by their numbers.
-    blocks : list of Block
-        In the order of the file; in a damaged file only those that can be read.
-    lost_blocks : list of Block
-        Chunks that cannot be read.
-    metadata : list of tuple
-        Offset, name and dict of each metadata record (of an undamaged file: offset, name, None).
-    attachments : int
-        Attachments in the file.
-    counts : dict of int to int or None
-        Messages by channel by the file's own statistics.
-    complete : bool
-        Whether the recording was finished: no messages are missing at the end.
-    damages : list of str
-        What is wrong; empty for a good file.
-    library : str
-        What wrote the file.
-    """
+    schemas: dict[int, Schema] = field(default_factory=dict)  # by their numbers
+    channels: dict[int, Channel] = field(default_factory=dict)  # by their numbers
+    # in the order of the file; in a damaged file only those that can be read
+    blocks: list[Block] = field(default_factory=list)
+    lost_blocks: list[Block] = field(default_factory=list)  # chunks that cannot be read
+    # offset, name and dict of each metadata record (of an undamaged file: offset, name, None)
+    metadata: list[tuple[int, str, dict[str, str] | None]] = field(default_factory=list)
+    attachments: int = 0  # attachments in the file
+    counts: dict[int, int] | None = None  # messages by channel by the file's own statistics
+    complete: bool = False  # whether the recording was finished: no messages are missing at the end
+    damages: list[str] = field(default_factory=list)  # what is wrong; empty for a good file
+    library: str = ''  # what wrote the file
 
-    schemas: dict = field(default_factory=dict)
-    channels: dict = field(default_factory=dict)
-    blocks: list = field(default_factory=list)
-    lost_blocks: list = field(default_factory=list)
-    metadata: list = field(default_factory=list)
-    attachments: int = 0
-    counts: dict = None
-    complete: bool = False
-    damages: list = field(default_factory=list)
-    library: str = ''
-
-    def define(self, record) -> None:
-        """Take a schema or channel; DamageError if its number means something else already."""
-        known = self.channels if hasattr(record, 'topic') else self.schemas
+    def define(self, record: Schema | Channel) -> None:
+        """Add a schema or channel; DamageError if its number is in use for another one."""
+        known: dict[int, Any] = self.channels if isinstance(record, Channel) else self.schemas
         if known.setdefault(record.id, record) != record:
             raise DamageError(f'the number {record.id} means two different topics or schemas')
 
 
 def release(data: mmap.mmap | bytes) -> None:
-    """Unmap the pages of a mapped file that have been read: they count as memory otherwise.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file; it can be read on.
-    """
+    """Release the pages of a mapped file that have been read: they would count as memory."""
     if hasattr(data, 'madvise') and hasattr(mmap, 'MADV_DONTNEED'):
         data.madvise(mmap.MADV_DONTNEED)
 
 
 class McapFile:
-    """The bytes of a file, mapped.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        File.
-
-    Raises
-    ------
-    BagError
-        If it cannot be read or is empty.
-    """
+    """The bytes of a file, mapped."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -122,27 +69,11 @@ class McapFile:
             raise BagError(f'{path}: {reason}') from None
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self.data.close()
 
     def content(self, block: Block) -> bytes:
-        """Checked content of a block.
-
-        Parameters
-        ----------
-        block : Block
-            Of this file.
-
-        Returns
-        -------
-        bytes
-            Content; of a block that is cut off, as much as can be had.
-
-        Raises
-        ------
-        DamageError
-            If it is damaged.
-        """
+        """Checked content of a block."""
         data = self.data[block.offset : block.offset + block.length]
         release(self.data)
         if block.cut:

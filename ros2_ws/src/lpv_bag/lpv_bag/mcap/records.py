@@ -1,15 +1,16 @@
-"""Records of the MCAP format, parsed from bytes that nobody vouches for.
+"""Records of the MCAP format, parsed from bytes that may be damaged.
 
-Every length is held against the bytes that are there before anything is taken, and a record must
-be used up exactly: a flipped bit in a length is then seen in the record that has it.
+Every length is checked against the bytes that are there before anything is read, and a record must
+be consumed exactly: a flipped bit in a length is then noticed in the record that has it.
 """
 
 import struct
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.errors import DamageError
 
 MAGIC = b'\x89MCAP0\r\n'
 HEADER = struct.Struct('<BQ')
@@ -39,7 +40,7 @@ class Channel(NamedTuple):
     schema_id: int
     topic: str
     encoding: str
-    metadata: tuple  # of pairs; hashable, two equal channels are one
+    metadata: tuple[tuple[str, str], ...]  # of pairs; hashable, two equal channels are one
 
 
 class Chunk(NamedTuple):
@@ -61,17 +62,17 @@ class ChunkIndex(NamedTuple):
     end: int
     offset: int
     length: int
-    message_indexes: dict
+    message_indexes: dict[int, int]
     index_length: int
     compression: str
     data_size: int
     size: int
 
-    def counts(self):
-        """Messages by channel, from the lengths of the message indexes behind the chunk."""
+    def counts(self) -> dict[int, int]:
+        """Messages by channel, from the lengths of the message indexes after the chunk."""
         ends = sorted(self.message_indexes.values())[1:]
         ends.append(self.offset + self.length + self.index_length)
-        order = sorted(self.message_indexes, key=self.message_indexes.get)
+        order = sorted(self.message_indexes, key=self.message_indexes.__getitem__)
         return {
             channel: max(0, end - self.message_indexes[channel] - 15) // 16
             for channel, end in zip(order, ends)
@@ -79,62 +80,56 @@ class ChunkIndex(NamedTuple):
 
 
 class Cursor:
-    """Reads a record's content from its beginning to its end.
+    """Sequential reader of a record's content."""
 
-    Parameters
-    ----------
-    content : bytes or memoryview
-        Of one record.
-    """
-
-    def __init__(self, content) -> None:
+    def __init__(self, content: bytes | memoryview) -> None:
         self._content, self.at = memoryview(content), 0
 
-    def take(self, count):
+    def take(self, count: int) -> memoryview:
         """The next bytes."""
         if count > len(self._content) - self.at:
-            raise DamageError('a length points behind the end of its record')
+            raise DamageError('a length points past the end of its record')
         self.at += count
         return self._content[self.at - count : self.at]
 
-    def numbers(self, layout):
+    def numbers(self, layout: str) -> tuple[Any, ...]:
         """The next numbers, by a layout of `struct`."""
         return struct.unpack('<' + layout, self.take(struct.calcsize('<' + layout)))
 
-    def number(self, layout):
+    def number(self, layout: str) -> int:
         """The next number."""
         return self.numbers(layout)[0]
 
-    def text(self):
-        """A string behind its length."""
+    def text(self) -> str:
+        """A string, preceded by its length."""
         try:
             return str(self.take(self.number('I')), 'utf-8')
         except UnicodeDecodeError:
             raise DamageError('a string is not UTF-8') from None
 
-    def block(self):
-        """A cursor over what a length of 4 bytes announces."""
+    def block(self) -> 'Cursor':
+        """A cursor over a block, preceded by its length of 4 bytes."""
         return Cursor(self.take(self.number('I')))
 
     @property
-    def left(self):
+    def left(self) -> int:
         """Bytes that are left."""
         return len(self._content) - self.at
 
     def finish(self) -> None:
-        """Check that the content is used up."""
+        """Check that the content was read to its end."""
         if self.left:
             raise DamageError('a record is longer than its content')
 
 
-def _pairs(cursor):
+def _pairs(cursor: Cursor) -> tuple[tuple[str, str], ...]:
     found = []
     while cursor.left:
         found.append((cursor.text(), cursor.text()))
     return tuple(found)
 
 
-def parse_schema(content):
+def parse_schema(content: bytes | memoryview) -> Schema:
     """`Schema` from a record's content; DamageError if it is none."""
     cursor = Cursor(content)
     result = Schema(
@@ -146,27 +141,22 @@ def parse_schema(content):
     return result
 
 
-def parse_channel(content):
+def parse_channel(content: bytes | memoryview) -> Channel:
     """`Channel` from a record's content; DamageError if it is none."""
     cursor = Cursor(content)
-    result = Channel(*cursor.numbers('HH'), cursor.text(), cursor.text(), _pairs(cursor.block()))
+    result = Channel(
+        cursor.number('H'), cursor.number('H'), cursor.text(), cursor.text(), _pairs(cursor.block())
+    )
     cursor.finish()
     return result
 
 
-def parse_chunk(content, whole: bool = True):
-    """`Chunk` from a record's content; DamageError if it is none.
-
-    Parameters
-    ----------
-    content : bytes or memoryview
-        Of the record, or the beginning of it.
-    whole : bool, optional
-        Whether the data must be there completely, and end with the content.
-    """
+def parse_chunk(content: bytes | memoryview, whole: bool = True) -> Chunk:
+    """`Chunk` from a record's content; DamageError if it is none."""
     cursor = Cursor(content)
-    times_size_crc, compression = cursor.numbers('QQQI'), cursor.text()
-    result = Chunk(*times_size_crc, compression, cursor.at + 8, cursor.number('Q'))
+    start, end, size, crc = cursor.numbers('QQQI')
+    compression = cursor.text()
+    result = Chunk(start, end, size, crc, compression, cursor.at + 8, cursor.number('Q'))
     if whole and result.data_size != cursor.left:
         raise DamageError('a chunk is not as long as its record')
     if result.size > MAX_CHUNK:
@@ -174,19 +164,24 @@ def parse_chunk(content, whole: bool = True):
     return result
 
 
-def parse_chunk_index(content):
+def parse_chunk_index(content: bytes | memoryview) -> ChunkIndex:
     """`ChunkIndex` from a record's content; DamageError if it is none."""
     cursor = Cursor(content)
-    numbers, offsets = cursor.numbers('QQQQ'), cursor.block()
-    if offsets.left % 10:
+    start, end, offset, length = cursor.numbers('QQQQ')
+    entries = cursor.block()
+    if entries.left % 10:
         raise DamageError('a chunk index has half an entry')
-    offsets = dict(struct.iter_unpack('<HQ', offsets.take(offsets.left)))
-    result = ChunkIndex(*numbers, offsets, cursor.number('Q'), cursor.text(), *cursor.numbers('QQ'))
+    offsets = dict(struct.iter_unpack('<HQ', entries.take(entries.left)))
+    index_length, compression = cursor.number('Q'), cursor.text()
+    data_size, size = cursor.numbers('QQ')
+    result = ChunkIndex(
+        start, end, offset, length, offsets, index_length, compression, data_size, size
+    )
     cursor.finish()
     return result
 
 
-def parse_message_index(content):
+def parse_message_index(content: bytes | memoryview) -> tuple[int, int]:
     """Channel and number of its messages, of a message index; DamageError if it is none."""
     cursor = Cursor(content)
     channel, entries = cursor.number('H'), cursor.block()
@@ -196,7 +191,7 @@ def parse_message_index(content):
     return channel, entries.left // 16
 
 
-def parse_metadata(content):
+def parse_metadata(content: bytes | memoryview) -> tuple[str, dict[str, str]]:
     """Name and dict of a metadata record; DamageError if it is none."""
     cursor = Cursor(content)
     result = cursor.text(), dict(_pairs(cursor.block()))
@@ -204,7 +199,7 @@ def parse_metadata(content):
     return result
 
 
-def parse_statistics(content):
+def parse_statistics(content: bytes | memoryview) -> dict[int, int]:
     """Number of messages by channel; DamageError if it is no statistics record."""
     cursor = Cursor(content)
     total = cursor.numbers('QHIIIIQQ')[0]
@@ -218,8 +213,8 @@ def parse_statistics(content):
     return counts
 
 
-def _fixed(layout):
-    def parse(content):
+def _fixed(layout: str) -> Callable[[bytes | memoryview], tuple[int, ...]]:
+    def parse(content: bytes | memoryview) -> tuple[int, ...]:
         cursor = Cursor(content)
         result = cursor.numbers(layout)
         cursor.finish()
@@ -228,21 +223,21 @@ def _fixed(layout):
     return parse
 
 
-def _texts(content):
+def _texts(content: bytes | memoryview) -> tuple[str, str]:
     cursor = Cursor(content)
     result = cursor.text(), cursor.text()
     cursor.finish()
     return result
 
 
-def _metadata_index(content):
+def _metadata_index(content: bytes | memoryview) -> tuple[Any, ...]:
     cursor = Cursor(content)
     result = (*cursor.numbers('QQ'), cursor.text())
     cursor.finish()
     return result
 
 
-def _attachment(content):
+def _attachment(content: bytes | memoryview) -> tuple[str, str]:
     cursor = Cursor(content)
     cursor.numbers('QQ')
     result = cursor.text(), cursor.text()
@@ -251,7 +246,7 @@ def _attachment(content):
     return result
 
 
-def _attachment_index(content):
+def _attachment_index(content: bytes | memoryview) -> tuple[str, str]:
     cursor = Cursor(content)
     cursor.numbers('QQQQQ')
     result = cursor.text(), cursor.text()
@@ -259,13 +254,13 @@ def _attachment_index(content):
     return result
 
 
-def _message(content):
+def _message(content: bytes | memoryview) -> tuple[int, ...]:
     if len(content) < MESSAGE.size:
         raise DamageError('a message is shorter than its head')
     return MESSAGE.unpack_from(content)
 
 
-PARSERS = {
+PARSERS: dict[int, Callable[[bytes | memoryview], Any]] = {
     Opcode.HEADER: _texts,
     Opcode.FOOTER: _fixed('QQI'),
     Opcode.SCHEMA: parse_schema,

@@ -1,4 +1,4 @@
-"""An MCAP file without its summary: all of it is read, and what is damaged is gone around.
+"""An MCAP file without its summary: all of it is read, and damaged parts are skipped.
 
 What is used stands under a checksum where the file has checksums: in the contents of chunks.  What
 only the unprotected rest says (times in the head of a chunk, message indexes) is used for nothing
@@ -9,37 +9,19 @@ import re
 
 from mcap.opcode import Opcode
 
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.mcap.content import inflate, records
-from lpv_bag.mcap.file import Block, Survey
+from lpv_bag.mcap.file import Block, McapFile, Survey
 from lpv_bag.mcap.records import HEADER, MAGIC, MAX_RECORD, PARSERS, parse_chunk, parse_statistics
 from lpv_bag.mcap.summary import summary_span, walk_summary
-from lpv_bag.rosbag.errors import BagError, DamageError
 
 _MOST_DAMAGES = 1000
 _CANDIDATE = re.compile(rb'[\x01-\x0f][\s\S]{4}\x00{4}')
 """A record that may begin here: a known opcode, and a length below 4 GiB."""
 
 
-def scan(file, reason: str) -> Survey:
-    """Read a file without its summary, all of it, going on behind what is damaged.
-
-    Parameters
-    ----------
-    file : McapFile
-        The file.
-    reason : str
-        Why the summary is not used.
-
-    Returns
-    -------
-    Survey
-        What was found.
-
-    Raises
-    ------
-    BagError
-        If nothing can be used.
-    """
+def scan(file: McapFile, reason: str) -> Survey:
+    """Read a whole file without its summary, and continue after damaged parts."""
     result = _Scan(file, reason).run()
     if not result.blocks and not result.lost_blocks:
         # No chunk and no message was met before the damage: it may be a file without chunks.
@@ -54,18 +36,20 @@ def scan(file, reason: str) -> Survey:
 
 
 class _Scan:
-    """One pass over a file, from record to record; behind damage, to the next good record."""
+    """One pass over a file, from record to record; after damage, to the next good record."""
 
-    def __init__(self, file, reason, loose: bool = False) -> None:
+    def __init__(self, file: McapFile, reason: str, loose: bool = False) -> None:
         self._file, self._data = file, file.data
         self._result = Survey(damages=[reason])
-        self._loose = None  # messages outside of chunks: first and last byte
+        self._loose: tuple[int, int] | None = (
+            None  # messages outside of chunks: first and last byte
+        )
         self._has_loose, self._trusted = loose, True
-        self._last_chunk = None
-        self._doubtful = None
+        self._last_chunk: Block | None = None
+        self._doubtful: int | None = None
 
-    def run(self):
-        at = 8 if self._data[:8] == MAGIC else 0
+    def run(self) -> Survey:
+        at: int | None = 8 if self._data[:8] == MAGIC else 0
         while at is not None and at < len(self._data) and not self._result.complete:
             try:
                 at = self._record(at)
@@ -75,8 +59,8 @@ class _Scan:
         self._use_summary()
         return self._result
 
-    def _record(self, at):
-        """Take the record at a place; the place of the next one."""
+    def _record(self, at: int) -> int:
+        """Read the record at an offset; the offset of the next one."""
         data = self._data
         if len(data) - at < 9:
             raise DamageError('the file ends within a record')
@@ -100,7 +84,7 @@ class _Scan:
             self._damage(f'the record at byte {at} is of the unknown kind {opcode}')
         return end
 
-    def _other(self, opcode, content, at) -> None:
+    def _other(self, opcode: int, content: bytes, at: int) -> None:
         found, result = PARSERS[opcode](content), self._result
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             result.define(found)
@@ -115,7 +99,7 @@ class _Scan:
 
     # -------------------------------------------------------------- chunks
 
-    def _chunk(self, at, content) -> None:
+    def _chunk(self, at: int, content: bytes) -> None:
         head = parse_chunk(content)
         block = Block(
             at + head.data_offset,
@@ -136,8 +120,8 @@ class _Scan:
             self._damage(f'the chunk at byte {at - 9} is damaged ({error})')
             self._last_chunk = block
 
-    def _cut_chunk(self, at) -> None:
-        """The file ends within a chunk: its beginning can often be had."""
+    def _cut_chunk(self, at: int) -> None:
+        """The file ends within a chunk, whose beginning can often be read."""
         try:
             head = parse_chunk(self._data[at : at + 64], whole=False)
         except DamageError:
@@ -156,8 +140,8 @@ class _Scan:
         if offset < len(self._data) < offset + head.data_size:
             self._use(block, self._file.content(block))
 
-    def _use(self, block, content) -> None:
-        """Take a chunk's definitions; its times by its messages, its head has no checksum."""
+    def _use(self, block: Block, content: bytes) -> None:
+        """Read definitions; times are those of the messages, the head has no checksum."""
         messages, definitions, wrong = records(content)
         if wrong and not block.cut:
             raise DamageError(wrong)
@@ -172,7 +156,7 @@ class _Scan:
 
     # -------------------------------------------------------------- messages outside of chunks
 
-    def _take_loose(self, at, end) -> None:
+    def _take_loose(self, at: int, end: int) -> None:
         if not (self._trusted or self._has_loose):
             # Most likely from within a chunk whose head is damaged: no checksum covers it.
             raise DamageError('a message without its chunk')
@@ -193,14 +177,15 @@ class _Scan:
 
     # -------------------------------------------------------------- damage
 
-    def _resume(self, at, error):
+    def _resume(self, at: int, error: DamageError) -> int | None:
         """The next place at which a good record begins, or None."""
         if self._doubtful is not None:  # a record whose own length nothing confirms
             at, self._doubtful = self._doubtful, None
             if self._loose is not None:
                 self._loose = (self._loose[0], at) if self._loose[0] < at else None
         self._finish_loose()
-        self._trusted, found = False, at
+        self._trusted = False
+        found: int | None = at
         while found is not None:
             match = _CANDIDATE.search(self._data, found + 1)
             found = match.start() if match else None
@@ -210,11 +195,11 @@ class _Scan:
         self._damage(f'{end - at} bytes from byte {at} on are damaged ({error})')
         return found
 
-    def _damage(self, text) -> None:
+    def _damage(self, text: str) -> None:
         if len(self._result.damages) < _MOST_DAMAGES:
             self._result.damages.append(text)
 
-    def _is_good(self, at):
+    def _is_good(self, at: int) -> bool:
         """Whether a record that can be trusted begins here."""
         data = self._data
         opcode, length = HEADER.unpack_from(data, at)
@@ -232,8 +217,8 @@ class _Scan:
             return False
         return True
 
-    def _is_loose(self, at, end):
-        """Messages are told from garbage by their topic, and by another record behind them."""
+    def _is_loose(self, at: int, end: int) -> bool:
+        """Whether a message has a known topic, and another record after it: garbage has not."""
         if not self._has_loose:
             return False
         if PARSERS[Opcode.MESSAGE](self._data[at + 9 : end])[0] not in self._result.channels:

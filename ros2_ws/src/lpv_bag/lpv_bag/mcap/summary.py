@@ -1,9 +1,12 @@
 """The summary at the end of an MCAP file: what it says, where it can be trusted."""
 
+import mmap
 import zlib
+from collections.abc import Iterator
 
 from mcap.opcode import Opcode
 
+from lpv_bag.errors import DamageError
 from lpv_bag.mcap.file import Block, Survey, release
 from lpv_bag.mcap.records import (
     HEADER,
@@ -16,38 +19,21 @@ from lpv_bag.mcap.records import (
     parse_schema,
     parse_statistics,
 )
-from lpv_bag.rosbag.errors import DamageError
 
 FOOTER_SIZE = 29
 """With its head [bytes]."""
 
 
 _RELEASED = 256
-"""After so many chunk heads, the pages that hold them are given back."""
+"""Number of chunk heads after which the pages that hold them are released."""
 
 
 class Unindexed(DamageError):
-    """A summary is whole, but one has to read all data to find the messages."""
+    """The summary is whole, but finding the messages needs a pass over all data."""
 
 
-def summary_span(data) -> tuple[int, ...]:
-    """Where the summary is.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file.
-
-    Returns
-    -------
-    tuple of int
-        First byte of the summary, and of the footer behind it.
-
-    Raises
-    ------
-    DamageError
-        If there is none, or its checksum is wrong.
-    """
+def summary_span(data: mmap.mmap | bytes) -> tuple[int, int]:
+    """Where the summary is."""
     if len(data) < 16 + FOOTER_SIZE or data[-8:] != MAGIC:
         raise DamageError('it does not end as a finished MCAP file')
     footer = len(data) - 8 - FOOTER_SIZE
@@ -61,26 +47,8 @@ def summary_span(data) -> tuple[int, ...]:
     return start, footer
 
 
-def walk_summary(data, at: int, end: int):
-    """Records of a summary.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file.
-    at, end : int
-        As of `summary_span`.
-
-    Yields
-    ------
-    tuple
-        Opcode and content.
-
-    Raises
-    ------
-    DamageError
-        If a record's length is wrong.
-    """
+def walk_summary(data: mmap.mmap | bytes, at: int, end: int) -> Iterator[tuple[int, bytes]]:
+    """Records of a summary."""
     while at < end:
         if end - at < 9:
             raise DamageError('its summary ends within a record')
@@ -91,25 +59,10 @@ def walk_summary(data, at: int, end: int):
         at += 9 + length
 
 
-def from_summary(data) -> Survey:
+def from_summary(data: mmap.mmap | bytes) -> Survey:
     """What a file holds by its summary.
 
     Checksums of chunks stand in their heads, and what the heads say must be what the summary says.
-
-    Parameters
-    ----------
-    data : mmap.mmap or bytes
-        The file.
-
-    Returns
-    -------
-    Survey
-        Without damages.
-
-    Raises
-    ------
-    DamageError
-        If the summary is not whole, or does not say where the messages are.
     """
     if data[:8] != MAGIC:
         raise DamageError('it does not begin as an MCAP file')
@@ -121,7 +74,7 @@ def from_summary(data) -> Survey:
     return result
 
 
-def _take_summary(result, opcode, content) -> None:
+def _take_summary(result: Survey, opcode: int, content: bytes) -> None:
     if opcode == Opcode.SCHEMA:
         result.define(parse_schema(content))
     elif opcode == Opcode.CHANNEL:
@@ -154,12 +107,12 @@ def _take_summary(result, opcode, content) -> None:
         raise DamageError(f'its summary holds a record of kind {opcode}')
 
 
-def _check_blocks(data, result, end) -> None:
-    """Take the checksums of the chunks, and hold their heads against the index.
+def _check_blocks(data: mmap.mmap | bytes, result: Survey, end: int) -> None:
+    """Read the checksums of the chunks, and compare their heads with the index.
 
     A file without statistics, or with messages outside of chunks, is read as a whole.
     """
-    if result.counts is None or (sum(result.counts.values()) and not result.blocks):
+    if result.counts is None or (any(result.counts.values()) and not result.blocks):
         raise Unindexed('its summary does not say where the messages are')
     if not set(result.counts) <= set(result.channels):
         raise DamageError('its summary counts messages of unknown topics')

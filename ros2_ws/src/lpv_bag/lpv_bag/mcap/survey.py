@@ -1,34 +1,20 @@
 """What an MCAP file holds, and where: from its summary, or, if that is damaged, from the data."""
 
+import mmap
 from collections import Counter
 from typing import Any
 
 from mcap.opcode import Opcode
 
+from lpv_bag.errors import DamageError
+from lpv_bag.mcap.file import McapFile, Survey
 from lpv_bag.mcap.records import HEADER, PARSERS, parse_metadata
 from lpv_bag.mcap.scan import scan
 from lpv_bag.mcap.summary import Unindexed, from_summary
-from lpv_bag.rosbag.errors import DamageError
 
 
-def survey(file):
-    """What a file holds: by its summary if that is whole, else by all its data.
-
-    Parameters
-    ----------
-    file : McapFile
-        The file.
-
-    Returns
-    -------
-    Survey
-        What was found; ``damages`` says what is wrong.
-
-    Raises
-    ------
-    BagError
-        If this is no MCAP file, or nothing of it can be used.
-    """
+def survey(file: McapFile) -> Survey:
+    """What a file holds: by its summary if that is whole, else by all its data."""
     try:
         result = from_summary(file.data)
     except DamageError as error:
@@ -40,15 +26,15 @@ def survey(file):
     return result
 
 
-def _met(result):
-    """Messages by channel as they were met."""
-    counts = Counter()
+def _met(result: Survey) -> Counter[int]:
+    """Messages by channel, counted."""
+    counts: Counter[int] = Counter()
     for block in result.blocks:
         counts.update(block.counts)
     return counts
 
 
-def _library(data):
+def _library(data: mmap.mmap | bytes) -> str:
     """What wrote the file; '' where its header is damaged."""
     if len(data) < 17:
         return ''
@@ -59,21 +45,8 @@ def _library(data):
         return ''
 
 
-def read_metadata(file, found) -> list[tuple[Any, ...]]:
-    """Metadata records of a survey, by name; those that are damaged are left out.
-
-    Parameters
-    ----------
-    file : McapFile
-        The file.
-    found : Survey
-        Of it.
-
-    Returns
-    -------
-    list of tuple
-        Name and dict.
-    """
+def read_metadata(file: McapFile, found: Survey) -> list[tuple[Any, ...]]:
+    """Metadata records of a survey, by name; those that are damaged are left out."""
     result = []
     for offset, name, content in found.metadata:
         try:

@@ -1,9 +1,9 @@
-"""Writing of one MCAP file so that at any moment what is written can be read.
+"""Writing of one MCAP file that can be read at any moment while it is written.
 
-The records are those of the mcap package.  Chunks are cut by whoever writes: `McapWriter.cut`
-hands everything to the operating system, and nothing that is written later changes it.  The
-package's own writer has one level of compression, keeps what it could not write in a state that
-nobody can go on from, and defines topics in the first chunk alone.
+The records are those of the mcap package.  The caller ends chunks: `McapWriter.cut` hands
+everything to the operating system, and later writes do not change it.  The package's own writer has
+one level of compression, cannot be used after a failed write, and defines topics in the first chunk
+alone.
 """
 
 import os
@@ -22,6 +22,7 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
+    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
@@ -31,6 +32,7 @@ from mcap.records import (
 
 from lpv_bag.mcap.records import HEADER, MAGIC
 
+Buffer = bytes | bytearray | memoryview
 _MESSAGE = struct.Struct('<BQHIQQ')
 _INDEX = struct.Struct('<BQHI')
 _CHUNK = struct.Struct('<BQQQQII')
@@ -40,18 +42,10 @@ _REPEAT = 64
 
 
 class Preset(NamedTuple):
-    """How chunks are compressed.
+    """How chunks are compressed."""
 
-    Attributes
-    ----------
-    level : int or None
-        Of zstd; None stores as is.
-    chunk_size : int
-        Content after which a chunk is cut [bytes].
-    """
-
-    level: int
-    chunk_size: int
+    level: int | None  # of zstd; None stores as is
+    chunk_size: int  # content after which a chunk is cut [bytes]
 
 
 PRESETS = {
@@ -63,67 +57,43 @@ PRESETS = {
 
 
 class McapWriter:
-    """One file of a bag.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        File to create.
-    preset : str, optional
-        Key of `PRESETS`.
-    fsync : bool, optional
-        Wait, after each chunk, until it is on the disk: a power failure then loses no more than a
-        crash.
-
-    Attributes
-    ----------
-    size : int
-        Bytes handed to the operating system.
-    start, end : int
-        Least and greatest log time [ns]; 0 without messages.
-    counts : dict of int to int
-        Messages by channel.
-    pending : int
-        Bytes of the chunk that is not yet cut.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be made.
-    """
+    """One file of a bag."""
 
     def __init__(self, path: str | Path, preset: str = 'none', fsync: bool = False) -> None:
-        self.path, self._preset, self._fsync = path, PRESETS[preset], fsync
+        self.path, self._preset, self._fsync = Path(path), PRESETS[preset], fsync
         self._compress = None
         if self._preset.level is not None:
             self._compress = zstandard.ZstdCompressor(self._preset.level).compress
         self.size = self.start = self.end = 0
-        self.counts = {}
-        self._schemas, self._channels, self._new = [], [], []
-        self._indexes, self._metadata = [], []
+        self.counts: dict[int, int] = {}
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._new: list[Schema | Channel] = []
+        self._indexes: list[ChunkIndex] = []
+        self._metadata: list[MetadataIndex] = []
         self._begin_chunk()
         self._file = open(path, 'xb', buffering=0)  # noqa: SIM115
         self._put(MAGIC + _bytes(Header('ros2', LIBRARY)))
 
     def _begin_chunk(self) -> None:
-        self._content, self._chunk_start, self._chunk_end = bytearray(), None, 0
-        self._entries = {}
+        self._content = bytearray()
+        self._entries: dict[int, list[int]] = {}
 
     @property
-    def pending(self):
-        """Bytes of the chunk that is not yet cut."""
+    def pending(self) -> int:
+        """Size of the chunk that has not ended yet [bytes]."""
         return len(self._content)
 
     # -------------------------------------------------------------- definitions
 
-    def add_schema(self, name, encoding, data):
+    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Define a message type; its number."""
         schema = Schema(len(self._schemas) + 1, data, encoding, name)
         self._schemas.append(schema)
         self._new.append(schema)
         return schema.id
 
-    def add_channel(self, topic, schema, metadata):
+    def add_channel(self, topic: str, schema: int, metadata: dict[str, str]) -> int:
         """Define a topic; its number."""
         channel = Channel(len(self._channels) + 1, topic, 'cdr', metadata, schema)
         self._channels.append(channel)
@@ -136,33 +106,10 @@ class McapWriter:
     def write(
         self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> None:
-        """Take a message; a chunk that is full is cut.
-
-        Parameters
-        ----------
-        channel : int
-            As of `add_channel`.
-        log_time, publish_time : int
-            [ns].
-        data : bytes
-            CDR.
-        sequence : int
-            Number of the message on its topic, from 1 on: gaps show what was lost.
-
-        Raises
-        ------
-        OSError
-            If a chunk cannot be written.
-        """
+        """Add a message; a full chunk is written."""
         content = self._content
         if self._new:
             self._define()
-        if self._chunk_start is None:
-            self._chunk_start = self._chunk_end = log_time
-        elif log_time < self._chunk_start:
-            self._chunk_start = log_time
-        elif log_time > self._chunk_end:
-            self._chunk_end = log_time
         entry = self._entries.get(channel)
         if entry is None:
             entry = self._entries[channel] = []
@@ -182,13 +129,7 @@ class McapWriter:
         self._new = []
 
     def cut(self) -> None:
-        """End the chunk, if it has messages, and hand it to the operating system.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written; the file then ends with the chunk before it.
-        """
+        """End the chunk, if it has messages, and hand it to the operating system."""
         if not self._entries:
             return
         content, entries = bytes(self._content), self._entries
@@ -197,28 +138,15 @@ class McapWriter:
             content, {channel: np.array(values, '<u8') for channel, values in entries.items()}
         )
 
-    def put_chunk(self, content, entries: dict[int, np.ndarray]) -> None:
-        """Write a chunk that is ready.
-
-        Parameters
-        ----------
-        content : bytes-like
-            Records of messages.
-        entries : dict of int to ndarray
-            By channel, log time [ns] and offset into ``content`` of each message in turn.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+    def put_chunk(self, content: Buffer, entries: dict[int, np.ndarray]) -> None:
+        """Write a chunk that was assembled elsewhere."""
         self.cut()
         if self._new:
             self._put(b''.join(map(_bytes, self._new)))
             self._new = []
         self._put_chunk(content, entries)
 
-    def _put_chunk(self, content, entries) -> None:
+    def _put_chunk(self, content: Buffer, entries: dict[int, np.ndarray]) -> None:
         if _is_repeated(len(self._indexes) + 1):
             self._new = [*self._schemas, *self._channels]
         start = min(int(values[::2].min()) for values in entries.values())
@@ -252,8 +180,8 @@ class McapWriter:
         for channel, values in entries.items():
             self.counts[channel] += len(values) // 2
 
-    def _put(self, *parts) -> None:
-        """Write all of it or nothing: half a record would hide what comes behind it."""
+    def _put(self, *parts: Buffer) -> None:
+        """Write all of it or nothing: half a record would hide the records after it."""
         try:
             for part in parts:
                 view = memoryview(part)
@@ -270,28 +198,15 @@ class McapWriter:
     # -------------------------------------------------------------- end
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Write a metadata record.
-
-        Parameters
-        ----------
-        name : str
-            Of the record.
-        values : dict of str to str
-            Content.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Write a metadata record."""
         record = _bytes(Metadata(name=name, metadata=values))
         index = MetadataIndex(self.size, len(record), name)
         self._put(record)
         self._metadata.append(index)
 
     @property
-    def tail_size(self):
-        """Bytes that `finish` will need, about."""
+    def tail_size(self) -> int:
+        """Approximate size of what `finish` writes [bytes]."""
         return (
             sum(200 + len(s.data) for s in self._schemas)
             + 1000 * len(self._channels)
@@ -304,18 +219,13 @@ class McapWriter:
 
         Where there is no room for it, the file is ended without a summary, so that it can be read
         from the front; where there is not even room for that, it is left as it is.
-
-        Returns
-        -------
-        str
-            '', or what is missing at the end.
         """
         try:
             return self._finish()
         finally:
             self._file.close()
 
-    def _finish(self):
+    def _finish(self) -> str:
         error = None
         try:
             self.cut()
@@ -329,13 +239,13 @@ class McapWriter:
             else:
                 break
         else:
-            return f'the end ({error.strerror})'
+            return f'the end ({error.strerror if error else None})'
         return f'the last messages or the summary ({error.strerror})' if error else ''
 
-    def _bare_end(self):
+    def _bare_end(self) -> bytes:
         return _bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MAGIC
 
-    def _summary(self):
+    def _summary(self) -> bytes:
         end = _bytes(DataEnd(0))
         start = self.size + len(end)
         groups = (
@@ -357,7 +267,7 @@ class McapWriter:
         crc = zlib.crc32(summary + footer[: HEADER.size + 16])
         return bytes(end + summary + _bytes(Footer(start, offset_start, crc)) + MAGIC)
 
-    def _statistics(self):
+    def _statistics(self) -> Statistics:
         return Statistics(
             0,
             len(self._channels),
@@ -371,12 +281,12 @@ class McapWriter:
         )
 
 
-def _is_repeated(chunk) -> bool:
-    """Whether a chunk repeats all definitions: no damaged one then costs the others theirs."""
+def _is_repeated(chunk: int) -> bool:
+    """Whether a chunk repeats all definitions, so that damage to one chunk does not lose them."""
     return chunk % _REPEAT == 0 or chunk & (chunk - 1) == 0
 
 
-def _bytes(record):
+def _bytes(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -1,16 +1,18 @@
-"""What a recorder hears: raw messages of topics that come and go."""
+"""Input of a recorder: raw messages of topics that appear and disappear."""
 
 from __future__ import annotations
 
 import fnmatch
 import importlib
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rosbags.interfaces import Qos
 
 from lpv_bag.rosbag.writing import qos_profile
 
@@ -24,50 +26,25 @@ _SYSTEM_TIME = ('/rosout', '/parameter_events')
 
 
 class Heard(NamedTuple):
-    """A message as it came.
+    """A message as received."""
 
-    Attributes
-    ----------
-    received : int
-        System time at which it arrived in this process [ns].
-    topic : str
-        Its topic.
-    data : bytes
-        CDR.
-    sent : int
-        System time at which it was published [ns]; 0 where unknown.
-    publisher : bytes
-        Who sent it; None where unknown.
-    sequence : int
-        The publisher's number of it; None where unknown.
-    stamp : int
-        Stamp at its beginning [ns]; None for types without.
-    """
-
-    received: int
-    topic: str
-    data: bytes
-    sent: int
-    publisher: bytes
-    sequence: int
-    stamp: int
+    received: int  # system time at which it arrived in this process [ns]
+    topic: str  # its topic
+    data: bytes  # CDR
+    sent: int  # system time at which it was published [ns]; 0 where unknown
+    publisher: bytes | None  # who sent it; None where unknown
+    sequence: int | None  # the publisher's number of it; None where unknown
+    stamp: int | None  # stamp at its beginning [ns]; None for types without
 
 
 class Selection(NamedTuple):
-    """Which topics are wanted.
+    """Which topics are wanted."""
 
-    Attributes
-    ----------
-    names : frozenset of str
-        Full names; empty for all.
-    excluded : tuple of str
-        Patterns of shells, against full names; they hold for all topics, not for named ones.
-    """
+    names: frozenset[str]  # full names; empty for all
+    # patterns of shells, against full names; they hold for all topics, not for named ones
+    excluded: tuple[str, ...] = ()
 
-    names: frozenset
-    excluded: tuple = ()
-
-    def chosen(self, topics):
+    def chosen(self, topics: Iterable[str]) -> list[str]:
         """Those of some topics that are wanted, sorted."""
         if self.names:
             return sorted(self.names.intersection(topics))
@@ -80,19 +57,10 @@ class Selection(NamedTuple):
 
 
 class RecorderInput:
-    """Subscriptions that are emptied when asked, not by an executor.
+    """Subscriptions that are polled, not served by an executor.
 
     An executor hands over one message at a time, and without the numbers that its publisher gave
     it, by which lost ones are known.  Hence a node of its own, that no executor has.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The recorder, for the graph, the names and the context.
-    selection : Selection
-        Wanted topics.
-    check_type : callable
-        Takes a type's name; raises ValueError where its definition is not installed.
     """
 
     def __init__(
@@ -107,12 +75,13 @@ class RecorderInput:
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self._subscriptions, self._refused = {}, set()
-        self._complained = set()
+        self._subscriptions: dict[str, tuple[Any, bool, str, bool, bool]] = {}
+        self._refused: set[str] = set()
+        self._complained: set[tuple[str, str]] = set()
         self._searches = 0
 
     @property
-    def topics(self):
+    def topics(self) -> list[str]:
         """Names of the topics that are listened to."""
         return list(self._subscriptions)
 
@@ -123,14 +92,8 @@ class RecorderInput:
 
     # -------------------------------------------------------------- subscribing
 
-    def search(self) -> list[tuple[Any, ...]]:
-        """Subscribe to wanted topics that have a publisher now.
-
-        Returns
-        -------
-        list of tuple
-            Topic, type and offered QoS of each new one.
-        """
+    def search(self) -> list[tuple[str, str, Qos]]:
+        """Subscribe to wanted topics that have a publisher now."""
         types = dict(self._node.get_topic_names_and_types())
         found, self._searches = [], self._searches + 1
         for topic in self._selection.chosen(types):
@@ -149,13 +112,15 @@ class RecorderInput:
                 found += [entry] if entry else []
         return found
 
-    def _is_recorder(self, publisher) -> bool:
+    def _is_recorder(self, publisher: TopicEndpointInfo) -> bool:
         return (
             publisher.node_name == self._node.get_name()
             and publisher.node_namespace == self._node.get_namespace()
         )
 
-    def _subscribe(self, topic, publishers):
+    def _subscribe(
+        self, topic: str, publishers: list[TopicEndpointInfo]
+    ) -> tuple[str, str, Qos] | None:
         msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
         reliable = all(_reliable(p) for p in publishers)
         latched = all(_latched(p) for p in publishers)
@@ -177,7 +142,7 @@ class RecorderInput:
         self._subscriptions[topic] = (subscription, stamped, msgtype, reliable, latched)
         return topic, msgtype, qos_profile(reliable, latched, depth)
 
-    def _check_match(self, topic, publishers) -> None:
+    def _check_match(self, topic: str, publishers: list[TopicEndpointInfo]) -> None:
         """A publisher that came later may offer less than was asked for, or another type."""
         _, _, msgtype, reliable, latched = self._subscriptions[topic]
         for publisher in publishers:
@@ -195,20 +160,14 @@ class RecorderInput:
                 )
 
     @property
-    def complaints(self):
+    def complaints(self) -> int:
         """Number of topics and publishers that are not recorded though they are wanted."""
         return len(self._refused) + len(self._complained)
 
     # -------------------------------------------------------------- taking
 
     def poll(self) -> list[Heard]:
-        """Everything that has come since the last time.
-
-        Returns
-        -------
-        list of Heard
-            In the order of arrival.
-        """
+        """Messages received since the last call, in the order of arrival."""
         found = []  # with the time by which to sort: a topic keeps its order if the clock is set
         for topic, (subscription, stamped, *_) in self._subscriptions.items():
             with subscription.handle:
@@ -234,47 +193,36 @@ class RecorderInput:
         return [heard for _, heard in found]
 
 
-def _nobody(_) -> None:
+def _nobody(_: object) -> None:
     """Callback that is never called."""
 
 
-def _publisher(info):
-    """The publisher's identity; distributions before Kilted do not tell it."""
+def _publisher(info: dict[str, Any]) -> bytes | None:
+    """The publisher's identity; not known in distributions before Kilted."""
     gid = info.get('publisher_gid')
     return gid.get('data') if isinstance(gid, dict) else gid
 
 
-def _reliable(publisher) -> bool:
+def _reliable(publisher: TopicEndpointInfo) -> bool:
     return publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
 
 
-def _latched(publisher) -> bool:
+def _latched(publisher: TopicEndpointInfo) -> bool:
     return publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
-def _message_class(msgtype):
+def _message_class(msgtype: str) -> type:
     package, kind, name = msgtype.split('/')
     return getattr(importlib.import_module(f'{package}.{kind}'), name)
 
 
-def _starts_with_time(message_class) -> bool:
+def _starts_with_time(message_class: Any) -> bool:
     first = next(iter(message_class.get_fields_and_field_types().values()), '')
     return first in ('std_msgs/Header', 'builtin_interfaces/Time')
 
 
 def leading_stamp(data: bytes) -> int | None:
-    """Stamp of a CDR message whose first field is a Header or a Time.
-
-    Parameters
-    ----------
-    data : bytes
-        CDR.
-
-    Returns
-    -------
-    int or None
-        [ns]; None if the message is too short to have one.
-    """
+    """Stamp of a CDR message whose first field is a Header or a Time."""
     if len(data) < 12:
         return None
     order = '<' if data[1] & 1 else '>'

@@ -1,18 +1,28 @@
-"""Recorder node: topics into a rosbag2 directory, exact bytes as they came."""
+"""Recorder node: topics into a rosbag2 directory, byte for byte as received."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rosbags.interfaces import Qos
 
 from lpv_bag.mcap.writer import PRESETS
-from lpv_bag.recorder.input import RecorderInput, Selection
-from lpv_bag.recorder.message_loss import TopicCount
-from lpv_bag.recorder.output_folder import copy_gains, free_path, read_gains_file
-from lpv_bag.recorder.stamp_sorter import StampOrder
+from lpv_bag.recorder.input import Heard, RecorderInput, Selection
+from lpv_bag.recorder.stamp_sorter import StampSorter
+from lpv_bag.rosbag.message_loss import TopicCount
+from lpv_bag.rosbag.output_folder import (
+    GAINS_NAME,
+    SCENARIO_NAME,
+    copy_file,
+    free_path,
+    read_gains_file,
+    read_scenario_file,
+)
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
@@ -56,7 +66,7 @@ SPECS = (
     Spec(
         'split_size',
         0,
-        'a new file is begun at so many MiB; 0 for never',
+        'size at which a new file is begun; 0 for never [MiB]',
         0,
         1 << 20,
         read_only=True,
@@ -64,7 +74,7 @@ SPECS = (
     Spec(
         'split_duration',
         0.0,
-        'a new file is begun after so many seconds of log time; 0 for never [s]',
+        'log time after which a new file is begun; 0 for never [s]',
         0.0,
         1e6,
         read_only=True,
@@ -91,6 +101,12 @@ SPECS = (
         'gains file of this run, copied into the bag as gains.yaml; may be empty',
         read_only=True,
     ),
+    Spec(
+        'scenario_file',
+        '',
+        'scenario file of this run, copied into the bag as scenario.yaml; may be empty',
+        read_only=True,
+    ),
 )
 _POLL = 0.01
 _CHUNK_TIME = 250_000_000
@@ -102,7 +118,7 @@ class RecorderNode(ManagedNode):
     """Records topics as soon as they have a publisher, with its QoS.
 
     Messages are stored as they came, and the log time is the time of reception.  In lockstep it is
-    the message's own stamp, messages are sorted, and what lies between their fields is zeroed, so
+    the message's own stamp, messages are sorted, and the padding between their fields is zeroed, so
     that runs with the same seed give the same bag byte by byte.
     """
 
@@ -110,12 +126,16 @@ class RecorderNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('recorder', SPECS)
-        self._writer = self._input = None
-        self._clockwork = []
-        self._announced, self._types, self._counts = {}, {}, {}
-        self._order = StampOrder(self._write)
+        self._writer: BagWriter | None = None
+        self._input: RecorderInput | None = None
+        self._clockwork: list[Any] = []
+        self._announced: dict[str, tuple[str, Qos]] = {}
+        self._types: dict[str, str] = {}
+        self._counts: dict[str, TopicCount] = {}
+        self._order = StampSorter(self._write)
         self._taken, self._flushed = 0, 0.0
-        self._stopping, self._failure = None, ''
+        self._stopping: int | None = None
+        self._failure = ''
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._label = f'{self.get_fully_qualified_name()}: recording'
         # Nobody wants to read in a bag how it was written; and it would differ between runs.
@@ -130,6 +150,7 @@ class RecorderNode(ManagedNode):
         self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
         self._flush_period = value['flush_period']
         gains = read_gains_file(value['gains_file']) if value['gains_file'] else None
+        scenario = read_scenario_file(value['scenario_file']) if value['scenario_file'] else None
         output = required_text(self, 'output')
         path = free_path(output)
         if str(path) != str(Path(output)):
@@ -143,7 +164,9 @@ class RecorderNode(ManagedNode):
             value['fsync'],
         )
         if gains is not None:
-            copy_gains(gains, self._writer.path)
+            copy_file(gains, self._writer.path, GAINS_NAME)
+        if scenario is not None:
+            copy_file(scenario, self._writer.path, SCENARIO_NAME)
 
     def begin(self) -> None:
         """Listen to the wanted topics."""
@@ -159,10 +182,10 @@ class RecorderNode(ManagedNode):
         self.get_logger().info(f'recording {what} into {self._writer.path}')
 
     def stopping(self) -> None:
-        """What was published until now is to be recorded."""
+        """Note the time: what was published until now is still recorded."""
         self._stopping = time.time_ns()
 
-    def progress(self):
+    def progress(self) -> int:
         """Messages taken so far that were published before the node was told to stop."""
         return self._taken
 
@@ -176,7 +199,7 @@ class RecorderNode(ManagedNode):
         if self._writer is not None:
             self._order.flush()
         if self._writer is not None:
-            self._close()
+            self._close(self._writer)
             self._report()
 
     def teardown(self) -> None:
@@ -197,14 +220,13 @@ class RecorderNode(ManagedNode):
         for heard in self._input.poll() if self._input is not None else ():
             if self._stopping is None or heard.sent < self._stopping:
                 self._taken += 1
-            if (
-                heard.topic != '/diagnostics' or self._own_mark not in heard.data
-            ) and self._writer is not None:
-                self._take(heard)
+            own = heard.topic == '/diagnostics' and self._own_mark in heard.data
+            if self._writer is not None and not own:
+                self._take(self._writer, heard)
         if self._writer is not None and time.monotonic() - self._flushed >= self._flush_period:
-            self._flush()
+            self._flush(self._writer)
 
-    def _take(self, heard) -> None:
+    def _take(self, writer: BagWriter, heard: Heard) -> None:
         count = self._counts[heard.topic]
         count.take(heard.publisher, heard.sequence)
         if heard.stamp is not None:
@@ -215,53 +237,52 @@ class RecorderNode(ManagedNode):
             self._write(heard.topic, now, heard.data, heard.sent or now)
         elif heard.stamp is not None:
             # Runs with one seed are to give the same bytes, garbage between fields included.
-            data = self._writer.without_garbage(self._types[heard.topic], heard.data)
+            data = writer.without_garbage(self._types[heard.topic], heard.data)
             self._order.add(heard.topic, heard.stamp, data)
         else:
             self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
 
-    def _write(self, topic, stamp, data, sent=None) -> None:
-        if self._writer is None:
+    def _write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
+        writer = self._writer
+        if writer is None:
             return
         try:
-            if self._announced:
-                self._announce_all()
+            self._announce_all(writer)
             # A driver that does not know the time may stamp with anything; a bag cannot.
-            self._writer.write_raw(
-                topic, max(0, stamp), data, None if sent is None else max(0, sent)
-            )
+            writer.write_raw(topic, max(0, stamp), data, None if sent is None else max(0, sent))
         except OSError as error:
             self._fail(error.strerror or str(error))
 
-    def _announce_all(self) -> None:
-        """Topics in the order of their names, however they were found."""
+    def _announce_all(self, writer: BagWriter) -> None:
+        """Announce new topics in the order of their names, not of their discovery."""
         for topic in sorted(self._announced):
             msgtype, offered = self._announced.pop(topic)
-            self._writer.add_topic(topic, msgtype, [offered])
+            writer.add_topic(topic, msgtype, [offered])
 
-    def _flush(self) -> None:
+    def _flush(self, writer: BagWriter) -> None:
         self._flushed = time.monotonic()
         try:
-            if self._writer.room() < _SPARE:
+            if writer.room() < _SPARE:
                 self._fail('no space left on device')
             elif not self.lockstep:
-                self._writer.flush()
+                writer.flush()
         except OSError as error:
             self._fail(error.strerror or str(error))
 
     # -------------------------------------------------------------- end
 
-    def _fail(self, reason) -> None:
-        """Stop recording; the node lives on to say so."""
+    def _fail(self, reason: str) -> None:
+        """Stop recording; the node continues and reports it."""
         if self._failure:
             return
         self._failure, self.exit_code = reason, 1
-        self._close()
+        if self._writer is not None:
+            self._close(self._writer)
         self.get_logger().fatal(f'recording stopped: {reason}; {self._kept}')
         self._report()
 
-    def _close(self) -> None:
-        writer, self._writer = self._writer, None
+    def _close(self, writer: BagWriter) -> None:
+        self._writer = None
         if self._input is not None:
             self._input.close()
             self._input = None
@@ -295,7 +316,7 @@ class RecorderNode(ManagedNode):
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
-    def _values(self):
+    def _values(self) -> Iterator[tuple[str, int]]:
         if self._writer is not None:
             yield 'bytes', self._writer.size
             yield 'files', self._writer.files
@@ -304,7 +325,7 @@ class RecorderNode(ManagedNode):
                 yield f'{topic} {name}', value
 
 
-def main(argv=None) -> None:
+def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_bag recorder``."""
     sys.exit(run_node(RecorderNode, argv))
 

@@ -1,4 +1,4 @@
-"""Messages of a lockstep run in an order that does not depend on who was heard first."""
+"""Messages of a lockstep run in an order that does not depend on the order of arrival."""
 
 import heapq
 from collections.abc import Callable
@@ -7,45 +7,42 @@ from typing import Any
 WINDOW = 500_000_000
 """How far stamps may run ahead of a message that is still to come [ns].
 
-What is held back is lost if the recorder is killed.  In a loop that waits for each answer a message
-comes some ten milliseconds of stamps late at the most."""
+What is held back is lost if the recorder is killed."""
+PATIENCE = 2_000_000_000
+"""A topic that lags behind the newest stamp by more, or has not begun, is not waited for [ns]."""
+_SHARED = '/diagnostics'
+"""The topic with several senders, whose messages of one stamp arrive in any order."""
 
 
-class StampOrder:
+class StampSorter:
     """Releases messages sorted by stamp, then topic.
 
     In lockstep all messages of one stamp are published before those of the next, but a recorder
-    hears several publishers in an order that differs from run to run.
-
-    Parameters
-    ----------
-    write : callable
-        Takes topic, stamp [ns] and data of each message, in order.
+    hears several publishers in an order that differs from run to run.  A message is released when
+    every topic that still comes has gone on by `WINDOW`: a publisher that is heard late, on a busy
+    machine, is waited for.
     """
 
     def __init__(self, write: Callable[..., Any]) -> None:
         self._write = write
-        self._heap = []
+        self._heap: list[tuple[int, str, bytes, int, bytes]] = []
         self._count = 0
-        self._newest = 0
+        self._first: int | None = None
+        self._last: dict[str, int] = {}
 
     def add(self, topic: str, stamp: int, data: bytes) -> None:
-        """Take one message.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        stamp : int
-            Its stamp [ns].
-        data : bytes
-            CDR.
-        """
-        # The counter keeps messages of one topic and stamp in the order of their arrival.
-        heapq.heappush(self._heap, (stamp, topic, self._count, data))
+        """Take one message."""
+        # The counter keeps messages of one sender and stamp in the order of their arrival.
+        content = data if topic == _SHARED else b''
+        heapq.heappush(self._heap, (stamp, topic, content, self._count, data))
         self._count += 1
-        self._newest = max(self._newest, stamp)
-        while self._heap[0][0] < self._newest - WINDOW:
+        self._last[topic] = max(stamp, self._last.get(topic, stamp))
+        newest = max(self._last.values())
+        self._first = stamp if self._first is None else self._first
+        if newest - self._first < PATIENCE:
+            return
+        limit = min(last for last in self._last.values() if newest - last <= PATIENCE) - WINDOW
+        while self._heap and self._heap[0][0] < limit:
             self._release()
 
     def flush(self) -> None:
@@ -54,5 +51,5 @@ class StampOrder:
             self._release()
 
     def _release(self) -> None:
-        stamp, topic, _, data = heapq.heappop(self._heap)
+        stamp, topic, _, _, data = heapq.heappop(self._heap)
         self._write(topic, stamp, data)

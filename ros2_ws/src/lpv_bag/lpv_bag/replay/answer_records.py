@@ -1,63 +1,40 @@
 """Answers as records of messages, thousands at once, byte for byte as one by one."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from rosbags.typesys.store import Typestore
 
-from lpv_bag.mcap.blocks import RECORD_HEADER
-from lpv_bag.rosbag.cdr_layout import find_layout
-from lpv_bag.rosbag.chunk_writing import RECORD, record_head
-from lpv_core.monitoring.monitor import ANSWER
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_bag.blocks.cdr_layout import Layout
+from lpv_bag.blocks.chunk_writing import OFFSETS, RECORD, record_head
+from lpv_bag.blocks.mcap_blocks import RECORD_HEADER
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_core.monitoring.monitor import ANSWER, Answers
+from lpv_core.support.timestamps import NANOSECONDS
 
 STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
 ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
 DIAGNOSTICS_TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
 
 
-def padded_cdr(typestore, message: object, msgtype: str) -> bytes:
-    """CDR of a message, padded to four bytes.
-
-    Parameters
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-    message : object
-        Of the typestore.
-    msgtype : str
-        Its type.
-
-    Returns
-    -------
-    bytes
-        DDS pads samples, and so does a recorder: bags can then be compared.
-    """
+def padded_cdr(typestore: Typestore, message: object, msgtype: str) -> bytes:
+    """CDR of a message, padded to four bytes."""
     data = bytes(typestore.serialize_cdr(message, msgtype))
     return data + bytes(-len(data) % 4)
 
 
 class RecordTemplate:
-    """Records of one message type of which only header stamp and numbers change.
+    """Records of one message type in which only the header stamp and numbers change.
 
     All numbers have to be given in every call, or in none: memory is used again.
-
-    Parameters
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        Knows the type.
-    message : object
-        An example.
-    msgtype : str
-        Its type.
-    channel : int
-        Id of the channel.
     """
 
-    def __init__(self, typestore, message: object, msgtype: str, channel: int) -> None:
+    def __init__(self, typestore: Typestore, message: object, msgtype: str, channel: int) -> None:
         data = padded_cdr(typestore, message, msgtype)
-        layout = find_layout(data, msgtype, typestore)
+        layout = Layout(data, msgtype, typestore)
         self._record = record_head(channel, 0, len(data)) + data
-        fields = {name: (RECORD[name], RECORD.fields[name][1]) for name in RECORD.names}
+        fields = {name: (RECORD[name], OFFSETS[name]) for name in OFFSETS}
         for name, field in layout.fields.items():
             # Vectors as one piece: one copy in place of one for every element.
             size = np.dtype(field.dtype).itemsize * field.count
@@ -72,21 +49,10 @@ class RecordTemplate:
         )
         self._fields, self._records = layout.fields, np.empty(0, self._dtype)
 
-    def fill(self, time: np.ndarray, stamp: np.ndarray, values) -> np.ndarray:
-        """Records of messages.
-
-        Parameters
-        ----------
-        time, stamp : ndarray of int64, shape (n,)
-            Log times and header stamps [ns].
-        values : dict of str to ndarray, or structured ndarray of shape (n,)
-            Numbers by field.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Records, of a structured type; they are lost with the next call.
-        """
+    def fill(
+        self, time: np.ndarray, stamp: np.ndarray, values: dict[str, np.ndarray] | np.ndarray
+    ) -> np.ndarray:
+        """Records of messages."""
         if len(self._records) < len(time):
             size = len(self._record)
             self._records = np.full(
@@ -104,15 +70,14 @@ class RecordTemplate:
             self._copy(np.asarray(values), records)
         return records
 
-    def _set(self, records, name, array) -> None:
+    def _set(self, records: np.ndarray, name: str, array: np.ndarray) -> None:
         values = np.ascontiguousarray(array, self._fields[name].dtype)
         records[name] = np.frombuffer(values, self._dtype[name]) if len(values) else ()
 
-    def _copy(self, values, records) -> None:
-        """Fields that follow each other here and there are one piece."""
-        runs = []
-        for name in values.dtype.names:
-            kind, start = values.dtype.fields[name][:2]
+    def _copy(self, values: np.ndarray, records: np.ndarray) -> None:
+        """Copy fields; those that are contiguous in both layouts are copied as one piece."""
+        runs: list[list[int]] = []
+        for name, (kind, start, *_) in (values.dtype.fields or {}).items():
             field = self._fields[name]
             to = RECORD_HEADER + field.offset
             if kind.itemsize != np.dtype(field.dtype).itemsize * field.count:
@@ -125,7 +90,7 @@ class RecordTemplate:
             _piece(records, to, size)['piece'] = _piece(values, start, size)['piece']
 
 
-def _piece(array, offset, size):
+def _piece(array: np.ndarray, offset: int, size: int) -> np.ndarray:
     """View of some bytes of each element of a structured array."""
     return array.view(
         np.dtype(
@@ -140,48 +105,44 @@ def _piece(array, offset, size):
 
 
 class AnswerEncoder:
-    """Encodes the answers of one monitor.
-
-    Parameters
-    ----------
-    messages : BagMessages
-        Message factory.
-    typestore : rosbags.typesys.store.Typestore
-        Of the new bag.
-    sensor_names : sequence of str
-        Sensors of the arm.
-    channels : dict of str to int
-        Channel ids of ``state``, ``fault``, ``alarm`` and ``diagnostics``.
-    """
+    """Encodes the answers of one monitor."""
 
     def __init__(
-        self, messages, typestore, sensor_names: Sequence[str], channels: dict[str, int]
+        self,
+        messages: BagMessages,
+        typestore: Typestore,
+        sensor_names: Sequence[str],
+        channels: dict[str, int],
     ) -> None:
         self._messages, self._typestore, self.channels = messages, typestore, channels
         self._state = self._template(STATE_TYPE, 'state', {})
         self._fault = self._template(FAULT_TYPE, 'fault', {'sensor_names': list(sensor_names)})
 
-    def _template(self, msgtype, kind, fields):
+    def _template(self, msgtype: str, kind: str, fields: dict[str, Any]) -> RecordTemplate:
         zero = np.zeros(1, ANSWER[kind])[0]
         fields = {**fields, **{name: zero[name].tolist() for name in zero.dtype.names}}
         return RecordTemplate(
             self._typestore, self._messages.make(msgtype, 0, fields), msgtype, self.channels[kind]
         )
 
-    def state(self, time, stamp, answers, chosen):
+    def state(
+        self, time: np.ndarray, stamp: np.ndarray, answers: Answers, chosen: slice | np.ndarray
+    ) -> np.ndarray:
         """Records of lpv_msgs/StateEstimate for some rows of the answers."""
         return self._state.fill(time[chosen], stamp[chosen], answers.state[chosen])
 
-    def fault(self, time, stamp, answers, chosen):
+    def fault(
+        self, time: np.ndarray, stamp: np.ndarray, answers: Answers, chosen: slice | np.ndarray
+    ) -> np.ndarray:
         """Records of lpv_msgs/FaultEstimate for some rows of the answers."""
         return self._fault.fill(time[chosen], stamp[chosen], answers.fault[chosen])
 
-    def alarm(self, stamp, fields):
+    def alarm(self, stamp: int, fields: dict[str, Any]) -> bytes:
         """CDR of an lpv_msgs/FaultAlarm."""
         message = self._messages.make(ALARM_TYPE, stamp, fields)
         return padded_cdr(self._typestore, message, ALARM_TYPE)
 
-    def diagnostics(self, stamp, status):
+    def diagnostics(self, stamp: int, status: list[dict[str, Any]]) -> bytes:
         """CDR of a diagnostic_msgs/DiagnosticArray."""
         message = self._messages.diagnostics(stamp, status)
         return padded_cdr(self._typestore, message, DIAGNOSTICS_TYPE)

@@ -1,35 +1,27 @@
 """Answers of a monitor to all measurements of a block, regular and odd ones."""
 
+from collections import Counter
+from typing import Any
+
 import numpy as np
 
-from lpv_core.monitoring.monitor import ANSWER, Answers
+from lpv_bag.run.measurements import Measurements
+from lpv_core.monitoring.monitor import ANSWER, Answer, Answers, SensorMonitor
 from lpv_core.support.errors import SampleError
 
 _ARRAYS = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault')
 
 
-def take_all(monitor, measured, torque: np.ndarray, rejected):
-    """Answers to the measurements of a block.
-
-    Parameters
-    ----------
-    monitor : SensorMonitor
-        Its state goes on from block to block.
-    measured : Measurements
-        n measurements.
-    torque : ndarray, shape (n, 2), or None
-        In place of the measured efforts [N m].
-    rejected : collections.Counter
-        Receives the reasons of measurements that could not be used.
-
-    Returns
-    -------
-    lpv_core.monitoring.monitor.Answers
-        One row a measurement.
-    """
+def take_all(
+    monitor: SensorMonitor,
+    measured: Measurements,
+    torque: np.ndarray | None,
+    rejected: Counter[str],
+) -> Answers:
+    """Answers to the measurements of a block."""
     effort = measured.effort if torque is None else torque
 
-    def regular(a, b):
+    def regular(a: int, b: int) -> Answers:
         return monitor.take_many(
             measured.stamp[a:b], measured.position[a:b], measured.velocity[a:b], effort[a:b]
         )
@@ -54,40 +46,48 @@ def take_all(monitor, measured, torque: np.ndarray, rejected):
     return _join(parts)
 
 
-def _take_one(monitor, stamp, message, torque, rejected):
+def _take_one(
+    monitor: SensorMonitor,
+    stamp: int,
+    message: Any,
+    torque: np.ndarray | None,
+    rejected: Counter[str],
+) -> Answers:
     try:
-        return _as_row(monitor.take(stamp, message, torque))
+        return _as_row(monitor.take(stamp, message, None if torque is None else list(torque)))
     except SampleError as error:
         rejected[str(error)] += 1
         return _as_row(None)
 
 
-def _as_row(answer):
+def _as_row(answer: Answer | None) -> Answers:
     """One answer, or None, as arrays of one row."""
     row = np.zeros(1, ANSWER).view(np.recarray)
-    result = Answers(*(row[name] for name in _ARRAYS), [], [])
+    arrays: dict[str, Any] = {name: row[name] for name in _ARRAYS}
+    result = Answers(**arrays, events=[], reports=[])
     if answer is None:
         return result
     row.answered, row.has_fault = True, answer.fault is not None
     row.restarted, row.inconsistent = answer.restarted, answer.inconsistent
     for part, fields in ((row.state, answer.state), (row.fault, answer.fault)):
-        for name in part.dtype.names if fields is not None else ():
-            part[name][0] = fields[name]
+        if fields is not None:
+            for name in part.dtype.names:
+                part[name][0] = fields[name]
     result.events = [(0, event) for event in answer.events]
     result.reports = [(0, answer.status)] if answer.status is not None else []
     return result
 
 
-def _join(parts):
+def _join(parts: list[Answers]) -> Answers:
     starts = np.cumsum([0] + [len(p.answered) for p in parts])
-    arrays = [np.concatenate([np.asarray(getattr(p, name)) for p in parts]) for name in _ARRAYS]
-    arrays = [a.view(np.recarray) if a.dtype.names else a for a in arrays]
-    lists = [
-        [
+    joined: dict[str, Any] = {}
+    for name in _ARRAYS:
+        array = np.concatenate([np.asarray(getattr(p, name)) for p in parts])
+        joined[name] = array.view(np.recarray) if array.dtype.names else array
+    for name in ('events', 'reports'):
+        joined[name] = [
             (int(start) + row, what)
             for start, p in zip(starts, parts)
             for row, what in getattr(p, name)
         ]
-        for name in ('events', 'reports')
-    ]
-    return Answers(*arrays, *lists)
+    return Answers(**joined)

@@ -1,52 +1,40 @@
 """Faults added to recorded measurements."""
 
+from typing import Any
+
 import numpy as np
 
-from lpv_bag.rosbag.cdr_layout import rows
+from lpv_bag.blocks.cdr_layout import rows
+from lpv_bag.blocks.message_blocks import Block
+from lpv_bag.run.measurements import Measurements
 from lpv_core.model.joints import JointMap
-from lpv_core.simulation.faults import rate_bias
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.simulation.faults import FaultInjector, derived_rate_error, rate_bias
 
 CHANGED = ('position', 'velocity')
 """Fields of a measurement that faults act on."""
+_RECENT = 10
+"""A sample within so many sample times is the one before, if some were lost."""
 
 
 class BlockInjector:
-    """Adds faults to the measurements of block after block.
+    """Adds faults to the measurements of block after block."""
 
-    Parameters
-    ----------
-    injector : FaultInjector
-        The faults; their times count from the first measurement.
-    monitor : SensorMonitor
-        Knows the arm.
-    """
-
-    def __init__(self, injector, monitor) -> None:
+    def __init__(self, injector: FaultInjector, monitor: SensorMonitor) -> None:
         self._injector = injector
         self._arm, self._joints = monitor.arm, JointMap(monitor.arm)
-        self._start, self._active = None, False
+        self._start: int | None = None
+        self._active = False
+        self._last: tuple[float, np.ndarray] | None = None
 
     def apply(
-        self, block, positions: np.ndarray, measured, places: dict[str, np.ndarray]
+        self,
+        block: Block,
+        positions: np.ndarray,
+        measured: Measurements,
+        places: dict[str, np.ndarray],
     ) -> dict[int, object]:
-        """Change measurements, in their arrays and in the bytes that will be copied.
-
-        Parameters
-        ----------
-        block : Block
-            Its data are replaced by changed ones.
-        positions : ndarray of int, shape (n,)
-            Measurements in the block.
-        measured : Measurements
-            They, decoded.
-        places : dict of str to ndarray of int, shape (n, 2)
-            Where their values are in the block's data, by the names in `CHANGED`.
-
-        Returns
-        -------
-        dict of int to object
-            Odd messages by row that were changed.
-        """
+        """Change measurements, in their arrays and in the bytes that will be copied."""
         if not len(positions):
             return {}
         if self._start is None:
@@ -57,43 +45,60 @@ class BlockInjector:
             active |= (times >= fault.onset) & (
                 (times < fault.onset + fault.duration) | (fault.duration <= 0.0)
             )
-        # One sample after a fault: what has frozen must thaw.
+        # One sample after a fault, too: a stuck sensor is released.
         after = active | np.concatenate([[self._active], active[:-1]])
         self._active = bool(active[-1])
+        # A rate that is a difference of positions shows the end of a fault, too.
+        written = after if self._arm.rates == 'derived' else active
         changed = {}
-        for row in np.flatnonzero(after):
+        for row in map(int, np.flatnonzero(after)):
             if row in measured.odd:
                 if self._odd(measured.odd[row], times[row]):
-                    changed[int(row)] = measured.odd[row]
+                    changed[row] = measured.odd[row]
             else:
-                vectors = [getattr(measured, name)[row] for name in CHANGED]
-                faulty = self._faulty(*vectors, times[row])
-                if active[row]:
-                    for vector, values in zip(vectors, faulty):
-                        vector[:] = values
-        self._write(block, measured, places, active)
+                position, velocity = measured.position[row], measured.velocity[row]
+                faulty = self._faulty(position, velocity, times[row])
+                if written[row]:
+                    position[:], velocity[:] = faulty
+        self._write(block, measured, places, written)
         return changed
 
     @staticmethod
-    def _write(block, measured, places, active) -> None:
+    def _write(
+        block: Block, measured: Measurements, places: dict[str, np.ndarray], active: np.ndarray
+    ) -> None:
         regular = np.flatnonzero(active & (places['position'][:, 0] >= 0))
         if len(regular):
             block.data = block.data.copy()
             for name in CHANGED:
                 rows(block.data, '<f8')[places[name][regular]] = getattr(measured, name)[regular]
 
-    def _faulty(self, position, velocity, time):
-        """Position and rate with what the faults make of them."""
+    def _faulty(
+        self, position: np.ndarray, velocity: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Position and rate with the faults added."""
         reading = self._joints.sensor_position(position)
         faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
-        bias = [rate_bias(self._injector.records, i, float(time)) for i in range(2)]
-        if any(bias):
+        bias = np.array([rate_bias(self._injector.records, i, float(time)) for i in range(2)])
+        if self._arm.rates == 'derived':
+            bias += self._derived_rate_error(faulty - reading, time)
+        if np.any(bias):
             velocity = self._joints.joint_velocity_from_sensor(
                 self._joints.sensor_velocity(velocity) + bias
             )
         return self._joints.joint_from_sensor(faulty), velocity
 
-    def _odd(self, message, time) -> bool:
+    def _derived_rate_error(self, fault: np.ndarray, time: float) -> np.ndarray:
+        """What faults add to rates that are differences of the positions."""
+        before, last = self._last if self._last is not None else (time, np.zeros(2))
+        self._last = time, fault
+        # Faults begin from none: rows before them are not looked at.
+        interval = time - before
+        if not 0.0 < interval < _RECENT * self._arm.sample_time:
+            interval, last = self._arm.sample_time, np.zeros(2)
+        return np.array([derived_rate_error(*pair, interval) for pair in zip(fault, last)])
+
+    def _odd(self, message: Any, time: float) -> bool:
         try:
             columns = [list(message.name).index(name) for name in self._arm.joint_names]
             faulty = self._faulty(message.position[columns], message.velocity[columns], time)

@@ -1,19 +1,22 @@
-"""Messages of a bag in their rhythm: what all players of this software have in common."""
+"""Messages of a bag at their recorded times: common to all players of this software."""
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
-from lpv_bag.rosbag.message_blocks import read_blocks
-from lpv_bag.rosbag.prefetch import ahead
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_bag.blocks.message_blocks import read_blocks
+from lpv_bag.blocks.prefetch import ahead
+from lpv_bag.rosbag.offered_qos import offered_qos
+from lpv_bag.rosbag.reading import BagReader
+from lpv_core.support.timestamps import NANOSECONDS
 
 _DEEPEST = 20000
 _LONGEST_NAP = 0.1
@@ -21,87 +24,58 @@ _LONGEST_NAP = 0.1
 
 
 class Playback:
-    """Publishes messages of an open bag, byte for byte.
-
-    Parameters
-    ----------
-    reader : lpv_bag.rosbag.reading.BagReader
-        Open bag.
-    connections : list of rosbags connections
-        What is played.
-    publishers : dict of str to rclpy.publisher.Publisher
-        By the topic's name in the bag.
-    rate : float, optional
-        Speed; 2 is twice as fast as recorded.
-    clock : rclpy.publisher.Publisher, optional
-        Of /clock.
-    tick : int, optional
-        Time between its messages, on the clock of the bag [ns].
-    going_on : callable, optional
-        False when the player is to end.
-    """
+    """Publishes messages of an open bag, byte for byte."""
 
     def __init__(
         self,
-        reader,
-        connections,
-        publishers,
+        reader: BagReader,
+        connections: Sequence[Connection],
+        publishers: dict[str, Publisher],
         rate: float = 1.0,
-        clock=None,
+        clock: Publisher | None = None,
         tick: int | None = None,
-        going_on: Callable[..., Any] = lambda: True,
+        keep_going: Callable[..., Any] = lambda: True,
     ) -> None:
         self._reader, self._connections, self._publishers = reader, connections, publishers
         self._rate, self._clock, self._tick = rate, clock, tick
-        self._going_on = going_on
+        self._keep_going = keep_going
 
     def run(
         self, start: int | None = None, stop: int | None = None, origin: int | None = None
     ) -> int:
-        """Play once.
-
-        Parameters
-        ----------
-        start, stop : int, optional
-            First log time, and first one after the end [ns].
-        origin : int, optional
-            Time of the bag with which to begin [ns]; that of the first message if not given.
-
-        Returns
-        -------
-        int
-            Messages published.
-
-        Raises
-        ------
-        BagError
-            If the bag is damaged.
-        """
-        wall, published, tick = time.monotonic(), 0, None
+        """Play once."""
+        wall, published = time.monotonic(), 0
+        tick: float | None = None  # of the next message on /clock [ns]
         for connection, stamp, data in self._messages(start, stop):
             if tick is None:
                 wall, origin = time.monotonic(), stamp if origin is None else origin
                 tick = origin if self._clock is not None else math.inf
+            assert origin is not None
             while tick <= stamp and self._sleep(wall, tick - origin):
-                self._clock.publish(
-                    Clock(clock=Time(sec=tick // NANOSECONDS, nanosec=tick % NANOSECONDS))
-                )
-                tick += self._tick
+                tick += self._publish_clock(int(tick))
             if not self._sleep(wall, stamp - origin):
                 break
             self._publishers[connection.topic].publish(data)
             published += 1
         return published
 
-    def _messages(self, start, stop):
+    def _publish_clock(self, now: int) -> int:
+        """Publish a time [ns] on /clock; the time until the next one [ns]."""
+        assert self._clock is not None and self._tick is not None
+        self._clock.publish(Clock(clock=Time(sec=now // NANOSECONDS, nanosec=now % NANOSECONDS)))
+        return self._tick
+
+    def _messages(
+        self, start: int | None, stop: int | None
+    ) -> Iterator[tuple[Connection, int, bytes]]:
         """Messages one by one, unpacked ahead of their time."""
         for block in ahead(read_blocks(self._reader, self._connections, start, stop)):
             for i in range(len(block)):
                 yield (self._connections[block.connection[i]], int(block.time[i]), block.message(i))
 
-    def _sleep(self, wall, elapsed) -> bool:
+    def _sleep(self, wall: float, elapsed: float) -> bool:
         """Sleep until a time of the bag has come; False if the player is to end."""
-        while self._going_on():
+        while self._keep_going():
             rest = wall + elapsed / NANOSECONDS / self._rate - time.monotonic()
             if rest <= 0.0:
                 return True
@@ -109,35 +83,16 @@ class Playback:
         return False
 
 
-def await_acknowledgement(publishers, longest: float) -> None:
-    """Let slow subscribers take the last messages.
-
-    Parameters
-    ----------
-    publishers : iterable of rclpy.publisher.Publisher
-        Those that are reliable are waited for.
-    longest : float
-        For each of them [s].
-    """
+def await_acknowledgement(publishers: Iterable[Publisher], longest: float) -> None:
+    """Wait until slow subscribers have received the last messages."""
     for publisher in publishers:
         if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
             publisher.wait_for_all_acked(Duration(seconds=longest))
 
 
-def recorded_qos(connections):
-    """The QoS with which a topic was offered when it was recorded.
-
-    Parameters
-    ----------
-    connections : list of rosbags connections
-        All of one topic.
-
-    Returns
-    -------
-    rclpy.qos.QoSProfile
-        Reliable unless a publisher was best effort, latched if all were; the deepest queue.
-    """
-    offered = [q for c in connections for q in (c.ext.offered_qos_profiles or ())]
+def recorded_qos(connections: Sequence[Connection]) -> QoSProfile:
+    """The QoS with which a topic was offered when it was recorded."""
+    offered = [q for c in connections for q in offered_qos(c)]
     reliable = not any(q.reliability == QosReliability.BEST_EFFORT for q in offered)
     latched = bool(offered) and all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
     return QoSProfile(

@@ -3,31 +3,34 @@
 import importlib
 import time
 from collections.abc import Callable, Sequence
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosbags.interfaces import Connection
 from rosgraph_msgs.msg import Clock
 
 from lpv_bag.replay.playback import Playback, await_acknowledgement, recorded_qos
 from lpv_bag.replay.writer import DIAGNOSTICS, OUTPUTS
+from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import BagError, find_topic, open_bag
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 _CLOCK = '/clock'
 _SETTLING = 1.0
-"""Subscribers find publishers one after the other: so long after the latest one [s]."""
+"""Subscribers find publishers one after the other: time to wait after the latest one [s]."""
 
 _LAST_CALL = 5.0
 """How long slow subscribers may take for the last messages [s]."""
 
 
 class Player:
-    """Publishes the messages of a bag, byte for byte, in their rhythm.
+    """Publishes the messages of a bag, byte for byte, at their recorded times.
 
     Parameters
     ----------
@@ -64,7 +67,7 @@ class Player:
         loop: bool = False,
         clock_rate: float = 100.0,
         wait: float = 5.0,
-        interval: tuple[float, ...] | None = (None, None),
+        interval: tuple[float | None, float | None] = (None, None),
     ) -> None:
         for name, value, low, high in (
             ('--rate', rate, 1e-3, 1e3),
@@ -73,9 +76,9 @@ class Player:
         ):
             if not low <= value <= high:
                 raise ConfigError(name, f'must be a number from {low:g} to {high:g}, got {value}')
-        for value in interval:
-            if value is not None and not 0.0 <= value < 1e9:
-                raise ConfigError('--from, --to', f'must be seconds from 0, got {value}')
+        for end in interval:
+            if end is not None and not 0.0 <= end < 1e9:
+                raise ConfigError('--from, --to', f'must be seconds from 0, got {end}')
         self._bag, self._topics, self._measured = bag, topics, measured
         self._rate, self._loop, self._wait = rate, loop, wait
         self._tick = round(NANOSECONDS / clock_rate) if clock_rate else None
@@ -89,7 +92,7 @@ class Player:
         say : callable, optional
             Receives lines for the user.
         rounds : int, optional
-            End a loop after so many.
+            Number of rounds after which a loop ends.
 
         Returns
         -------
@@ -116,17 +119,19 @@ class Player:
                 playback = Playback(
                     reader, chosen, publishers, self._rate, clock, self._tick, context.ok
                 )
-                published = 0
-                for turn in count():
-                    published += playback.run(*self._limits(reader))
-                    if not self._loop or turn + 1 == rounds or not context.ok():
-                        await_acknowledgement(publishers.values(), _LAST_CALL)
-                        return published
+                published = turn = 0
+                while True:
+                    published += playback.run(*map(reader.log_time, self._interval))
+                    turn += 1
+                    if not self._loop or turn == rounds or not context.ok():
+                        break
+                await_acknowledgement(publishers.values(), _LAST_CALL)
+                return published
             finally:
                 node.destroy_node()
                 rclpy.try_shutdown(context=context)
 
-    def _choose(self, reader):
+    def _choose(self, reader: BagReader) -> list[Connection]:
         if self._topics is not None:
             there = {c.topic for c in reader.connections}
             missing = [t for t in self._topics if t not in there]
@@ -141,8 +146,8 @@ class Player:
         answers = {f'{prefix}/{name}' for name, _ in OUTPUTS.values()} | {DIAGNOSTICS, _CLOCK}
         return [c for c in reader.connections if c.topic not in answers]
 
-    def _await(self, publishers, say) -> None:
-        """Wait for somebody who listens, and until no more come."""
+    def _await(self, publishers: list[Publisher], say: Callable[[str], None]) -> None:
+        """Wait for a subscriber, and until no more come."""
         counts, since = [0] * len(publishers), time.monotonic()
         deadline = since + self._wait
         while (now := time.monotonic()) < deadline:
@@ -153,17 +158,14 @@ class Player:
                 return
             time.sleep(0.02)
         if self._wait and not any(counts):
-            say('nobody listens; playing all the same')
-
-    def _limits(self, reader):
-        return tuple(
-            None if value is None else reader.start_time + round(value * NANOSECONDS)
-            for value in self._interval
-        )
+            say('there are no subscribers; playing nevertheless')
 
 
-def _publishers(node, connections, say):
-    found, topics = {}, {}
+def _publishers(
+    node: Node, connections: Sequence[Connection], say: Callable[[str], None]
+) -> dict[str, Publisher]:
+    found: dict[str, Publisher] = {}
+    topics: dict[str, list[Connection]] = {}
     for connection in connections:
         topics.setdefault(connection.topic, []).append(connection)
     for connection in connections:

@@ -1,109 +1,35 @@
 """Offline run of the diagnosis over a recorded bag, with the node's own code."""
 
 import shutil
-import time
-from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Connection
 
+from lpv_bag.blocks.message_blocks import read_blocks
+from lpv_bag.blocks.prefetch import Behind, ahead
 from lpv_bag.replay.answer_rows import take_all
 from lpv_bag.replay.injection import CHANGED, BlockInjector
+from lpv_bag.replay.session import Batch, ReplayOptions, ReplayResult
 from lpv_bag.replay.writer import ReplayWriter
-from lpv_bag.rosbag.message_blocks import read_blocks
-from lpv_bag.rosbag.prefetch import Behind, ahead
+from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
 from lpv_bag.run.record import BagError, find_topic, open_bag
-from lpv_bag.run.stream_tap import Bystander
+from lpv_bag.run.stream_tap import StreamTap
+from lpv_bag.run.streams import RecordedAlarm
 from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.monitoring.monitor import Answers, SensorMonitor
+from lpv_core.simulation.faults import FaultInjector
 from lpv_core.support.errors import ConfigError
 
 _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
 
 
-@dataclass(frozen=True)
-class ReplayOptions:
-    """What is replayed, and what is written.
-
-    Attributes
-    ----------
-    topic : str or None
-        Topic of the measurements, where the bag has several of type JointState.
-    effort_topic : str or None
-        Topic of torques to use in place of the measured efforts; its type is one of
-        `lpv_bag.run.torque_reader.EFFORT_TYPES`.
-    torque_from_command : bool
-        Take torques from the recorded commands.
-    start, end : float or None
-        Only messages in this interval, counted from the first message of the bag [s].
-    estimates_only : bool
-        Write the answers alone; otherwise all topics are copied, too.
-    preset : str
-        Compression of the new bag, key of `lpv_bag.mcap.writer.PRESETS`.
-    fast : bool
-        False reads message by message whatever the file is like.
-    """
-
-    topic: str = None
-    effort_topic: str = None
-    torque_from_command: bool = False
-    start: float = None
-    end: float = None
-    estimates_only: bool = False
-    preset: str = 'none'
-    fast: bool = True
-
-
-@dataclass
-class ReplayResult:
-    """What a replay found.
-
-    Attributes
-    ----------
-    measurements : int
-        Samples read.
-    rejected : collections.Counter
-        Reasons of samples that could not be used, with how often.
-    events : list of Alarm
-        Alarm events.
-    seconds : dict of str to float
-        Processor time by stage [s].
-    topic : str
-        Of the measurements.
-    streams : set of str
-        Other streams that were asked for and are there.
-    warnings : list of str
-        What is wrong with the bag, and was put up with.
-    lost : int
-        Measurements that the recorder says it has lost.
-    """
-
-    measurements: int = 0
-    rejected: Counter = field(default_factory=Counter)
-    events: list = field(default_factory=list)
-    seconds: dict = field(default_factory=Counter)
-    topic: str = ''
-    streams: set = field(default_factory=set)
-    warnings: list = field(default_factory=list)
-    lost: int = 0
-
-    @contextmanager
-    def stage(self, name):
-        """Count the calling thread's processor time of a ``with`` block."""
-        start = time.thread_time()
-        try:
-            yield
-        finally:
-            self.seconds[name] += time.thread_time() - start
-
-
 class Replay:
-    """Runs a monitor over a bag and writes a bag with what it answers.
+    """Runs a monitor over a bag and writes a bag with its answers.
 
     Parameters
     ----------
@@ -121,11 +47,11 @@ class Replay:
 
     def __init__(
         self,
-        monitor,
+        monitor: SensorMonitor,
         options: ReplayOptions | None = None,
-        injector=None,
-        on_event: Callable[..., Any] | None = None,
-        **changes,
+        injector: FaultInjector | None = None,
+        on_event: Callable[[RecordedAlarm], None] | None = None,
+        **changes: Any,
     ) -> None:
         self._monitor, self._injector = monitor, injector
         self._options = replace(options or ReplayOptions(), **changes)
@@ -163,6 +89,8 @@ class Replay:
                 self._run(reader, inputs, writer, result)
                 if not result.measurements:
                     raise _nothing(bag, inputs)
+                if not result.answered and result.rejected:
+                    raise _unusable(bag, result)
                 with result.stage('writing'):
                     writer.close()
             except BaseException:
@@ -182,7 +110,7 @@ class Replay:
         bag : str or pathlib.Path
             Bag to read.
         take : callable
-            Called with measurements, answers, and other streams as of `Bystander.read`, block by
+            Called with measurements, answers, and other streams as of `StreamTap.read`, block by
             block.
         streams : sequence of str, optional
             Other streams of the bag, names of `lpv_bag.run.record.STREAMS`.
@@ -200,32 +128,38 @@ class Replay:
         result = ReplayResult()
         with open_bag(bag) as reader:
             inputs = self._inputs(reader)
-            bystander = Bystander(reader, inputs.prefix, streams)
-            result.topic, result.streams = inputs.measured, bystander.present
-            for batch in ahead(self._batches(reader, inputs, bystander, result)):
+            tap = StreamTap(reader, inputs.prefix, streams)
+            result.topic, result.streams = inputs.measured, tap.present
+            for batch in ahead(self._batches(reader, inputs, tap, result)):
                 answers = self._answer(batch, result)
-                take(batch.measured, answers, bystander.read(batch.block))
+                take(batch.measured, answers, tap.read(batch.block))
             result.warnings = list(reader.warnings)
             result.lost = int(reader.known.get(inputs.measured, {}).get('lost', 0))
         if not result.measurements:
             raise _nothing(bag, inputs)
         return result
 
-    def _answer(self, batch, result):
+    def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
         result.measurements += len(batch.positions)
+        stamps = batch.measured.stamp
+        if result.first_stamp is None and len(stamps):
+            result.first_stamp = int(stamps[0])
         with result.stage('recursion'):
             answers = take_all(self._monitor, batch.measured, batch.torque, result.rejected)
-        for _, event in answers.events:
-            result.events.append(event)
-            self._on_event(event)
+        result.answered += int(np.count_nonzero(answers.answered))
+        for row, event in answers.events:
+            result.events.append(RecordedAlarm(**vars(event), stamp=int(stamps[row])))
+            self._on_event(result.events[-1])
         return answers
 
-    def _run(self, reader, inputs, writer, result) -> None:
-        with Behind(lambda *parts: writer.write(*parts, result)) as write:
+    def _run(
+        self, reader: BagReader, inputs: '_Inputs', writer: ReplayWriter, result: ReplayResult
+    ) -> None:
+        with Behind(lambda batch, answers: writer.write(batch, answers, result)) as write:
             for batch in ahead(self._batches(reader, inputs, writer, result)):
                 write(batch, self._answer(batch, result))
 
-    def _inputs(self, reader):
+    def _inputs(self, reader: BagReader) -> '_Inputs':
         options = self._options
         measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic).topic
         prefix = measured.rsplit('/', 1)[0]
@@ -237,7 +171,13 @@ class Replay:
             effort = find_topic(reader, _COMMAND[1], _COMMAND[0], f'{prefix}/{_COMMAND[0]}')
         return _Inputs(prefix, measured, effort and effort.topic, effort and effort.msgtype)
 
-    def _batches(self, reader, inputs, writer, result):
+    def _batches(
+        self,
+        reader: BagReader,
+        inputs: '_Inputs',
+        writer: ReplayWriter | StreamTap,
+        result: ReplayResult,
+    ) -> Iterator[Batch]:
         """Blocks of the bag with the measurements in them, decoded."""
         options, joints = self._options, self._monitor.arm.joint_names
         kept = [
@@ -249,11 +189,11 @@ class Replay:
         is_effort = np.array([c.topic == inputs.effort for c in kept])
         measurements = MeasurementReader(reader, joints)
         efforts = injector = None
-        if inputs.effort:
+        if inputs.effort_type:
             efforts = EffortReader(reader, inputs.effort_type, joints)
         if self._injector is not None:
             injector = BlockInjector(self._injector, self._monitor)
-        blocks = read_blocks(reader, kept, *_limits(reader, options), options.fast)
+        blocks = read_blocks(reader, kept, *_limits(reader, options), fast=options.fast)
         while True:
             with result.stage('reading'):
                 block = next(blocks, None)
@@ -277,7 +217,7 @@ class Replay:
                         measured,
                         {name: measurements.places(block, positions, name) for name in CHANGED},
                     )
-                batch = _Batch(
+                batch = Batch(
                     block, positions, measured, torque, *writer.choose(reader, kept, block), changed
                 )
             yield batch
@@ -287,29 +227,23 @@ class Replay:
 class _Inputs:
     prefix: str
     measured: str
-    effort: str
-    effort_type: str
+    effort: str | None
+    effort_type: str | None
 
 
-@dataclass
-class _Batch:
-    """A block, its measurements, which of its messages are copied to which channels, and measured
-    messages that were changed, by row."""
-
-    block: object
-    positions: np.ndarray
-    measured: object
-    torque: np.ndarray
-    copied: np.ndarray
-    channels: np.ndarray
-    changed: dict
-
-
-def _nothing(bag, inputs):
+def _nothing(bag: str | Path, inputs: '_Inputs') -> BagError:
     return BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
 
 
-def _effort_connection(reader, topic):
+def _unusable(bag: str | Path, result: ReplayResult) -> BagError:
+    (reason, count), *_ = result.rejected.most_common(1)
+    return BagError(
+        f'{bag}: none of its {result.measurements} measurements can be used '
+        f'({count} of them: {reason})'
+    )
+
+
+def _effort_connection(reader: BagReader, topic: str) -> Connection:
     found = [c for c in reader.connections if c.topic == topic]
     if not found:
         there = ', '.join(sorted(c.topic for c in reader.connections if c.msgtype in EFFORT_TYPES))
@@ -325,15 +259,12 @@ def _effort_connection(reader, topic):
     return found[0]
 
 
-def _limits(reader, options):
-    """First log time and first one behind the end [ns]; None without limits."""
+def _limits(reader: BagReader, options: ReplayOptions) -> tuple[int | None, int | None]:
+    """First log time, and first one after the end [ns]; None without limits."""
     for name in ('start', 'end'):
         value = getattr(options, name)
         if value is not None and not 0.0 <= value < 1e9:
             raise ConfigError(name, f'must be a number of seconds from 0, got {value}')
     if options.start is not None and options.end is not None and options.end <= options.start:
-        raise ConfigError('end', 'must be behind the start')
-    return tuple(
-        None if value is None else reader.start_time + round(value * NANOSECONDS)
-        for value in (options.start, options.end)
-    )
+        raise ConfigError('end', 'must be after the start')
+    return reader.log_time(options.start), reader.log_time(options.end)

@@ -1,9 +1,15 @@
 """The bag that a replay writes: copies of recorded messages, and answers."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Connection
 
+from lpv_bag.blocks.chunk_assembly import Buffer, ChunkAssembly
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
+from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.replay.answer_records import (
     ALARM_TYPE,
     DIAGNOSTICS_TYPE,
@@ -12,12 +18,13 @@ from lpv_bag.replay.answer_records import (
     AnswerEncoder,
     padded_cdr,
 )
-from lpv_bag.rosbag.chunk_assembly import Buffer, ChunkAssembly
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
+from lpv_bag.replay.session import Batch, ReplayResult
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_core.monitoring.message_fields import alarm_fields
+from lpv_core.monitoring.monitor import Answers, SensorMonitor
 from lpv_core.support.errors import ConfigError
 
 OUTPUTS = {
@@ -34,43 +41,19 @@ _SLOTS = 4
 
 
 class ReplayWriter:
-    """Writes the new bag.
+    """Writes the new bag."""
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Bag to create.
-    monitor : SensorMonitor
-        Whose answers are written; its name is that of the node in diagnostics.
-    prefix : str
-        Namespace of the answers.
-    preset : str
-        Compression, key of `lpv_bag.mcap.writer.PRESETS`.
-
-    Raises
-    ------
-    ConfigError
-        If the bag exists already or cannot be made.
-    """
-
-    def __init__(self, path: str | Path, monitor, prefix: str, preset: str) -> None:
+    def __init__(self, path: str | Path, monitor: SensorMonitor, prefix: str, preset: str) -> None:
         self._monitor, self._prefix = monitor, prefix
         self._own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.values()}
         self._bag = ChunkBagWriter(
             path, preset, {MARK: f'arm {monitor.arm.name} {monitor.arm.sha256()[:12]}'}
         )
-        self._copied, self._buffer = set(), Buffer()
+        self._copied: set[str] = set()
+        self._buffer = Buffer()
 
-    def announce(self, connections, copy: bool) -> None:
-        """Announce topics.
-
-        Parameters
-        ----------
-        connections : list of rosbags connections
-            Of the recorded bag.
-        copy : bool
-            Whether they are copied; those of answers of this monitor never are.
-        """
+    def announce(self, connections: Sequence[Connection], copy: bool) -> None:
+        """Announce topics."""
         for connection in connections if copy else ():
             if connection.topic not in self._own:
                 self._bag.copy_topic(connection)
@@ -91,58 +74,35 @@ class ReplayWriter:
             channels,
         )
 
-    def is_copied(self, connection) -> bool:
+    def is_copied(self, connection: Connection) -> bool:
         """Whether messages of a connection are copied."""
         return connection.topic in self._copied
 
-    def choose(self, reader, connections, block):
-        """Which messages of a block are copied, and to which channels.
-
-        Parameters
-        ----------
-        reader : BagReader
-            To look into diagnostics: our own ones are replaced.
-        connections : list of rosbags connections
-            Of the block.
-        block : Block
-            Messages.
-
-        Returns
-        -------
-        tuple of ndarray of int
-            Positions and channel ids.
-        """
+    def choose(
+        self, reader: BagReader, connections: Sequence[Connection], block: Block
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which messages of a block are copied, and to which channels."""
         channels = np.array(
             [self._bag.channel(c.topic) if self.is_copied(c) else -1 for c in connections]
         )[block.connection]
         for i, connection in enumerate(connections):
             if connection.topic == DIAGNOSTICS and self.is_copied(connection):
                 for k in np.flatnonzero(block.connection == i):
-                    status = reader.deserialize(block.message(k), connection.msgtype).status
+                    status = reader.deserialize(block.message(int(k)), connection.msgtype).status
                     if status and status[0].name.startswith(f'{self._monitor.name}: '):
                         channels[k] = -1
         copied = np.flatnonzero(channels >= 0)
         return copied, channels[copied]
 
-    def write(self, batch: object, answers: object, result) -> None:
-        """Write copies and answers of one block.
-
-        Parameters
-        ----------
-        batch : object
-            Block with its measurements and copies.
-        answers : object
-            As of `SensorMonitor.take_many`.
-        result : ReplayResult
-            Counts the time.
-        """
+    def write(self, batch: Batch, answers: Answers, result: ReplayResult) -> None:
+        """Write copies and answers of one block."""
         with result.stage('encoding'):
             data, index = self._assemble(batch, answers)
         with result.stage('writing'):
             if index:
                 self._bag.write_chunk(data, index)
 
-    def _assemble(self, batch, answers):
+    def _assemble(self, batch: Batch, answers: Answers) -> tuple[np.ndarray, dict[int, Any]]:
         block, stamp = batch.block, batch.measured.stamp
         time = block.time[batch.positions]
         # Without copies only measurements need places.
@@ -155,8 +115,8 @@ class ReplayWriter:
             (_STATE, answers.answered, self._encoder.state),
             (_FAULT, answers.has_fault, self._encoder.fault),
         ):
-            chosen = slice(None) if chosen.all() else chosen
-            assembly.add_rows(_SLOTS * rows[chosen] + rank, encode(time, stamp, answers, chosen))
+            some = slice(None) if chosen.all() else chosen
+            assembly.add_rows(_SLOTS * rows[some] + rank, encode(time, stamp, answers, some))
         channels = self._encoder.channels
         for row, event in answers.events:
             assembly.add_message(
@@ -174,7 +134,7 @@ class ReplayWriter:
             )
         return assembly.finish()
 
-    def _add_copies(self, assembly, batch) -> None:
+    def _add_copies(self, assembly: ChunkAssembly, batch: Batch) -> None:
         copied, channels = batch.copied, batch.channels
         if batch.changed and len(copied):
             # Messages that were changed by injected faults, and whose size may differ now.
@@ -192,13 +152,7 @@ class ReplayWriter:
         assembly.add_copies(_SLOTS * copied + _COPY, batch.block, copied, channels)
 
     def close(self) -> None:
-        """Finish the bag.
-
-        Raises
-        ------
-        ConfigError
-            If the end of it cannot be written.
-        """
+        """Finish the bag."""
         missing = self._bag.close()
         if missing:
             raise ConfigError(

@@ -2,31 +2,19 @@
 
 import functools
 from collections.abc import Iterable
+from typing import Any
 
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
 from lpv_bag.rosbag.interfaces import make_typestore
+from lpv_bag.rosbag.reading import BagReader
 
 _STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
 
 
-def check_definition(reader, msgtype: str, fields: Iterable[str]) -> None:
+def check_definition(reader: BagReader, msgtype: str, fields: Iterable[str]) -> None:
     """Check that fields of a message type are there, and are what they are expected to be.
 
     A definition may have more fields: bags outlive the version that wrote them.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    msgtype : str
-        Message type.
-    fields : iterable of str
-        Fields that are needed.
-
-    Raises
-    ------
-    BagError
-        If the bag defines them differently.
     """
     bag, own = reader.typestore_of(msgtype).fielddefs, _own_types()
     wanted = {msgtype: tuple(fields), **(_STAMP if 'header' in fields else {})}
@@ -42,5 +30,5 @@ def check_definition(reader, msgtype: str, fields: Iterable[str]) -> None:
 
 
 @functools.lru_cache(maxsize=1)
-def _own_types():
+def _own_types() -> Any:
     return make_typestore().fielddefs

@@ -1,52 +1,27 @@
 """Message definitions for reading and writing bags without ROS."""
 
 import os
+import site
 import sys
 from pathlib import Path
+from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from lpv_core.support.errors import ConfigError
 
 
 def share_folders(package: str) -> list[Path]:
-    """Folders that may hold a package's interface files, in order of preference.
-
-    Parameters
-    ----------
-    package : str
-        ROS package.
-
-    Returns
-    -------
-    list of pathlib.Path
-        ``<prefix>/share/<package>`` of sourced prefixes, of this Python's prefix, and the source
-        tree's own folder.
-    """
+    """Folders that may hold a package's interface files, in order of preference."""
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix)]
+    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix, site.getuserbase())]
     folders.append(Path(__file__).resolve().parents[3] / package)
     return folders
 
 
 def message_text(msgtype: str) -> str:
-    """Definition of a message type from its ``.msg`` file.
-
-    Parameters
-    ----------
-    msgtype : str
-        For instance ``lpv_msgs/msg/FaultEstimate``.
-
-    Returns
-    -------
-    str
-        Content of the file.
-
-    Raises
-    ------
-    ConfigError
-        If no installed package has it.
-    """
+    """Definition of a message type from its ``.msg`` file."""
     package, _, name = msgtype.split('/')
     for folder in share_folders(package):
         path = folder / 'msg' / f'{name}.msg'
@@ -58,7 +33,7 @@ def message_text(msgtype: str) -> str:
     )
 
 
-def add_type(typestore, msgtype: str) -> None:
+def add_type(typestore: Typestore, msgtype: str) -> None:
     """Make a type known to a typestore, with the types that it uses.
 
     Parameters
@@ -83,10 +58,10 @@ def add_type(typestore, msgtype: str) -> None:
         missing += [used for used in _used_types(found[name]) if used not in typestore.fielddefs]
 
 
-def _used_types(definition):
+def _used_types(definition: Any) -> list[str]:
     """Names of nested message types; a field is (name, (kind, what)) and arrays nest one level."""
 
-    def names(kind):
+    def names(kind: Any) -> list[str]:
         node, what = kind
         if int(node) == 2:  # Nodetype.NAME
             return [what]
@@ -107,7 +82,7 @@ LPV_TYPES = (
 )
 
 
-def make_typestore():
+def make_typestore() -> Typestore:
     """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs.
 
     Returns

@@ -1,54 +1,33 @@
 """Puts the fields of lpv_core.monitoring.message_fields into messages of a bag's typestore."""
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from rosbags.typesys.store import Typestore
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.support.timestamps import NANOSECONDS
 
 _DTYPES = {'state': np.uint8, 'alarm': np.bool_}
 
 
 class BagMessages:
-    """Message factory of one typestore.
+    """Message factory of one typestore."""
 
-    Parameters
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        As of `lpv_bag.rosbag.interfaces.make_typestore`.
-    frame_id : str
-        Of every header.
-    """
-
-    def __init__(self, typestore, frame_id: str) -> None:
+    def __init__(self, typestore: Typestore, frame_id: str) -> None:
         self._types, self._frame_id = typestore.types, frame_id
 
-    def time(self, nanoseconds):
+    def time(self, nanoseconds: int) -> Any:
         """builtin_interfaces/Time of a stamp [ns]."""
         return self._types['builtin_interfaces/msg/Time'](*divmod(nanoseconds, NANOSECONDS))
 
-    def header(self, stamp, frame_id=None):
+    def header(self, stamp: int, frame_id: str | None = None) -> Any:
         """std_msgs/Header of a stamp [ns]."""
         frame_id = self._frame_id if frame_id is None else frame_id
         return self._types['std_msgs/msg/Header'](self.time(stamp), frame_id)
 
     def make(self, msgtype: str, stamp: int, fields: dict[str, Any]) -> object:
-        """A message of lpv_msgs.
-
-        Parameters
-        ----------
-        msgtype : str
-            Message type whose first field is a header.
-        stamp : int
-            [ns].
-        fields : dict
-            Other fields; arrays as any sequence, ``onset`` and ``detected`` in nanoseconds.
-
-        Returns
-        -------
-        object
-            Message.
-        """
+        """A message of lpv_msgs."""
         values = {}
         for name, value in fields.items():
             if name in ('onset', 'detected'):
@@ -58,8 +37,8 @@ class BagMessages:
             values[name] = value
         return self._types[msgtype](header=self.header(stamp), **values)
 
-    def diagnostics(self, stamp, status):
-        """diagnostic_msgs/DiagnosticArray of statuses as of `lpv_core.monitoring.message_fields`."""
+    def diagnostics(self, stamp: int, status: list[dict[str, Any]]) -> Any:
+        """DiagnosticArray of statuses as of `lpv_core.monitoring.message_fields`."""
         status_type = self._types['diagnostic_msgs/msg/DiagnosticStatus']
         pair = self._types['diagnostic_msgs/msg/KeyValue']
         return self._types['diagnostic_msgs/msg/DiagnosticArray'](
@@ -72,7 +51,14 @@ class BagMessages:
             ],
         )
 
-    def joint_state(self, stamp, names, position, velocity, effort):
+    def joint_state(
+        self,
+        stamp: int,
+        names: Iterable[str],
+        position: Sequence[float],
+        velocity: Sequence[float],
+        effort: Sequence[float],
+    ) -> Any:
         """sensor_msgs/JointState."""
         return self._types['sensor_msgs/msg/JointState'](
             self.header(stamp),

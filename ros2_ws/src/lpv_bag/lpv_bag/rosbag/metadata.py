@@ -1,14 +1,16 @@
 """metadata.yaml of rosbag2 bags."""
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.errors import DamageError
 
 FILE_NAME = 'metadata.yaml'
 VERSION = 9
@@ -20,53 +22,20 @@ _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 
 @dataclass(frozen=True)
 class BagMetadata:
-    """What a metadata.yaml says that is not in the files themselves.
+    """What a metadata.yaml says that is not in the files themselves."""
 
-    Attributes
-    ----------
-    storage : str
-        ``mcap`` or ``sqlite3``.
-    files : tuple of str
-        Names of the files in the bag's directory, in order.
-    compressed : bool
-        Whether files or messages are compressed by rosbag2 itself, beside what a storage does.
-    counts : dict of str to int
-        Messages by topic.
-    topics : tuple of str
-        In their order.
-    hashes : dict of str to str
-        Type description hash by message type.
-    custom : dict of str to str
-        Custom data.
-    """
-
-    storage: str
-    files: tuple
+    storage: str  # ``mcap`` or ``sqlite3``
+    files: tuple  # names of the files in the bag's directory, in order
+    # whether files or messages are compressed by rosbag2 itself, beside what a storage does
     compressed: bool
-    counts: dict
-    topics: tuple
-    hashes: dict
-    custom: dict
+    counts: dict  # messages by topic
+    topics: tuple  # in their order
+    hashes: dict  # type description hash by message type
+    custom: dict  # custom data
 
 
 def read_metadata(folder: str | Path) -> BagMetadata:
-    """Read the metadata of a bag.
-
-    Parameters
-    ----------
-    folder : str or pathlib.Path
-        Bag.
-
-    Returns
-    -------
-    BagMetadata
-        What it says.
-
-    Raises
-    ------
-    DamageError
-        If it cannot be read or is not metadata.
-    """
+    """Read the metadata of a bag."""
     path = Path(folder) / FILE_NAME
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -85,11 +54,11 @@ def read_metadata(folder: str | Path) -> BagMetadata:
         ) from None
 
 
-def _parse(data):
+def _parse(data: Any) -> BagMetadata:
     if int(data['version']) > VERSION:
         raise ValueError(f'version {data["version"]} is not known')
     topics = data['topics_with_message_count'] or []
-    counts = {}
+    counts: dict[str, int] = {}
     for entry in topics:
         name = entry['topic_metadata']['name']
         counts[name] = counts.get(name, 0) + int(entry['message_count'])
@@ -109,35 +78,13 @@ def _parse(data):
     )
 
 
-def qos_data(profiles) -> list[dict[str, Any]]:
-    """Offered QoS as metadata.yaml has them.
-
-    Parameters
-    ----------
-    profiles : sequence of rosbags.interfaces.Qos
-        Profiles.
-
-    Returns
-    -------
-    list of dict
-        To be dumped.
-    """
+def qos_data(profiles: Iterable[Qos]) -> list[Any]:
+    """Offered QoS as metadata.yaml has them."""
     return dump_qos_v9(list(profiles))
 
 
 def dump(data: object) -> str:
-    """YAML text.
-
-    Parameters
-    ----------
-    data : object
-        Lists, dicts, numbers, strings.
-
-    Returns
-    -------
-    str
-        Block style, keys in their order.
-    """
+    """YAML text."""
     return yaml.dump(
         data,
         Dumper=_DUMPER,
@@ -151,22 +98,7 @@ def dump(data: object) -> str:
 def bag_information(
     files: list[tuple[Any, ...]], topics: list[tuple[Any, ...]], custom: dict[str, str]
 ) -> dict[str, Any]:
-    """Content of metadata.yaml.
-
-    Parameters
-    ----------
-    files : list of tuple
-        Name, first and last log time [ns] and number of messages of each file.
-    topics : list of tuple
-        Name, type, offered QoS profiles, type hash and number of messages of each topic.
-    custom : dict of str to str
-        Custom data.
-
-    Returns
-    -------
-    dict
-        Below ``rosbag2_bagfile_information``.
-    """
+    """Content of metadata.yaml."""
     spans = [span for span in files if span[3]]
     start = min((span[1] for span in spans), default=0)
     end = max((span[2] for span in spans), default=0)

@@ -1,6 +1,7 @@
 """Quality of service as it is stored beside a topic."""
 
 from rosbags.interfaces import (
+    Connection,
     Qos,
     QosDurability,
     QosHistory,
@@ -12,21 +13,8 @@ from rosbags.interfaces import (
 _FOREVER = QosTime(2147483647, 4294967295)
 
 
-def qos_profile(reliable: bool, transient_local: bool, depth: int):
-    """Offered QoS as stored beside a topic.
-
-    Parameters
-    ----------
-    reliable, transient_local : bool
-        Policies; best effort and volatile otherwise.
-    depth : int
-        History depth.
-
-    Returns
-    -------
-    rosbags.interfaces.Qos
-        The profile.
-    """
+def qos_profile(reliable: bool, transient_local: bool, depth: int) -> Qos:
+    """Offered QoS as stored beside a topic."""
     return Qos(
         QosHistory.KEEP_LAST,
         depth,
@@ -38,3 +26,8 @@ def qos_profile(reliable: bool, transient_local: bool, depth: int):
         _FOREVER,
         False,
     )
+
+
+def offered_qos(connection: Connection) -> list[Qos]:
+    """QoS profiles with which a topic was offered when it was recorded; none of ROS 1 bags."""
+    return list(getattr(connection.ext, 'offered_qos_profiles', None) or ())

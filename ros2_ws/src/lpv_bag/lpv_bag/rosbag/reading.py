@@ -2,62 +2,59 @@
 
 import contextlib
 import functools
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
-from lpv_bag.mcap.bag import McapBag
-from lpv_bag.rosbag.errors import BagError, DamageError
+from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import make_typestore
-from lpv_bag.rosbag.metadata import FILE_NAME, read_metadata
+from lpv_bag.rosbag.mcap_bag import McapBag
+from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
 from lpv_core.support.errors import LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 
 class BagReader:
-    """A bag that is open for reading.
+    """A bag that is open for reading."""
 
-    Attributes
-    ----------
-    paths : list of pathlib.Path
-        The bag.
-    connections : list of rosbags.interfaces.Connection
-        Its topics.
-    warnings : list of str
-        What is wrong with it; may grow while it is read.
-    known : dict of str to dict of str to int
-        What the recorder stored of each topic: ``lost``, ``late``, ``gaps``.
-    """
-
-    def __init__(self, path, source, typestore) -> None:
+    def __init__(self, path: Path, source: McapBag | AnyReader, typestore: Typestore) -> None:
         self.paths, self._source, self._typestore = [path], source, typestore
         self.warnings = getattr(source, 'warnings', [])
         self.known = getattr(source, 'known', {})
-        self._types = {}
+        self._types: dict[str, Typestore] = {}
 
     @property
-    def source(self):
+    def source(self) -> McapBag | AnyReader:
         """What reads: an `McapBag`, or an AnyReader of rosbags."""
         return self._source
 
     @property
-    def connections(self):
+    def connections(self) -> list[Connection]:
         """Topics of the bag."""
         return self._source.connections
 
     @property
-    def start_time(self):
+    def start_time(self) -> int:
         """Log time of the first message [ns]; 2**63 - 1 without messages."""
         return self._source.start_time
 
     @property
-    def end_time(self):
+    def end_time(self) -> int:
         """Time after the log time of the last message [ns]; 0 without messages."""
         return self._source.end_time
 
+    def log_time(self, seconds: float | None) -> int | None:
+        """Log time of a moment counted from the first message [ns]; None stays None."""
+        return None if seconds is None else self.start_time + round(seconds * NANOSECONDS)
+
     @functools.cached_property
-    def typestore(self):
+    def typestore(self) -> Typestore:
         """Typestore that knows all types of the bag."""
         found = {}
         for msgtype in sorted({connection.msgtype for connection in self.connections}):
@@ -67,7 +64,12 @@ class BagReader:
             store.register(found)
         return store
 
-    def messages(self, connections=(), start: int | None = None, stop: int | None = None):
+    def messages(
+        self,
+        connections: Collection[Connection] = (),
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Iterator[tuple[Connection, int, bytes]]:
         """Messages in the order of their log times.
 
         Parameters
@@ -90,7 +92,7 @@ class BagReader:
         with damage(self.paths[0]):
             yield from self._source.messages(connections, start=start, stop=stop)
 
-    def deserialize(self, rawdata: bytes, typ: str) -> object:
+    def deserialize(self, rawdata: bytes, typ: str) -> Any:
         """Decode a message.
 
         Parameters
@@ -115,7 +117,7 @@ class BagReader:
                 return self._source.deserialize(rawdata, typ)
             return self.typestore_of(typ).deserialize_cdr(rawdata, typ)
 
-    def typestore_of(self, msgtype: str):
+    def typestore_of(self, msgtype: str) -> Typestore:
         """Typestore that knows a type as this bag defines it.
 
         Parameters
@@ -138,7 +140,7 @@ class BagReader:
                 self._types[msgtype] = self._find_types(msgtype)
         return self._types[msgtype]
 
-    def _find_types(self, msgtype):
+    def _find_types(self, msgtype: str) -> Typestore:
         found = {
             (c.msgdef, c.digest) for c in self.connections if c.msgtype == msgtype and c.msgdef.data
         }
@@ -160,7 +162,7 @@ class BagReader:
 
 
 @functools.lru_cache(maxsize=256)
-def _types(msgtype, kind, text):
+def _types(msgtype: str, kind: MessageDefinitionFormat, text: str) -> tuple[Typestore, str]:
     """Typestore of one definition, and its hash; parsing takes longer than reading a small bag."""
     store = get_typestore(Stores.EMPTY)
     if kind == MessageDefinitionFormat.MSG:
@@ -175,14 +177,8 @@ def _types(msgtype, kind, text):
 
 
 @contextlib.contextmanager
-def damage(path: Path):
-    """What readers, parsers and decompressors raise, as a BagError that names the bag.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The bag.
-    """
+def damage(path: Path) -> Iterator[None]:
+    """What readers, parsers and decompressors raise, as a BagError that names the bag."""
     try:
         yield
     except DamageError as error:
@@ -199,11 +195,11 @@ def damage(path: Path):
 
 
 @contextlib.contextmanager
-def open_bag(path: str | Path, typestore=None):
+def open_bag(path: str | Path, typestore: Typestore | None = None) -> Iterator[BagReader]:
     """Open a bag; whatever goes wrong in reading is a BagError with a message.
 
     MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
-    and in ``warnings`` of the reader) and read as far as checksums vouch for what is there.
+    and in ``warnings`` of the reader) and read as far as its checksums are right.
 
     Parameters
     ----------
@@ -232,13 +228,14 @@ def open_bag(path: str | Path, typestore=None):
 
 
 @functools.lru_cache(maxsize=1)
-def _standard_types():
+def _standard_types() -> Typestore:
     return make_typestore()
 
 
-def _source(path, stack):
+def _source(path: Path, stack: ExitStack) -> McapBag | AnyReader:
     if path.is_dir():
-        metadata, wrong = None, f'it has no {FILE_NAME}, its recording was not finished'
+        metadata: BagMetadata | None = None
+        wrong: str | None = f'it has no {FILE_NAME}, its recording was not finished'
         if (path / FILE_NAME).exists():
             try:
                 metadata, wrong = read_metadata(path), None

@@ -1,15 +1,26 @@
-"""Recovery of MCAP bags: everything that can be had into a new bag, and what was lost."""
+"""Recovery of MCAP bags: everything that is readable into a new bag, and what was lost."""
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lpv_bag.mcap.content import records
+from rosbags.interfaces import Connection
+
+from lpv_bag.errors import BagError, DamageError
+from lpv_bag.mcap.content import Message, records
+from lpv_bag.mcap.file import Block, McapFile, Survey
 from lpv_bag.mcap.survey import read_metadata
 from lpv_bag.mcap.writer import LIBRARY
-from lpv_bag.recorder.message_loss import RECORD_NAME
-from lpv_bag.recorder.output_folder import GAINS_NAME, copy_gains, read_gains_file
-from lpv_bag.rosbag.errors import BagError, DamageError
+from lpv_bag.rosbag.mcap_bag import McapBag
+from lpv_bag.rosbag.message_loss import RECORD_NAME
+from lpv_bag.rosbag.output_folder import (
+    GAINS_NAME,
+    SCENARIO_NAME,
+    copy_file,
+    read_gains_file,
+    read_scenario_file,
+)
 from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
@@ -19,46 +30,25 @@ _ORDER = 1 << 31
 
 @dataclass
 class TopicRecovery:
-    """What became of one topic.
+    """What became of one topic."""
 
-    Attributes
-    ----------
-    recovered : int
-        Messages in the new bag.
-    lost : int
-        Messages that were recorded and are not; at least, where the end is missing.
-    """
-
-    recovered: int = 0
-    lost: int = 0
+    recovered: int = 0  # messages in the new bag
+    lost: int = 0  # messages that were recorded and are not; at least, where the end is missing
 
 
 @dataclass
 class Recovery:
-    """Outcome of a recovery.
+    """Outcome of a recovery."""
 
-    Attributes
-    ----------
-    topics : dict of str to TopicRecovery
-        By topic.
-    damages : list of str
-        What was wrong.
-    end_missing : bool
-        Whether the recording was not finished: how much came after the last message is not known.
-    end : int
-        Log time of the last message that was recovered [ns]; 0 without messages.
-    attachments : int
-        Attachments that were left out.
-    """
-
-    topics: dict = field(default_factory=dict)
-    damages: list = field(default_factory=list)
+    topics: dict[str, TopicRecovery] = field(default_factory=dict)  # by topic
+    damages: list[str] = field(default_factory=list)  # what was wrong
+    # whether the recording was not finished: how much came after the last message is not known
     end_missing: bool = False
-    end: int = 0
-    attachments: int = 0
+    end: int = 0  # log time of the last message that was recovered [ns]; 0 without messages
+    attachments: int = 0  # attachments that were left out
 
     @property
-    def lost(self):
+    def lost(self) -> int:
         """Messages that are known to be lost."""
         return sum(topic.lost for topic in self.topics.values())
 
@@ -72,7 +62,7 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
     """Write what can be read of a bag into a new one.
 
     Messages keep their times and their order.  A chunk whose checksum is wrong is left out as a
-    whole: one of its messages is wrong, and nobody can say which one.  Of a chunk in which the
+    whole: one of its messages is wrong, and there is no telling which.  Of a chunk in which the
     file ends, the messages before the end are kept.
 
     Parameters
@@ -100,7 +90,7 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
     """
     with open_bag(path) as reader:
         bag = reader.source
-        if not hasattr(bag, 'parts'):
+        if not isinstance(bag, McapBag):
             raise BagError(f'{path}: only MCAP bags can be recovered')
         tally = _Tally(bag)
         if out is None:
@@ -109,11 +99,11 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
             return tally.finish()
         place = _write(bag, tally, out, preset)
         result = tally.finish()
-        result.damages += _copy_gains(bag.path, place)
+        result.damages += _copy_files(bag.path, place)
         return result
 
 
-def _write(bag, tally, out, preset):
+def _write(bag: McapBag, tally: '_Tally', out: str | Path, preset: str) -> Path:
     with BagWriter(out, preset, split_size=1 << 62 if len(bag.parts) > 1 else 0) as writer:
         for connection in bag.connections:
             writer.copy_topic(connection)
@@ -129,19 +119,19 @@ def _write(bag, tally, out, preset):
     return writer.path
 
 
-def _copy_gains(bag, out):
-    """Copy the gains that a run was answered with, if they lie in the bag; what is wrong."""
-    file = bag / GAINS_NAME
-    if not file.is_file():
-        return []
-    try:
-        copy_gains(read_gains_file(file), out)
-    except ConfigError as error:
-        return [f'{GAINS_NAME} is left out: {error}']
-    return []
+def _copy_files(bag: Path, out: Path) -> list[str]:
+    """Copy gains and scenario of the run, if the bag has them; what is wrong with them."""
+    wrong = []
+    for name, read in ((GAINS_NAME, read_gains_file), (SCENARIO_NAME, read_scenario_file)):
+        try:
+            if (bag / name).is_file():
+                copy_file(read(bag / name), out, name)
+        except ConfigError as error:
+            wrong.append(f'{name} is left out: {error}')
+    return wrong
 
 
-def _copy_metadata(part, writer) -> None:
+def _copy_metadata(part: tuple[McapFile, Survey], writer: BagWriter) -> None:
     """Other people's metadata records."""
     for name, values in read_metadata(*part):
         if name not in ('rosbag2', RECORD_NAME):
@@ -151,19 +141,20 @@ def _copy_metadata(part, writer) -> None:
 class _Tally:
     """Goes through the messages of a bag in the order of its files, and counts."""
 
-    def __init__(self, bag) -> None:
+    def __init__(self, bag: McapBag) -> None:
         self._bag, self._result = bag, Recovery()
         # Numbers go through all files of a bag; a single file may be any one of them.
         self._sequences = {c.topic: 0 for c in bag.connections} if bag.path.is_dir() else {}
         self._bad = 0
-        self._gaps = Counter()
-        self._dropped = Counter()
-        self._found = Counter()
-        self._expected = {}
+        self._gaps: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
+        self._found: Counter[str] = Counter()
+        self._expected: dict[str, int] = {}
 
-    def messages(self):
+    def messages(self) -> Iterator[tuple[int, Connection, Message]]:
         for part, (file, found) in enumerate(self._bag.parts):
-            connections, there = self._bag.connections_of(part), Counter()
+            connections = self._bag.connections_of(part)
+            there: Counter[str] = Counter()
             for block in sorted(found.blocks, key=lambda b: b.offset):
                 try:
                     messages, _, wrong = records(file.content(block))
@@ -190,30 +181,32 @@ class _Tally:
             self._expect(connections, found, there)
             self._found += there
 
-    def _drop(self, connections, block) -> None:
+    def _drop(self, connections: dict[int, Connection], block: Block) -> None:
         for number, count in block.counts.items():
             if number in connections:
                 self._dropped[connections[number].topic] += count
 
-    def _follow(self, topic, sequence) -> None:
+    def _follow(self, topic: str, sequence: int) -> None:
         """Our recordings number the messages of a topic: what is missing is then known."""
         step = (sequence - self._sequences.get(topic, sequence - 1)) & 0xFFFFFFFF
         if 0 < step < _ORDER:
             self._gaps[topic] += step - 1
             self._sequences[topic] = sequence
 
-    def _expect(self, connections, found, there) -> None:
+    def _expect(
+        self, connections: dict[int, Connection], found: Survey, there: Counter[str]
+    ) -> None:
         """What the file's own statistics say is missing."""
         if found.counts is None:
             return
-        said = Counter()
+        said: Counter[str] = Counter()
         for number, count in found.counts.items():
             if number in connections:
                 said[connections[number].topic] += count
         for topic, count in said.items():
             self._expected[topic] = self._expected.get(topic, 0) + max(0, count - there[topic])
 
-    def finish(self):
+    def finish(self) -> Recovery:
         """The outcome, when all messages have been gone through."""
         if not self._found and self._bad:
             raise BagError(

@@ -2,17 +2,18 @@
 
 import os
 import resource
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from lpv_bag.mcap.writer import McapWriter
-from lpv_bag.recorder.message_loss import RECORD_NAME, as_metadata, as_text
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
+from lpv_bag.rosbag.message_loss import RECORD_NAME, Known, as_metadata, as_text
 from lpv_bag.rosbag.metadata import FILE_NAME, bag_information, dump, qos_data
-from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.rosbag.offered_qos import offered_qos, qos_profile
 from lpv_core.support.errors import ConfigError
 
 __all__ = ['BagWriter', 'qos_profile']
@@ -23,21 +24,21 @@ class _Topic(NamedTuple):
     msgtype: str
     encoding: str
     definition: bytes
-    profiles: tuple
+    profiles: tuple[Qos, ...]
     digest: str
 
 
-class _File(NamedTuple):
+class FinishedFile(NamedTuple):
     """A finished file: name, first and last log time, messages by topic, bytes."""
 
     name: str
     start: int
     end: int
-    counts: dict
+    counts: dict[str, int]
     size: int
 
     @property
-    def span(self):
+    def span(self) -> tuple[str, int, int, int]:
         return self.name, self.start, self.end, sum(self.counts.values())
 
 
@@ -51,9 +52,9 @@ class BagWriter:
     preset : str, optional
         Compression, a key of `lpv_bag.mcap.writer.PRESETS`.
     split_size : int, optional
-        A new file is begun when one has so many bytes; 0 for never.
+        Size at which a new file is begun [bytes]; 0 for never.
     split_time : int, optional
-        A new file is begun when the log times of one span so much [ns]; 0 for never.
+        Span of log times at which a new file is begun [ns]; 0 for never.
     chunk_time : int, optional
         A chunk is cut when log times enter the next multiple of this [ns]; 0 for never.  What a
         chunk holds then depends on the messages alone, not on when they came.
@@ -86,12 +87,15 @@ class BagWriter:
         self.typestore = make_typestore()
         self._preset, self._fsync = preset, fsync
         self._split_size, self._split_time = split_size, split_time
-        self._chunk_time, self._slot = chunk_time, None
-        self._topics, self._channels, self._files = {}, {}, []
-        self._schemas = {}
-        self._file = self._first = None
-        self._closed = False
-        self.counts = {}
+        self._chunk_time = chunk_time
+        self._slot: int | None = None
+        self._topics: dict[str, _Topic] = {}
+        self._channels: dict[str, int] = {}
+        self._files: list[FinishedFile] = []
+        self._schemas: dict[tuple[str, bytes], int] = {}
+        self._first: int | None = None
+        self._closed, self._finished = False, True
+        self.counts: dict[str, int] = {}
         try:
             self.path.mkdir(parents=True)
             self._begin_file()
@@ -100,30 +104,19 @@ class BagWriter:
         except OSError as error:
             raise ConfigError('bag', f'cannot be written: {error}', str(path)) from error
 
-    def __enter__(self):
+    def __enter__(self) -> 'BagWriter':
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # -------------------------------------------------------------- topics
 
     def check_type(self, msgtype: str) -> None:
-        """Make sure that a type's definition can be stored.
-
-        Parameters
-        ----------
-        msgtype : str
-            Message type.
-
-        Raises
-        ------
-        ConfigError
-            If its definition is not installed.
-        """
+        """Make sure that a type's definition can be stored."""
         add_type(self.typestore, msgtype)
 
-    def add_topic(self, topic: str, msgtype: str, profiles=()) -> None:
+    def add_topic(self, topic: str, msgtype: str, profiles: Sequence[Qos] = ()) -> None:
         """Announce a topic.
 
         Parameters
@@ -148,19 +141,8 @@ class BagWriter:
             )
         )
 
-    def copy_topic(self, connection) -> None:
-        """Announce a topic as another bag has it, with its own message definition.
-
-        Parameters
-        ----------
-        connection : rosbags.interfaces.Connection
-            Of the other bag; further connections of one topic are the same topic here.
-
-        Raises
-        ------
-        ConfigError
-            If the topic is known with another type, or the definition is nowhere.
-        """
+    def copy_topic(self, connection: Connection) -> None:
+        """Announce a topic as another bag has it, with its own message definition."""
         known = self._topics.get(connection.topic)
         if known is not None:
             if known.msgtype != connection.msgtype:
@@ -172,9 +154,7 @@ class BagWriter:
             return
         kind, definition = connection.msgdef
         if not definition:  # bags of older distributions carry no definitions
-            self.add_topic(
-                connection.topic, connection.msgtype, connection.ext.offered_qos_profiles
-            )
+            self.add_topic(connection.topic, connection.msgtype, offered_qos(connection))
             return
         encoding = 'ros2msg' if kind == MessageDefinitionFormat.MSG else 'ros2idl'
         self._add(
@@ -183,17 +163,17 @@ class BagWriter:
                 connection.msgtype,
                 encoding,
                 definition.encode(),
-                tuple(connection.ext.offered_qos_profiles),
+                tuple(offered_qos(connection)),
                 connection.digest or _hash(connection),
             )
         )
 
-    def _add(self, topic) -> None:
+    def _add(self, topic: _Topic) -> None:
         self._topics[topic.name] = topic
         self.counts[topic.name] = 0
         self._define(topic)
 
-    def _define(self, topic) -> None:
+    def _define(self, topic: _Topic) -> None:
         schema = (topic.msgtype, topic.definition)
         if schema not in self._schemas:
             self._schemas[schema] = self._file.add_schema(
@@ -214,18 +194,6 @@ class BagWriter:
         """A serialised message with zeros between its fields.
 
         What is there has no meaning, and some serialisers leave there what was in memory.
-
-        Parameters
-        ----------
-        msgtype : str
-            Known message type.
-        data : bytes
-            CDR.
-
-        Returns
-        -------
-        bytes
-            CDR of the same message; the data itself if it is not what the type says.
         """
         if len(data) < 4 or not data[1] & 1:
             return data
@@ -266,8 +234,8 @@ class BagWriter:
             self.counts[topic] & 0xFFFFFFFF,
         )
 
-    def _advance(self, timestamp) -> None:
-        """Cut chunks and begin files where they are due, before a message of this time."""
+    def _advance(self, timestamp: int) -> None:
+        """End chunks and begin files where they are due, before a message of this time."""
         if self._first is None:
             self._first = timestamp
         if self._chunk_time:
@@ -300,45 +268,25 @@ class BagWriter:
         self.write_raw(topic, timestamp, _padded(data))
 
     def flush(self) -> None:
-        """Hand everything to the operating system: a crash after this loses nothing before it.
-
-        Raises
-        ------
-        OSError
-            As `write_raw`.
-        """
+        """Pass everything to the operating system: a later crash does not lose it."""
         self._file.cut()
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Store a metadata record in the present file.
-
-        Parameters
-        ----------
-        name : str
-            Of the record.
-        values : dict of str to str
-            Content.
-        """
+        """Store a metadata record in the present file."""
         self._file.add_metadata(name, values)
 
     @property
-    def size(self):
+    def size(self) -> int:
         """Bytes handed to the operating system, of all files."""
-        return (self._file.size if self._file else 0) + sum(file.size for file in self._files)
+        return (0 if self._finished else self._file.size) + sum(file.size for file in self._files)
 
     @property
-    def files(self):
+    def files(self) -> int:
         """Number of files so far."""
-        return len(self._files) + (self._file is not None)
+        return len(self._files) + (not self._finished)
 
     def room(self) -> int:
-        """Bytes that can still be written before the summary would not fit any more.
-
-        Returns
-        -------
-        int
-            By the free space of the disk and the process's limit of a file's size.
-        """
+        """Bytes that can be written while there is still room for the summary."""
         disk = os.statvfs(self.path)
         limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         room = disk.f_bavail * disk.f_frsize
@@ -353,22 +301,16 @@ class BagWriter:
         if self._split_size or self._split_time:
             name += f'_{len(self._files)}'
         self._file = McapWriter(self.path / f'{name}.mcap', self._preset, self._fsync)
-        self._schemas, self._channels = {}, {}
+        self._schemas, self._channels, self._finished = {}, {}, False
         for topic in self._topics.values():
             self._define(topic)
 
     def split(self) -> None:
-        """Finish the file and begin the next one.
-
-        Raises
-        ------
-        OSError
-            As `write_raw`.
-        """
+        """Finish the file and begin the next one."""
         self._finish_file({})
         self._begin_file()
 
-    def _finish_file(self, known):
+    def _finish_file(self, known: Known) -> str:
         """End the file with its metadata; what is missing at its end, or ''."""
         file, missing = self._file, ''
         try:
@@ -383,15 +325,15 @@ class BagWriter:
             missing = f'the last messages or metadata ({error.strerror})'
         missing = file.finish() or missing
         self._files.append(self._entry())
-        self._file = None
+        self._finished = True
         return missing
 
-    def _entry(self):
+    def _entry(self) -> FinishedFile:
         file = self._file
         counts = {name: file.counts[channel] for name, channel in self._channels.items()}
-        return _File(file.path.name, file.start, file.end, counts, file.size)
+        return FinishedFile(file.path.name, file.start, file.end, counts, file.size)
 
-    def _information(self, files, known):
+    def _information(self, files: list[FinishedFile], known: Known) -> dict[str, Any]:
         topics = [
             (
                 t.name,
@@ -406,13 +348,13 @@ class BagWriter:
             [file.span for file in files], topics, {RECORD_NAME: as_text(known)} if known else {}
         )
 
-    def close(self, known: dict[str, Any] | None = None) -> str:
+    def close(self, known: Known | None = None) -> str:
         """Finish file and metadata; may be called again.
 
         Parameters
         ----------
         known : dict, optional
-            What is known of the recording, as of `lpv_bag.recorder.message_loss.Counts.known`.
+            What is known of the recording, as of `lpv_bag.rosbag.message_loss.Counts.known`.
 
         Returns
         -------
@@ -422,7 +364,7 @@ class BagWriter:
         if self._closed:
             return ''
         self._closed = True
-        missing = self._finish_file(known or {}) if self._file is not None else ''
+        missing = '' if self._finished else self._finish_file(known or {})
         text = dump({'rosbag2_bagfile_information': self._information(self._files, known or {})})
         try:
             _write_whole(self.path / FILE_NAME, text, self._fsync)
@@ -431,20 +373,20 @@ class BagWriter:
         return missing
 
 
-def _padded(data):
+def _padded(data: bytes) -> bytes:
     """DDS pads samples to four bytes, and so does a recorder: bags can then be compared."""
     return data + bytes(-len(data) % 4)
 
 
-def _hash(connection):
+def _hash(connection: Connection) -> str:
     """Type hash by the bag's own definition, which single files do not store."""
     typestore = get_typestore(Stores.EMPTY)
     typestore.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
     return typestore.hash_rihs01(connection.msgtype)
 
 
-def _write_whole(path, text, fsync) -> None:
-    """The file is there completely or not at all."""
+def _write_whole(path: Path, text: str, fsync: bool) -> None:
+    """Write a file completely or not at all."""
     new = path.with_name(path.name + '.new')
     with open(new, 'w', encoding='utf-8') as file:
         file.write(text)

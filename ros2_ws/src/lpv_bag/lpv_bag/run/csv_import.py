@@ -3,6 +3,7 @@
 import csv
 import math
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -24,30 +25,16 @@ class CsvError(LpvError):
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Which column means what.
+    """Which column means what."""
 
-    Attributes
-    ----------
-    time : str
-        Column of the time.
-    time_unit : str
-        Key of `TIME_UNITS`.
-    start : float or None
-        Stamp of the first sample [s]; None keeps the times of the file as stamps.
-    angle_unit : str
-        Key of `ANGLE_UNITS`, for positions and rates.
-    joints : dict of str to tuple of str
-        Columns of position, velocity and effort by joint name; the effort may be ''.
-    """
-
-    time: str
-    time_unit: str
-    start: float
-    angle_unit: str
-    joints: dict
+    time: str  # column of the time
+    time_unit: str  # key of `TIME_UNITS`
+    start: float | None  # stamp of the first sample [s]; None keeps the times of the file as stamps
+    angle_unit: str  # key of `ANGLE_UNITS`, for positions and rates
+    joints: dict  # columns of position, velocity and effort by joint name; the effort may be ''
 
     @property
-    def columns(self):
+    def columns(self) -> list[str]:
         """All column names."""
         return [self.time, *(c for columns in self.joints.values() for c in columns if c)]
 
@@ -146,7 +133,7 @@ def import_csv(
     return count, rows.warnings
 
 
-def _write(rows, columns, out, topic):
+def _write(rows: '_Rows', columns: ColumnMap, out: str | Path, topic: str) -> int:
     with rows, BagWriter(out) as writer:
         writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
         messages = BagMessages(writer.typestore, 'base_link')
@@ -161,13 +148,14 @@ def _write(rows, columns, out, topic):
 
 
 class _Rows:
-    """Samples of a CSV file, one by one: a long recording is never in memory as a whole."""
+    """Samples of a CSV file, one by one: a long recording is never held in memory as a whole."""
 
-    def __init__(self, source, columns, delimiter) -> None:
+    def __init__(self, source: str | Path, columns: ColumnMap, delimiter: str) -> None:
         self.source, self._columns = Path(source), columns
         self._factor = ANGLE_UNITS[columns.angle_unit]
-        self.warnings = []
-        self._offset = self._last = None
+        self.warnings: list[str] = []
+        self._offset: int | None = None
+        self._last: int | None = None
         self._backwards = 0
         try:
             self._file = open(source, newline='', encoding='utf-8-sig')  # noqa: SIM115
@@ -185,15 +173,15 @@ class _Rows:
         self._index = {name: header.index(name) for name in columns.columns}
         self._width = len(header)
 
-    def __enter__(self):
+    def __enter__(self) -> '_Rows':
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
         if self._backwards:
             self.warnings.append(f'time stands still or runs backwards {self._backwards} times')
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[tuple[Any, ...]]:
         # A fault in the very last line is that of a recording that was cut off, not of the file.
         fault = None
         try:
@@ -226,7 +214,7 @@ class _Rows:
             file.seek(-1, 2)
             return file.read() in (b'\n', b'\r')
 
-    def _sample(self, cells):
+    def _sample(self, cells: list[str]) -> tuple[Any, ...]:
         vectors = []
         for kind, factor in enumerate((self._factor, self._factor, 1.0)):
             names = [columns[kind] for columns in self._columns.joints.values()]
@@ -238,20 +226,20 @@ class _Rows:
                 vectors.append([])
         return (self._stamp(cells), *vectors)
 
-    def _error(self, name, text):
+    def _error(self, name: str, text: str) -> CsvError:
         return CsvError(
             f'{self.source}: line {self._reader.line_num}, column {name!r}: '
             f'{text[:40]!r} is not a number that can be used'
         )
 
-    def _number(self, cells, name):
+    def _number(self, cells: list[str], name: str) -> float:
         text = cells[self._index[name]].strip()
         try:
             return float(text) if text else math.nan
         except ValueError:
             raise self._error(name, text) from None
 
-    def _stamp(self, cells):
+    def _stamp(self, cells: list[str]) -> int:
         text = cells[self._index[self._columns.time]].strip()
         try:
             # Decimal: a float of epoch seconds is 200 ns off.

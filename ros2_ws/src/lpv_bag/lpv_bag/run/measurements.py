@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from lpv_bag.rosbag.cdr_layout import find_layout
+from lpv_bag.blocks.cdr_layout import Layout, find_layout
+from lpv_bag.blocks.message_blocks import Block
+from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.record import stamp_of
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.support.errors import SampleError
@@ -17,64 +20,34 @@ _MOST_LAYOUTS = 8
 
 @dataclass
 class Measurements:
-    """Measurements of a block; n of them, joints in the order of the arm file.
+    """Measurements of a block; n of them, joints in the order of the arm file."""
 
-    Attributes
-    ----------
-    stamp : ndarray of int64, shape (n,)
-        Header stamps [ns].
-    position, velocity, effort : ndarray, shape (n, 2)
-        [rad], [rad/s], [N m]; zero for the odd ones.
-    odd : dict of int to object
-        Deserialised messages by row, where joints are not those of the arm, sizes are wrong, or
-        the message is not like those before.
-    """
-
-    stamp: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    effort: np.ndarray
-    odd: dict = field(default_factory=dict)
+    stamp: np.ndarray  # header stamps [ns]; shape (n,)
+    position: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
+    velocity: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
+    effort: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
+    # deserialised messages by row, where joints are not those of the arm, sizes are wrong, or the
+    # message is not like those before
+    odd: dict[int, Any] = field(default_factory=dict)
 
 
 class MeasurementReader:
-    """Reads measurements of one arm.
+    """Reads measurements of one arm."""
 
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    joint_names : sequence of str
-        Joints of the arm.
-    """
-
-    def __init__(self, reader, joint_names: Sequence[str]) -> None:
+    def __init__(self, reader: BagReader, joint_names: Sequence[str]) -> None:
         self._reader = reader
         self._order = JointOrder(joint_names)
-        self._layouts = []
+        self._layouts: list[tuple[Layout, list[int]]] = []
 
-    def read(self, block, positions: np.ndarray) -> Measurements:
-        """Measurements at some positions of a block.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-        positions : ndarray of int, shape (n,)
-            Which of them are measurements.
-
-        Returns
-        -------
-        Measurements
-            One row a position.
-
-        Raises
-        ------
-        BagError
-            If a message is damaged.
-        """
+    def read(self, block: Block, positions: np.ndarray) -> Measurements:
+        """Measurements at some positions of a block."""
         count = len(positions)
-        result = Measurements(np.zeros(count, np.int64), *(np.zeros((count, 2)) for _ in _VECTORS))
+        result = Measurements(
+            np.zeros(count, np.int64),
+            np.zeros((count, 2)),
+            np.zeros((count, 2)),
+            np.zeros((count, 2)),
+        )
         left = np.arange(count)
         for layout, index in self._layouts:
             left = self._fill(result, block, positions, left, layout, index)
@@ -90,23 +63,8 @@ class MeasurementReader:
                 left = left[1:]
         return result
 
-    def places(self, block, positions: np.ndarray, name: str) -> np.ndarray:
-        """Where values of the arm's joints are, for those who change them.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-        positions : ndarray of int, shape (n,)
-            Which of them are measurements.
-        name : {'position', 'velocity', 'effort'}
-            Which values.
-
-        Returns
-        -------
-        ndarray of int, shape (n, 2)
-            Offsets into the block's data; -1 for odd ones.
-        """
+    def places(self, block: Block, positions: np.ndarray, name: str) -> np.ndarray:
+        """Offsets of the values of the arm's joints, for callers that change them."""
         found = np.full((len(positions), 2), -1)
         starts, sizes = block.start[positions], block.size[positions]
         for layout, index in self._layouts:
@@ -115,8 +73,16 @@ class MeasurementReader:
             found[rows] = first[:, None] + 8 * np.array(index)
         return found
 
-    def _fill(self, result, block, positions, rows, layout, index):
-        """Fill in those rows that have a layout; the rows that have not."""
+    def _fill(
+        self,
+        result: Measurements,
+        block: Block,
+        positions: np.ndarray,
+        rows: np.ndarray,
+        layout: Layout,
+        index: list[int],
+    ) -> np.ndarray:
+        """Fill in the rows that match a layout; the rows that do not."""
         if not len(rows):
             return rows
         starts = block.start[positions[rows]]
@@ -131,8 +97,8 @@ class MeasurementReader:
             getattr(result, name)[chosen] = values[:, index] if values.shape[1] else np.nan
         return rows[~same]
 
-    def _learn(self, data, message):
-        """Add the layout of a message, if it has one; whether it has."""
+    def _learn(self, data: bytes, message: Any) -> bool:
+        """Learn the layout of a message; whether it has one."""
         if len(self._layouts) == _MOST_LAYOUTS:
             return False
         try:
@@ -144,7 +110,7 @@ class MeasurementReader:
             return False
         index = list(self._order.indices(message.name))
         bytes_ = np.frombuffer(data, np.uint8)
-        # The general reader has the last word on what the bytes mean.
+        # The general reader decides what the bytes mean.
         same = layout.stamps(bytes_, np.zeros(1, int))[0] == stamp_of(message.header.stamp)
         for name, values in zip(_VECTORS, expected):
             found = layout.read(bytes_, np.zeros(1, int), name)[0]

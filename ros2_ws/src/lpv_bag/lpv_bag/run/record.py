@@ -2,18 +2,16 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
+from rosbags.interfaces import Connection
 
+from lpv_bag.errors import BagError
 from lpv_bag.rosbag.definitions import check_definition
-from lpv_bag.rosbag.errors import BagError
 from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.rows import RunRows
 from lpv_bag.run.stream_blocks import read_streams
-from lpv_bag.run.streams import ALARM_TYPE, ALARMS, STREAMS, RecordedAlarm, stamp_of
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_bag.run.streams import ALARM_TYPE, ALARMS, STREAMS, RecordedAlarm, RunRecord, stamp_of
 
 __all__ = [
     'BagError',
@@ -31,115 +29,20 @@ _LOG = logging.getLogger(__name__)
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
 _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
 _NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
-_NEEDED[ALARM_TYPE] = (
-    'header',
-    'event',
-    'sensor_index',
-    'sensor',
-    'onset',
-    'detected',
-    'size',
-    'bound',
-    'kind',
-    'confidence',
+_NEEDED[ALARM_TYPE] = tuple(
+    [
+        'header',
+        'event',
+        'sensor_index',
+        'sensor',
+        'onset',
+        'detected',
+        'size',
+        'bound',
+        'kind',
+        'confidence',
+    ]
 )
-
-
-@dataclass
-class RunRecord:
-    """One run.
-
-    Rows of a stream are in the order of their header stamps; of several messages with the same
-    stamp the last one counts.
-
-    Attributes
-    ----------
-    stamps : dict of str to ndarray of int64, shape (n,)
-        Header stamps [ns] by stream name of `STREAMS`, increasing; absent streams are missing.
-    streams : dict of str to dict of str to ndarray
-        Fields by stream name, one row a stamp; units as in the message definitions.
-    alarms : list of RecordedAlarm
-        Alarm events in the order of their stamps.
-    counts : dict of str to int
-        Messages in the bag by topic, of all topics.
-    topics : dict of str to str
-        Topic by stream name.
-    joint_names : tuple of str
-        Joints of the columns of joint_states.
-    sensor_names : tuple of str
-        Sensors of the columns of fault_estimate; empty without that stream.
-    warnings : list of str
-        What is wrong with the bag or its messages, and was put up with.
-    """
-
-    stamps: dict = field(default_factory=dict)
-    streams: dict = field(default_factory=dict)
-    alarms: list = field(default_factory=list)
-    counts: dict = field(default_factory=dict)
-    topics: dict = field(default_factory=dict)
-    joint_names: tuple = ()
-    sensor_names: tuple = ()
-    warnings: list = field(default_factory=list)
-
-    def get(self, stream: str, name: str) -> np.ndarray | None:
-        """Field of a stream on the stream's own stamps.
-
-        Parameters
-        ----------
-        stream, name : str
-            Stream and field.
-
-        Returns
-        -------
-        ndarray or None
-            One row a stamp; None if the stream is absent.
-        """
-        return self.streams[stream][name] if stream in self.streams else None
-
-    def aligned(self, stream: str, name: str) -> np.ndarray | None:
-        """Field of a stream on the stamps of joint_states.
-
-        Parameters
-        ----------
-        stream, name : str
-            Stream and field.
-
-        Returns
-        -------
-        ndarray or None
-            One row a measurement, NaN where the stream has no message with that stamp; None if
-            the stream is absent.
-        """
-        values = self.get(stream, name)
-        if values is None:
-            return None
-        base, stamps = self.stamps['joint_states'], self.stamps[stream]
-        nearest = np.minimum(np.searchsorted(stamps, base), len(stamps) - 1)
-        match = stamps[nearest] == base
-        result = np.full((len(base), *values.shape[1:]), np.nan)
-        result[match] = values[nearest[match]]
-        return result
-
-    @property
-    def time(self):
-        """Time of each measurement since the first one [s], shape (n,)."""
-        return self.seconds(self.stamps['joint_states'])
-
-    def seconds(self, stamps) -> float | np.ndarray:
-        """Time since the first measurement.
-
-        Parameters
-        ----------
-        stamps : int or ndarray of int64
-            [ns].
-
-        Returns
-        -------
-        float or ndarray
-            [s].
-        """
-        # The difference of integers is exact; epoch seconds as floats would lose 100 ns.
-        return (stamps - self.stamps['joint_states'][0]) / NANOSECONDS
 
 
 def find_topic(
@@ -147,9 +50,8 @@ def find_topic(
     msgtype: str,
     name: str,
     wanted: str | None = None,
-    required: bool = True,
     namespace: str | None = None,
-):
+) -> Connection:
     """The one connection that carries a stream.
 
     Parameters
@@ -162,49 +64,45 @@ def find_topic(
         Last part of the usual topic name, preferred among several of the type.
     wanted : str, optional
         Topic given by the user.
-    required : bool, optional
-        Whether absence is an error.
     namespace : str, optional
         Only topics directly below it, e.g. ``/lpv``.
 
     Returns
     -------
-    rosbags connection or None
+    rosbags.interfaces.Connection
         The connection.
 
     Raises
     ------
     BagError
-        If a required stream is missing, or several topics carry it.
+        If the stream is missing, or several topics carry it.
     """
-    found = find_connections(reader, msgtype, name, wanted, required, namespace)
-    return found[0] if found else None
+    found = find_connections(reader, msgtype, name, wanted, namespace)
+    if found:
+        return found[0]
+    place = f' below namespace {namespace}' if namespace is not None else ''
+    there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
+    raise BagError(
+        f'{reader.paths[0]}: the bag has no topic {wanted or name!r} of type '
+        f'{msgtype}{place}; it has {there or "no topic at all"}'
+    )
 
 
-def find_connections(reader, msgtype, name, wanted=None, required: bool = True, namespace=None):
-    """All connections of the one topic that carries a stream.
+def find_connections(
+    reader: BagReader,
+    msgtype: str,
+    name: str,
+    wanted: str | None = None,
+    namespace: str | None = None,
+) -> list[Connection]:
+    """All connections of the one topic that carries a stream, as `find_topic`; empty without it.
 
     A topic has several connections if several publishers with different QoS wrote to it.
-
-    Parameters
-    ----------
-    reader, msgtype, name, wanted, required, namespace
-        As `find_topic`.
-
-    Returns
-    -------
-    list of rosbags connections
-        Of one topic; empty if it is absent and not required.
-
-    Raises
-    ------
-    BagError
-        As `find_topic`.
     """
     found = [c for c in reader.connections if c.msgtype == msgtype]
     if namespace is not None:
         parent = '/' + namespace.strip('/')
-        found = [c for c in found if (c.topic.rsplit('/', 1)[0] or '/') == parent]
+        found = [c for c in found if _parent(c.topic) == parent]
     if wanted:
         found = [c for c in found if c.topic == wanted]
     elif len(found) > 1:
@@ -215,16 +113,27 @@ def find_connections(reader, msgtype, name, wanted=None, required: bool = True, 
             f'{reader.paths[0]}: several topics carry {msgtype}: {", ".join(topics)}; '
             'the bag holds more than one arm, say which namespace or topic is meant'
         )
-    if required and not found:
-        place = f' below namespace {namespace}' if namespace is not None else ''
-        there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
-        raise BagError(
-            f'{reader.paths[0]}: the bag has no topic {wanted or name!r} of type '
-            f'{msgtype}{place}; it has {there or "no topic at all"}'
-        )
     if found:
         check_definition(reader, msgtype, _NEEDED.get(msgtype, ()))
     return found
+
+
+def _parent(topic: str) -> str:
+    return topic.rsplit('/', 1)[0] or '/'
+
+
+def _find_streams(
+    reader: BagReader, namespace: str | None, answers_only: bool
+) -> dict[str, list[Connection]]:
+    """Connections by stream, of those that the bag has."""
+    if not answers_only:
+        find_topic(reader, STREAMS['joint_states'][0], 'joint_states', namespace=namespace)
+    types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
+    found = {
+        name: find_connections(reader, msgtype, name, namespace=namespace)
+        for name, msgtype in types.items()
+    }
+    return {name: connections for name, connections in found.items() if connections}
 
 
 def load_run(
@@ -258,17 +167,7 @@ def load_run(
         arm.
     """
     with open_bag(path) as reader:
-        chosen = {}
-        for name, (msgtype, _) in (*STREAMS.items(), (ALARMS, (ALARM_TYPE, ()))):
-            found = find_connections(
-                reader,
-                msgtype,
-                name,
-                namespace=namespace,
-                required=name == 'joint_states' and not answers_only,
-            )
-            if found:
-                chosen[name] = found
+        chosen = _find_streams(reader, namespace, answers_only)
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:
             record.counts[connection.topic] = (

@@ -1,56 +1,31 @@
 """Rows of a run's streams as they are read, and the arrays that are made of them."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from lpv_bag.rosbag.errors import BagError
-from lpv_bag.run.streams import ALARMS, STREAMS, RecordedAlarm, stamp_of
+from lpv_bag.errors import BagError
+from lpv_bag.run.streams import ALARMS, STREAMS, RecordedAlarm, RunRecord, stamp_of
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.observer.sampled_observer import Mode
 
 
 class RunRows:
-    """Gathers messages one by one or many at a time, then fills the arrays of a record.
+    """Gathers messages one by one or many at a time, then fills the arrays of a record."""
 
-    Parameters
-    ----------
-    record : RunRecord
-        Receives arrays, alarms and names.
-    joint_names : sequence of str, optional
-        Joints to take from joint_states, in this order; those of the first message if not given.
-
-    Attributes
-    ----------
-    warnings : list of str
-        What is wrong with the messages.
-    """
-
-    def __init__(self, record, joint_names: Sequence[str] | None = None) -> None:
+    def __init__(self, record: RunRecord, joint_names: Sequence[str] | None = None) -> None:
         self._record = record
-        self._parts = {}
-        self._alarms = {}
+        self._parts: dict[str, list[tuple[Any, Any, list[np.ndarray]]]] = {}
+        self._alarms: dict[tuple[int, int, int], RecordedAlarm] = {}
         record.joint_names = tuple(joint_names or ())
-        self._names, self._index, self._missing = None, None, None
-        self.warnings = []
+        self._names: list[str] | None = None
+        self._index: list[int] | None = None
+        self._missing: tuple[str, str] | None = None
+        self.warnings: list[str] = []
 
-    def add(self, name: str, number: int, message: object) -> None:
-        """Take one message.
-
-        Parameters
-        ----------
-        name : str
-            Stream.
-        number : int
-            Its number among all messages: of equal stamps the last message counts.
-        message : object
-            Deserialised.
-
-        Raises
-        ------
-        BagError
-            If an alarm event is unknown.
-        """
+    def add(self, name: str, number: int, message: Any) -> None:
+        """Take one message."""
         if name == ALARMS:
             alarm = _alarm(message)
             # Latched events are delivered again to late subscribers.
@@ -65,7 +40,7 @@ class RunRows:
                 [np.asarray(value, float)[None] for value in values],
             )
 
-    def values(self, name, message):
+    def values(self, name: str, message: Any) -> list[Any] | None:
         """Fields of a message in the order of its stream; None if it is not to be taken."""
         if name == 'state_estimate' and message.mode == Mode.NO_ESTIMATE:
             return None  # its values mean nothing
@@ -77,21 +52,13 @@ class RunRows:
         return [getattr(message, field) for field in STREAMS[name][1]]
 
     def add_many(
-        self, name: str, numbers: Sequence[int], stamps: Sequence[int], columns: list[np.ndarray]
+        self,
+        name: str,
+        numbers: Sequence[int] | np.ndarray,
+        stamps: Sequence[int] | np.ndarray,
+        columns: list[np.ndarray],
     ) -> None:
-        """Take the values of many messages of one stream.
-
-        Parameters
-        ----------
-        name : str
-            Stream.
-        numbers : sequence of int, shape (n,)
-            As in `add`.
-        stamps : sequence of int, shape (n,)
-            Header stamps [ns].
-        columns : list of ndarray, shapes (n, ...)
-            Its fields.
-        """
+        """Take the values of many messages of one stream."""
         if name == 'state_estimate':
             known = columns[STREAMS[name][1].index('mode')] != Mode.NO_ESTIMATE
             if not known.all():
@@ -100,7 +67,7 @@ class RunRows:
         if len(stamps):
             self._parts.setdefault(name, []).append((numbers, stamps, columns))
 
-    def pick(self, names):
+    def pick(self, names: Sequence[str]) -> list[int] | None:
         """Columns of the wanted joints in a message with these joints, or None.
 
         Drivers sort joints as they like, and have more.  A message of other joints only (a
@@ -114,22 +81,11 @@ class RunRows:
             if missing:
                 self._missing = (missing[0], ', '.join(names) or 'no joint')
             else:
-                self._index = [self._names.index(n) for n in wanted]
+                self._index = [list(names).index(n) for n in wanted]
         return self._index
 
     def finish(self, answers_only: bool) -> None:
-        """Fill the record.
-
-        Parameters
-        ----------
-        answers_only : bool
-            Whether measurements may be missing.
-
-        Raises
-        ------
-        BagError
-            If there are none, or a joint is missing.
-        """
+        """Fill the record."""
         for name in STREAMS:
             parts = self._parts.get(name)
             if not parts:
@@ -146,7 +102,7 @@ class RunRows:
         self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
         self._check_measurements(answers_only)
 
-    def _check_measurements(self, answers_only) -> None:
+    def _check_measurements(self, answers_only: bool) -> None:
         count = len(self._record.stamps.get('joint_states', ()))
         if count == 0 and answers_only:
             return
@@ -162,8 +118,8 @@ class RunRows:
                 'stamp, or there is one only'
             )
 
-    def _judge(self, name, stamps) -> None:
-        """Say where stamps run backwards or stand still."""
+    def _judge(self, name: str, stamps: np.ndarray) -> None:
+        """Warn where stamps run backwards or stand still."""
         backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
         same = len(stamps) - len(np.unique(stamps))
         topic = self._record.topics[name]
@@ -179,7 +135,7 @@ class RunRows:
             )
 
 
-def _columns(message, index):
+def _columns(message: Any, index: list[int]) -> list[np.ndarray]:
     """Values of chosen joints; NaN where a message has none of a kind."""
     nothing = np.full(len(index), np.nan)
     return [
@@ -188,7 +144,7 @@ def _columns(message, index):
     ]
 
 
-def _alarm(message):
+def _alarm(message: Any) -> RecordedAlarm:
     try:
         event = AlarmEvent(message.event)
     except ValueError as error:

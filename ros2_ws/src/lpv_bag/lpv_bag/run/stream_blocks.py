@@ -1,35 +1,27 @@
 """Streams of a run, thousands of messages at a time where they have the same shape."""
 
-import numpy as np
+from typing import Any, Literal
 
-from lpv_bag.mcap.bag import McapBag
-from lpv_bag.rosbag.cdr_layout import find_layout
-from lpv_bag.rosbag.message_blocks import read_blocks
-from lpv_bag.rosbag.prefetch import ahead
+import numpy as np
+from rosbags.interfaces import Connection
+
+from lpv_bag.blocks.cdr_layout import Layout, find_layout
+from lpv_bag.blocks.message_blocks import Block, read_blocks
+from lpv_bag.blocks.prefetch import ahead
+from lpv_bag.rosbag.mcap_bag import McapBag
+from lpv_bag.rosbag.reading import BagReader
+from lpv_bag.run.rows import RunRows
 from lpv_bag.run.streams import ALARMS, STREAMS, stamp_of
 
+JointIndex = list[int] | Literal[False] | None
+"""Columns of the wanted joints; None for other streams, False for messages of other joints."""
 _MOST_LAYOUTS = 4
 _MOST_ATTEMPTS = 32
 """Messages of one connection from which a shape is to be learnt; then they are read one by one."""
 
 
-def read_streams(reader, chosen, rows) -> None:
-    """Read all messages of some streams.
-
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    chosen : dict of str to list of rosbags connections
-        Connections by stream.
-    rows : lpv_bag.run.rows.RunRows
-        Receives messages and values.
-
-    Raises
-    ------
-    BagError
-        If the bag or a message is damaged.
-    """
+def read_streams(reader: BagReader, chosen: dict[str, list[Connection]], rows: RunRows) -> None:
+    """Read all messages of some streams."""
     pairs = [(name, c) for name, connections in chosen.items() for c in connections]
     readers = [_StreamReader(reader, name, c.msgtype, rows) for name, c in pairs]
     number = 0
@@ -44,13 +36,13 @@ def read_streams(reader, chosen, rows) -> None:
 class _StreamReader:
     """Reads the messages of one connection."""
 
-    def __init__(self, reader, name, msgtype, rows) -> None:
+    def __init__(self, reader: BagReader, name: str, msgtype: str, rows: RunRows) -> None:
         self._reader, self._name, self._msgtype, self._rows = reader, name, msgtype, rows
-        self._layouts = []
+        self._layouts: list[tuple[Layout, JointIndex]] = []
         can = name != ALARMS and isinstance(reader.source, McapBag)
         self._attempts = _MOST_ATTEMPTS if can else 0
 
-    def read(self, block, positions, first) -> None:
+    def read(self, block: Block, positions: np.ndarray, first: int) -> None:
         """Take messages of a block; ``first`` is the number of its first message."""
         left = positions
         for shape in self._layouts:
@@ -64,8 +56,10 @@ class _StreamReader:
                 self._rows.add(self._name, first + int(left[0]), message)
                 left = left[1:]
 
-    def _take(self, block, positions, first, layout, index):
-        """Take those that have a layout; the others."""
+    def _take(
+        self, block: Block, positions: np.ndarray, first: int, layout: Layout, index: JointIndex
+    ) -> np.ndarray:
+        """Read the messages that match a layout; the positions of the others."""
         if not len(positions):
             return positions
         starts = block.start[positions]
@@ -80,11 +74,13 @@ class _StreamReader:
             )
         return positions[~same]
 
-    def _values(self, layout, index, data, starts):
+    def _values(
+        self, layout: Layout, index: JointIndex, data: np.ndarray, starts: np.ndarray
+    ) -> list[np.ndarray]:
         columns = []
         for field in STREAMS[self._name][1]:
             values = layout.read(data, starts, field).astype(float)
-            if index is not None:  # of joint_states, whose fields may be empty
+            if isinstance(index, list):  # of joint_states, whose fields may be empty
                 values = (
                     values[:, index]
                     if values.shape[1] == self._joints(layout)
@@ -96,11 +92,11 @@ class _StreamReader:
         return columns
 
     @staticmethod
-    def _joints(layout):
+    def _joints(layout: Layout) -> int:
         return len(layout.strings.get('name', ()))
 
-    def _learn(self, data, message):
-        """Add the layout of a message, if it has one; whether it has.
+    def _learn(self, data: bytes, message: Any) -> bool:
+        """Learn the layout of a message; whether it has one.
 
         With it goes the index of the wanted joints: None for other streams, False if a message of
         this shape is of other joints.
@@ -111,17 +107,18 @@ class _StreamReader:
         layout = find_layout(data, self._msgtype, self._reader.typestore_of(self._msgtype))
         if layout is None:
             return False
-        index, expected = None, self._rows.values(self._name, message)
+        index: JointIndex = None
+        expected = self._rows.values(self._name, message)
         if self._name == 'joint_states':
-            index = self._rows.pick(message.name)
-            index = False if index is None else list(index)
+            columns = self._rows.pick(message.name)
+            index = False if columns is None else list(columns)
         elif expected is None:
             return False
-        # The general reader has the last word on what the bytes mean.
+        # The general reader decides what the bytes mean.
         bytes_, start = np.frombuffer(data, np.uint8), np.zeros(1, int)
         if layout.stamps(bytes_, start)[0] != stamp_of(message.header.stamp):
             return False
-        if index is not False:
+        if index is not False and expected is not None:
             values = self._values(layout, index, bytes_, start)
             if not all(
                 np.array_equal(np.asarray(e, float), v[0], equal_nan=True)

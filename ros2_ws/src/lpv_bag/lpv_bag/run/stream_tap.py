@@ -1,74 +1,46 @@
-"""Other streams of a bag beside its measurements, for those who replay without writing."""
+"""Other streams of a bag beside its measurements, for replays that write nothing."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Connection
 
-from lpv_bag.rosbag.cdr_layout import find_layout
+from lpv_bag.blocks.cdr_layout import Layout, find_layout
+from lpv_bag.blocks.message_blocks import Block
+from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.record import STREAMS, find_connections, stamp_of
 
 _NONE = np.empty(0, np.int64)
 
 
-class Bystander:
-    """Reads streams from the blocks that a replay reads; takes the place of its writer.
+class StreamTap:
+    """Reads streams from the blocks that a replay reads; takes the place of its writer."""
 
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    prefix : str
-        Namespace of the measurements; streams of others do not count.
-    streams : sequence of str
-        Wanted ones, names of `lpv_bag.run.record.STREAMS`.
-
-    Attributes
-    ----------
-    present : set of str
-        Those that the bag has.
-    """
-
-    def __init__(self, reader, prefix: str, streams: Sequence[str]) -> None:
-        self._readers, self._connections = {}, ()
+    def __init__(self, reader: BagReader, prefix: str, streams: Sequence[str]) -> None:
+        self._readers: dict[str, _StreamReader] = {}
+        self._connections: Sequence[Connection] = ()
         for name in streams:
-            found = find_connections(
-                reader, STREAMS[name][0], name, required=False, namespace=prefix
-            )
+            found = find_connections(reader, STREAMS[name][0], name, namespace=prefix)
             if found:
                 self._readers[name] = _StreamReader(reader, name, found[0].topic)
         self.present = set(self._readers)
         self._topics = {stream.topic for stream in self._readers.values()}
 
-    def is_copied(self, connection) -> bool:
+    def is_copied(self, connection: Connection) -> bool:
         """Whether messages of a connection are wanted."""
         return connection.topic in self._topics
 
-    def choose(self, reader, connections, block):
+    def choose(
+        self, reader: BagReader, connections: Sequence[Connection], block: Block
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Nothing is copied; remember what a block's numbers of connections mean."""
         self._connections = connections
         return _NONE, _NONE
 
-    def read(self, block) -> dict[str, tuple[Any, ...]] | None:
-        """Messages of the streams in a block.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-
-        Returns
-        -------
-        dict of str to tuple or None
-            By stream that the bag has: header stamps [ns], shape (n,), and arrays by field, n rows
-            each; None where the block has no message of it.
-
-        Raises
-        ------
-        BagError
-            If a message is damaged.
-        """
-        found = dict.fromkeys(self._readers)
+    def read(self, block: Block) -> dict[str, tuple[Any, ...] | None]:
+        """Messages of the streams in a block."""
+        found: dict[str, tuple[Any, ...] | None] = dict.fromkeys(self._readers)
         for name, stream in self._readers.items():
             mine = np.array([c.topic == stream.topic for c in self._connections])
             positions = np.flatnonzero(mine[block.connection])
@@ -80,12 +52,12 @@ class Bystander:
 class _StreamReader:
     """Messages of one topic whose fields have a fixed size."""
 
-    def __init__(self, reader, name, topic) -> None:
+    def __init__(self, reader: BagReader, name: str, topic: str) -> None:
         self.topic, self._reader = topic, reader
         self._msgtype, self._fields = STREAMS[name]
-        self._layout = None
+        self._layout: Layout | None = None
 
-    def read(self, block, positions):
+    def read(self, block: Block, positions: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         starts, sizes = block.start[positions], block.size[positions]
         if self._layout is None:
             self._layout = find_layout(

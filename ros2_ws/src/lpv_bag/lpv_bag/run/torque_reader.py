@@ -2,10 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from lpv_bag.rosbag.cdr_layout import find_layout
+from lpv_bag.blocks.cdr_layout import Layout, find_layout
+from lpv_bag.blocks.message_blocks import Block
+from lpv_bag.rosbag.reading import BagReader
 from lpv_core.support.errors import SampleError
 
 EFFORT_TYPES = {
@@ -19,30 +22,10 @@ EFFORT_TYPES = {
 the arm file."""
 
 
-def locate(message: object, msgtype: str, joints: Sequence[str]):
-    """Torques of an arm in a message.
-
-    Parameters
-    ----------
-    message : object
-        Deserialised.
-    msgtype : str
-        Key of `EFFORT_TYPES`.
-    joints : sequence of str
-        Wanted joints.
-
-    Returns
-    -------
-    tuple of list of int and list of float
-        Indices into the message's torques, and the torques [N m].
-
-    Raises
-    ------
-    SampleError
-        If they are not there.
-    """
+def locate(message: object, msgtype: str, joints: Sequence[str]) -> tuple[list[int], list[float]]:
+    """Torques of an arm in a message."""
     path, names = EFFORT_TYPES[msgtype]
-    values = message
+    values: Any = message
     for part in path.split('.'):
         if part.isdigit():
             if not len(values):
@@ -67,52 +50,25 @@ def locate(message: object, msgtype: str, joints: Sequence[str]):
 
 
 class EffortReader:
-    """The latest torques before each measurement.
+    """The latest torques before each measurement."""
 
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    msgtype : str
-        Key of `EFFORT_TYPES`.
-    joints : sequence of str
-        Joints of the arm.
-
-    Attributes
-    ----------
-    rejected : list of str
-        Why messages could not be used; emptied by whoever counts them.
-    """
-
-    def __init__(self, reader, msgtype: str, joints: Sequence[str]) -> None:
+    def __init__(self, reader: BagReader, msgtype: str, joints: Sequence[str]) -> None:
         self._reader = reader
         self._msgtype, self._joints = msgtype, tuple(joints)
         self._path = EFFORT_TYPES[msgtype][0]
-        self._layout = self._index = None
+        self._layout: Layout | None = None
+        self._index: list[int] = []
         self._latest = np.full(len(self._joints), math.nan)
-        self.rejected = []
+        self.rejected: list[str] = []
 
-    def before(self, block, positions: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        """Torques that were the latest ones at each measurement.
-
-        Parameters
-        ----------
-        block : Block
-            Messages.
-        positions, measured : ndarray of int
-            Which of them carry torques, and which are measurements.
-
-        Returns
-        -------
-        ndarray, shape (len(measured), 2)
-            [N m]; NaN before the first message.
-        """
+    def before(self, block: Block, positions: np.ndarray, measured: np.ndarray) -> np.ndarray:
+        """Torques that were the latest ones at each measurement."""
         values, valid = self._read(block, positions)
         values = np.concatenate([self._latest[None], values[valid]])
         self._latest = values[-1].copy()
         return values[np.searchsorted(positions[valid], measured)]
 
-    def _read(self, block, positions):
+    def _read(self, block: Block, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values = np.full((len(positions), len(self._joints)), math.nan)
         valid = np.zeros(len(positions), bool)
         if self._layout is None and len(positions):
@@ -131,7 +87,7 @@ class EffortReader:
                 self.rejected.append(str(error))
         return values, valid
 
-    def _learn(self, data) -> None:
+    def _learn(self, data: bytes) -> None:
         message = self._reader.deserialize(data, self._msgtype)
         layout = find_layout(data, self._msgtype, self._reader.typestore_of(self._msgtype))
         try:

@@ -1,4 +1,4 @@
-"""Chunks of work on a Dask cluster: processes of this machine, or whoever a scheduler has."""
+"""Chunks of work on a Dask cluster: local processes, or the workers of a scheduler."""
 
 import asyncio
 import logging
@@ -6,20 +6,20 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from lpv_core.support.errors import LpvError
 
 _AHEAD = 3
-"""Chunks a worker has in front of it: enough not to wait, few enough to hold in memory."""
+"""Chunks queued per worker: enough to keep it busy, few enough to hold in memory."""
 
-_PATIENCE = 5.0
+_CONNECT_TIMEOUT = 5.0
 """How long a scheduler may take to answer, and to have a worker [s]."""
 
-_LONELY = 60.0
-"""After so long without any worker a campaign gives up [s]."""
+_NO_WORKER_TIMEOUT = 60.0
+"""Time without any worker after which a campaign gives up [s]."""
 
 
 class WorkerError(LpvError):
@@ -29,66 +29,28 @@ class WorkerError(LpvError):
 def on_cluster(
     function: Callable[..., Any],
     text: str,
-    chunks,
+    chunks: Iterable[Any],
     software: str,
     workers: int | None = None,
     scheduler: str | None = None,
-):
-    """Have chunks done; a chunk whose worker is killed is done by another one.
-
-    Parameters
-    ----------
-    function : callable
-        Of ``text`` and a chunk; returns a hash of the worker's software, and the result.
-    text : str
-        What all chunks have in common.
-    chunks : iterable
-        Taken as workers get free.
-    software : str
-        The hash that is expected.
-    workers : int, optional
-        Processes of a cluster on this machine; by default as many as there are cores.
-    scheduler : str, optional
-        Address of a Dask scheduler to use instead.
-
-    Yields
-    ------
-    object
-        Results, as chunks are done, in any order.
-
-    Raises
-    ------
-    WorkerError
-        If a worker runs other software, workers die of the same chunk again and again, or none is
-        left for a minute.
-    """
+) -> Iterator[Any]:
+    """Process chunks; a chunk whose worker is killed is done by another one."""
     with connect(workers, scheduler) as client:
         yield from map_chunks(client, function, text, chunks, software)
 
 
-def connect(workers=None, scheduler=None):
+def connect(
+    workers: int | None = None, scheduler: str | None = None
+) -> AbstractContextManager[Any]:
     """Client of a cluster, to be used as a context; a cluster of its own ends with it.
 
-    Parameters
-    ----------
-    workers, scheduler
-        As in `on_cluster`.
-
-    Returns
-    -------
-    context manager
-        Gives a ``distributed.Client``.
-
-    Raises
-    ------
-    WorkerError
-        If the scheduler does not answer, or has no workers.
+    Gives a ``distributed.Client``.
     """
     from distributed import Client, LocalCluster
 
     if scheduler is not None:
         return _remote(Client, scheduler)
-    with _deaf_children():
+    with _workers_ignore_sigint():
         cluster = LocalCluster(
             n_workers=workers or len(os.sched_getaffinity(0)),
             threads_per_worker=1,
@@ -100,13 +62,13 @@ def connect(workers=None, scheduler=None):
     return _OwnCluster(cluster)
 
 
-def _remote(connect, scheduler):
+def _remote(connect: Callable[..., Any], scheduler: str) -> Any:
     try:
-        client = connect(scheduler, timeout=_PATIENCE)
+        client = connect(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, ValueError, ImportError) as error:
         raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
     try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
+        client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
     except asyncio.TimeoutError:  # noqa: UP041 - Python 3.10 has two kinds
         client.close()
         raise WorkerError(f'scheduler {scheduler!r} has no workers') from None
@@ -114,7 +76,7 @@ def _remote(connect, scheduler):
 
 
 @contextmanager
-def _deaf_children():
+def _workers_ignore_sigint() -> Iterator[None]:
     """Processes that are started within ignore Ctrl-C: the one that started them ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -129,45 +91,29 @@ def _deaf_children():
 class _OwnCluster:
     """A cluster that ends with its client."""
 
-    def __init__(self, cluster) -> None:
+    def __init__(self, cluster: Any) -> None:
         from distributed import Client
 
         self._cluster = cluster
         self._client = Client(cluster)
 
-    def __enter__(self):
+    def __enter__(self) -> Any:
         return self._client
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._client.close()
         self._cluster.close()
 
 
-def map_chunks(client, function, text, chunks, software):
-    """`on_cluster` with a client that stays for other work.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Of `connect`.
-    function, text, chunks, software
-        As in `on_cluster`.
-
-    Yields
-    ------
-    object
-        Results, as chunks are done, in any order.
-
-    Raises
-    ------
-    WorkerError
-        As in `on_cluster`.
-    """
+def map_chunks(
+    client: Any, function: Callable[..., Any], text: str, chunks: Iterable[Any], software: str
+) -> Iterator[Any]:
+    """`on_cluster` with a client that is kept for other work."""
     from distributed.scheduler import KilledWorker
 
     waiting = iter(chunks)
 
-    def submit():
+    def submit() -> Any:
         part = next(waiting, None)
         if part is None:
             return None
@@ -180,12 +126,12 @@ def map_chunks(client, function, text, chunks, software):
         pending -= done
         for future in done:
             try:
-                theirs, result = future.result()
+                version, result = future.result()
             except KilledWorker as error:
                 raise WorkerError(
                     f'workers died of the same work again and again: {error}'
                 ) from error
-            if theirs != software:
+            if version != software:
                 raise WorkerError(
                     'a worker runs another version of this software: install the '
                     'same one everywhere'
@@ -196,23 +142,25 @@ def map_chunks(client, function, text, chunks, software):
             yield result
 
 
-def _some_of(client, pending):
+def _some_of(client: Any, pending: set[Any]) -> set[Any]:
     """Those of some futures that are done, at least one; a campaign without workers must not wait
     for ever."""
     from distributed import wait
 
     seen = time.monotonic()
-    while time.monotonic() - seen < _LONELY:
+    while time.monotonic() - seen < _NO_WORKER_TIMEOUT:
         try:
-            return wait(pending, timeout=0.1 * _LONELY, return_when='FIRST_COMPLETED').done
+            return wait(
+                pending, timeout=0.1 * _NO_WORKER_TIMEOUT, return_when='FIRST_COMPLETED'
+            ).done
         except asyncio.TimeoutError:  # noqa: UP041
             if client.nthreads():
                 seen = time.monotonic()
     raise WorkerError(
-        f'no worker is left since {_LONELY:g} s; what is done is kept: start workers '
-        'and run the command again'
+        f'no worker has been left for {_NO_WORKER_TIMEOUT:g} s; finished work is kept: '
+        'start workers and run the command again'
     )
 
 
-def _width(client):
+def _width(client: Any) -> int:
     return _AHEAD * max(1, sum(client.nthreads().values()))

@@ -1,6 +1,6 @@
 """Runs a campaign: here, on all cores, or on a cluster; the results are the same."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ from lpv_campaign.execution.cluster import WorkerError, connect, map_chunks
 from lpv_campaign.execution.run_metrics import figures
 from lpv_campaign.execution.runs import plan_run
 from lpv_campaign.limit.accuracy import limit_figures
-from lpv_campaign.plan.campaign import campaign_of
+from lpv_campaign.plan.campaign import Campaign, campaign_of
+from lpv_campaign.plan.spec import CampaignSpec
 from lpv_core.support.errors import LpvError
 from lpv_core.support.jit import source_digest
 
@@ -32,33 +33,14 @@ CHUNK = 20
 
 
 def software() -> str:
-    """Hash of everything that makes the numbers.
-
-    Returns
-    -------
-    str
-        Of the sources of lpv_core and lpv_campaign.
-    """
+    """Hash of everything that makes the numbers."""
     return '-'.join(
         source_digest(Path(module).parent) for module in (lpv_core.__file__, lpv_campaign.__file__)
     )
 
 
-def run_one(campaign, number: int) -> dict[str, Any]:
-    """Simulate a run and measure it.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        The campaign.
-    number : int
-        Number of the run.
-
-    Returns
-    -------
-    dict
-        A row of the results.
-    """
+def run_one(campaign: Campaign, number: int) -> dict[str, Any]:
+    """Simulate a run and measure it."""
     try:
         plan = plan_run(campaign, number)
         run = plan.simulate()
@@ -72,50 +54,24 @@ def run_one(campaign, number: int) -> dict[str, Any]:
     return row
 
 
-def has_limit(spec, number: int) -> bool:
-    """Whether the estimates of a run are compared with the best possible ones.
-
-    Parameters
-    ----------
-    spec : CampaignSpec
-        ``limit`` of its ``runs`` are, spread evenly.
-    number : int
-        Number of the run.
-
-    Returns
-    -------
-    bool
-        The answer.
-    """
+def has_limit(spec: CampaignSpec, number: int) -> bool:
+    """Whether the estimates of a run are compared with the best possible ones."""
     return (number + 1) * spec.limit // spec.runs > number * spec.limit // spec.runs
 
 
 def run_chunk(text: str, numbers: list[int]) -> tuple[Any, ...]:
-    """Some runs of a campaign, as a worker does them.
-
-    Parameters
-    ----------
-    text : str
-        `Campaign.text`.
-    numbers : list of int
-        Runs.
-
-    Returns
-    -------
-    tuple
-        Hash of the worker's software, and a list of rows.
-    """
+    """Some runs of a campaign, as a worker runs them."""
     campaign = campaign_of(text)
     return software(), [run_one(campaign, number) for number in numbers]
 
 
 def execute(
-    campaign,
+    campaign: Campaign,
     numbers: Sequence[int],
     workers: int | None = None,
     scheduler: str | None = None,
     chunk: int = CHUNK,
-):
+) -> Iterator[list[dict[str, Any]]]:
     """Run a part of a campaign.
 
     Parameters
@@ -147,20 +103,10 @@ def execute(
 
 
 @contextmanager
-def worker_pool(workers=None, scheduler=None):
-    """Workers that stay for more than one campaign.
-
-    Parameters
-    ----------
-    workers, scheduler
-        As in `execute`.
-
-    Yields
-    ------
-    callable
-        Called with a campaign, numbers of runs and, if wanted, the size of a chunk; yields what
-        `execute` does.
-    """
+def worker_pool(
+    workers: int | None = None, scheduler: str | None = None
+) -> Iterator[Callable[..., Any]]:
+    """Workers that serve several campaigns."""
     if scheduler is None and workers == 0:
         yield _here
         return
@@ -170,10 +116,12 @@ def worker_pool(workers=None, scheduler=None):
         )
 
 
-def _here(campaign, numbers, chunk=CHUNK):
+def _here(
+    campaign: Campaign, numbers: Sequence[int], chunk: int = CHUNK
+) -> Iterator[list[dict[str, Any]]]:
     for part in _chunks(numbers, chunk):
         yield run_chunk(campaign.text, part)[1]
 
 
-def _chunks(numbers, chunk):
+def _chunks(numbers: Sequence[int], chunk: int) -> list[list[int]]:
     return [list(numbers[k : k + chunk]) for k in range(0, len(numbers), chunk)]

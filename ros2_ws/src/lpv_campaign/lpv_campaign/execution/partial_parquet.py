@@ -31,7 +31,7 @@ class PartsFolder:
         self._parts = self.path / _PARTS
 
     @property
-    def whole_file(self):
+    def whole_file(self) -> Path:
         """Parquet file of all rows."""
         return self.path / self._whole
 
@@ -64,50 +64,20 @@ class PartsFolder:
                 ) from error
         return keys
 
-    def write_part(self, table, name: str) -> None:
-        """Write a part; it is there as a whole or not at all.
-
-        Parameters
-        ----------
-        table : pyarrow.Table
-            Rows.
-        name : str
-            Of the part; one that is there is replaced.
-        """
+    def write_part(self, table: pa.Table, name: str) -> None:
+        """Write a part; it is there as a whole or not at all."""
         write_whole(self._parts / f'{name}.parquet', lambda part: pq.write_table(table, part))
 
-    def finish(self, table=None):
-        """Put all parts into one file.
-
-        Parameters
-        ----------
-        table : pyarrow.Table, optional
-            What to write; all rows if not given.
-
-        Returns
-        -------
-        pyarrow.Table
-            What was written.
-        """
+    def finish(self, table: pa.Table | None = None) -> pa.Table:
+        """Put all parts into one file."""
         table = self.table() if table is None else table
         write_whole(self.whole_file, lambda part: pq.write_table(table, part))
         for file in self._part_files():
             file.unlink()
         return table
 
-    def table(self):
-        """All rows so far.
-
-        Returns
-        -------
-        pyarrow.Table
-            Sorted by the key; of several rows with one key, that of the oldest file.
-
-        Raises
-        ------
-        ConfigError
-            If there are none.
-        """
+    def table(self) -> pa.Table:
+        """All rows so far."""
         tables = [pq.read_table(file) for file in self._files()]
         if not tables:
             raise ConfigError('results', 'there are none', str(self.path))
@@ -117,23 +87,15 @@ class PartsFolder:
         # A crash between writing the whole and removing the parts leaves both.
         return table if len(keep) == len(keys) else table.take(keep)
 
-    def _part_files(self):
+    def _part_files(self) -> list[Path]:
         return sorted(self._parts.glob('*.parquet')) if self._parts.is_dir() else []
 
-    def _files(self):
+    def _files(self) -> list[Path]:
         return ([self.whole_file] if self.whole_file.exists() else []) + self._part_files()
 
 
 def write_whole(path: Path, write: Callable[..., Any]) -> None:
-    """Write a file that is there as a whole or not at all.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    write : callable
-        Writes to the path that it is given.
-    """
+    """Write a file that is there as a whole or not at all."""
     part = path.with_name(path.name + '.part')
     write(part)
     # On disk before it gets its name: a power cut must not leave a name without content.

@@ -1,13 +1,16 @@
 """What is kept of one run: figures of detection, isolation, estimates, tracking."""
 
 import math
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 
 from lpv_campaign.plan.spec import BOTH, NO_FAULT
 from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
+from lpv_core.simulation.faults import Fault
 
 DIVERGED = 1.0
 """True tracking error that counts as lost control [rad]."""
@@ -47,7 +50,7 @@ LISTS = ('error_squares_1', 'error_squares_2', 'error_counts_1', 'error_counts_2
 """Names of the figures by type; meaning and units in docs/campaign.md."""
 
 
-def figures(plan, run, twin=None) -> dict[str, Any]:
+def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     """Figures of one run.
 
     Parameters
@@ -80,7 +83,7 @@ def figures(plan, run, twin=None) -> dict[str, Any]:
     return result
 
 
-def _interval(scenario):
+def _interval(scenario: Any) -> tuple[float, float]:
     """From the first onset to the last end of all faults [s]."""
     begin = min((f.onset for f in scenario.faults), default=math.inf)
     end = max(
@@ -90,13 +93,15 @@ def _interval(scenario):
     return begin, end
 
 
-def _named(sensors):
+def _named(sensors: Sequence[str]) -> str:
     return (sensors[0] if len(sensors) == 1 else BOTH) if sensors else NO_FAULT
 
 
-def _own_alarms(run, faulty, begin, end):
+def _own_alarms(
+    run: Any, faulty: Collection[str], begin: float, end: float
+) -> dict[str, list[Any]]:
     """Alarms that count for each faulty sensor."""
-    own = {}
+    own: dict[str, list[Any]] = {}
     for alarm in run.alarms:
         if (
             alarm.event != AlarmEvent.CLEARED
@@ -108,7 +113,7 @@ def _own_alarms(run, faulty, begin, end):
     return own
 
 
-def _alarm_figures(run, faults, begin, end):
+def _alarm_figures(run: Any, faults: list[Fault], begin: float, end: float) -> dict[str, Any]:
     """Alarms while a fault acts count for it; all others are false."""
     raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
     faulty = {f.sensor: f for f in faults}
@@ -137,7 +142,9 @@ def _alarm_figures(run, faults, begin, end):
     }
 
 
-def _sensor_figures(arm, run, faults, begin, end):
+def _sensor_figures(
+    arm: ArmParameters, run: Any, faults: list[Fault], begin: float, end: float
+) -> dict[str, Any]:
     """What the curves of detection against false alarms need of each sensor."""
     own = _own_alarms(run, {f.sensor for f in faults}, begin, end)
     early = [
@@ -150,13 +157,15 @@ def _sensor_figures(arm, run, faults, begin, end):
     return result
 
 
-def _last_kind(own, inside):
-    """The last word on the kind: of the faulty sensor, or else of whichever was blamed."""
+def _last_kind(own: dict[str, list[Any]], inside: list[Any]) -> str:
+    """Kind in the last alarm of the faulty sensor, or else of any other."""
     alarms = [alarms[-1] for alarms in own.values()] or inside
     return alarms[-1].kind if alarms else NO_FAULT
 
 
-def _estimate_figures(run, joints, before, during):
+def _estimate_figures(
+    run: Any, joints: JointMap, before: np.ndarray, during: np.ndarray
+) -> dict[str, Any]:
     settled = run.time >= _SETTLED
     error = run.fault_estimate - run.fault
     # A loop that runs away ends in infinities, and its last scores are none.
@@ -187,7 +196,9 @@ def _estimate_figures(run, joints, before, during):
     return result
 
 
-def _tracking_figures(plan, run, twin, joints, during):
+def _tracking_figures(
+    plan: Any, run: Any, twin: Any, joints: JointMap, during: np.ndarray
+) -> dict[str, Any]:
     error = joints.absolute_position(run.position) - joints.absolute_position(run.reference)
     largest = float(np.abs(error).max())
     finite = bool(np.isfinite(run.position).all() and np.isfinite(run.torque).all())
@@ -208,15 +219,15 @@ def _tracking_figures(plan, run, twin, joints, during):
     return result
 
 
-def _rms(values):
+def _rms(values: np.ndarray) -> float:
     values = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
-def _largest(values):
+def _largest(values: np.ndarray) -> float:
     values = values[~np.isnan(values)]
     return float(values.max()) if values.size else math.nan
 
 
-def _least(values):
+def _least(values: np.ndarray) -> float:
     return float(values.min()) if values.size else math.nan

@@ -8,18 +8,22 @@ from typing import Any
 
 import numpy as np
 
+from lpv_bag.blocks.chunk_assembly import ChunkAssembly
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.replay.answer_records import RecordTemplate
 from lpv_bag.replay.replay import Replay
-from lpv_bag.rosbag.chunk_assembly import ChunkAssembly
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import load_run
-from lpv_campaign.plan.run_files import write_run_files
+from lpv_campaign.execution.run_files import write_run_files
+from lpv_campaign.execution.runs import RunPlan
+from lpv_core.decision.diagnosis import Alarm
+from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.simulation.closed_loop import Run
 from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 NAMESPACE = '/lpv'
 START = NANOSECONDS
@@ -44,23 +48,15 @@ _ANSWERS = {
 """Signals of a run that must be those of its bag, bit by bit."""
 
 
-def stamps_of(run) -> np.ndarray:
+def stamps_of(run: Run) -> np.ndarray:
     """Header stamps of a run's samples in its bag.
 
-    Parameters
-    ----------
-    run : lpv_core.simulation.closed_loop.Run
-        The run.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        [ns].
+    Returns ndarray of int64 of shape (n,): [ns].
     """
     return START + np.array([round(t * 1e9) for t in run.time.tolist()], np.int64)
 
 
-def write_run_bag(plan, run, out: str | Path) -> None:
+def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
     """Write a run as a bag, with the files that repeat it.
 
     Measurements, commands, references and truth come from the run; the answers of observer and
@@ -100,21 +96,8 @@ def write_run_bag(plan, run, out: str | Path) -> None:
         shutil.move(whole, out)
 
 
-def check_answers(run, bag: str | Path) -> None:
-    """Compare the answers in the bag of a run with those that the run had.
-
-    Parameters
-    ----------
-    run : lpv_core.simulation.closed_loop.Run
-        The run.
-    bag : str or pathlib.Path
-        Its bag.
-
-    Raises
-    ------
-    LpvError
-        Naming the first signal that differs.
-    """
+def check_answers(run: Run, bag: str | Path) -> None:
+    """Compare the answers in the bag of a run with those that the run had."""
     record, stamps = load_run(bag), stamps_of(run)
     kept = ~run.lost
     expected = {stream: stamps[kept] for stream in ('state_estimate', 'fault_estimate')}
@@ -124,15 +107,15 @@ def check_answers(run, bag: str | Path) -> None:
         first = np.searchsorted(stamps[kept], found[0]) if len(found) else len(stamps[kept])
         if not np.array_equal(found, expected[stream][first:]):
             raise LpvError(f'{bag}: {stream} has other samples than the run')
-        if len(found) and not np.array_equal(
-            record.get(stream, field), getattr(run, name)[kept][first:], equal_nan=True
-        ):
+        answers = record.get(stream, field)
+        expected_answers = getattr(run, name)[kept][first:]
+        if answers is not None and not np.array_equal(answers, expected_answers, equal_nan=True):
             raise LpvError(f'{bag}: the replay gives another {name} than the run')
     if [_alarm(a, 0) for a in record.alarms] != [_alarm(a, START) for a in run.alarms]:
         raise LpvError(f'{bag}: the replay gives other alarms than the run')
 
 
-def _alarm(alarm, shift):
+def _alarm(alarm: Alarm, shift: int) -> tuple[Any, ...]:
     return (
         int(alarm.event),
         alarm.sensor,
@@ -146,22 +129,11 @@ def _alarm(alarm, shift):
 
 
 def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
-    """Figures that are not what the results of the campaign say.
-
-    Parameters
-    ----------
-    stored, found : dict
-        Figures by name; only names that both have are compared.
-
-    Returns
-    -------
-    list of str
-        Names; machines may differ in the last bits, and nothing more.
-    """
+    """Figures that are not what the results of the campaign say."""
     return [name for name in found if name in stored and not _same(stored[name], found[name])]
 
 
-def _same(one, two):
+def _same(one: Any, two: Any) -> bool:
     if isinstance(one, (list, tuple)) and isinstance(two, (list, tuple)):
         return len(one) == len(two) and all(map(_same, one, two))
     if isinstance(one, float) and isinstance(two, float):
@@ -177,7 +149,7 @@ def _same(one, two):
 class _Signals:
     """Vectors of the messages of a run."""
 
-    def __init__(self, run) -> None:
+    def __init__(self, run: Run) -> None:
         self.stamps = stamps_of(run)
         effort = np.vstack([np.zeros((1, 2)), run.torque[:-1]])
         reference = run.path[:, run.place]
@@ -210,7 +182,7 @@ class _Signals:
         }
 
 
-def _write_signals(plan, run, path) -> None:
+def _write_signals(plan: RunPlan, run: Run, path: Path) -> None:
     signals = _Signals(run)
     bag = ChunkBagWriter(path)
     try:
@@ -235,9 +207,9 @@ def _write_signals(plan, run, path) -> None:
         raise ConfigError('--bag', f'cannot be written as a whole: {missing} is missing', str(path))
 
 
-def _templates(bag, arm):
+def _templates(bag: ChunkBagWriter, arm: ArmParameters) -> dict[int, RecordTemplate]:
     zero, messages = np.zeros(2), BagMessages(bag.typestore, arm.name)
-    examples = {
+    examples: dict[int, dict[str, Any]] = {
         _TRUTH: {
             'position': zero,
             'velocity': zero,
@@ -259,7 +231,7 @@ def _templates(bag, arm):
         bag.add_topic(topic, msgtype, [qos_profile(True, False, 50)])
         if kind == _MEASURED:
             message = BagMessages(bag.typestore, 'base_link').joint_state(
-                0, arm.joint_names, zero, zero, zero
+                0, arm.joint_names, *[zero.tolist()] * 3
             )
         else:
             message = messages.make(msgtype, 0, examples[kind])

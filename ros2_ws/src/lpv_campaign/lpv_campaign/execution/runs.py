@@ -1,15 +1,17 @@
 """One run of a campaign: from its number to its signals."""
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
+from lpv_campaign.plan.campaign import Campaign
 from lpv_campaign.plan.paths import random_path
 from lpv_campaign.plan.spec import BOTH, NO_FAULT
 from lpv_core.certificate.gains import Gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.model.arm import ArmParameters
-from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.closed_loop import Run, Transport, run_closed_loop
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import Scenario
 
@@ -18,49 +20,21 @@ _TUNING = {f'diagnosis.{field.name}': field.name for field in fields(DiagnosisPa
 
 @dataclass(frozen=True)
 class RunPlan:
-    """What is simulated in one run.
+    """What is simulated in one run."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the run.
-    values : dict
-        Of the factors.
-    arm : ArmParameters
-        Nominal arm, with the run's sample time.
-    gains : Gains
-        Its gains.
-    scenario : Scenario
-        What happens.
-    parameters : DiagnosisParameters
-        Tuning of the diagnosis.
-    compensation : str
-        What the loop closes on.
-    substeps, delay : int
-        As in `lpv_core.simulation.closed_loop.run_closed_loop`.
-    loss : float
-        Likewise.
-    """
+    number: int  # Number of the run
+    values: dict  # Of the factors
+    arm: ArmParameters  # Nominal arm, with the run's sample time
+    gains: Gains  # Its gains
+    scenario: Scenario  # What happens
+    parameters: DiagnosisParameters  # Tuning of the diagnosis
+    compensation: str  # What the loop closes on
+    substeps: int  # As in `lpv_core.simulation.closed_loop.run_closed_loop`
+    delay: int  # As in `lpv_core.simulation.closed_loop.run_closed_loop`
+    loss: float  # Likewise
 
-    number: int
-    values: dict
-    arm: ArmParameters
-    gains: Gains
-    scenario: Scenario
-    parameters: DiagnosisParameters
-    compensation: str
-    substeps: int
-    delay: int
-    loss: float
-
-    def simulate(self, faults: bool = True):
-        """Run the closed loop; ``faults=False``: its healthy twin.
-
-        Returns
-        -------
-        lpv_core.simulation.closed_loop.Run
-            All signals.
-        """
+    def simulate(self, faults: bool = True) -> Run:
+        """Run the closed loop; ``faults=False``: its healthy twin."""
         scenario = self.scenario if faults else replace(self.scenario, faults=())
         return run_closed_loop(
             self.arm,
@@ -69,12 +43,11 @@ class RunPlan:
             self.compensation,
             self.parameters,
             self.substeps,
-            self.delay,
-            self.loss,
+            Transport(self.delay, self.loss),
         )
 
 
-def plan_run(campaign, number: int) -> RunPlan:
+def plan_run(campaign: Campaign, number: int) -> RunPlan:
     """What is simulated in a run.
 
     Parameters
@@ -90,7 +63,7 @@ def plan_run(campaign, number: int) -> RunPlan:
         Ready to be simulated.
     """
     values, spec = campaign.values(number), campaign.spec
-    # Not the generator of the plan's points, which are independent of what else a run draws.
+    # Not the generator of the plan's points, which must not depend on what else is random in a run.
     rng = np.random.default_rng([spec.seed, 2, number])
     seed = int(rng.integers(2**31))
     time = values['sample_time'] or campaign.arm.sample_time
@@ -132,7 +105,9 @@ _SCALARS = {
 """Factors that replace a field of the scenario."""
 
 
-def _on_path(campaign, arm, path, rng):
+def _on_path(
+    campaign: Campaign, arm: ArmParameters, path: str, rng: np.random.Generator
+) -> Scenario:
     """The scenario of a run with its path and its length."""
     spec = campaign.spec
     scenario = campaign.scenario(spec.scenario)
@@ -154,14 +129,17 @@ def _on_path(campaign, arm, path, rng):
     return replace(scenario, duration=duration)
 
 
-def _pair(values, name, default):
-    return tuple(
-        d if values[f'{name}_{i}'] is None else values[f'{name}_{i}']
-        for i, d in zip((1, 2), default)
+def _pair(values: dict[str, Any], name: str, default: tuple[float, float]) -> tuple[float, float]:
+    given = values[f'{name}_1'], values[f'{name}_2']
+    return (
+        default[0] if given[0] is None else given[0],
+        default[1] if given[1] is None else given[1],
     )
 
 
-def _faults(arm, values, rng):
+def _faults(
+    arm: ArmParameters, values: dict[str, Any], rng: np.random.Generator
+) -> tuple[Fault, ...]:
     signs = rng.choice([-1.0, 1.0], 2).tolist()
     if values['fault.kind'] == NO_FAULT:
         return ()

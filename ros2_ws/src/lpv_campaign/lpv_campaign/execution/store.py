@@ -1,4 +1,4 @@
-"""Results on disk: Parquet, one row a run, in parts while the campaign goes on."""
+"""Results on disk: Parquet, one row per run, in parts while the campaign runs."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ class CampaignFolder(PartsFolder):
         super().__init__(path, _RUNS, 'number')
 
     @property
-    def runs_file(self):
+    def runs_file(self) -> Path:
         """Parquet file of a finished campaign."""
         return self.whole_file
 
@@ -59,61 +59,23 @@ class CampaignFolder(PartsFolder):
             raise ConfigError('campaign', f'cannot be read ({error})', str(file)) from error
 
     def holds_another(self, campaign: Campaign) -> bool:
-        """Whether another campaign was begun here.
-
-        Parameters
-        ----------
-        campaign : Campaign
-            That was not.
-
-        Returns
-        -------
-        bool
-            False for a new folder, too.
-        """
+        """Whether another campaign was begun here."""
         begun = self.load()
         return begun is not None and begun.key != campaign.key
 
     def begin(self, campaign: Campaign) -> None:
-        """Keep the campaign, so that it can go on after a crash.
-
-        Parameters
-        ----------
-        campaign : Campaign
-            What is going to be run.
-        """
+        """Keep the campaign, so that it can be resumed after a crash."""
         self.make()
         write_whole(self.path / _CAMPAIGN, lambda part: part.write_text(campaign.text))
 
     def add(self, campaign: Campaign, rows: list[dict[str, Any]]) -> None:
-        """Write a part; it is there as a whole or not at all.
-
-        Parameters
-        ----------
-        campaign : Campaign
-            For the columns.
-        rows : list of dict
-            Results of some runs.
-        """
+        """Write a part; it is there as a whole or not at all."""
         table = pa.Table.from_pylist(rows, schema=schema(campaign, rows))
         self.write_part(table, f'{rows[0]["number"]:08d}-{rows[-1]["number"]:08d}')
 
 
-def schema(campaign: Campaign, rows: list[dict[str, Any]]):
-    """Columns of the results.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        For the factors.
-    rows : list of dict
-        Some results; only they know which figures of the accuracy's limit there are.
-
-    Returns
-    -------
-    pyarrow.Schema
-        Numbers, factors, figures.
-    """
+def schema(campaign: Campaign, rows: list[dict[str, Any]]) -> pa.Schema:
+    """Columns of the results."""
     names = [*DEFAULTS, *(n for n in campaign.spec.factors if n not in DEFAULTS)]
     columns = [
         ('number', pa.int64()),

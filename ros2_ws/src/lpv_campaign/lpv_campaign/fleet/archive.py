@@ -1,8 +1,9 @@
-"""Replays an archive of bags: here, on all cores, or on a cluster; one row a bag."""
+"""Replays an archive of bags: here, on all cores, or on a cluster; one row per bag."""
 
 import contextlib
 import json
 import logging
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,9 +18,9 @@ from lpv_campaign.fleet.find import FoundBag, unit_of
 from lpv_campaign.fleet.tally import Tally, alarm_rows
 from lpv_campaign.fleet.truth import STREAMS, TruthKeeper, scenario_of
 from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import gains_to_dict, parse_gains
+from lpv_core.certificate.gains import Gains, gains_to_dict, parse_gains
 from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters
-from lpv_core.model.arm import arm_from_json
+from lpv_core.model.arm import ArmParameters, arm_from_json
 from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.support.config import sha256_of
 from lpv_core.support.errors import LpvError
@@ -30,32 +31,16 @@ _LONGEST_ERROR = 500
 
 @dataclass(frozen=True)
 class FleetSettings:
-    """What observes, and what of each bag is read.
+    """What observes, and what of each bag is read."""
 
-    Attributes
-    ----------
-    arm : ArmParameters
-        Arm of all bags.
-    gains : Gains
-        Its gains.
-    diagnosis : DiagnosisParameters
-        Tuning.
-    max_gap : float
-        Longest interval that is integrated [s].
-    initial_samples : int
-        Samples that the start value is averaged over.
-    options : ReplayOptions
-        What is read.
-    """
+    arm: ArmParameters  # Arm of all bags
+    gains: Gains  # Its gains
+    diagnosis: DiagnosisParameters = DiagnosisParameters()  # Tuning
+    max_gap: float = 0.1  # Longest interval that is integrated [s]
+    initial_samples: int = 1  # Samples that the start value is averaged over
+    options: ReplayOptions = ReplayOptions()  # What is read
 
-    arm: object
-    gains: object
-    diagnosis: DiagnosisParameters = DiagnosisParameters()
-    max_gap: float = 0.1
-    initial_samples: int = 1
-    options: ReplayOptions = ReplayOptions()
-
-    def to_json(self):
+    def to_json(self) -> str:
         """All of it as one line; `settings_from_json` reads it back."""
         return json.dumps(
             {
@@ -70,25 +55,19 @@ class FleetSettings:
         )
 
     @property
-    def key(self):
+    def key(self) -> str:
         """Hash of everything that can change a result but the bags and the software."""
         return sha256_of(json.loads(self.to_json()))
 
     def monitor(self) -> SensorMonitor:
-        """A fresh monitor.
-
-        Returns
-        -------
-        SensorMonitor
-            With these settings.
-        """
+        """A fresh monitor."""
         return SensorMonitor(
             '/uio', self.arm, self.gains, self.diagnosis, self.max_gap, self.initial_samples
         )
 
 
 @lru_cache(maxsize=2)
-def settings_from_json(text):
+def settings_from_json(text: str) -> FleetSettings:
     """`FleetSettings` of a text; a worker parses it once."""
     data = json.loads(text)
     arm, gains = arm_from_json(data['arm']), parse_gains(data['gains'])
@@ -104,13 +83,7 @@ def settings_from_json(text):
 
 
 def software() -> str:
-    """Hash of everything that makes the numbers.
-
-    Returns
-    -------
-    str
-        Of the sources of lpv_core, lpv_bag and lpv_campaign.
-    """
+    """Hash of everything that makes the numbers."""
     return '-'.join(
         source_digest(Path(module).parent)
         for module in (lpv_core.__file__, lpv_bag.__file__, lpv_campaign.__file__)
@@ -120,19 +93,7 @@ def software() -> str:
 def watch_bag(settings: FleetSettings, root: str, bag: FoundBag) -> dict[str, Any]:
     """Replay a bag and measure it.
 
-    Parameters
-    ----------
-    settings : FleetSettings
-        What observes.
-    root : str
-        Archive.
-    bag : FoundBag
-        The bag.
-
-    Returns
-    -------
-    dict
-        A row of the results; what is wrong with a bag that cannot be read is in ``error``.
+    Returns a row of the results; what is wrong with a bag that cannot be read is in ``error``.
     """
     row = {'bag': bag.name, 'fingerprint': bag.fingerprint, 'unit': '', 'error': ''}
     try:
@@ -145,12 +106,12 @@ def watch_bag(settings: FleetSettings, root: str, bag: FoundBag) -> dict[str, An
     return row
 
 
-def _figures(settings, path):
+def _figures(settings: FleetSettings, path: Path) -> dict[str, Any]:
     monitor = settings.monitor()
     tally = Tally(settings.arm.sample_time, settings.max_gap)
     truth = TruthKeeper(settings.arm)
 
-    def take(*parts) -> None:
+    def take(*parts: Any) -> None:
         tally.take(*parts)
         truth.take(*parts)
 
@@ -183,7 +144,7 @@ def _figures(settings, path):
 
 
 @contextlib.contextmanager
-def _quiet():
+def _quiet() -> Iterator[None]:
     """Without the log of what is wrong with a bag, which is in its row."""
     logger = logging.getLogger('lpv_bag')
     level = logger.level
@@ -194,26 +155,13 @@ def _quiet():
         logger.setLevel(level)
 
 
-def _line(text):
+def _line(text: str) -> str:
     text = ' '.join(text.split())
     return text if len(text) <= _LONGEST_ERROR else text[: _LONGEST_ERROR - 3] + '...'
 
 
 def watch_chunk(text: str, chunk: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Some bags, as a worker does them.
-
-    Parameters
-    ----------
-    text : str
-        `FleetSettings.to_json`.
-    chunk : tuple
-        Archive, as the worker finds it, and a list of name and fingerprint of bags.
-
-    Returns
-    -------
-    tuple
-        Hash of the worker's software, and a list of rows.
-    """
+    """Some bags, as a worker runs them."""
     root, bags = chunk
     settings = settings_from_json(text)
     return software(), [watch_bag(settings, root, FoundBag(*bag)) for bag in bags]
@@ -225,7 +173,7 @@ def watch_fleet(
     bags: list[FoundBag],
     workers: int | None = None,
     scheduler: str | None = None,
-):
+) -> Iterator[list[dict[str, Any]]]:
     """Replay bags.
 
     Parameters

@@ -2,11 +2,11 @@
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_bag.rosbag.errors import DamageError
+from lpv_bag.errors import DamageError
 from lpv_bag.rosbag.metadata import FILE_NAME, read_metadata
 from lpv_core.support.errors import ConfigError
 
@@ -17,17 +17,10 @@ _UNIT = ('serial', 'unit')
 
 @dataclass(frozen=True)
 class FoundBag:
-    """A bag of an archive.
+    """A bag of an archive."""
 
-    Attributes
-    ----------
-    name : str
-        Path relative to the archive, with slashes.
-    fingerprint : str
-        Hash of names, sizes and times of its files: a bag that was changed has another one.
-    """
-
-    name: str
+    name: str  # Path relative to the archive, with slashes
+    # Hash of names, sizes and times of its files: a bag that was changed has another one
     fingerprint: str
 
 
@@ -59,8 +52,8 @@ def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> list[FoundBag
     if not root.is_dir():
         raise ConfigError('--bags', 'is not a folder', str(root))
     skipped, found = {Path(path).resolve() for path in leave_out}, []
-    for folder, folders, files in os.walk(root):
-        folder = Path(folder)
+    for name, folders, files in os.walk(root):
+        folder = Path(name)
         folders[:] = sorted(
             name
             for name in folders
@@ -72,7 +65,7 @@ def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> list[FoundBag
     return sorted(found, key=lambda bag: bag.name)
 
 
-def _bags_in(folder, files):
+def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
     """Bags of one folder, each with the files that make it."""
     storage = [folder / name for name in files if Path(name).suffix in _STORAGE]
     if FILE_NAME in files and (storage or _is_metadata(folder)):
@@ -88,8 +81,8 @@ def _bags_in(folder, files):
     return unfinished + [(path, [path]) for path in storage if path not in taken]
 
 
-def _is_metadata(folder) -> bool:
-    """Whether a lonely metadata.yaml is that of a bag, whose files are then missing."""
+def _is_metadata(folder: Path) -> bool:
+    """Whether a metadata.yaml without bag files is that of a bag, whose files are then missing."""
     try:
         with open(folder / FILE_NAME, 'rb') as file:
             return b'rosbag2_bagfile_information' in file.read(4096)
@@ -97,7 +90,7 @@ def _is_metadata(folder) -> bool:
         return False
 
 
-def _fingerprint(paths):
+def _fingerprint(paths: Iterable[Path]) -> str:
     found = hashlib.sha256()
     for path in paths:
         try:
@@ -112,17 +105,8 @@ def _fingerprint(paths):
 def unit_of(root: str | Path, name: str) -> str:
     """Which arm of the fleet a bag is of.
 
-    Parameters
-    ----------
-    root : str or pathlib.Path
-        Archive.
-    name : str
-        Bag.
-
-    Returns
-    -------
-    str
-        ``serial`` or ``unit`` of its custom data; otherwise its first folder, or '' at the top.
+    Returns ``serial`` or ``unit`` of its custom data; otherwise its first folder, or '' at the
+    top.
     """
     try:
         custom = read_metadata(Path(root) / name).custom

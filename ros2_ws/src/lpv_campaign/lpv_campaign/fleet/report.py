@@ -6,6 +6,8 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 
+from lpv_campaign.fleet.statistics import FleetStatistics, Trend
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.formatting import number
 from lpv_report.page import embedded, environment
 from lpv_report.style import BAND, SENSOR, SETTINGS, png
@@ -17,7 +19,12 @@ _UNUSABLE = ('rejected', 'duplicates', 'out_of_order', 'not_finite', 'implausibl
 
 
 def write_fleet_report(
-    path: str | Path, statistics, arm, title: str, parquet: str, healthy: bool = False
+    path: str | Path,
+    statistics: FleetStatistics,
+    arm: ArmParameters,
+    title: str,
+    parquet: str,
+    healthy: bool = False,
 ) -> None:
     """Write the report.
 
@@ -60,7 +67,7 @@ def write_fleet_report(
     )
 
 
-def _tiles(statistics):
+def _tiles(statistics: FleetStatistics) -> list[tuple[str, Any]]:
     alarms, false = statistics.alarms['all'], statistics.false_alarms
     return [
         ('bags', statistics.bags),
@@ -71,40 +78,16 @@ def _tiles(statistics):
     ]
 
 
-def rates(statistics) -> list[tuple[Any, ...]]:
-    """Rates with their names, as table and report show them.
-
-    Parameters
-    ----------
-    statistics : FleetStatistics
-        The statistics.
-
-    Returns
-    -------
-    list of tuple
-        Name and `Rate`.
-    """
+def rates(statistics: FleetStatistics) -> list[tuple[Any, ...]]:
+    """Rates with their names, as table and report show them."""
     named = [
         (name if name != 'all' else 'all sensors', rate) for name, rate in statistics.alarms.items()
     ]
     return [*named, ('false alarms', statistics.false_alarms)]
 
 
-def truth_text(statistics, healthy: bool) -> str:
-    """What is known of which alarms are false.
-
-    Parameters
-    ----------
-    statistics : FleetStatistics
-        The statistics.
-    healthy : bool
-        Whether alarms of bags without truth count as false.
-
-    Returns
-    -------
-    str
-        One or two sentences.
-    """
+def truth_text(statistics: FleetStatistics, healthy: bool) -> str:
+    """What is known of which alarms are false."""
     text = (
         'Bags without ground truth were said to be of healthy arms: their alarms are false.'
         if healthy
@@ -119,7 +102,7 @@ def truth_text(statistics, healthy: bool) -> str:
     return text
 
 
-def date(stamp):
+def date(stamp: int) -> str:
     """Date of a stamp [ns]; its seconds where it is no date."""
     seconds = stamp / 1e9
     if seconds < 1e8:
@@ -127,7 +110,7 @@ def date(stamp):
     return time.strftime('%Y-%m-%d %H:%M', time.gmtime(seconds))
 
 
-def _trend_picture(trends, arm):
+def _trend_picture(trends: list[Trend], arm: ArmParameters) -> bytes | None:
     if not trends:
         return None
     shown = trends[:_PANELS]

@@ -1,11 +1,13 @@
 """Statistics of a fleet: rates of alarms, bags to look at, trends of single arms."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from scipy import stats
 
 _LEVEL = 0.95
@@ -16,44 +18,21 @@ _DAY = 86400e9
 
 @dataclass(frozen=True)
 class Rate:
-    """Events per hour.
+    """Events per hour."""
 
-    Attributes
-    ----------
-    count : int
-        Events.
-    hours : float
-        Time under observation [h].
-    low, high : float
-        Exact limits of the rate of a Poisson process, 95 % [1/h].
-    """
-
-    count: int
-    hours: float
-    low: float
-    high: float
+    count: int  # Events
+    hours: float  # Time under observation [h]
+    low: float  # Exact limits of the rate of a Poisson process, 95 % [1/h]
+    high: float  # Exact limits of the rate of a Poisson process, 95 % [1/h]
 
     @property
-    def value(self):
+    def value(self) -> float:
         """Estimate [1/h]; NaN without observation."""
         return self.count / self.hours if self.hours > 0.0 else math.nan
 
 
 def rate(count: int, hours: float) -> Rate:
-    """Rate with its exact interval.
-
-    Parameters
-    ----------
-    count : int
-        Events.
-    hours : float
-        Time under observation [h].
-
-    Returns
-    -------
-    Rate
-        The limits are 0 and infinity without observation.
-    """
+    """Rate with its exact interval."""
     if not hours > 0.0:
         return Rate(count, 0.0, 0.0, math.inf)
     tail = (1.0 - _LEVEL) / 2.0
@@ -63,82 +42,47 @@ def rate(count: int, hours: float) -> Rate:
 
 @dataclass(frozen=True)
 class Trend:
-    """How the fault estimate of one sensor of one arm changes from bag to bag.
+    """How the fault estimate of one sensor of one arm changes from bag to bag."""
 
-    Attributes
-    ----------
-    unit : str
-        The arm.
-    sensor : int
-        Index of the sensor.
-    days, means : ndarray, shape (n,)
-        Time of each bag since the first one [d], and its mean fault estimate [rad].
-    slope, low, high : float
-        Theil-Sen slope and its interval, 95 % [rad/d].
-    probability : float
-        That independent values are so much in order (Kendall's tau).
-    significant : bool
-        Whether that is less than 5 % over all trends together (Bonferroni).
-    threshold : float
-        Median of the bags' mean thresholds [rad].
-    days_left : float
-        Time from the last bag on after which the estimate reaches the mean threshold [d]; infinite
-        where it does not grow.
-    """
-
-    unit: str
-    sensor: int
+    unit: str  # The arm
+    sensor: int  # Index of the sensor
+    # (n,) Time of each bag since the first one [d], and its mean fault estimate [rad]
     days: np.ndarray
+    # (n,) Time of each bag since the first one [d], and its mean fault estimate [rad]
     means: np.ndarray
-    slope: float
-    low: float
-    high: float
-    probability: float
-    significant: bool
-    threshold: float
+    slope: float  # Theil-Sen slope and its interval, 95 % [rad/d]
+    low: float  # Theil-Sen slope and its interval, 95 % [rad/d]
+    high: float  # Theil-Sen slope and its interval, 95 % [rad/d]
+    probability: float  # That independent values are so much in order (Kendall's tau)
+    significant: bool  # Whether that is less than 5 % over all trends together (Bonferroni)
+    threshold: float  # Median of the bags' mean thresholds [rad]
+    # Time from the last bag on after which the estimate reaches the mean threshold [d]; infinite
+    # where it does not grow
     days_left: float
 
 
 @dataclass(frozen=True)
 class FleetStatistics:
-    """Statistics of an archive.
+    """Statistics of an archive."""
 
-    Attributes
-    ----------
-    bags, failed : int
-        All bags, and those that could not be read.
-    hours : float
-        Time under observation [h].
-    alarms : dict of str to Rate
-        Alarms by sensor, and ``all``.
-    kinds : dict of tuple to int
-        Alarms by sensor and kind.
-    false_alarms : Rate
-        Alarms without a fault, of bags where that is known.
-    detected, faulty : int
-        Bags with a true fault, and those of them in which it was found on all its sensors.
-    ranking : list of dict
-        Rows of all bags that could be read, the most suspicious first.
-    failures : list of dict
-        Rows of those that could not.
-    trends : list of Trend
-        The least probable first.
-    """
-
-    bags: int
-    failed: int
-    hours: float
-    alarms: dict
-    kinds: dict
-    false_alarms: Rate
+    bags: int  # All bags, and those that could not be read
+    failed: int  # All bags, and those that could not be read
+    hours: float  # Time under observation [h]
+    alarms: dict  # Alarms by sensor, and ``all``
+    kinds: dict  # Alarms by sensor and kind
+    false_alarms: Rate  # Alarms without a fault, of bags where that is known
+    # Bags with a true fault, and those of them in which it was found on all its sensors
     detected: int
+    # Bags with a true fault, and those of them in which it was found on all its sensors
     faulty: int
-    ranking: list
-    failures: list
-    trends: list
+    ranking: list  # Rows of all bags that could be read, the most suspicious first
+    failures: list  # Rows of those that could not
+    trends: list  # The least probable first
 
 
-def fleet_statistics(table, sensor_names: Sequence[str], healthy: bool = False) -> FleetStatistics:
+def fleet_statistics(
+    table: pa.Table, sensor_names: Sequence[str], healthy: bool = False
+) -> FleetStatistics:
     """Statistics of the rows of an archive.
 
     Parameters
@@ -160,74 +104,64 @@ def fleet_statistics(table, sensor_names: Sequence[str], healthy: bool = False) 
         [n for n in table.column_names if n.startswith(('error_squares', 'error_counts'))]
     ).to_pylist()
     good = [row for row in rows if not row['error']]
-    hours = _hours(good)
-    alarms = {
-        name: rate(sum(row[f'alarms_{i + 1}'] for row in good), hours)
-        for i, name in enumerate(sensor_names)
-    }
-    alarms['all'] = rate(sum(row['alarms'] for row in good), hours)
-    kinds = {}
-    for row in good:
-        for alarm in row['alarm_list']:
-            key = (alarm['sensor'], alarm['kind'])
-            kinds[key] = kinds.get(key, 0) + alarm['count']
-    known = [row for row in good if row['false_alarms'] is not None]
-    faulty = [row for row in known if row['kind'] != 'none']
-    assumed = [row for row in good if healthy and row['false_alarms'] is None]
-    false = rate(
-        sum(row['false_alarms'] for row in known) + sum(row['alarms'] for row in assumed),
-        _hours(known) + _hours(assumed),
-    )
+    failures = [row for row in rows if row['error']]
+    faulty = [row for row in _with_truth(good) if row['kind'] != 'none']
     return FleetStatistics(
-        len(rows),
-        len(rows) - len(good),
-        hours,
-        alarms,
-        kinds,
-        false,
-        sum(bool(row['detected']) for row in faulty),
-        len(faulty),
-        sorted(good, key=suspicion, reverse=True),
-        [row for row in rows if row['error']],
-        trends(good),
+        bags=len(rows),
+        failed=len(failures),
+        hours=_hours(good),
+        alarms=_alarm_rates(good, sensor_names),
+        kinds=_alarm_kinds(good),
+        false_alarms=_false_alarms(good, healthy),
+        detected=sum(bool(row['detected']) for row in faulty),
+        faulty=len(faulty),
+        ranking=sorted(good, key=suspicion, reverse=True),
+        failures=failures,
+        trends=trends(good),
     )
 
 
-def _hours(rows):
+def _alarm_rates(rows: list[dict[str, Any]], sensor_names: Sequence[str]) -> dict[str, Rate]:
+    columns = {name: f'alarms_{i}' for i, name in enumerate(sensor_names, start=1)}
+    return {
+        name: rate(sum(row[column] for row in rows), _hours(rows))
+        for name, column in {**columns, 'all': 'alarms'}.items()
+    }
+
+
+def _alarm_kinds(rows: list[dict[str, Any]]) -> dict[tuple[str, str], int]:
+    kinds: Counter[tuple[str, str]] = Counter()
+    for row in rows:
+        for alarm in row['alarm_list']:
+            kinds[alarm['sensor'], alarm['kind']] += alarm['count']
+    return dict(kinds)
+
+
+def _with_truth(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [row for row in rows if row['false_alarms'] is not None]
+
+
+def _false_alarms(rows: list[dict[str, Any]], healthy: bool) -> Rate:
+    """Of bags with truth; with ``healthy``, all alarms of the others are false as well."""
+    known = _with_truth(rows)
+    assumed = [row for row in rows if healthy and row['false_alarms'] is None]
+    count = sum(row['false_alarms'] for row in known) + sum(row['alarms'] for row in assumed)
+    return rate(count, _hours(known) + _hours(assumed))
+
+
+def _hours(rows: list[dict[str, Any]]) -> float:
     return sum(row['observed'] for row in rows) / 3600.0
 
 
 def suspicion(row: dict[str, Any]) -> tuple[Any, ...]:
-    """What bags are sorted by: alarms first, then contradictions, then how near a threshold.
-
-    Parameters
-    ----------
-    row : dict
-        Of a bag.
-
-    Returns
-    -------
-    tuple
-        The greater, the more suspicious.
-    """
+    """What bags are sorted by: alarms first, then contradictions, then how near a threshold."""
     share = row['inconsistent_time'] / row['observed'] if row['observed'] else 0.0
     return row['alarms'] > 0, share > 0.01, max(row['score_1'], row['score_2']), row['bag']
 
 
 def trends(rows: list[dict[str, Any]]) -> list[Trend]:
-    """Trends of all arms that have bags enough.
-
-    Parameters
-    ----------
-    rows : list of dict
-        Of bags that could be read.
-
-    Returns
-    -------
-    list of Trend
-        The least probable first.
-    """
-    units = {}
+    """Trends of all arms that have bags enough."""
+    units: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         units.setdefault(row['unit'], []).append(row)
     found = [
@@ -238,12 +172,12 @@ def trends(rows: list[dict[str, Any]]) -> list[Trend]:
     ]
     limit = (1.0 - _LEVEL) / max(1, len(found))
     return sorted(
-        (_judged(trend, limit) for trend in found),
+        (replace(trend, significant=trend.probability < limit) for trend in found),
         key=lambda trend: (trend.probability, trend.unit, trend.sensor),
     )
 
 
-def _trend(unit, sensor, rows):
+def _trend(unit: str, sensor: int, rows: list[dict[str, Any]]) -> Trend | None:
     number = sensor + 1
     rows = sorted(
         (row for row in rows if row[f'fault_mean_{number}'] is not None),
@@ -273,8 +207,3 @@ def _trend(unit, sensor, rows):
         threshold,
         left,
     )
-
-
-def _judged(trend, limit):
-    values = {**vars(trend), 'significant': trend.probability < limit}
-    return Trend(**values)

@@ -1,4 +1,4 @@
-"""Results of an archive on disk: Parquet, one row a bag."""
+"""Results of an archive on disk: Parquet, one row per bag."""
 
 import json
 import uuid
@@ -10,6 +10,8 @@ import pyarrow.parquet as pq
 
 from lpv_campaign.execution.partial_parquet import PartsFolder, write_whole
 from lpv_campaign.execution.run_metrics import COUNTS, FLAGS, FLOATS, LISTS, TEXTS
+from lpv_campaign.fleet.archive import FleetSettings
+from lpv_campaign.fleet.find import FoundBag
 from lpv_campaign.fleet.tally import STATES
 from lpv_core.observer.sampled_observer import Counters
 from lpv_core.support.errors import ConfigError
@@ -39,7 +41,7 @@ _EACH = (
 )
 
 
-def _schema():
+def _schema() -> pa.Schema:
     text, whole, number, flag = pa.string(), pa.int64(), pa.float64(), pa.bool_()
     columns = {
         'bag': text,
@@ -93,19 +95,8 @@ class FleetFolder(PartsFolder):
     def __init__(self, path: str | Path) -> None:
         super().__init__(path, _BAGS, 'bag')
 
-    def begin(self, settings) -> None:
-        """Keep the settings, so that what was begun can go on.
-
-        Parameters
-        ----------
-        settings : FleetSettings
-            What observes.
-
-        Raises
-        ------
-        ConfigError
-            If the folder holds results of other settings, or something else.
-        """
+    def begin(self, settings: FleetSettings) -> None:
+        """Keep the settings, so that it can be resumed."""
         file = self.path / _FLEET
         if file.exists():
             if _stored_key(file) != settings.key:
@@ -125,35 +116,12 @@ class FleetFolder(PartsFolder):
         write_whole(file, lambda part: part.write_text(text, encoding='utf-8'))
 
     def add(self, rows: list[dict[str, Any]]) -> None:
-        """Write a part; it is there as a whole or not at all.
-
-        Parameters
-        ----------
-        rows : list of dict
-            Results of some bags.
-        """
+        """Write a part; it is there as a whole or not at all."""
         self.make()
         self.write_part(pa.Table.from_pylist(rows, schema=SCHEMA), uuid.uuid4().hex)
 
-    def rows(self, bags):
-        """Results of an archive as it is now.
-
-        Parameters
-        ----------
-        bags : list of FoundBag
-            Its bags.
-
-        Returns
-        -------
-        pyarrow.Table
-            Rows of these bags that were read as they are, sorted by bag; a bag that was changed
-            has none.
-
-        Raises
-        ------
-        ConfigError
-            If a file cannot be read.
-        """
+    def rows(self, bags: list[FoundBag]) -> pa.Table:
+        """Results of an archive as it is now."""
         now = {bag.name: bag.fingerprint for bag in bags}
         kept = {}
         for file in self._files():
@@ -174,7 +142,7 @@ class FleetFolder(PartsFolder):
         return pa.Table.from_pylist([kept[name] for name in sorted(kept)], schema=SCHEMA)
 
 
-def _stored_key(file):
+def _stored_key(file: Path) -> str:
     try:
         if file.stat().st_size > _MOST_BYTES:
             raise ValueError('too large')

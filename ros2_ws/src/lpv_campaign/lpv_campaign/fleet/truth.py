@@ -1,5 +1,6 @@
 """The figures of a campaign's run, for a bag that holds the truth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from lpv_campaign.execution.run_metrics import figures
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.decision.diagnosis import Alarm
+from lpv_core.model.arm import ArmParameters
 from lpv_core.simulation.faults import Fault
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.simulation.scenario import Scenario, load_scenario
 from lpv_core.support.errors import LpvError
+from lpv_core.support.timestamps import NANOSECONDS
 
 STREAMS = ('ground_truth', 'reference', 'torque_command')
 MOST_SAMPLES = 1_000_000
@@ -21,8 +24,8 @@ _UNKNOWN = 'unknown'
 
 @dataclass
 class _Plan:
-    arm: object
-    scenario: object
+    arm: ArmParameters
+    scenario: Any
 
 
 class TruthKeeper:
@@ -34,10 +37,11 @@ class TruthKeeper:
         The arm.
     """
 
-    def __init__(self, arm) -> None:
-        self._arm, self._parts, self._count = arm, {}, 0
+    def __init__(self, arm: ArmParameters) -> None:
+        self._arm, self._count = arm, 0
+        self._parts: dict[str, list[dict[str, np.ndarray]]] = {}
 
-    def take(self, measured, answers, streams) -> None:
+    def take(self, measured: Any, answers: Any, streams: dict[str, Any]) -> None:
         """Keep a block, as `lpv_bag.replay.replay.Replay.watch` hands it on."""
         if 'ground_truth' not in streams:
             return  # memory must not grow with the length of such a bag
@@ -63,7 +67,7 @@ class TruthKeeper:
             },
         )
 
-    def _keep(self, name, stamps, values) -> None:
+    def _keep(self, name: str, stamps: np.ndarray, values: dict[str, np.ndarray]) -> None:
         parts = self._parts.setdefault(name, [])
         parts.append(
             {'stamp': stamps.copy(), **{field: np.array(array) for field, array in values.items()}}
@@ -74,21 +78,8 @@ class TruthKeeper:
         """Whether the truth is too long to be held."""
         return self._count > MOST_SAMPLES
 
-    def row(self, events, scenario=None) -> dict[str, Any]:
-        """Figures of the bag.
-
-        Parameters
-        ----------
-        events : list of Alarm
-            Of the replay.
-        scenario : Scenario, optional
-            What happened, where it is known; otherwise faults are what the truth shows.
-
-        Returns
-        -------
-        dict
-            As of `lpv_campaign.execution.run_metrics.figures`; empty without truth or answers.
-        """
+    def row(self, events: Sequence[Alarm], scenario: Scenario | None = None) -> dict[str, Any]:
+        """Figures of the bag."""
         if self.is_too_long or not {'ground_truth', 'answers'} <= set(self._parts):
             return {}
         tables = {name: _sorted(parts) for name, parts in self._parts.items()}
@@ -104,20 +95,10 @@ class TruthKeeper:
         return found
 
 
-def scenario_of(bag: str | Path, arm):
-    """Scenario that lies beside a bag, as ``lpv campaign --run`` writes it.
+def scenario_of(bag: str | Path, arm: ArmParameters) -> Scenario | None:
+    """Scenario stored in a bag's folder, as ``lpv campaign --run`` writes it.
 
-    Parameters
-    ----------
-    bag : str or pathlib.Path
-        The bag.
-    arm : ArmParameters
-        Its sensors must be those of the faults.
-
-    Returns
-    -------
-    Scenario or None
-        None where there is none that fits.
+    Returns None where there is none that fits.
     """
     path = Path(bag) / 'scenario.yaml'
     if not path.is_file():
@@ -130,20 +111,11 @@ def scenario_of(bag: str | Path, arm):
     return scenario if {f.sensor for f in scenario.faults} <= known else None
 
 
-def faults_in_truth(arm, run: object) -> tuple[Fault, ...]:
-    """Faults as the truth shows them: for each sensor, from the first sample with one to the last.
+def faults_in_truth(arm: ArmParameters, run: Any) -> tuple[Fault, ...]:
+    """Faults as the truth shows them: for each sensor, from the first sample with one to the
+    last.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        Names of the sensors.
-    run : object
-        ``time``, shape (n,) [s], and ``fault``, shape (n, 2) [rad].
-
-    Returns
-    -------
-    tuple of Fault
-        Their kind is ``unknown``; a dropout is NaN, which is not zero either.
+    Returns their kind is ``unknown``; a dropout is NaN, which is not zero either.
     """
     found = []
     for i, sensor in enumerate(arm.sensor_names):
@@ -164,7 +136,7 @@ def faults_in_truth(arm, run: object) -> tuple[Fault, ...]:
     return tuple(found)
 
 
-def _run(tables, stamps):
+def _run(tables: dict[str, dict[str, np.ndarray]], stamps: np.ndarray) -> SimpleNamespace:
     """Signals on the stamps of the truth; what is not said again stays as it was."""
     truth, answers = tables['ground_truth'], tables['answers']
     run = SimpleNamespace(
@@ -193,7 +165,7 @@ def _run(tables, stamps):
     return run
 
 
-def _sorted(parts):
+def _sorted(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     # Of several messages with one stamp the last one counts.
     stamps, last = np.unique(table['stamp'][::-1], return_index=True)
@@ -201,7 +173,7 @@ def _sorted(parts):
     return {name: stamps if name == 'stamp' else values[rows] for name, values in table.items()}
 
 
-def _moved(event, start):
+def _moved(event: Alarm, start: int) -> SimpleNamespace:
     return SimpleNamespace(
         event=event.event,
         sensor=event.sensor,

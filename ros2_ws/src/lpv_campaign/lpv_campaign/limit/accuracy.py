@@ -1,4 +1,4 @@
-"""Accuracy of one run beside its limit: ours, Kalman filters, smoother, Cramer-Rao bounds.
+"""Accuracy of one run and its limit: ours, Kalman filters, smoother, Cramer-Rao bounds.
 
 All figures are root mean squares over one window [rad]: over a run with faults, from `SETTLED`
 after each onset to the fault's end, of the faulty sensors; over a healthy run, from twice
@@ -12,10 +12,13 @@ import numpy as np
 
 from lpv_campaign.limit.arm_prior import known_exactly, known_within_priors
 from lpv_campaign.limit.cramer_rao_bound import accuracy_limit
-from lpv_campaign.limit.fault_prior import acting, anything, biases_since, known_shape
+from lpv_campaign.limit.fault_prior import FaultModel, acting, anything, biases_since, known_shape
 from lpv_campaign.limit.kalman import filter_run, make_ekf, make_ukf
 from lpv_campaign.limit.smoother import filter_adaptively, smooth
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
+from lpv_core.simulation.closed_loop import Run
+from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.errors import LpvError
 
 SETTLED = 1.0
@@ -47,7 +50,12 @@ NAMES = tuple(
 
 
 def limit_figures(
-    arm, scenario, run, peers: bool = True, smoother: bool = True, substeps: int = 2
+    arm: ArmParameters,
+    scenario: Scenario,
+    run: Run,
+    peers: bool = True,
+    smoother: bool = True,
+    substeps: int = 2,
 ) -> dict[str, float]:
     """Accuracy of the fault estimates and of the joint angles of one run, and its limits.
 
@@ -62,7 +70,7 @@ def limit_figures(
     peers, smoother : bool, optional
         Whether to run the Kalman filters and the smoother, which take most of the time.
     substeps : int, optional
-        Runge-Kutta steps a sample, as in the run.
+        Runge-Kutta steps per sample, as in the run.
 
     Returns
     -------
@@ -83,7 +91,9 @@ def limit_figures(
     truth = run.fault, joints.absolute_position(run.position)
     masks = windows(arm, scenario, run)
     pairs = _estimates(arm, scenario, run, joints, peers, smoother, substeps)
-    errors = {name: (pair[0] - truth[0], pair[1] - truth[1]) for name, pair in pairs.items()}
+    errors: dict[str, tuple[np.ndarray, ...]] = {
+        name: (pair[0] - truth[0], pair[1] - truth[1]) for name, pair in pairs.items()
+    }
     errors.update(_limits(arm, scenario, run, substeps))
     result = dict.fromkeys(NAMES, math.nan)
     for q, quantity in enumerate(('fault', 'angle')):
@@ -98,18 +108,11 @@ def limit_figures(
     return result
 
 
-def windows(arm, scenario, run):
+def windows(arm: ArmParameters, scenario: Scenario, run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Where errors count.
 
-    Parameters
-    ----------
-    arm, scenario, run
-        As `limit_figures`.
-
-    Returns
-    -------
-    tuple of ndarray of bool, shape (n, 2)
-        For the faults of both sensors and for both angles.
+    Returns tuple of ndarray of bool of shape (n, 2): For the faults of both sensors and for
+    both angles.
     """
     n = len(run.time)
     if not scenario.faults:
@@ -124,26 +127,23 @@ def windows(arm, scenario, run):
     return faults & ~run.lost[:, None], angles & ~run.lost[:, None]
 
 
-def fault_models(arm, scenario, run):
-    """What the best estimator knows of the faults of a run.
-
-    Parameters
-    ----------
-    arm, scenario, run
-        As `limit_figures`.
-
-    Returns
-    -------
-    list of FaultModel
-        Their shapes; in a healthy run biases that might be.
-    """
+def fault_models(arm: ArmParameters, scenario: Scenario, run: Run) -> list[FaultModel]:
+    """What the best estimator knows of the faults of a run."""
     return known_shape(arm, scenario, run) if scenario.faults else biases_since(run, SETTLED)
 
 
-def _estimates(arm, scenario, run, joints, peers, smoother, substeps):
+def _estimates(
+    arm: ArmParameters,
+    scenario: Scenario,
+    run: Run,
+    joints: JointMap,
+    peers: bool,
+    smoother: bool,
+    substeps: int,
+) -> dict[str, tuple[np.ndarray, ...]]:
     """Faults and absolute angles by estimator; those that broke down are left out."""
     compensated = joints.sensor_position(run.compensated)
-    found = {
+    found: dict[str, tuple[np.ndarray, ...]] = {
         'ours': (run.fault_estimate, joints.absolute_position(run.estimate)),
         'confirmed': (
             joints.sensor_position(run.measured) - compensated,
@@ -167,7 +167,9 @@ def _estimates(arm, scenario, run, joints, peers, smoother, substeps):
     return found
 
 
-def _smoothed(arm, scenario, run, substeps):
+def _smoothed(
+    arm: ArmParameters, scenario: Scenario, run: Run, substeps: int
+) -> tuple[np.ndarray, ...]:
     best = smooth(
         arm,
         scenario,
@@ -181,8 +183,10 @@ def _smoothed(arm, scenario, run, substeps):
     return best.fault, best.angle
 
 
-def _limits(arm, scenario, run, substeps):
-    found = {}
+def _limits(
+    arm: ArmParameters, scenario: Scenario, run: Run, substeps: int
+) -> dict[str, tuple[np.ndarray, ...]]:
+    found: dict[str, tuple[np.ndarray, ...]] = {}
     for arm_known, knowledge in (
         ('arm_known', known_exactly(arm, scenario)),
         ('within_priors', known_within_priors(arm, scenario)),
@@ -197,6 +201,6 @@ def _limits(arm, scenario, run, substeps):
     return found
 
 
-def _rms(values, mask):
+def _rms(values: np.ndarray, mask: np.ndarray) -> float:
     values = values[mask]
     return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

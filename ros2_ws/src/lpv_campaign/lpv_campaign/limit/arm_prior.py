@@ -1,48 +1,35 @@
 """What an estimator knows of the arm: everything, or what the arm file states.
 
-All constants of an arm (`lpv_core.model.arm.ARM_CONSTANTS`) are linear in the masses, the inertias, an extra
-point mass at the tip and a common factor of friction.  An arm that is known within priors is
-therefore ``constants + parameters @ sensitivity`` exactly, with constant unknown parameters.
+All constants of an arm (`lpv_core.model.arm.ARM_CONSTANTS`) are linear in the masses, the inertias,
+an extra point mass at the tip and a common factor of friction.  An arm that is known within priors
+is therefore ``constants + parameters @ sensitivity`` exactly, with constant unknown parameters.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv_core.model.arm import N_CONSTANTS, constants_vector
+from lpv_core.model.arm import N_CONSTANTS, ArmParameters, constants_vector
+from lpv_core.simulation.scenario import Scenario
 
 FRICTION_UNCERTAINTY = 0.3
-"""Largest relative error of friction, as `lpv_core.decision.diagnosis.DiagnosisParameters` has it."""
+"""Largest relative error of friction, as in `lpv_core.decision.diagnosis.DiagnosisParameters`."""
 _UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of what is uniform in +-1."""
 
 
 @dataclass(frozen=True)
 class ArmKnowledge:
-    """An arm with constant unknown parameters.
+    """An arm with constant unknown parameters."""
 
-    Attributes
-    ----------
-    constants : ndarray, shape (12,)
-        Constants of the arm where all parameters are zero, as `constants_vector` orders them.
-    sensitivity : ndarray, shape (p, 12)
-        Change of the constants with each parameter.
-    deviation : ndarray, shape (p,)
-        Standard deviation of each parameter before any data.
-    truth : ndarray, shape (p,)
-        Parameters of the true arm.
-    names : tuple of str
-        Names of the parameters.
-    """
-
-    constants: np.ndarray
-    sensitivity: np.ndarray
-    deviation: np.ndarray
-    truth: np.ndarray
-    names: tuple
+    constants: np.ndarray  # (12,) Constants of the arm where all parameters are zero
+    sensitivity: np.ndarray  # (p, 12) Change of the constants with each parameter
+    deviation: np.ndarray  # (p,) Standard deviation of each parameter before any data
+    truth: np.ndarray  # (p,) Parameters of the true arm
+    names: tuple  # Names of the parameters
 
 
-def known_exactly(arm, scenario) -> ArmKnowledge:
+def known_exactly(arm: ArmParameters, scenario: Scenario) -> ArmKnowledge:
     """Know the true arm.
 
     Parameters
@@ -61,7 +48,7 @@ def known_exactly(arm, scenario) -> ArmKnowledge:
     return ArmKnowledge(constants, np.zeros((0, N_CONSTANTS)), np.zeros(0), np.zeros(0), ())
 
 
-def known_within_priors(arm, scenario) -> ArmKnowledge:
+def known_within_priors(arm: ArmParameters, scenario: Scenario) -> ArmKnowledge:
     """Know what the arm file states: model error, payload, friction; each uniform, independent.
 
     Parameters
@@ -108,5 +95,5 @@ def known_within_priors(arm, scenario) -> ArmKnowledge:
     )
 
 
-def _has_coriolis(scenario) -> bool:
+def _has_coriolis(scenario: Scenario) -> bool:
     return scenario.plant in ('nonlinear', 'mujoco')

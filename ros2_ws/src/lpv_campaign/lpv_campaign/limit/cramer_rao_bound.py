@@ -10,30 +10,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_campaign.limit.arm_prior import ArmKnowledge
+from lpv_campaign.limit.fault_prior import FaultModel
 from lpv_campaign.limit.kalman_smoother import both_passes
 from lpv_campaign.limit.linearisation import linearise, true_states
+from lpv_core.model.arm import ArmParameters
+from lpv_core.simulation.closed_loop import Run
+from lpv_core.simulation.scenario import Scenario
 
 
 @dataclass(frozen=True)
 class Limit:
-    """Least standard deviations of errors, one row a sample.
+    """Least standard deviations of errors, one row per sample."""
 
-    Attributes
-    ----------
-    fault, angle : ndarray, shape (n, 2)
-        Of an estimator that knows the data up to each sample: faults of the position sensors,
-        absolute angles [rad].
-    smoothed_fault, smoothed_angle : ndarray, shape (n, 2)
-        Of one that knows all data of the run [rad].
-    """
-
+    # (n, 2) Of an estimator that knows the data up to each sample: faults of the position sensors,
+    # absolute angles [rad]
     fault: np.ndarray
+    # (n, 2) Of an estimator that knows the data up to each sample: faults of the position sensors,
+    # absolute angles [rad]
     angle: np.ndarray
-    smoothed_fault: np.ndarray
-    smoothed_angle: np.ndarray
+    smoothed_fault: np.ndarray  # (n, 2) Of one that knows all data of the run [rad]
+    smoothed_angle: np.ndarray  # (n, 2) Of one that knows all data of the run [rad]
 
 
-def accuracy_limit(arm, scenario, run, knowledge, faults, substeps: int = 2) -> Limit:
+def accuracy_limit(
+    arm: ArmParameters,
+    scenario: Scenario,
+    run: Run,
+    knowledge: ArmKnowledge,
+    faults: list[FaultModel],
+    substeps: int = 2,
+) -> Limit:
     """Posterior Cramer-Rao bounds of faults and angles along a run.
 
     Parameters
@@ -49,7 +56,7 @@ def accuracy_limit(arm, scenario, run, knowledge, faults, substeps: int = 2) -> 
     faults : list of FaultModel
         What is known of the faults, see `lpv_campaign.limit.fault_prior`.
     substeps : int, optional
-        Runge-Kutta steps a sample, as in the run.
+        Runge-Kutta steps per sample, as in the run.
 
     Returns
     -------

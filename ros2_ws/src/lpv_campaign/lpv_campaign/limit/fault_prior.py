@@ -9,6 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_core.model.arm import ArmParameters
+from lpv_core.simulation.closed_loop import Run
+from lpv_core.simulation.faults import Fault
+from lpv_core.simulation.scenario import Scenario
+
 ADDITIVE, SCALE, RATE = range(3)
 WIDE = 1.0
 """Standard deviation of an amplitude before any data [rad], [rad/s], or relative."""
@@ -20,58 +25,30 @@ FAULT_WALK = 0.02
 
 @dataclass(frozen=True)
 class FaultModel:
-    """One unknown number that acts on one sensor.
+    """One unknown number that acts on one sensor."""
 
-    Attributes
-    ----------
-    sensor : int
-        Index of the physical sensor.
-    shape : ndarray, shape (n,)
-        Effect of the number at each sample; zero where it has none.
-    truth : float
-        True amplitude; zero where it does not matter, because the reading is linear in it.
-    kind : int
-        ADDITIVE, SCALE or RATE.
-    memory : float
-        1 for a constant or a random walk, 0 for a number that is new at every sample.
-    growth : float
-        Variance that each sample adds.
-    deviation : float
-        Standard deviation before any data.
-    """
-
-    sensor: int
-    shape: np.ndarray
+    sensor: int  # Index of the physical sensor
+    shape: np.ndarray  # (n,) Effect of the number at each sample; zero where it has none
+    # True amplitude; zero where it does not matter, because the reading is linear in it
     truth: float = 0.0
-    kind: int = ADDITIVE
+    kind: int = ADDITIVE  # ADDITIVE, SCALE or RATE
+    # 1 for a constant or a random walk, 0 for a number that is new at every sample
     memory: float = 1.0
-    growth: float = 0.0
-    deviation: float = WIDE
+    growth: float = 0.0  # Variance that each sample adds
+    deviation: float = WIDE  # Standard deviation before any data
 
 
-def acting(fault, time: np.ndarray, settle: float = 0.0) -> np.ndarray:
+def acting(fault: Fault, time: np.ndarray, settle: float = 0.0) -> np.ndarray:
     """When a fault acts.
 
-    Parameters
-    ----------
-    fault : lpv_core.simulation.faults.Fault
-        The fault.
-    time : ndarray, shape (n,)
-        [s].
-    settle : float, optional
-        Time after the onset that is left out [s].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True while it acts.
+    Returns ndarray of bool of shape (n,): True while it acts.
     """
     end = fault.onset + fault.duration if fault.duration > 0.0 else np.inf
     return (time >= fault.onset + settle) & (time < end)
 
 
-def known_shape(arm, scenario, run) -> list[FaultModel]:
-    """Know kind, onset, end and course of every scheduled fault, but not its size.
+def known_shape(arm: ArmParameters, scenario: Scenario, run: Run) -> list[FaultModel]:
+    """Know kind, onset, end and time profile of every scheduled fault, but not its size.
 
     A bias is an unknown constant, a drift an unknown rate, a scale fault an unknown factor; a
     stuck reading says nothing; noise is white with known variance; it is known which samples a
@@ -115,64 +92,27 @@ def known_shape(arm, scenario, run) -> list[FaultModel]:
     return models
 
 
-def biases_since(run, onset: float) -> list[FaultModel]:
-    """Allow an unknown constant on both sensors from a time on.
-
-    Parameters
-    ----------
-    run : Run
-        For time.
-    onset : float
-        [s].
-
-    Returns
-    -------
-    list of FaultModel
-        Two.
-    """
+def biases_since(run: Run, onset: float) -> list[FaultModel]:
+    """Allow an unknown constant on both sensors from a time on."""
     return [FaultModel(i, (run.time >= onset).astype(float)) for i in range(2)]
 
 
-def random_walks(arm, run, walk: float = FAULT_WALK) -> list[FaultModel]:
-    """Allow a random walk on both sensors at all times, as Kalman filters do.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        For the sample time.
-    run : Run
-        For time.
-    walk : float, optional
-        Its growth [rad/sqrt(s)].
-
-    Returns
-    -------
-    list of FaultModel
-        Two.
-    """
+def random_walks(arm: ArmParameters, run: Run, walk: float = FAULT_WALK) -> list[FaultModel]:
+    """Allow a random walk on both sensors at all times, as Kalman filters do."""
     return [
         FaultModel(i, np.ones(len(run.time)), growth=walk**2 * arm.sample_time, deviation=1e-3)
         for i in range(2)
     ]
 
 
-def anything(run) -> list[FaultModel]:
-    """Assume nothing of the faults of both sensors after the first sample, as our observer does.
-
-    Parameters
-    ----------
-    run : Run
-        For time.
-
-    Returns
-    -------
-    list of FaultModel
-        Two.
+def anything(run: Run) -> list[FaultModel]:
+    """Assume nothing of the faults of both sensors after the first sample, as our observer
+    does.
     """
     later = np.ones(len(run.time))
     later[0] = 0.0
     return [_white(i, later, ARBITRARY) for i in range(2)]
 
 
-def _white(sensor, shape, deviation):
+def _white(sensor: int, shape: np.ndarray, deviation: float) -> FaultModel:
     return FaultModel(sensor, shape, memory=0.0, growth=deviation**2, deviation=deviation)

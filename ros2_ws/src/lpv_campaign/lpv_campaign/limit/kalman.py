@@ -12,20 +12,24 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from lpv_campaign.limit.fault_prior import FAULT_WALK
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.dynamics import acceleration
 from lpv_core.model.joints import JointMap
+from lpv_core.simulation.closed_loop import Run
 from lpv_core.support.errors import LpvError
 from lpv_core.support.jit import njit
 
 _MARGIN = 0.05
-"""Standard deviation of accelerations beside the disturbance's [rad/s2]."""
+"""Standard deviation of accelerations in addition to the disturbance [rad/s2]."""
 _NOTHING = 1e6
 """Variance of a reading that is not there."""
 _STEP = 1e-6
 
 
 @njit
-def _move(x, torque, push, dt, constants):
+def _move(
+    x: np.ndarray, torque: np.ndarray, push: np.ndarray, dt: float, constants: np.ndarray
+) -> np.ndarray:
     """State one sample later, by Euler's rule."""
     a_1, a_2 = acceleration(x[0], x[1], x[2], x[3], torque[0], torque[1], constants)
     out = x.copy()
@@ -37,7 +41,9 @@ def _move(x, torque, push, dt, constants):
 
 
 @njit
-def _jacobian(x, torque, push, dt, constants):
+def _jacobian(
+    x: np.ndarray, torque: np.ndarray, push: np.ndarray, dt: float, constants: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Derivative of `_move` by differences."""
     moved, f = _move(x, torque, push, dt, constants), np.eye(6)
     for j in range(4):
@@ -50,7 +56,7 @@ def _jacobian(x, torque, push, dt, constants):
 class _Model:
     """Equation of motion and measurement of one arm, sampled by Euler's rule."""
 
-    def __init__(self, arm) -> None:
+    def __init__(self, arm: ArmParameters) -> None:
         direction, dt = np.asarray(arm.disturbance_direction, float), arm.sample_time
         self._fixed = arm.disturbance_mean * direction, dt, arm.constants()
         self._s = JointMap(arm).sensor_matrix
@@ -61,19 +67,19 @@ class _Model:
         self.q = np.diag([1e-10, 1e-10, *(push**2 * dt**2), *[FAULT_WALK**2 * dt] * 2])
         self.r = np.diag([arm.position_noise**2] * 2 + [arm.velocity_noise**2] * 2)
 
-    def move(self, x, torque):
+    def move(self, x: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """State one sample later."""
         return _move(x, torque, *self._fixed)
 
-    def move_and_derive(self, x, torque):
+    def move_and_derive(self, x: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same with its Jacobian."""
         return _jacobian(x, torque, *self._fixed)
 
-    def start(self, arm, position):
+    def start(self, arm: ArmParameters, position: np.ndarray) -> np.ndarray:
         """State without faults."""
         return np.concatenate([JointMap(arm).absolute_position(position), np.zeros(4)])
 
-    def present(self, y, x):
+    def present(self, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Readings, and their variance; what is missing is as predicted and weighs nothing."""
         missing = ~np.isfinite(y)
         if not missing.any():
@@ -86,17 +92,18 @@ class _Model:
 class Ekf(ExtendedKalmanFilter):
     """Extended filter; Jacobian by differences."""
 
-    def __init__(self, model) -> None:
+    def __init__(self, model: _Model) -> None:
         super().__init__(dim_x=6, dim_z=4)
         self._model = model
         self.Q, self.R = model.q, model.r
         self.P = np.diag([1e-6] * 4 + [1e-6] * 2)
 
-    def predict_x(self, u=0) -> None:
+    def predict_x(self, u: Any = 0) -> None:
         """As FilterPy asks."""
+        self.x: np.ndarray
         self.x, self.F = self._model.move_and_derive(self.x.ravel(), u)
 
-    def take(self, y, torque):
+    def take(self, y: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """One measurement; the fault estimates [rad]."""
         self.predict(torque)
         y, r = self._model.present(y, self.x)
@@ -107,7 +114,7 @@ class Ekf(ExtendedKalmanFilter):
 class Ukf(UnscentedKalmanFilter):
     """Unscented filter."""
 
-    def __init__(self, model, dt) -> None:
+    def __init__(self, model: _Model, dt: float) -> None:
         super().__init__(
             6,
             4,
@@ -120,7 +127,7 @@ class Ukf(UnscentedKalmanFilter):
         self.Q, self.R = model.q, model.r
         self.P = np.diag([1e-6] * 4 + [1e-6] * 2)
 
-    def take(self, y, torque):
+    def take(self, y: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """One measurement; the fault estimates [rad]."""
         self.predict(torque=torque)
         y, r = self._model.present(y, self.x)
@@ -128,7 +135,7 @@ class Ukf(UnscentedKalmanFilter):
         return self.x[4:]
 
 
-def make_ekf(arm, position: np.ndarray) -> Ekf:
+def make_ekf(arm: ArmParameters, position: np.ndarray) -> Ekf:
     """Extended filter, started without faults at a joint position.
 
     Parameters
@@ -149,26 +156,15 @@ def make_ekf(arm, position: np.ndarray) -> Ekf:
     return found
 
 
-def make_ukf(arm, position) -> Ukf:
-    """Unscented filter, started without faults at a joint position.
-
-    Parameters
-    ----------
-    arm, position
-        As `make_ekf`.
-
-    Returns
-    -------
-    Ukf
-        The filter.
-    """
+def make_ukf(arm: ArmParameters, position: np.ndarray) -> Ukf:
+    """Unscented filter, started without faults at a joint position."""
     model = _Model(arm)
     found = Ukf(model, arm.sample_time)
     found.x = model.start(arm, position)
     return found
 
 
-def filter_run(make: Callable[..., Any], arm, run) -> tuple[np.ndarray, ...]:
+def filter_run(make: Callable[..., Any], arm: ArmParameters, run: Run) -> tuple[np.ndarray, ...]:
     """Let a filter see what the observer of a run saw.
 
     Parameters

@@ -1,12 +1,29 @@
-"""Compiled recursions along a run: sampled dynamics with Jacobians, filters, smoother.
+"""Compiled recursions along a run: sampled dynamics with Jacobians, Kalman filters, smoother.
 
-All of this package's compiled functions that call each other are in this file: machine code that is
+For a state z with transition A, noise Q and scalar readings y = h' z + noise of variance r:
+
+    (K1)  z-  = A z + b                 prediction
+    (K2)  P-  = A P A' + Q
+    (K3)  S   = h' P h + r              update by one reading
+    (K4)  k   = P h / S
+    (K5)  z+  = z + k (y - h' z)
+    (K6)  P+  = P - S k k'
+    (S1)  l-  = A' l,  L- = A' L A      modified Bryson-Frazier smoother, backwards:
+    (S2)  l-  = (I - h k') l - h (y - h' z) / S           over each reading,
+    (S3)  L-  = (I - h k') L (I - k h') + h h' / S
+    (S4)  zs  = z - P l,  Ps = P - P L P                  for each sample
+
+(G. J. Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter X.)
+
+All compiled functions of this package that call each other are in this file: machine code that is
 kept between runs notices changes of its own file (and of lpv_core) only.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from lpv_core.model.arm import N_CONSTANTS, set_constants
+from lpv_core.model.arm import set_constants
 from lpv_core.model.dynamics import rk4_step
 from lpv_core.support.jit import njit
 
@@ -14,436 +31,270 @@ _STEP = 1e-5
 """Of central differences: [rad], [rad/s], [rad/s2] and parameters."""
 
 
+class SampledArm(NamedTuple):
+    """An arm with p unknown constant parameters, sampled."""
+
+    constants: np.ndarray  # (12,) where all parameters are zero
+    sensitivity: np.ndarray  # (p, 12) change of the constants with each parameter
+    direction: np.ndarray  # (2,) accelerations by a unit of disturbance
+    mean: float  # mean disturbance
+    sample_time: float  # [s]
+    substeps: int  # Runge-Kutta steps per sample
+    work: np.record  # of type `lpv_core.model.arm.ARM_CONSTANTS`, receives those of a parameter
+
+
+class Noise(NamedTuple):
+    """Statistics of a linear system of N states, of which the first four are mechanical."""
+
+    push: np.ndarray  # (n,) variance of the disturbance
+    memory: np.ndarray  # (N,) factor of each other state from sample to sample
+    growth: np.ndarray  # (N,) variance that each sample adds to each other state
+    h: np.ndarray  # (n, 6, N) Jacobian of the readings
+    r: np.ndarray  # (n, 6) variance of the readings; infinite for what is not there
+
+
+class Filtered(NamedTuple):
+    """What the filter leaves for the smoother."""
+
+    means: np.ndarray  # (n, N) given the readings up to each sample
+    covariances: np.ndarray  # (n, N, N) likewise
+    gains: np.ndarray  # (n, 6, N) gain of each reading, k
+    innovations: np.ndarray  # (n, 6) y - h' z
+    spreads: np.ndarray  # (n, 6) their variance, S; infinite for what was not there
+
+
 @njit
-def flow(
-    x: np.ndarray,
-    torque: np.ndarray,
-    push_1: float,
-    push_2: float,
-    dt: float,
-    substeps: int,
-    params: np.record,
-) -> tuple[float, ...]:
-    """Mechanical state after ``substeps`` Runge-Kutta steps, as the plant takes them.
+def _flow(z: np.ndarray, torque: np.ndarray, disturbance: float, arm: SampledArm) -> np.ndarray:
+    """Mechanical state one sample after angles, rates and parameters ``z``, as the plant moves."""
+    constants = arm.constants.copy()
+    for j in range(len(arm.sensitivity)):
+        constants += z[4 + j] * arm.sensitivity[j]
+    set_constants(arm.work, constants)
+    push, dt = arm.direction * disturbance, arm.sample_time / arm.substeps
+    a, b, u, v = z[0], z[1], z[2], z[3]
+    for _ in range(arm.substeps):
+        a, b, u, v = rk4_step(a, b, u, v, torque[0], torque[1], push[0], push[1], dt, arm.work)
+    return np.array([a, b, u, v])
 
-    Parameters
-    ----------
-    x : ndarray, shape (4,)
-        Absolute angles and rates [rad], [rad/s].
-    torque : ndarray, shape (2,)
-        Generalised torques Q [N m].
-    push_1, push_2 : float
-        Accelerations by the disturbance [rad/s2].
-    dt : float
-        Length of one such step [s].
-    substeps : int
-        How many.
-    params : numpy.record
-        Constants of the arm.
 
-    Returns
-    -------
-    tuple of float
-        The state.
-    """
-    a, b, u, v = x[0], x[1], x[2], x[3]
-    for _ in range(substeps):
-        a, b, u, v = rk4_step(a, b, u, v, torque[0], torque[1], push_1, push_2, dt, params)
-    return a, b, u, v
+@njit
+def _central_difference(z: np.ndarray, j: int, torque: np.ndarray, arm: SampledArm) -> np.ndarray:
+    """Derivative of `_flow` by element j of ``z``; by the disturbance where there is none such."""
+    step, push = np.zeros(len(z)), 0.0
+    if j < len(z):
+        step[j] = _STEP
+    else:
+        push = _STEP
+    above = _flow(z + step, torque, arm.mean + push, arm)
+    below = _flow(z - step, torque, arm.mean - push, arm)
+    return (above - below) * (0.5 / _STEP)
 
 
 @njit
 def move_and_derive(
-    states: np.ndarray,
-    torques: np.ndarray,
-    braked: np.ndarray,
-    arm: np.record,
-    constants: np.ndarray,
-    sensitivity: np.ndarray,
-    direction: np.ndarray,
-    mean: float,
-    sample_time: float,
-    substeps: int,
-    moved: np.ndarray,
-    f: np.ndarray,
-    g: np.ndarray,
-) -> None:
+    states: np.ndarray, torques: np.ndarray, braked: np.ndarray, arm: SampledArm
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sampled dynamics along a trajectory, with Jacobians by central differences.
 
     Parameters
     ----------
     states : ndarray, shape (n, N)
-        Trajectory.
+        Trajectory: angles [rad], rates [rad/s], parameters of the arm, what else there is.
     torques : ndarray, shape (n, 2)
         Generalised torques over the step after each sample [N m].
     braked : ndarray of bool, shape (n,)
         Whether brakes hold the arm over that step.
-    arm : numpy.record
-        Work space of type `lpv_core.model.arm.ARM_CONSTANTS`.
-    constants, sensitivity : ndarray, shapes (12,) and (p, 12)
-        `lpv_campaign.limit.arm_prior.ArmKnowledge`.
-    direction : ndarray, shape (2,)
-        Accelerations by a unit of disturbance.
-    mean : float
-        Mean disturbance.
-    sample_time : float
-        [s].
-    substeps : int
-        Runge-Kutta steps a sample.
-    moved, f, g : ndarray, shapes (n, 4), (n, 4, N), (n, 4)
-        Receive the state a sample later and its derivatives by state and disturbance.
+    arm : SampledArm
+        The arm.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n, 4), (n, 4, N), (n, 4)
+        Mechanical state one sample later, its derivatives by state and by disturbance.
     """
-    count, dt = sensitivity.shape[0], sample_time / substeps
-    x, c, half = np.empty(4), np.empty(N_CONSTANTS), 0.5 / _STEP
-    f[:] = 0.0
-    g[:] = 0.0
-    for k in range(len(states)):
+    n, size = states.shape
+    moving = 4 + len(arm.sensitivity)
+    moved, f, g = np.zeros((n, 4)), np.zeros((n, 4, size)), np.zeros((n, 4))
+    for k in range(n):
+        z = states[k, :moving]
         if braked[k]:
-            for i in range(2):
-                moved[k, i], moved[k, 2 + i] = states[k, i], 0.0
-                f[k, i, i] = 1.0
+            moved[k, :2] = z[:2]
+            f[k, 0, 0] = f[k, 1, 1] = 1.0
             continue
-        c[:] = constants
-        for j in range(count):
-            for i in range(N_CONSTANTS):
-                c[i] += states[k, 4 + j] * sensitivity[j, i]
-        set_constants(arm, c)
-        for i in range(4):
-            x[i] = states[k, i]
-        push_1, push_2 = direction[0] * mean, direction[1] * mean
-        a = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
-        moved[k, 0], moved[k, 1], moved[k, 2], moved[k, 3] = a[0], a[1], a[2], a[3]
-        for j in range(4 + count):
-            if j < 4:
-                centre = x[j]
-                x[j] = centre + _STEP
-                a = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
-                x[j] = centre - _STEP
-                b = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
-                x[j] = centre
-            else:
-                for i in range(N_CONSTANTS):
-                    c[i] += _STEP * sensitivity[j - 4, i]
-                set_constants(arm, c)
-                a = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
-                for i in range(N_CONSTANTS):
-                    c[i] -= 2.0 * _STEP * sensitivity[j - 4, i]
-                set_constants(arm, c)
-                b = flow(x, torques[k], push_1, push_2, dt, substeps, arm)
-                for i in range(N_CONSTANTS):
-                    c[i] += _STEP * sensitivity[j - 4, i]
-                set_constants(arm, c)
-            f[k, 0, j], f[k, 1, j] = half * (a[0] - b[0]), half * (a[1] - b[1])
-            f[k, 2, j], f[k, 3, j] = half * (a[2] - b[2]), half * (a[3] - b[3])
-        a = flow(
-            x,
-            torques[k],
-            push_1 + _STEP * direction[0],
-            push_2 + _STEP * direction[1],
-            dt,
-            substeps,
-            arm,
-        )
-        b = flow(
-            x,
-            torques[k],
-            push_1 - _STEP * direction[0],
-            push_2 - _STEP * direction[1],
-            dt,
-            substeps,
-            arm,
-        )
-        g[k, 0], g[k, 1] = half * (a[0] - b[0]), half * (a[1] - b[1])
-        g[k, 2], g[k, 3] = half * (a[2] - b[2]), half * (a[3] - b[3])
+        moved[k] = _flow(z, torques[k], arm.mean, arm)
+        for j in range(moving):
+            f[k, :, j] = _central_difference(z, j, torques[k], arm)
+        g[k] = _central_difference(z, moving, torques[k], arm)
+    return moved, f, g
+
+
+@njit
+def _transition(f: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    """A: the mechanical states move, all others remember or forget."""
+    a = np.diag(memory)
+    a[:4] = 0.0
+    a[:4, : f.shape[1]] = f
+    return a
+
+
+@njit
+def _process_noise(g: np.ndarray, push: float, growth: np.ndarray) -> np.ndarray:
+    """Q: the disturbance drives one direction, other states grow."""
+    q = np.diag(growth)
+    q[:4, :4] = push * np.outer(g, g)
+    return q
+
+
+@njit
+def _update(
+    m: np.ndarray, p: np.ndarray, y: np.ndarray, h: np.ndarray, r: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Take the readings of a sample one by one; what is missing has an infinite variance."""
+    gains = np.zeros(h.shape)
+    innovations, spreads = np.zeros(len(h)), np.full(len(h), np.inf)
+    for i in range(len(h)):
+        if r[i] < np.inf:
+            ph = p @ h[i]
+            spreads[i] = h[i] @ ph + r[i]  # (K3)
+            gains[i] = ph / spreads[i]  # (K4)
+            innovations[i] = y[i] - h[i] @ m
+            m = m + gains[i] * innovations[i]  # (K5)
+            p = p - spreads[i] * np.outer(gains[i], gains[i])  # (K6)
+    return m, p, gains, innovations, spreads
+
+
+@njit
+def _predict(p: np.ndarray, a: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Covariance one sample later, kept symmetric against rounding."""
+    p = a @ p @ a.T + q  # (K2)
+    return 0.5 * (p + p.T)
 
 
 @njit
 def filter_forward(
-    f,
-    g,
-    push,
-    memory,
-    growth,
-    h,
-    r,
+    f: np.ndarray,
+    g: np.ndarray,
+    noise: Noise,
     residual: np.ndarray,
     defect: np.ndarray,
     start: np.ndarray,
     deviation: np.ndarray,
-    means: np.ndarray,
-    covariances: np.ndarray,
-    gains: np.ndarray,
-    innovations: np.ndarray,
-    spreads: np.ndarray,
-) -> None:
+) -> Filtered:
     """Kalman filter of deviations from a trajectory.
 
     Parameters
     ----------
-    f, g, push, memory, growth, h, r
-        As `lpv_campaign.limit.linearisation.LinearSystem`.
+    f, g : ndarray, shapes (n, 4, at most N) and (n, 4)
+        Derivatives of the next mechanical state by state and by disturbance.
+    noise : Noise
+        Statistics of the system.
     residual : ndarray, shape (n, 6)
-        Readings less those of the trajectory; anything where ``r`` is infinite.
+        Readings less those of the trajectory; anything where their variance is infinite.
     defect : ndarray, shape (n, N)
         State that follows from each sample of the trajectory, less the trajectory's next one.
     start, deviation : ndarray, shape (N,)
         First state's deviation and its standard deviation before any data.
-    means, covariances : ndarray, shapes (n, N) and (n, N, N)
-        Receive the deviations given the readings up to each sample.
-    gains, innovations, spreads : ndarray, shapes (n, 6, N), (n, 6), (n, 6)
-        Receive gain, innovation and its variance of each reading, for the backward pass.
+
+    Returns
+    -------
+    Filtered
+        Deviations given the readings up to each sample, and what the smoother needs.
     """
-    n, size, known = len(f), f.shape[2], len(start)
-    m, p, half = np.empty(known), np.zeros((known, known)), np.zeros((4, known))
-    for i in range(known):
-        m[i], p[i, i] = start[i], deviation[i] ** 2
+    n, count, size = noise.h.shape
+    out = Filtered(
+        np.empty((n, size)),
+        np.empty((n, size, size)),
+        np.empty((n, count, size)),
+        np.empty((n, count)),
+        np.empty((n, count)),
+    )
+    m, p = start.copy(), np.diag(deviation**2)
     for k in range(n):
-        for q in range(h.shape[1]):
-            _update(h[k, q], r[k, q], residual[k, q], m, p, gains[k, q], innovations, spreads, k, q)
-        means[k] = m
-        covariances[k] = p
-        if k + 1 == n:
-            break
-        _predict(f[k], g[k], push[k], memory, growth, defect[k], size, m, p, half)
-
-
-@njit
-def _update(h, r, residual, m, p, gain, innovations, spreads, k, q) -> None:
-    """Take one scalar reading."""
-    size = len(m)
-    spreads[k, q] = np.inf
-    innovations[k, q] = 0.0
-    gain[:] = 0.0
-    if not r < np.inf:
-        return
-    spread, innovation = r, residual
-    for i in range(size):
-        total = 0.0
-        for j in range(size):
-            if h[j] != 0.0:
-                total += p[i, j] * h[j]
-        gain[i] = total
-        spread += h[i] * total
-        innovation -= h[i] * m[i]
-    for i in range(size):
-        gain[i] /= spread
-    for i in range(size):
-        m[i] += gain[i] * innovation
-        for j in range(i + 1):
-            p[i, j] -= gain[i] * gain[j] * spread
-            p[j, i] = p[i, j]
-    innovations[k, q], spreads[k, q] = innovation, spread
-
-
-@njit
-def _predict(f, g, push, memory, growth, defect, size, m, p, half) -> None:
-    """Go one sample on: only the first four states move, the others remember or forget."""
-    known = len(m)
-    for i in range(4):
-        for j in range(known):
-            total = 0.0
-            for q in range(size):
-                total += f[i, q] * p[q, j]
-            half[i, j] = total
-    moved = np.empty(4)
-    for i in range(4):
-        total = defect[i]
-        for q in range(size):
-            total += f[i, q] * m[q]
-        moved[i] = total
-    for i in range(4):
-        for j in range(i + 1):
-            total = push * g[i] * g[j]
-            for q in range(size):
-                total += half[i, q] * f[j, q]
-            p[i, j] = p[j, i] = total
-        for j in range(4, known):
-            p[i, j] = p[j, i] = half[i, j] * memory[j]
-        m[i] = moved[i]
-    for i in range(4, known):
-        m[i] = memory[i] * m[i] + defect[i]
-        for j in range(4, i + 1):
-            p[i, j] *= memory[i] * memory[j]
-            p[j, i] = p[i, j]
-        p[i, i] += growth[i]
+        m, p, gains, innovations, spreads = _update(m, p, residual[k], noise.h[k], noise.r[k])
+        out.means[k], out.covariances[k] = m, p
+        out.gains[k], out.innovations[k], out.spreads[k] = gains, innovations, spreads
+        a = _transition(f[k], noise.memory)
+        m = a @ m + defect[k]  # (K1)
+        p = _predict(p, a, _process_noise(g[k], noise.push[k], noise.growth))
+    return out
 
 
 @njit
 def smooth_backward(
-    f,
-    memory,
-    h,
-    rows: np.ndarray,
-    means,
-    covariances,
-    gains,
-    innovations,
-    spreads,
-    smoothed: np.ndarray,
-    variances: np.ndarray,
-) -> None:
+    f: np.ndarray, noise: Noise, rows: np.ndarray, filtered: Filtered
+) -> tuple[np.ndarray, np.ndarray]:
     """Modified Bryson-Frazier recursion after `filter_forward`.
 
     Parameters
     ----------
-    f, memory, h
+    f, noise, filtered
         As there.
     rows : ndarray, shape (n, q, N)
         Combinations of states whose variance is wanted.
-    means, covariances, gains, innovations, spreads
-        Results of `filter_forward`.
-    smoothed : ndarray, shape (n, N)
-        Receives the deviations given all readings.
-    variances : ndarray, shape (n, q)
-        Receives the variances of ``rows @ state`` given all readings.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n, N) and (n, q)
+        Deviations given all readings, and the variances of ``rows @ state`` given all readings.
     """
-    n, known = means.shape
-    slope, curve = np.zeros(known), np.zeros((known, known))
-    back, work = np.empty(known), np.empty((known, known))
+    n, size = filtered.means.shape
+    smoothed, variances = np.empty((n, size)), np.empty(rows.shape[:2])
+    slope, curve = np.zeros(size), np.zeros((size, size))
     for k in range(n - 1, -1, -1):
+        p = filtered.covariances[k]
         if k + 1 < n:
-            _adjoint(f[k], memory, slope, curve, back, work)
-        p = covariances[k]
-        for i in range(known):
-            total = means[k, i]
-            for j in range(known):
-                total -= p[i, j] * slope[j]
-            smoothed[k, i] = total
-        for q in range(rows.shape[1]):
-            variances[k, q] = _variance(rows[k, q], p, curve, back)
-        for q in range(h.shape[1] - 1, -1, -1):
-            if spreads[k, q] < np.inf:
-                _undo(h[k, q], gains[k, q], innovations[k, q], spreads[k, q], slope, curve, back)
-
-
-@njit
-def _variance(row, p, curve, back):
-    """row P row' - row P Lambda P row'."""
-    known, total = len(row), 0.0
-    for i in range(known):
-        back[i] = 0.0
-    for j in range(known):
-        if row[j] != 0.0:
-            for i in range(known):
-                back[i] += p[i, j] * row[j]
-    for i in range(known):
-        total += row[i] * back[i]
-        part = 0.0
-        for j in range(known):
-            part += curve[i, j] * back[j]
-        total -= back[i] * part
-    return max(total, 0.0)
-
-
-@njit
-def _undo(h, gain, innovation, spread, slope, curve, back) -> None:
-    """Adjoint of one reading: slope and curve before it from those after it."""
-    known, along, bend = len(slope), 0.0, 0.0
-    for i in range(known):
-        along += gain[i] * slope[i]
-        total = 0.0
-        for j in range(known):
-            total += curve[i, j] * gain[j]
-        back[i] = total
-    for i in range(known):
-        bend += gain[i] * back[i]
-    for i in range(known):
-        slope[i] -= h[i] * (along + innovation / spread)
-        for j in range(i + 1):
-            curve[i, j] += h[i] * h[j] * (bend + 1.0 / spread) - h[i] * back[j] - back[i] * h[j]
-            curve[j, i] = curve[i, j]
-
-
-@njit
-def _adjoint(f, memory, slope, curve, back, work) -> None:
-    """Adjoint of one step: F' slope and F' curve F."""
-    known, size = len(slope), f.shape[1]
-    for j in range(known):
-        total = memory[j] * slope[j] if j >= 4 else 0.0
-        if j < size:
-            for i in range(4):
-                total += f[i, j] * slope[i]
-        back[j] = total
-    for i in range(known):
-        slope[i] = back[i]
-        for j in range(known):
-            total = memory[j] * curve[i, j] if j >= 4 else 0.0
-            if j < size:
-                for q in range(4):
-                    total += curve[i, q] * f[q, j]
-            work[i, j] = total
-    for j in range(known):
-        for i in range(j + 1):
-            total = memory[i] * work[i, j] if i >= 4 else 0.0
-            if i < size:
-                for q in range(4):
-                    total += f[q, i] * work[q, j]
-            curve[i, j] = curve[j, i] = total
+            a = _transition(f[k], noise.memory)
+            slope, curve = a.T @ slope, a.T @ curve @ a  # (S1)
+        smoothed[k] = filtered.means[k] - p @ slope  # (S4)
+        for i in range(rows.shape[1]):
+            ph = p @ rows[k, i]
+            variances[k, i] = max(rows[k, i] @ ph - ph @ curve @ ph, 0.0)  # (S4)
+        for i in range(noise.h.shape[1] - 1, -1, -1):
+            gain, spread, h = filtered.gains[k, i], filtered.spreads[k, i], noise.h[k, i]
+            if spread < np.inf:
+                slope = slope - h * (gain @ slope + filtered.innovations[k, i] / spread)  # (S2)
+                bend = curve @ gain
+                cross = np.outer(h, bend)
+                curve = curve - cross - cross.T  # (S3)
+                curve = curve + np.outer(h, h) * (gain @ bend + 1.0 / spread)
+    return smoothed, variances
 
 
 @njit
 def filter_extended(
-    torques,
-    braked,
-    arm,
-    constants,
-    sensitivity,
-    direction,
-    mean,
-    sample_time,
-    substeps,
-    push,
-    memory,
-    growth,
-    h,
-    r,
+    torques: np.ndarray,
+    braked: np.ndarray,
+    arm: SampledArm,
+    noise: Noise,
     readings: np.ndarray,
-    start,
-    deviation,
-    states: np.ndarray,
-) -> None:
+    start: np.ndarray,
+    deviation: np.ndarray,
+) -> np.ndarray:
     """Extended Kalman filter, linearised at its own estimate.
 
     Parameters
     ----------
-    torques, braked, arm, constants, sensitivity, direction, mean, sample_time, substeps
+    torques, braked, arm
         As `move_and_derive`.
-    push, memory, growth, h, r, start, deviation
-        As `filter_forward`; ``h`` does not depend on the state.
+    noise, start, deviation
+        As `filter_forward`; the readings' Jacobian does not depend on the state.
     readings : ndarray, shape (n, 6)
-        What was read; anything where ``r`` is infinite.
-    states : ndarray, shape (n, N)
-        Receives the estimates.
+        What was read; anything where the variance is infinite.
+
+    Returns
+    -------
+    ndarray, shape (n, N)
+        The estimates.
     """
-    n, known = states.shape
-    at, p, half = np.zeros((1, known)), np.zeros((known, known)), np.zeros((4, known))
-    moved, f, g = np.empty((1, 4)), np.empty((1, 4, known)), np.empty((1, 4))
-    gain, defect, m = np.empty(known), np.zeros(known), at[0]
-    innovations, spreads = np.empty((1, h.shape[1])), np.empty((1, h.shape[1]))
-    for i in range(known):
-        m[i], p[i, i] = start[i], deviation[i] ** 2
+    n, _, size = noise.h.shape
+    states = np.empty((n, size))
+    m, p = start.copy(), np.diag(deviation**2)
     for k in range(n):
-        for q in range(h.shape[1]):
-            _update(h[k, q], r[k, q], readings[k, q], m, p, gain, innovations, spreads, 0, q)
+        m, p, _, _, _ = _update(m, p, readings[k], noise.h[k], noise.r[k])
         states[k] = m
-        if k + 1 < n:
-            move_and_derive(
-                at,
-                torques[k : k + 1],
-                braked[k : k + 1],
-                arm,
-                constants,
-                sensitivity,
-                direction,
-                mean,
-                sample_time,
-                substeps,
-                moved,
-                f,
-                g,
-            )
-            for i in range(4):
-                defect[i] = moved[0, i]
-                for j in range(known):
-                    defect[i] -= f[0, i, j] * m[j]
-            _predict(f[0], g[0], push[k], memory, growth, defect, known, m, p, half)
+        moved, f, g = move_and_derive(states[k : k + 1], torques[k : k + 1], braked[k : k + 1], arm)
+        m = noise.memory * m  # (K1)
+        m[:4] = moved[0]
+        a, q = _transition(f[0], noise.memory), _process_noise(g[0], noise.push[k], noise.growth)
+        p = _predict(p, a, q)
+    return states

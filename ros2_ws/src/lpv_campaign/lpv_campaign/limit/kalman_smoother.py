@@ -5,31 +5,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_campaign.limit.kalman_kernels import filter_forward, smooth_backward
+from lpv_campaign.limit.linearisation import LinearSystem
 
 
 @dataclass(frozen=True)
 class Passes:
-    """Results of both passes over n samples.
+    """Results of both passes over n samples."""
 
-    Attributes
-    ----------
-    means, smoothed : ndarray, shape (n, N)
-        Deviations given the readings up to each sample, and given all.
-    covariances : ndarray, shape (n, N, N)
-        Given the readings up to each sample.
-    filtered_variances, smoothed_variances : ndarray, shape (n, 4)
-        Of the faults of both position sensors and of both absolute angles [rad2].
-    """
-
-    means: np.ndarray
-    smoothed: np.ndarray
-    covariances: np.ndarray
+    means: np.ndarray  # (n, N) Deviations given the readings up to each sample, and given all
+    smoothed: np.ndarray  # (n, N) Deviations given the readings up to each sample, and given all
+    covariances: np.ndarray  # (n, N, N) Given the readings up to each sample
+    # (n, 4) Of the faults of both position sensors and of both absolute angles [rad2]
     filtered_variances: np.ndarray
+    # (n, 4) Of the faults of both position sensors and of both absolute angles [rad2]
     smoothed_variances: np.ndarray
 
 
 def both_passes(
-    system,
+    system: LinearSystem,
     residual: np.ndarray | None = None,
     defect: np.ndarray | None = None,
     start: np.ndarray | None = None,
@@ -52,41 +45,10 @@ def both_passes(
     residual = np.zeros((n, system.h.shape[1])) if residual is None else residual
     defect = np.zeros((n, size)) if defect is None else defect
     start = np.zeros(size) if start is None else start
-    means, covariances = np.empty((n, size)), np.empty((n, size, size))
-    gains, innovations = np.empty(system.h.shape), np.empty(residual.shape)
-    spreads = np.empty(residual.shape)
-    filter_forward(
-        system.f,
-        system.g,
-        system.push,
-        system.memory,
-        system.growth,
-        system.h,
-        system.r,
-        residual,
-        defect,
-        start,
-        system.deviation,
-        means,
-        covariances,
-        gains,
-        innovations,
-        spreads,
+    filtered = filter_forward(
+        system.f, system.g, system.noise, residual, defect, start, system.deviation
     )
     rows = np.concatenate([system.fault, np.broadcast_to(np.eye(2, size), (n, 2, size))], axis=1)
-    smoothed, variances = np.empty((n, size)), np.empty((n, 4))
-    smooth_backward(
-        system.f,
-        system.memory,
-        system.h,
-        rows,
-        means,
-        covariances,
-        gains,
-        innovations,
-        spreads,
-        smoothed,
-        variances,
-    )
-    filtered = np.einsum('kqi,kij,kqj->kq', rows, covariances, rows, optimize=True)
-    return Passes(means, smoothed, covariances, np.maximum(filtered, 0.0), variances)
+    smoothed, variances = smooth_backward(system.f, system.noise, rows, filtered)
+    known = np.einsum('kqi,kij,kqj->kq', rows, filtered.covariances, rows, optimize=True)
+    return Passes(filtered.means, smoothed, filtered.covariances, np.maximum(known, 0.0), variances)

@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_campaign.limit.fault_prior import RATE, SCALE, acting
-from lpv_campaign.limit.kalman_kernels import move_and_derive
-from lpv_core.model.arm import ARM_CONSTANTS, vector_slice
+from lpv_campaign.limit.arm_prior import ArmKnowledge
+from lpv_campaign.limit.fault_prior import RATE, SCALE, FaultModel, acting
+from lpv_campaign.limit.kalman_kernels import Noise, SampledArm, move_and_derive
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters, vector_slice
 from lpv_core.model.joints import JointMap
+from lpv_core.simulation.closed_loop import Run
+from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.records import new_record
 
@@ -29,67 +32,34 @@ _REST = 1e-6
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """One run, linearised; n samples, N states.
+    """One run, linearised; n samples, N states."""
 
-    Attributes
-    ----------
-    moved : ndarray, shape (n, 4)
-        Mechanical state one sample after the trajectory's.
-    f : ndarray, shape (n, 4, N)
-        Jacobian of that.
-    g : ndarray, shape (n, 4)
-        Its derivative by the disturbance d [rad], [rad/s].
-    mean : float
-        Mean of d.
-    push : ndarray, shape (n,)
-        Variance of d.
-    memory, growth : ndarray, shape (N,)
-        Of the other states; the first four entries are not used.
-    h : ndarray, shape (n, 6, N)
-        Jacobian of the readings.
-    readings : ndarray, shape (n, 6)
-        What the trajectory would read without noise.
-    r : ndarray, shape (n, 6)
-        Variance of the readings; infinite for what is not there.
-    fault : ndarray, shape (n, 2, N)
-        Jacobian of the position sensors' faults.
-    start, deviation : ndarray, shape (N,)
-        State before any data and its standard deviation.
-    """
+    moved: np.ndarray  # (n, 4) Mechanical state one sample after the trajectory's
+    f: np.ndarray  # (n, 4, N) Jacobian of that
+    g: np.ndarray  # (n, 4) Its derivative by the disturbance d [rad], [rad/s]
+    mean: float  # Mean of d
+    push: np.ndarray  # (n,) Variance of d
+    memory: np.ndarray  # (N,) Of the other states; the first four entries are not used
+    growth: np.ndarray  # (N,) Of the other states; the first four entries are not used
+    h: np.ndarray  # (n, 6, N) Jacobian of the readings
+    readings: np.ndarray  # (n, 6) What the trajectory would read without noise
+    r: np.ndarray  # (n, 6) Variance of the readings; infinite for what is not there
+    fault: np.ndarray  # (n, 2, N) Jacobian of the position sensors' faults
+    start: np.ndarray  # (N,) State before any data
+    deviation: np.ndarray  # (N,) its standard deviation
 
-    moved: np.ndarray
-    f: np.ndarray
-    g: np.ndarray
-    mean: float
-    push: np.ndarray
-    memory: np.ndarray
-    growth: np.ndarray
-    h: np.ndarray
-    readings: np.ndarray
-    r: np.ndarray
-    fault: np.ndarray
-    start: np.ndarray
-    deviation: np.ndarray
+    @property
+    def noise(self) -> Noise:
+        """What the recursions need to know of noise and sensors."""
+        return Noise(self.push, self.memory, self.growth, self.h, self.r)
 
 
-def true_states(arm, run, knowledge, faults) -> np.ndarray:
+def true_states(
+    arm: ArmParameters, run: Run, knowledge: ArmKnowledge, faults: list[FaultModel]
+) -> np.ndarray:
     """Trajectory of the run's true state.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        Nominal arm.
-    run : Run
-        The run.
-    knowledge : ArmKnowledge
-        Parameters of the arm.
-    faults : list of FaultModel
-        Fault models.
-
-    Returns
-    -------
-    ndarray, shape (n, N)
-        States.
+    Returns ndarray of shape (n, N): States.
     """
     joints, p = JointMap(arm), len(knowledge.truth)
     states = np.zeros((len(run.time), 4 + p + len(faults)))
@@ -101,7 +71,13 @@ def true_states(arm, run, knowledge, faults) -> np.ndarray:
 
 
 def linearise(
-    arm, scenario, run, knowledge, faults, states: np.ndarray, substeps: int = 2
+    arm: ArmParameters,
+    scenario: Scenario,
+    run: Run,
+    knowledge: ArmKnowledge,
+    faults: list[FaultModel],
+    states: np.ndarray,
+    substeps: int = 2,
 ) -> LinearSystem:
     """Linearise a run along a trajectory.
 
@@ -120,7 +96,7 @@ def linearise(
     states : ndarray, shape (n, N)
         Trajectory.
     substeps : int, optional
-        Runge-Kutta steps a sample, as in the run.
+        Runge-Kutta steps per sample, as in the run.
 
     Returns
     -------
@@ -138,22 +114,9 @@ def linearise(
         )
     n, size = states.shape
     torques = JointMap(arm).absolute_torque(run.torque)
-    mean = scenario.disturbance_factor * arm.disturbance_mean if scenario.disturbance else 0.0
-    moved, f, g = np.empty((n, 4)), np.empty((n, 4, size)), np.empty((n, 4))
-    move_and_derive(
-        np.ascontiguousarray(states),
-        torques,
-        np.ascontiguousarray(run.braked),
-        new_record(ARM_CONSTANTS),
-        knowledge.constants,
-        knowledge.sensitivity,
-        np.asarray(arm.disturbance_direction, float),
-        mean,
-        arm.sample_time,
-        substeps,
-        moved,
-        f,
-        g,
+    sampled = sampled_arm(arm, scenario, knowledge, substeps)
+    moved, f, g = move_and_derive(
+        np.ascontiguousarray(states), torques, np.ascontiguousarray(run.braked), sampled
     )
     push = disturbance_variance(arm, scenario) * ~run.braked
     p = len(knowledge.deviation)
@@ -170,7 +133,7 @@ def linearise(
         moved,
         f,
         g,
-        mean,
+        sampled.mean,
         push,
         memory,
         growth,
@@ -183,14 +146,31 @@ def linearise(
     )
 
 
-def disturbance_variance(arm, scenario):
+def sampled_arm(
+    arm: ArmParameters, scenario: Scenario, knowledge: ArmKnowledge, substeps: int
+) -> SampledArm:
+    """The arm of a scenario as the compiled recursions take it."""
+    mean = scenario.disturbance_factor * arm.disturbance_mean if scenario.disturbance else 0.0
+    direction = np.asarray(arm.disturbance_direction, float)
+    return SampledArm(
+        knowledge.constants,
+        knowledge.sensitivity,
+        direction,
+        mean,
+        arm.sample_time,
+        substeps,
+        new_record(ARM_CONSTANTS),
+    )
+
+
+def disturbance_variance(arm: ArmParameters, scenario: Scenario) -> float:
     """Variance of d in a scenario."""
     return (
         arm.disturbance_variance * scenario.disturbance_factor**2 if scenario.disturbance else 0.0
     )
 
 
-def noise_deviations(arm, scenario):
+def noise_deviations(arm: ArmParameters, scenario: Scenario) -> tuple[float, float]:
     """Standard deviations of the noise of positions [rad] and rates [rad/s] in a scenario."""
     factor = scenario.noise_factor if scenario.noise else 0.0
     return (
@@ -199,7 +179,13 @@ def noise_deviations(arm, scenario):
     )
 
 
-def _sensors(arm, run, knowledge, faults, states):
+def _sensors(
+    arm: ArmParameters,
+    run: Run,
+    knowledge: ArmKnowledge,
+    faults: list[FaultModel],
+    states: np.ndarray,
+) -> tuple[np.ndarray, ...]:
     """Jacobians and values of the readings, Jacobians of the faults."""
     n, size = states.shape
     s, p = JointMap(arm).sensor_matrix, len(knowledge.deviation)
@@ -224,7 +210,9 @@ def _sensors(arm, run, knowledge, faults, states):
     return h, readings, fault
 
 
-def _holding(knowledge, states, p, h, readings) -> None:
+def _holding(
+    knowledge: ArmKnowledge, states: np.ndarray, p: int, h: np.ndarray, readings: np.ndarray
+) -> None:
     """Torques that hold a braked arm against gravity: Q_i = -G_i sin theta_i."""
     constants = knowledge.constants + states[:, 4 : 4 + p] @ knowledge.sensitivity
     first = vector_slice('gravity').start
@@ -235,20 +223,10 @@ def _holding(knowledge, states, p, h, readings) -> None:
         readings[:, 4 + i] = -constants[:, entry] * sine
 
 
-def measurements(arm, run) -> np.ndarray:
+def measurements(arm: ArmParameters, run: Run) -> np.ndarray:
     """What was read: positions and rates of the physical sensors, torques that held the arm.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        Arrangement of the sensors.
-    run : Run
-        The run.
-
-    Returns
-    -------
-    ndarray, shape (n, 6)
-        [rad], [rad/s], [N m]; NaN for a dropout.
+    Returns ndarray of shape (n, 6): [rad], [rad/s], [N m]; NaN for a dropout.
     """
     joints = JointMap(arm)
     torques = joints.absolute_torque(run.torque)
@@ -262,7 +240,7 @@ def measurements(arm, run) -> np.ndarray:
     )
 
 
-def _variances(arm, scenario, run):
+def _variances(arm: ArmParameters, scenario: Scenario, run: Run) -> np.ndarray:
     position, rate = noise_deviations(arm, scenario)
     r = np.empty((len(run.time), READINGS))
     r[:, :2], r[:, 2:4], r[:, 4:] = position**2, rate**2, math.inf

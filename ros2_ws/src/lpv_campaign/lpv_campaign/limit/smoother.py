@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_campaign.limit.arm_prior import ArmKnowledge
+from lpv_campaign.limit.fault_prior import FaultModel
 from lpv_campaign.limit.kalman_kernels import filter_extended
 from lpv_campaign.limit.kalman_smoother import both_passes
-from lpv_campaign.limit.linearisation import linearise, measurements
-from lpv_core.model.arm import ARM_CONSTANTS
+from lpv_campaign.limit.linearisation import linearise, measurements, sampled_arm
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
+from lpv_core.simulation.closed_loop import Run
+from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.errors import LpvError
-from lpv_core.support.records import new_record
 
 _ITERATIONS = 25
 _ARM_HELD = 2
@@ -31,31 +34,25 @@ within a small fraction of a rad/s, about which full steps may swing."""
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Full-information estimate of one run.
+    """Full-information estimate of one run."""
 
-    Attributes
-    ----------
-    angle, fault : ndarray, shape (n, 2)
-        Absolute angles and faults of the position sensors [rad].
-    states : ndarray, shape (n, N)
-        All states, see `lpv_campaign.limit.linearisation`.
-    iterations : int
-        Gauss-Newton steps.
-    converged : bool
-        Whether the last one was small.
-    """
-
-    angle: np.ndarray
-    fault: np.ndarray
-    states: np.ndarray
-    iterations: int
-    converged: bool
+    angle: np.ndarray  # (n, 2) Absolute angles and faults of the position sensors [rad]
+    fault: np.ndarray  # (n, 2) Absolute angles and faults of the position sensors [rad]
+    states: np.ndarray  # (n, N) All states, see `lpv_campaign.limit.linearisation`
+    iterations: int  # Gauss-Newton steps
+    converged: bool  # Whether the last one was small
 
 
 def smooth(
-    arm, scenario, run, knowledge, faults, substeps=2, iterations: int = _ITERATIONS
+    arm: ArmParameters,
+    scenario: Scenario,
+    run: Run,
+    knowledge: ArmKnowledge,
+    faults: list[FaultModel],
+    substeps: int = 2,
+    iterations: int = _ITERATIONS,
 ) -> Smoothed:
-    """Most probable course of a run given all its data (iterated extended Kalman smoother).
+    """Most probable trajectory of a run given all its data (iterated extended Kalman smoother).
 
     Each iteration linearises along the last result and solves for all samples at once: Gauss-Newton
     on the posterior, started from the observer's estimate.
@@ -101,7 +98,7 @@ def smooth(
     return Smoothed(states[:, :2], fault, states, count, bool(length < 1.0))
 
 
-def _length(step, knowledge):
+def _length(step: np.ndarray, knowledge: ArmKnowledge) -> float:
     """Largest element of a step over what is small."""
     p = 4 + len(knowledge.deviation)
     moved = np.abs(step).max(axis=0)
@@ -110,7 +107,9 @@ def _length(step, knowledge):
     return float(np.delete(moved / small, (2, 3)).max())
 
 
-def _first_guess(arm, run, knowledge, faults):
+def _first_guess(
+    arm: ArmParameters, run: Run, knowledge: ArmKnowledge, faults: list[FaultModel]
+) -> np.ndarray:
     joints = JointMap(arm)
     states = np.zeros((len(run.time), 4 + len(knowledge.deviation) + len(faults)))
     states[:, :2] = joints.absolute_position(run.estimate)
@@ -118,11 +117,18 @@ def _first_guess(arm, run, knowledge, faults):
     return states
 
 
-def filter_adaptively(arm, scenario, run, knowledge, faults, substeps=2) -> tuple[np.ndarray, ...]:
+def filter_adaptively(
+    arm: ArmParameters,
+    scenario: Scenario,
+    run: Run,
+    knowledge: ArmKnowledge,
+    faults: list[FaultModel],
+    substeps: int = 2,
+) -> tuple[np.ndarray, ...]:
     """Causal extended Kalman filter that learns the arm's parameters.
 
     Given `lpv_campaign.limit.fault_prior.anything`, position sensors serve it for the first sample
-    only: like our observer, no fault of theirs reaches its angles.
+    only: like our observer, no position fault reaches its angles.
 
     Parameters
     ----------
@@ -144,26 +150,14 @@ def filter_adaptively(arm, scenario, run, knowledge, faults, substeps=2) -> tupl
     nominal = np.zeros((len(run.time), 4 + len(knowledge.deviation) + len(faults)))
     system = linearise(arm, scenario, run, knowledge, faults, nominal, substeps)
     system.r[:, 4:] = np.inf  # not linear in the angles
-    states = np.empty_like(nominal)
-    filter_extended(
+    states = filter_extended(
         JointMap(arm).absolute_torque(run.torque),
         np.ascontiguousarray(run.braked),
-        new_record(ARM_CONSTANTS),
-        knowledge.constants,
-        knowledge.sensitivity,
-        np.asarray(arm.disturbance_direction, float),
-        system.mean,
-        arm.sample_time,
-        substeps,
-        system.push,
-        system.memory,
-        system.growth,
-        system.h,
-        system.r,
+        sampled_arm(arm, scenario, knowledge, substeps),
+        system.noise,
         measurements(arm, run),
         system.start,
         system.deviation,
-        states,
     )
     if not np.isfinite(states).all():
         raise LpvError('the adaptive filter diverged')

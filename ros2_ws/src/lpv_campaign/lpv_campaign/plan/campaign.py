@@ -10,11 +10,11 @@ from typing import Any
 
 from lpv_campaign.plan.factors import ByKind, Choice
 from lpv_campaign.plan.sampling import Plan
-from lpv_campaign.plan.spec import BOTH, DEFAULTS, PATHS, flat_factors, parse_spec
+from lpv_campaign.plan.spec import BOTH, DEFAULTS, PATHS, CampaignSpec, flat_factors, parse_spec
 from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import gains_to_dict, load_gains, parse_gains
-from lpv_core.model.arm import arm_from_json, load_arm
-from lpv_core.simulation.scenario import parse_scenario
+from lpv_core.certificate.gains import Gains, gains_to_dict, load_gains, parse_gains
+from lpv_core.model.arm import ArmParameters, arm_from_json, load_arm
+from lpv_core.simulation.scenario import Scenario, parse_scenario
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
@@ -49,7 +49,7 @@ def resolve(
     spec = parse_spec(data, source, str(folder))
     arm = load_arm(_file('arms', spec.arm, folder))
     names = {spec.scenario, *_path_scenarios(spec)}
-    content = {
+    content: dict[str, Any] = {
         'spec': data,
         'arm': arm.to_json(),
         'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
@@ -68,25 +68,25 @@ def resolve(
     return campaign
 
 
-def _file(kind, name, folder):
+def _file(kind: str, name: str, folder: str | Path) -> Path:
     path = Path(folder) / name
     return bringup_file(kind, str(path) if path.is_file() else name)
 
 
-def _values(spec, name, default):
+def _values(spec: CampaignSpec, name: str, default: Any) -> tuple[Any, ...]:
     factor = spec.factors.get(name)
     return factor.values if isinstance(factor, Choice) else (default,)
 
 
-def _path_scenarios(spec):
+def _path_scenarios(spec: CampaignSpec) -> list[str]:
     return [name for name in _values(spec, 'path', 'scenario') if name not in PATHS]
 
 
-def _sample_times(spec, arm):
+def _sample_times(spec: CampaignSpec, arm: ArmParameters) -> tuple[float, ...]:
     return _values(spec, 'sample_time', arm.sample_time)
 
 
-def _gains(name, arm, folder):
+def _gains(name: str, arm: ArmParameters, folder: str | Path) -> Gains:
     path = Path(folder) / name
     if path.is_file() and 'ros__parameters' in path.read_text(encoding='utf-8', errors='ignore'):
         gains = load_gains(path)
@@ -130,38 +130,25 @@ class Campaign:
         self._plan = Plan(self.spec.method, flat, self.spec.runs, self.spec.seed)
 
     @property
-    def key(self):
+    def key(self) -> str:
         """Hash of everything that can change a result but the software itself.
 
         Gains count by what they were designed from: a solver of another version finds others, and
-        a campaign that goes on keeps those that it began with.
+        a campaign that is resumed keeps those that it started with.
         """
         fixed = {name: self._content[name] for name in ('spec', 'arm', 'scenarios')}
         return sha256_of({**fixed, 'gains': sorted(self._content['gains'])})
 
-    def scenario(self, name):
+    def scenario(self, name: str) -> Scenario:
         """Scenario by the name that the campaign file gives it."""
         return self._scenarios[name]
 
-    def gains(self, design, sample_time):
+    def gains(self, design: str, sample_time: float) -> Gains:
         """Gains of a design at a sample time [s]."""
         return self._gains[f'{design}@{sample_time!r}']
 
-    def with_gains(self, gains, factors: dict[str, float]) -> Campaign:
-        """The same runs with other gains.
-
-        Parameters
-        ----------
-        gains : Gains
-            Used for every design and sample time.
-        factors : dict of str to float
-            New values of factors that are fixed.
-
-        Returns
-        -------
-        Campaign
-            Ready to be run.
-        """
+    def with_gains(self, gains: Gains, factors: dict[str, float]) -> Campaign:
+        """The same runs with other gains."""
         content, data = json.loads(self.text), gains_to_dict(gains)
         content['spec']['factors'] = {**content['spec'].get('factors', {}), **factors}
         content['gains'] = {
@@ -171,18 +158,10 @@ class Campaign:
         }
         return Campaign(json.dumps(content, sort_keys=True))
 
-    def values(self, number: int) -> dict[str, float | str] | None:
+    def values(self, number: int) -> dict[str, Any]:
         """Value of every factor in one run.
 
-        Parameters
-        ----------
-        number : int
-            Number of the run.
-
-        Returns
-        -------
-        dict of str to float or str or None
-            By name; None: what scenario and arm say.
+        Returns by name; None: what scenario and arm say.
         """
         units = dict(zip(self.spec.factors, self._plan.point(number).tolist()))
         values = dict(DEFAULTS, design=self.spec.designs[0])
@@ -195,13 +174,7 @@ class Campaign:
         return values
 
     def check(self) -> None:
-        """Refuse what needs the arm to be seen as wrong.
-
-        Raises
-        ------
-        ConfigError
-            Naming the factor.
-        """
+        """Refuse what needs the arm to be seen as wrong."""
         known = (*self.arm.sensor_names, BOTH)
         for name in _values(self.spec, 'fault.sensor', BOTH):
             if name not in known:
@@ -220,6 +193,6 @@ class Campaign:
 
 
 @lru_cache(maxsize=2)
-def campaign_of(text):
+def campaign_of(text: str) -> Campaign:
     """`Campaign` of a text; a worker parses it once."""
     return Campaign(text)

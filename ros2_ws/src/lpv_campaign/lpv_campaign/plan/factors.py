@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from lpv_core.support.errors import ConfigError
 
@@ -12,70 +13,48 @@ _MOST_CHOICES = 1000
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several values; a fixed value is a choice of one.
+    """One of several values; a fixed value is a choice of one."""
 
-    Attributes
-    ----------
-    values : tuple
-        Numbers or texts.
-    """
+    values: tuple  # Numbers or texts
 
-    values: tuple
-
-    def value(self, unit):
+    def value(self, unit: float) -> Any:
         """Value for a number of [0, 1)."""
         return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
 
     @property
-    def units(self):
+    def units(self) -> tuple[float, ...]:
         """Numbers of [0, 1) that give each value once, for a factorial plan."""
         return tuple((k + 0.5) / len(self.values) for k in range(len(self.values)))
 
 
 @dataclass(frozen=True)
 class Range:
-    """A number between two ends, uniform in its value or in its logarithm.
+    """A number between two ends, uniform in its value or in its logarithm."""
 
-    Attributes
-    ----------
-    low, high : float
-        Ends.
-    logarithmic : bool
-        Whether the logarithm is uniform.
-    levels : int
-        Values in a factorial plan, both ends among them.
-    """
+    low: float  # Ends
+    high: float  # Ends
+    logarithmic: bool = False  # Whether the logarithm is uniform
+    levels: int = 2  # Values in a factorial plan, both ends among them
 
-    low: float
-    high: float
-    logarithmic: bool = False
-    levels: int = 2
-
-    def value(self, unit):
+    def value(self, unit: float) -> float:
         """Value for a number of [0, 1]."""
         if self.logarithmic:
             return self.low * (self.high / self.low) ** unit
         return self.low + unit * (self.high - self.low)
 
     @property
-    def units(self):
+    def units(self) -> tuple[float, ...]:
         """Numbers of [0, 1] that give the levels of a factorial plan."""
         return tuple(k / (self.levels - 1) for k in range(self.levels))
 
 
 @dataclass(frozen=True)
 class ByKind:
-    """Another choice or range for each kind of fault.
+    """Another choice or range for each kind of fault."""
 
-    Attributes
-    ----------
-    kinds : dict of str to Choice or Range
-        Kinds that are left out give 0.
-    """
+    kinds: dict  # Kinds that are left out give 0
 
-    kinds: dict
-
-    def of(self, kind):
+    def of(self, kind: str) -> Choice | Range:
         """Choice or range of a kind."""
         return self.kinds.get(kind, Choice((0.0,)))
 
@@ -83,27 +62,7 @@ class ByKind:
 def parse_factor(
     data: object, name: str, source: str, kinds: Sequence[str] | None = None
 ) -> Choice | Range | ByKind:
-    """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind.
-
-    Parameters
-    ----------
-    data : object
-        From YAML.
-    name, source : str
-        For error messages.
-    kinds : sequence of str, optional
-        Kinds of faults that may be told apart; none: they may not.
-
-    Returns
-    -------
-    Choice or Range or ByKind
-        The factor.
-
-    Raises
-    ------
-    ConfigError
-        Naming what is wrong.
-    """
+    """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind."""
     if not isinstance(data, dict):
         return _choice(data, name, source)
     if kinds is not None and data and not _KEYS & set(data):
@@ -118,7 +77,7 @@ def parse_factor(
     return _range(data, name, source)
 
 
-def _choice(data, name, source):
+def _choice(data: Any, name: str, source: str) -> Choice:
     values = tuple(data) if isinstance(data, list) else (data,)
     if not 1 <= len(values) <= _MOST_CHOICES:
         raise ConfigError(name, f'must list 1 to {_MOST_CHOICES} values', source)
@@ -134,7 +93,7 @@ def _choice(data, name, source):
     return Choice(tuple(v if isinstance(v, str) else float(v) for v in values))
 
 
-def _range(data, name, source):
+def _range(data: dict[str, Any], name: str, source: str) -> Range:
     unknown = sorted(set(map(str, data)) - _KEYS)
     if unknown or 'low' not in data or 'high' not in data:
         raise ConfigError(
@@ -157,4 +116,4 @@ def _range(data, name, source):
         raise ConfigError(name, 'must have a finite low below a finite high', source)
     if spacing == 'log' and ends[0] <= 0.0:
         raise ConfigError(f'{name}.low', 'must be positive for logarithmic spacing', source)
-    return Range(*ends, spacing == 'log', levels)
+    return Range(ends[0], ends[1], spacing == 'log', levels)

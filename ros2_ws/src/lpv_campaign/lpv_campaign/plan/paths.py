@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from lpv_core.control.path import CartesianPath
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_core.model.kinematics import forward
 from lpv_core.support.errors import ConfigError, LpvError
@@ -17,7 +18,9 @@ _LEFT, _RIGHT, _LEAST, _MOST = 0.725, 0.453, 0.25, 0.8
 _LEAST to _MOST [rad]: neither stretched nor folded."""
 
 
-def random_path(arm, rng, duration: float, fastest: float = 2.0) -> tuple[Any, ...]:
+def random_path(
+    arm: ArmParameters, rng: np.random.Generator, duration: float, fastest: float = 2.0
+) -> tuple[Any, ...]:
     """Timed points of a random path on which gains are certified.
 
     Parameters
@@ -53,7 +56,9 @@ def random_path(arm, rng, duration: float, fastest: float = 2.0) -> tuple[Any, .
         # Kinematics counts q1 from the x-axis, angles of the links count from the upper vertical.
         points = forward(np.column_stack([turn + one + np.pi / 2.0, bend]), arm.lengths)
         try:
-            path = CartesianPath(arm, times, points).sample(np.linspace(0.0, duration, 400))
+            path = CartesianPath(arm, times.tolist(), points).sample(
+                np.linspace(0.0, duration, 400)
+            )
         except LpvError:
             continue
         cosines = arm.sign * np.cos(joints.absolute_position(path.position))

@@ -1,6 +1,7 @@
 """Which values the factors of a run take: full factorial, random, or Latin hypercube."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -8,25 +9,8 @@ METHODS = ('factorial', 'random', 'latin_hypercube')
 MOST_RUNS = 10_000_000
 
 
-def plan_size(method: str, factors, runs: int, repeats: int) -> int:
-    """Number of runs of a plan.
-
-    Parameters
-    ----------
-    method : str
-        One of `METHODS`.
-    factors : dict of str to Choice or Range
-        What varies.
-    runs : int
-        Number of runs of a random plan.
-    repeats : int
-        Repetitions of a factorial one, each with another seed.
-
-    Returns
-    -------
-    int
-        The number.
-    """
+def plan_size(method: str, factors: dict[str, Any], runs: int, repeats: int) -> int:
+    """Number of runs of a plan."""
     if method != 'factorial':
         return runs
     return repeats * math.prod(len(factor.units) for factor in factors.values())
@@ -47,7 +31,7 @@ class Plan:
         Seed of the plan.
     """
 
-    def __init__(self, method: str, factors, size: int, seed: int) -> None:
+    def __init__(self, method: str, factors: dict[str, Any], size: int, seed: int) -> None:
         self._method, self._seed, self._width = method, seed, len(factors)
         self._levels = [factor.units for factor in factors.values()]
         self._strata = None
@@ -63,15 +47,7 @@ class Plan:
     def point(self, number: int) -> np.ndarray:
         """Coordinates of a run.
 
-        Parameters
-        ----------
-        number : int
-            Number of the run.
-
-        Returns
-        -------
-        ndarray, shape (number of factors,)
-            In [0, 1].
+        Returns ndarray of shape (number of factors,): In [0, 1].
         """
         if self._method == 'factorial':
             counts = [len(levels) for levels in self._levels]

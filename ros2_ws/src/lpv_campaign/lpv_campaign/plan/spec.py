@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from lpv_campaign.plan.factors import ByKind, Choice, parse_factor
+from lpv_campaign.plan.factors import ByKind, Choice, Range, parse_factor
 from lpv_campaign.plan.sampling import METHODS, MOST_RUNS, plan_size
 from lpv_core.control.tracking import COMPENSATION
 from lpv_core.decision.diagnosis import DiagnosisParameters
@@ -72,49 +72,23 @@ _TUNING = {
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """A campaign file.
+    """A campaign file."""
 
-    Attributes
-    ----------
-    name : str
-        Name.
-    seed : int
-        Seed of the plan and, with the number of a run, of the run.
-    method : str
-        One of `lpv_campaign.plan.sampling.METHODS`.
-    runs : int
-        Number of runs.
-    arm, scenario : str
-        Arm and base scenario: files, or names of shipped ones.
-    duration : float or None
-        Length of a run [s]; None: the scenario's.
-    designs : tuple of str
-        Requirement or gains files, or names of shipped requirements.
-    factors : dict of str to Choice or Range or ByKind
-        What varies, and what is fixed to another value than the default.
-    substeps : int
-        Runge-Kutta steps of the plant a sample.
-    twin : bool
-        Whether each run with a fault is repeated without it, for the ratio of tracking errors.
-    limit : int
-        In so many runs, spread evenly, the estimates are compared with the best possible ones.
-    folder : str
-        Where relative names of files count from.
-    """
-
-    name: str
-    seed: int
-    method: str
-    runs: int
-    arm: str
-    scenario: str
-    duration: float
-    designs: tuple
-    factors: dict
-    substeps: int = 2
+    name: str  # Name
+    seed: int  # Seed of the plan and, with the number of a run, of the run
+    method: str  # One of `lpv_campaign.plan.sampling.METHODS`
+    runs: int  # Number of runs
+    arm: str  # Arm and base scenario: files, or names of shipped ones
+    scenario: str  # Arm and base scenario: files, or names of shipped ones
+    duration: float | None  # Length of a run [s]; None: the scenario's
+    designs: tuple  # Requirement or gains files, or names of shipped requirements
+    factors: dict  # What varies, and what is fixed to another value than the default
+    substeps: int = 2  # Runge-Kutta steps of the plant per sample
+    # Whether each run with a fault is repeated without it, for the ratio of tracking errors
     twin: bool = False
+    # In so many runs, spread evenly, the estimates are compared with the best possible ones
     limit: int = 0
-    folder: str = '.'
+    folder: str = '.'  # Where relative names of files count from
 
 
 def load_spec(path: str | Path) -> CampaignSpec:
@@ -139,27 +113,7 @@ def load_spec(path: str | Path) -> CampaignSpec:
 
 
 def parse_spec(data: dict[str, Any], source: str = 'campaign', folder: str = '.') -> CampaignSpec:
-    """Build a campaign from the mapping of a campaign file.
-
-    Parameters
-    ----------
-    data : dict
-        Content.
-    source : str, optional
-        Name for error messages.
-    folder : str, optional
-        Where relative names of files count from.
-
-    Returns
-    -------
-    CampaignSpec
-        As `load_spec`.
-
-    Raises
-    ------
-    ConfigError
-        As `load_spec`.
-    """
+    """Build a campaign from the mapping of a campaign file."""
     top = Section(data, source)
     plan = top.section('plan')
     method = plan.text('method', choices=METHODS)
@@ -195,35 +149,24 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign', folder: str = '.'
     return spec
 
 
-def flat_factors(factors):
-    """Factors as coordinates of a plan: one that goes by kind counts as one continuous number.
-
-    Parameters
-    ----------
-    factors : dict of str to Choice or Range or ByKind
-        Of a campaign.
-
-    Returns
-    -------
-    dict of str to Choice or Range
-        The same names.
-    """
+def flat_factors(factors: dict[str, Choice | Range | ByKind]) -> dict[str, Choice | Range]:
+    """Factors as coordinates of a plan: one that goes by kind counts as one continuous number."""
     return {
         name: _widest(factor) if isinstance(factor, ByKind) else factor
         for name, factor in factors.items()
     }
 
 
-def _widest(factor):
+def _widest(factor: ByKind) -> Choice | Range:
     return max(factor.kinds.values(), key=lambda kind: len(kind.units))
 
 
-def _factors(data, source):
+def _factors(data: dict[str, Any], source: str) -> dict[str, Choice | Range | ByKind]:
     factors, section = {}, Section(data, source, 'factors')
     for name, value in data.items():
         if name not in DEFAULTS and name not in _TUNING:
             raise section.error(
-                name, 'is no factor; there are ' + ', '.join([*DEFAULTS, *sorted(_TUNING)])
+                name, 'is not a factor; there are ' + ', '.join([*DEFAULTS, *sorted(_TUNING)])
             )
         field = f'factors.{name}'
         kinds = KINDS if name in _BY_KIND else None
@@ -234,7 +177,7 @@ def _factors(data, source):
     return factors
 
 
-def _check(factor, name, section) -> None:
+def _check(factor: Choice | Range, name: str, section: Section) -> None:
     """Type and range of a factor's values."""
     values = factor.values if isinstance(factor, Choice) else (factor.low, factor.high)
     numeric = name in NUMBERS or name in _TUNING

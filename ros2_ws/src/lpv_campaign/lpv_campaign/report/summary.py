@@ -10,16 +10,8 @@ from lpv_campaign.report.text import percent, rate
 from lpv_core.support.formatting import seconds
 
 
-def print_summary(numbers: dict[str, Any], console=None) -> None:
-    """Show the main figures.
-
-    Parameters
-    ----------
-    numbers : dict
-        Content of ``report.json``.
-    console : rich.console.Console, optional
-        Where.
-    """
+def print_summary(numbers: dict[str, Any], console: Console | None = None) -> None:
+    """Show the main figures."""
     console = console or Console()
     head, stability = numbers['head'], numbers['stability']
     table = Table(
@@ -65,17 +57,8 @@ def print_summary(numbers: dict[str, Any], console=None) -> None:
 def smallest(entry: dict[str, Any], probability: str) -> str:
     """Smallest size that is detected with some probability, as text.
 
-    Parameters
-    ----------
-    entry : dict
-        Of `lpv_campaign.report.sections.detection.detection`.
-    probability : str
-        Key of ``smallest``.
-
-    Returns
-    -------
-    str
-        With unit; ``-`` where there is no size, ``not reached`` where it is above all of them.
+    Returns with unit; ``-`` where there is no size, ``not reached`` where it is above all of
+    them.
     """
     if not entry['cases']['size']:
         return '-'

@@ -2,13 +2,16 @@
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pyarrow as pa
 
+from lpv_campaign.plan.campaign import Campaign
 from lpv_campaign.report import text
 from lpv_campaign.report.pictures.detection_figures import draw_detection
 from lpv_campaign.report.pictures.estimate_figures import draw_estimates
@@ -31,7 +34,7 @@ from lpv_campaign.report.summary import smallest
 from lpv_report.page import embedded, environment
 
 HTML, JSON = 'report.html', 'report.json'
-_FIGURES = {
+_FIGURES: dict[str, tuple[Callable[..., Any], str]] = {
     'roc': (draw_roc, 'roc'),
     'sweep': (draw_sweep, 'roc'),
     'detection': (draw_detection, 'detection'),
@@ -46,22 +49,14 @@ _PAGE_WIDTH = 9.8
 
 @dataclass(frozen=True)
 class CampaignReport:
-    """What was written.
+    """What was written."""
 
-    Attributes
-    ----------
-    html, json : pathlib.Path
-        The files.
-    numbers : dict
-        Content of the second one.
-    """
-
-    html: Path
-    json: Path
-    numbers: dict
+    html: Path  # The files
+    json: Path  # The files
+    numbers: dict  # Content of the second one
 
 
-def write_report(campaign, table, folder: str | Path) -> CampaignReport:
+def write_report(campaign: Campaign, table: pa.Table, folder: str | Path) -> CampaignReport:
     """Write the report of a campaign.
 
     Parameters
@@ -98,20 +93,7 @@ def write_report(campaign, table, folder: str | Path) -> CampaignReport:
 
 
 def report_numbers(results: Results, folder: Path) -> dict[str, Any]:
-    """All sections of the report.
-
-    Parameters
-    ----------
-    results : Results
-        Rows.
-    folder : pathlib.Path
-        Folder of the results, for the commands that replay runs.
-
-    Returns
-    -------
-    dict
-        By section.
-    """
+    """All sections of the report."""
     return {
         'head': head(results),
         'overall': {
@@ -132,8 +114,8 @@ def report_numbers(results: Results, folder: Path) -> dict[str, Any]:
     }
 
 
-def _figures(numbers):
-    drawn = {}
+def _figures(numbers: dict[str, Any]) -> dict[str, Any]:
+    drawn: dict[str, Any] = {}
     for name, (draw, section) in _FIGURES.items():
         figure = draw(numbers[section])
         drawn[name] = None
@@ -144,7 +126,7 @@ def _figures(numbers):
     return drawn
 
 
-def _finite(data):
+def _finite(data: Any) -> Any:
     """Plain data without numbers that are none: JSON has no word for them."""
     data = data.item() if isinstance(data, np.generic) else data
     if isinstance(data, dict):
@@ -154,7 +136,7 @@ def _finite(data):
     return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
-def _write(path, content) -> None:
+def _write(path: Path, content: str) -> None:
     # A page that someone looks at is replaced as a whole.
     part = path.with_name(path.name + '.part')
     part.write_text(content, encoding='utf-8')

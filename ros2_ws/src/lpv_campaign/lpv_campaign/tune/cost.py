@@ -1,32 +1,16 @@
 """What a trial costs, how far it is beyond the limits, and which one is picked."""
 
+from collections.abc import Sequence
 from typing import Any
 
+from lpv_campaign.tune.metric import Figure
+from lpv_campaign.tune.study_file import Study, Validation
+from lpv_campaign.tune.trial import Outcome
 from lpv_core.support.errors import ConfigError
 
 
-def cost(figures, values: dict[str, float], first: dict[str, float]) -> float:
-    """Weighted mean of the figures, each over that of the first trial or over its scale.
-
-    Parameters
-    ----------
-    figures : sequence of Figure
-        What counts.
-    values : dict of str to float
-        Of a trial.
-    first : dict of str to float
-        Of the first trial with gains.
-
-    Returns
-    -------
-    float
-        1 for the first trial, if no figure has a scale of its own.
-
-    Raises
-    ------
-    ConfigError
-        If a figure has nothing to be compared with.
-    """
+def cost(figures: Sequence[Figure], values: dict[str, float], first: dict[str, float]) -> float:
+    """Weighted mean of the figures, each over that of the first trial or over its scale."""
     total = weights = 0.0
     for figure in figures:
         if figure.weight == 0.0:
@@ -41,25 +25,10 @@ def cost(figures, values: dict[str, float], first: dict[str, float]) -> float:
     return total / weights
 
 
-def excesses(study, outcome, first: dict[str, float], validation=None) -> dict[str, float]:
-    """How far a trial is beyond each limit.
-
-    Parameters
-    ----------
-    study : Study
-        Its limits.
-    outcome : Outcome
-        Of the trial.
-    first : dict of str to float
-        Figures of the first trial.
-    validation : Validation, optional
-        Its limit of the score and its slack, in place of the study's.
-
-    Returns
-    -------
-    dict of str to float
-        By limit; at most 0: it is kept.
-    """
+def excesses(
+    study: Study, outcome: Outcome, first: dict[str, float], validation: Validation | None = None
+) -> dict[str, float]:
+    """How far a trial is beyond each limit."""
     limit = (validation or study.limits).healthy_score
     share = 1.0 + (validation.slack if validation else 0.0)
     found = {
@@ -80,21 +49,11 @@ def excesses(study, outcome, first: dict[str, float], validation=None) -> dict[s
 def pick(trials: list[dict[str, Any]], tolerance: float) -> dict[str, Any] | None:
     """The trial that the study chooses.
 
-    Of the trials that keep all limits, those whose cost is within the tolerance of the lowest are
-    taken as equal; of these the one with the lowest score of healthy runs, the furthest from a
-    false alarm, is picked.
+    Of the trials that keep all limits, those whose cost is within the tolerance of the lowest
+    are taken as equal; of these the one with the lowest score of healthy runs, the furthest
+    from a false alarm, is picked.
 
-    Parameters
-    ----------
-    trials : list of dict
-        As `Search.trials`.
-    tolerance : float
-        Relative.
-
-    Returns
-    -------
-    dict or None
-        None if no trial keeps all limits.
+    Returns None if no trial keeps all limits.
     """
     good = [trial for trial in trials if trial['state'] == 'good']
     if not good:

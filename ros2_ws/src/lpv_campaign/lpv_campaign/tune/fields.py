@@ -6,8 +6,10 @@ import re
 from dataclasses import fields
 from typing import Any
 
+from lpv_campaign.plan.factors import Range
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.support.errors import ConfigError
+from lpv_design.requirement import Requirement
 
 DIAGNOSIS_LIMITS = {
     'threshold_factor': (1.0, math.inf),
@@ -21,31 +23,12 @@ _NAME = re.compile(r'(observer|controller)\.(\w+)(?:\[(\d)\])?')
 _DIAGNOSIS = 'diagnosis.'
 
 
-def base_value(name: str, requirement) -> float:
-    """Value of a field before the search.
-
-    Parameters
-    ----------
-    name : str
-        ``observer.FIELD``, ``controller.FIELD`` (with ``[0]`` for one of several numbers), or
-        ``diagnosis.FIELD``.
-    requirement : Requirement
-        The base.
-
-    Returns
-    -------
-    float
-        The value.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such number.
-    """
+def base_value(name: str, requirement: Requirement) -> float:
+    """Value of a field before the search."""
     if name.startswith(_DIAGNOSIS):
         return _diagnosis(name[len(_DIAGNOSIS) :], name)
     match = _NAME.fullmatch(name)
-    part = getattr(requirement, match[1]) if match else None
+    part: Any = getattr(requirement, match[1]) if match else None
     known = {f.name for f in fields(part)} if match else set()
     if not match or match[2] not in known:
         raise _unknown(name, requirement)
@@ -62,7 +45,7 @@ def base_value(name: str, requirement) -> float:
     raise _unknown(name, requirement)
 
 
-def _unknown(name, requirement):
+def _unknown(name: str, requirement: Requirement) -> ConfigError:
     known = [
         f'{part}.{f.name}'
         for part in ('observer', 'controller')
@@ -73,30 +56,15 @@ def _unknown(name, requirement):
     return ConfigError(f'search.{name}', 'cannot be searched; there are ' + ', '.join(known))
 
 
-def _diagnosis(field, name):
+def _diagnosis(field: str, name: str) -> float:
     value = getattr(DiagnosisParameters(), field, None)
     if not isinstance(value, float):
-        raise ConfigError(f'search.{name}', 'is no number of the diagnosis')
+        raise ConfigError(f'search.{name}', 'is not a number of the diagnosis')
     return value
 
 
-def check_range(name: str, found, base: float) -> None:
-    """Refuse a range that lies outside what means something, or not around the base.
-
-    Parameters
-    ----------
-    name : str
-        Field.
-    found : Range
-        What is searched.
-    base : float
-        `base_value`.
-
-    Raises
-    ------
-    ConfigError
-        Naming the field.
-    """
+def check_range(name: str, found: Range, base: float) -> None:
+    """Refuse a range that is outside the meaningful one, or does not contain the base."""
     low, high = (
         DIAGNOSIS_LIMITS.get(name[len(_DIAGNOSIS) :], (0.0, math.inf))
         if name.startswith(_DIAGNOSIS)
@@ -111,23 +79,10 @@ def check_range(name: str, found, base: float) -> None:
         )
 
 
-def changed(data: dict[str, Any], requirement, values: dict[str, float]) -> dict[str, Any]:
-    """A requirement file with other values.
-
-    Parameters
-    ----------
-    data : dict
-        Content of the base's file.
-    requirement : Requirement
-        The base.
-    values : dict of str to float
-        By field; those of the diagnosis are left out.
-
-    Returns
-    -------
-    dict
-        Content.
-    """
+def changed(
+    data: dict[str, Any], requirement: Requirement, values: dict[str, float]
+) -> dict[str, Any]:
+    """A requirement file with other values."""
     result = copy.deepcopy(data)
     for name, value in values.items():
         match = _NAME.fullmatch(name)
@@ -143,22 +98,12 @@ def changed(data: dict[str, Any], requirement, values: dict[str, float]) -> dict
             )
             for k in range(len(new)) if index is None else (int(index),):
                 new[k] = value
-            value = new
-        result[part][field] = value
+            result[part][field] = new
+        else:
+            result[part][field] = value
     return result
 
 
 def diagnosis_values(values: dict[str, float]) -> dict[str, float]:
-    """Those of the diagnosis alone, named as factors of a campaign are.
-
-    Parameters
-    ----------
-    values : dict of str to float
-        By field.
-
-    Returns
-    -------
-    dict of str to float
-        A part of them.
-    """
+    """Those of the diagnosis alone, named as factors of a campaign are."""
     return {name: value for name, value in values.items() if name.startswith(_DIAGNOSIS)}

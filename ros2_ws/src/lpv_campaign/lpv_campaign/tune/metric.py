@@ -1,6 +1,7 @@
 """Figures of a campaign: one number from one column of its rows."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,11 +9,12 @@ import numpy as np
 
 from lpv_campaign.execution.run_metrics import COUNTS, FLAGS, FLOATS
 from lpv_campaign.plan.spec import NO_FAULT
+from lpv_core.support.config import Section
 from lpv_core.support.errors import ConfigError
 
 DERIVED = ('missed', 'unstable')
 """Columns that are made here: 1 where a fault was not found, or the loop lost control."""
-_SUMMARIES = {
+_SUMMARIES: dict[str, Callable[..., Any]] = {
     'mean': np.mean,
     'median': np.median,
     'geometric_mean': lambda v: np.exp(np.mean(np.log(np.maximum(v, 1e-12)))),
@@ -32,60 +34,27 @@ class Span:
     low: float
     high: float
 
-    def __contains__(self, value):
+    def __contains__(self, value: object) -> bool:
         return isinstance(value, (int, float)) and self.low <= value <= self.high
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of a campaign; small is good.
+    """One figure of a campaign; small is good."""
 
-    Attributes
-    ----------
-    name : str
-        How it is called.
-    column : str
-        Column of the results, or one of `DERIVED`.
-    statistic : str
-        One of `STATISTICS`, over the runs.
-    where : dict of str to tuple or Span
-        Runs that count: by column the values that it may have.
-    weight : float
-        Of the figure in the cost; 0: it is only watched.
-    scale : float or None
-        What counts as 1 in the cost; None: the figure of the first trial.
-    at_most, at_most_ratio : float
-        Largest value, as it is and over that of the first trial.
-    """
-
-    name: str
-    column: str
-    statistic: str = 'mean'
-    where: dict = None
-    weight: float = 0.0
-    scale: float = None
-    at_most: float = math.inf
-    at_most_ratio: float = math.inf
+    name: str  # How it is called
+    column: str  # Column of the results, or one of `DERIVED`
+    statistic: str = 'mean'  # One of `STATISTICS`, over the runs
+    where: dict[str, Any] | None = None  # Runs that count: by column the values that it may have
+    weight: float = 0.0  # Of the figure in the cost; 0: it is only watched
+    scale: float | None = None  # What counts as 1 in the cost; None: the figure of the first trial
+    at_most: float = math.inf  # Largest value, as it is and over that of the first trial
+    at_most_ratio: float = math.inf  # Largest value, as it is and over that of the first trial
 
     def values(self, rows: list[dict[str, Any]], length: float) -> np.ndarray:
         """The column over all runs.
 
-        Parameters
-        ----------
-        rows : list of dict
-            Results.
-        length : float
-            Length of a run [s]; a fault that is not found has a delay up to its end.
-
-        Returns
-        -------
-        ndarray, shape (number of rows,)
-            NaN where a run does not count.
-
-        Raises
-        ------
-        ConfigError
-            If none does.
+        Returns ndarray of shape (number of rows,): NaN where a run does not count.
         """
         found = np.array(
             [_value(row, self.column, length) if self._counts(row) else math.nan for row in rows],
@@ -98,37 +67,17 @@ class Figure:
             )
         return found
 
-    def summary(self, values):
+    def summary(self, values: np.ndarray) -> float:
         """The figure, from `values` or a part of them; NaN if nothing is left."""
         values = values[~np.isnan(values)]
         return float(_SUMMARIES[self.statistic](values)) if values.size else math.nan
 
-    def _counts(self, row):
+    def _counts(self, row: dict[str, Any]) -> bool:
         return meets(row, self.where or {}, f'figures.{self.name}.where')
 
 
 def meets(row: dict[str, Any], where: dict[str, tuple[Any, ...] | Span], name: str) -> bool:
-    """Whether a run meets a condition.
-
-    Parameters
-    ----------
-    row : dict
-        Its results.
-    where : dict of str to tuple or Span
-        The condition.
-    name : str
-        Its name, for the message.
-
-    Returns
-    -------
-    bool
-        True if every column has one of its values.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such column.
-    """
+    """Whether a run meets a condition."""
     for column, wanted in where.items():
         if column not in row:
             raise ConfigError(name, f'there is no column {column!r}')
@@ -137,7 +86,7 @@ def meets(row: dict[str, Any], where: dict[str, tuple[Any, ...] | Span], name: s
     return True
 
 
-def _value(row, column, length):
+def _value(row: dict[str, Any], column: str, length: float) -> float:
     faulty = row['kind'] not in (NO_FAULT, 'rate_bias')
     if column == 'missed':
         return float(not row['detected']) if faulty else math.nan
@@ -149,26 +98,8 @@ def _value(row, column, length):
     return max(min(float(row[column]), BEYOND), -BEYOND)  # leaves NaN alone
 
 
-def parse_figure(section, name: str) -> Figure:
-    """Read a figure of a study file.
-
-    Parameters
-    ----------
-    section : lpv_core.support.config.Section
-        The figure's mapping.
-    name : str
-        Its name.
-
-    Returns
-    -------
-    Figure
-        Validated.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
-    """
+def parse_figure(section: Section, name: str) -> Figure:
+    """Read a figure of a study file."""
     known = (*FLOATS, *COUNTS, *FLAGS, *DERIVED)
     figure = Figure(
         name,
@@ -176,40 +107,17 @@ def parse_figure(section, name: str) -> Figure:
         section.text('statistic', 'mean', STATISTICS),
         parse_where(section, section.plain('where')),
         section.number('weight', 0.0, low=0.0),
-        *(
-            section.number(key, above=above) if key in section else default
-            for key, above, default in (
-                ('scale', 0.0, None),
-                ('at_most', None, math.inf),
-                ('at_most_ratio', 0.0, math.inf),
-            )
-        ),
+        section.number('scale', above=0.0) if 'scale' in section else None,
+        section.number('at_most') if 'at_most' in section else math.inf,
+        section.number('at_most_ratio', above=0.0) if 'at_most_ratio' in section else math.inf,
     )
     section.finish()
     return figure
 
 
-def parse_where(section, data: dict[str, Any]) -> dict[str, tuple[Any, ...] | Span]:
-    """Read a condition on runs.
-
-    Parameters
-    ----------
-    section : lpv_core.support.config.Section
-        For messages.
-    data : dict
-        By column a value, a list of values, or ``{low: ..., high: ...}``.
-
-    Returns
-    -------
-    dict of str to tuple or Span
-        The condition.
-
-    Raises
-    ------
-    ConfigError
-        Naming the column.
-    """
-    found = {}
+def parse_where(section: Section, data: dict[str, Any]) -> dict[str, tuple[Any, ...] | Span]:
+    """Read a condition on runs."""
+    found: dict[str, tuple[Any, ...] | Span] = {}
     for name, wanted in data.items():
         if isinstance(wanted, dict):
             low, high = (

@@ -1,5 +1,6 @@
 """Picture of a study: the trade, the search, what matters."""
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -7,15 +8,7 @@ _COLOURS = {'good': 'tab:blue', 'beyond limits': 'tab:orange'}
 
 
 def draw(result: dict[str, Any], path: str | Path) -> None:
-    """Draw a study.
-
-    Parameters
-    ----------
-    result : dict
-        Content of ``study.json``.
-    path : str or pathlib.Path
-        PNG file to write.
-    """
+    """Draw a study."""
     import matplotlib
 
     matplotlib.use('Agg')
@@ -41,7 +34,7 @@ def draw(result: dict[str, Any], path: str | Path) -> None:
     plt.close(figure)
 
 
-def _points(result):
+def _points(result: dict[str, Any]) -> Iterator[tuple[str, str, list[dict[str, Any]]]]:
     """State, and trials in it that have a cost."""
     for state, colour in _COLOURS.items():
         trials = [t for t in result['trials'] if t['state'] == state]
@@ -49,7 +42,9 @@ def _points(result):
             yield state, colour, trials
 
 
-def _marked(axis, result, x, y) -> None:
+def _marked(
+    axis: Any, result: dict[str, Any], x: Callable[..., float], y: Callable[..., float]
+) -> None:
     """The first trial and the picked one."""
     for number, marker, label in ((0, 's', 'before'), (result['picked'], '*', 'picked')):
         if number is not None and result['trials'][number]['state'] != 'infeasible':
@@ -57,7 +52,7 @@ def _marked(axis, result, x, y) -> None:
             axis.plot(x(trial), y(trial), marker, color='black', ms=9, mfc='none', label=label)
 
 
-def _front(axis, result) -> None:
+def _front(axis: Any, result: dict[str, Any]) -> None:
     for state, colour, trials in _points(result):
         axis.plot(
             [t['healthy_score'] for t in trials],
@@ -79,7 +74,7 @@ def _front(axis, result) -> None:
         axis.legend(fontsize=7)
 
 
-def _history(axis, result) -> None:
+def _history(axis: Any, result: dict[str, Any]) -> None:
     for _, colour, trials in _points(result):
         axis.plot([t['number'] for t in trials], [t['cost'] for t in trials], '.', color=colour)
     lost = [t['number'] for t in result['trials'] if t['state'] == 'infeasible']
@@ -89,14 +84,14 @@ def _history(axis, result) -> None:
     axis.set_ylim(top=_top(result))
 
 
-def _importance(axis, result) -> None:
+def _importance(axis: Any, result: dict[str, Any]) -> None:
     shares = result['importance']
     axis.barh(list(shares), list(shares.values()), color='tab:blue')
     axis.tick_params(axis='y', labelsize=7)
     axis.set(xlabel='importance for a low cost')
 
 
-def _slice(axis, result, name) -> None:
+def _slice(axis: Any, result: dict[str, Any], name: str) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     for _, colour, trials in _points(result):
@@ -113,7 +108,7 @@ def _slice(axis, result, name) -> None:
     axis.set_ylim(top=_top(result))
 
 
-def _top(result):
+def _top(result: dict[str, Any]) -> float | None:
     """Trials far from good ones must not flatten the rest."""
     costs = [t['cost'] for t in result['trials'] if 'cost' in t]
     return 1.05 * min(max(costs), 3.0 * min(costs)) if costs else None

@@ -9,10 +9,13 @@ import yaml
 
 from lpv_campaign.tune.cost import pick
 from lpv_campaign.tune.fields import diagnosis_values
+from lpv_campaign.tune.search import Search
+from lpv_campaign.tune.trial import Bench
 from lpv_campaign.tune.validate import validate
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import load_gains, save_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.errors import LpvError
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
@@ -21,20 +24,10 @@ from lpv_design.solve import InfeasibleError
 FILES = ('requirement.yaml', 'gains.yaml', 'diagnosis.yaml')
 
 
-def conclude(bench, search) -> dict[str, Any]:
-    """Pick a trial and look at it again.
+def conclude(bench: Bench, search: Search) -> dict[str, Any]:
+    """Pick a trial and validate it.
 
-    Parameters
-    ----------
-    bench : Bench
-        Designs and runs.
-    search : Search
-        With its trials.
-
-    Returns
-    -------
-    dict
-        Content of ``study.json``.
+    Returns content of ``study.json``.
     """
     study, trials = bench.study, search.trials
     picked = pick(trials, study.tolerance)
@@ -70,28 +63,8 @@ def conclude(bench, search) -> dict[str, Any]:
     return {**result, 'accepted': found['accepted'], 'verdict': verdict, 'validation': found}
 
 
-def write(bench, result: dict[str, Any], folder: Path) -> list[Path]:
-    """Write ``study.json``, and the found values if they are accepted.
-
-    Parameters
-    ----------
-    bench : Bench
-        Designs.
-    result : dict
-        From `conclude`.
-    folder : pathlib.Path
-        Where to; what an earlier conclusion left there is removed.
-
-    Returns
-    -------
-    list of pathlib.Path
-        Files that were written.
-
-    Raises
-    ------
-    ConfigError
-        If the gains, read back from the file, do not verify.
-    """
+def write(bench: Bench, result: dict[str, Any], folder: Path) -> list[Path]:
+    """Write ``study.json``, and the found values if they are accepted."""
     for name in FILES:
         (folder / name).unlink(missing_ok=True)
     written = [folder / 'study.json']
@@ -102,7 +75,9 @@ def write(bench, result: dict[str, Any], folder: Path) -> list[Path]:
     comment = f'Found by lpv tune, study {result["name"]!r}, trial {result["picked"]}.'
     written.append(_dump(folder / 'requirement.yaml', comment, bench.content(values)))
     written.append(_write_gains(bench.arm, folder, comment))
-    tuned = {name.split('.')[1]: value for name, value in diagnosis_values(values).items()}
+    tuned: dict[str, Any] = {
+        name.split('.')[1]: value for name, value in diagnosis_values(values).items()
+    }
     if tuned:
         parameters = replace(DiagnosisParameters(), **tuned)
         written.append(
@@ -115,12 +90,12 @@ def write(bench, result: dict[str, Any], folder: Path) -> list[Path]:
     return written
 
 
-def _dump(path, comment, data):
+def _dump(path: Path, comment: str, data: dict[str, Any]) -> Path:
     path.write_text(f'# {comment}\n' + yaml.safe_dump(data, sort_keys=False))
     return path
 
 
-def _write_gains(arm, folder, comment):
+def _write_gains(arm: ArmParameters, folder: Path, comment: str) -> Path:
     """From the file, as ``lpv design`` would; verified as the nodes will."""
     path, part = folder / 'gains.yaml', folder / 'gains.yaml.part'
     found = design(arm, load_requirement(folder / 'requirement.yaml'))

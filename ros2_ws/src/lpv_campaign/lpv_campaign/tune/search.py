@@ -9,22 +9,24 @@ import optuna
 from optuna.trial import TrialState
 from sqlalchemy.exc import SQLAlchemyError
 
+from lpv_campaign.plan.factors import Range
 from lpv_campaign.tune.cost import cost, excesses
-from lpv_campaign.tune.trial import Outcome
+from lpv_campaign.tune.study_file import Study
+from lpv_campaign.tune.trial import Bench, Outcome
 from lpv_core.support.errors import ConfigError
 
 _STARTUP = 16
 """Trials at random before the search models anything."""
 _DIGITS = 3
-"""Significant digits of tried values: requirement files are read by people."""
+"""Significant digits of tried values: requirement files are read by users."""
 _STREAM = 1_000_003
 _DONE = (TrialState.COMPLETE, TrialState.PRUNED)
 
 
 class Search:
-    """A study of Optuna's in a folder; it goes on where it was left.
+    """A study of Optuna's in a folder; it resumes where it stopped.
 
-    Every trial draws from a generator of its own, seeded by the study's seed and the number of
+    Every trial has a random generator of its own, seeded by the study's seed and the number of
     trials before it: a study that was interrupted gives the trials that it would have given.
 
     Parameters
@@ -42,7 +44,7 @@ class Search:
         If the file is another study's, or cannot be read.
     """
 
-    def __init__(self, study, key: str, path: Path) -> None:
+    def __init__(self, study: Study, key: str, path: Path) -> None:
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self._study = study
         try:
@@ -58,7 +60,7 @@ class Search:
         except (SQLAlchemyError, optuna.exceptions.OptunaError, RuntimeError) as error:
             text = str(error).split('\n')[0]
             raise ConfigError(
-                'study', f'cannot be read ({text}); remove the file to begin anew', str(path)
+                'study', f'cannot be read ({text}); remove the file to start again', str(path)
             ) from error
         if known != key:
             raise ConfigError(
@@ -71,17 +73,17 @@ class Search:
             self._found.tell(trial.number, state=TrialState.FAIL)  # a crash left it behind
 
     @property
-    def trials(self):
+    def trials(self) -> list[dict[str, Any]]:
         """Finished trials in their order, each a dict as `study.json` has them."""
         return [
             {'number': number, **trial.user_attrs} for number, trial in enumerate(self._finished())
         ]
 
-    def _finished(self):
+    def _finished(self) -> list[Any]:
         return self._found.get_trials(deepcopy=False, states=_DONE)
 
     @property
-    def front(self):
+    def front(self) -> list[int]:
         """Numbers of the trials that no other one beats in both respects, limits kept."""
         if not any(trial.state == TrialState.COMPLETE for trial in self._finished()):
             return []
@@ -89,7 +91,7 @@ class Search:
         return [number for number, trial in enumerate(self._finished()) if trial.number in best]
 
     @property
-    def importance(self):
+    def importance(self) -> dict[str, float]:
         """Share of each searched field in the cost's variation, by PED-ANOVA; empty if too few."""
         if len([t for t in self._finished() if t.state == TrialState.COMPLETE]) < 4:
             return {}
@@ -100,19 +102,8 @@ class Search:
             )
         return {name: found.get(name, 0.0) for name in self._study.search}
 
-    def step(self, bench) -> dict[str, Any]:
-        """One trial more.
-
-        Parameters
-        ----------
-        bench : Bench
-            Designs and runs.
-
-        Returns
-        -------
-        dict
-            The trial, as in `trials`.
-        """
+    def step(self, bench: Bench) -> dict[str, Any]:
+        """Run one more trial."""
         number = len(self._finished())
         self._found.sampler = optuna.samplers.TPESampler(
             seed=(self._study.seed * _STREAM + number) % 2**32, n_startup_trials=_STARTUP
@@ -132,8 +123,8 @@ class Search:
         self._keep(trial, values, bench.outcome(values))
         return self.trials[-1]
 
-    def _keep(self, trial, values, outcome) -> None:
-        entry = {'values': values, 'state': 'infeasible', 'reason': outcome.reason}
+    def _keep(self, trial: Any, values: dict[str, float], outcome: Outcome) -> None:
+        entry: dict[str, Any] = {'values': values, 'state': 'infeasible', 'reason': outcome.reason}
         if outcome.reason:
             trial.set_constraint('certified', 1.0)
         else:
@@ -166,15 +157,7 @@ class Search:
 def first_outcome(trials: list[dict[str, Any]]) -> Outcome | None:
     """Outcome of the first trial that has gains.
 
-    Parameters
-    ----------
-    trials : list of dict
-        As `Search.trials`.
-
-    Returns
-    -------
-    Outcome or None
-        None if there is none.
+    Returns None if there is none.
     """
     for trial in trials:
         if trial['state'] != 'infeasible':
@@ -182,5 +165,5 @@ def first_outcome(trials: list[dict[str, Any]]) -> Outcome | None:
     return None
 
 
-def _rounded(value, part):
+def _rounded(value: float, part: Range) -> float:
     return min(max(float(f'{value:.{_DIGITS}g}'), part.low), part.high)

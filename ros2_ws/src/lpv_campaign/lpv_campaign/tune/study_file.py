@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from lpv_campaign.plan.factors import Range, parse_factor
 from lpv_campaign.plan.spec import NO_FAULT
@@ -16,96 +17,47 @@ _OWN = ('arm', 'designs', 'name')
 
 @dataclass(frozen=True)
 class Limits:
-    """What a trial must keep to.
+    """What a trial must keep to."""
 
-    Attributes
-    ----------
-    healthy : tuple of dict
-        Conditions; in a run that meets one of them any alarm is false.
-    healthy_score : float
-        Largest abs(fault estimate) / threshold without a fault.
-    pole_step : float
-        Largest fastest pole of the observer times the sample time.
-    """
-
-    healthy: tuple
-    healthy_score: float
-    pole_step: float
+    healthy: tuple  # Conditions; in a run that meets one of them any alarm is false
+    healthy_score: float  # Largest abs(fault estimate) / threshold without a fault
+    pole_step: float  # Largest fastest pole of the observer times the sample time
 
 
 @dataclass(frozen=True)
 class Validation:
-    """The second look, on other runs.
+    """The second look, on other runs."""
 
-    Attributes
-    ----------
-    seed, runs : int
-        Of the campaign.
-    healthy_score : float
-        As in `Limits`: more runs have a larger largest value.
-    slack : float
-        Share by which a figure may be beyond its limit: what the search found lies on it.
-    resamples : int
-        Of the bootstrap.
-    confidence : float
-        Of its intervals.
-    least_gain : float
-        By how much of the first cost the picked one must be lower, with that confidence.
-    """
-
-    seed: int
-    runs: int
-    healthy_score: float
+    seed: int  # Of the campaign
+    runs: int  # Of the campaign
+    healthy_score: float  # As in `Limits`: more runs have a larger largest value
+    # Share by which a figure may be beyond its limit: the optimum is at the limit itself
     slack: float
-    resamples: int
-    confidence: float
+    resamples: int  # Of the bootstrap
+    confidence: float  # Of its intervals
+    # By how much of the first cost the picked one must be lower, with that confidence
     least_gain: float
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study file.
+    """A study file."""
 
-    Attributes
-    ----------
-    name : str
-        Name.
-    seed : int
-        Seed of the search.
-    trials : int
-        How many designs are tried.
-    requirement : str
-        Requirement file, or name of a shipped one: what is not searched, and the first trial.
-    search : dict of str to Range
-        Fields of the requirement (``observer.decay``) or of the diagnosis (``diagnosis.dwell``).
-    campaign : dict
-        Campaign by which trials are judged; a factor for each searched field of the diagnosis.
-    figures : tuple of Figure
-        What counts.
-    limits : Limits
-        What must hold.
-    tolerance : float
-        Costs so much above the lowest one, relatively, count as equal.
-    validation : Validation
-        The second look.
-    data : dict
-        Content of the file.
-    folder : str
-        Where relative names of files count from.
-    """
-
-    name: str
-    seed: int
-    trials: int
+    name: str  # Name
+    seed: int  # Seed of the search
+    trials: int  # How many designs are tried
+    # Requirement file, or name of a shipped one: what is not searched, and the first trial
     requirement: str
+    # Fields of the requirement (``observer.decay``) or of the diagnosis (``diagnosis.dwell``)
     search: dict
+    # Campaign that evaluates trials; a factor for each searched field of the diagnosis
     campaign: dict
-    figures: tuple[Figure, ...]
-    limits: Limits
-    tolerance: float
-    validation: Validation
-    data: dict
-    folder: str
+    figures: tuple[Figure, ...]  # What counts
+    limits: Limits  # What must hold
+    tolerance: float  # Costs so much above the lowest one, relatively, count as equal
+    validation: Validation  # The second look
+    data: dict  # Content of the file
+    folder: str  # Where relative names of files count from
 
 
 def load_study(path: str | Path) -> Study:
@@ -152,14 +104,14 @@ def load_study(path: str | Path) -> Study:
     return study
 
 
-def _trials(top):
+def _trials(top: Section) -> int:
     trials = top.integer('trials', low=1)
     if trials > MOST_TRIALS:
         raise top.error('trials', f'must be at most {MOST_TRIALS}, got {trials}')
     return trials
 
 
-def _search(top):
+def _search(top: Section) -> dict[str, Range]:
     found = {}
     for name, value in top.plain('search').items():
         field = f'search.{name}'
@@ -172,7 +124,7 @@ def _search(top):
     return found
 
 
-def _figures(top):
+def _figures(top: Section) -> tuple[Figure, ...]:
     figures = tuple(
         parse_figure(Section(entry, 'study', f'figures.{name}'), str(name))
         for name, entry in top.plain('figures').items()
@@ -182,7 +134,7 @@ def _figures(top):
     return figures
 
 
-def _limits(section, healthy):
+def _limits(section: Section, healthy: dict[str, Any]) -> Limits:
     conditions = tuple(
         parse_where(Section(where, 'study', f'healthy.{name}'), where)
         for name, where in healthy.items()
@@ -196,7 +148,7 @@ def _limits(section, healthy):
     return limits
 
 
-def _validation(section, limits):
+def _validation(section: Section, limits: Limits) -> Validation:
     validation = Validation(
         section.integer('seed', low=0),
         section.integer('runs', low=1),
@@ -210,7 +162,9 @@ def _validation(section, limits):
     return validation
 
 
-def _campaign(top, study, arm, search, folder):
+def _campaign(
+    top: Section, study: dict[str, Any], arm: str, search: dict[str, Range], folder: Path
+) -> dict[str, Any]:
     """The campaign's mapping; every trial has the same factors, so that all draw the same runs."""
     if isinstance(study.get('campaign'), str):
         data = read_yaml(Path(folder) / top.text('campaign'))

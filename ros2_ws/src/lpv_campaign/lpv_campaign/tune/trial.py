@@ -6,37 +6,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from lpv_campaign.plan.campaign import resolve
+from lpv_campaign.plan.campaign import Campaign, resolve
 from lpv_campaign.tune.fields import base_value, changed, check_range, diagnosis_values
 from lpv_campaign.tune.metric import BEYOND, meets
+from lpv_campaign.tune.study_file import Study
 from lpv_core.certificate.conditions import require
+from lpv_core.certificate.gains import Gains
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_design.design_flow import design
-from lpv_design.requirement import load_requirement, parse_requirement
+from lpv_design.requirement import Requirement, load_requirement, parse_requirement
 from lpv_design.solve import InfeasibleError
 
 
 @dataclass
 class Outcome:
-    """What came out of a trial.
+    """What came out of a trial."""
 
-    Attributes
-    ----------
-    reason : str
-        Why there are no gains; empty if there are.
-    figures : dict of str to float
-        By name.
-    healthy_score : float
-        Largest abs(fault estimate) / threshold without a fault.
-    false_alarms : int
-        Alarms in healthy runs.
-    """
-
-    reason: str = ''
-    figures: dict = field(default_factory=dict)
-    healthy_score: float = math.nan
-    false_alarms: int = 0
+    reason: str = ''  # Why there are no gains; empty if there are
+    figures: dict = field(default_factory=dict)  # By name
+    healthy_score: float = math.nan  # Largest abs(fault estimate) / threshold without a fault
+    false_alarms: int = 0  # Alarms in healthy runs
 
 
 class Bench:
@@ -50,7 +40,7 @@ class Bench:
         As `lpv_campaign.execution.execute.worker_pool` gives it.
     """
 
-    def __init__(self, study, execute: Callable[..., Any]) -> None:
+    def __init__(self, study: Study, execute: Callable[..., Any]) -> None:
         self.study, self._execute = study, execute
         self.requirement = _base(study)
         self.base = {name: base_value(name, self.requirement) for name in study.search}
@@ -63,34 +53,18 @@ class Bench:
         self.length = spec.duration or self._campaign.scenario(spec.scenario).duration
 
     @property
-    def key(self):
+    def key(self) -> str:
         """Hash of the campaign; see `lpv_campaign.plan.campaign.Campaign.key`."""
         return self._campaign.key
 
-    def content(self, values):
+    def content(self, values: dict[str, float]) -> dict[str, Any]:
         """Content of the requirement file with given values."""
         return changed(self._data, self.requirement, values)
 
-    def gains(self, values: dict[str, float]):
-        """Certified gains.
-
-        Parameters
-        ----------
-        values : dict of str to float
-            Of the searched fields.
-
-        Returns
-        -------
-        Gains
-            Checked by their certificate.
-
-        Raises
-        ------
-        InfeasibleError, ConfigError
-            If there are none, or they move too fast for the sample time.
-        """
+    def gains(self, values: dict[str, float]) -> Gains:
+        """Certified gains."""
         requirement = parse_requirement(self.content(values), self.study.name)
-        observer = requirement.observer
+        observer: Any = requirement.observer
         fastest = getattr(observer, 'fastest', None) or observer.q + observer.r
         step = fastest * self.arm.sample_time
         if step > self.study.limits.pole_step:
@@ -103,30 +77,15 @@ class Bench:
         return gains
 
     def rows(
-        self, gains, values: dict[str, float], plan: dict[str, Any] | None = None
+        self, gains: Gains, values: dict[str, float], plan: dict[str, Any] | None = None
     ) -> list[dict[str, Any]]:
-        """Results of all runs with given gains.
-
-        Parameters
-        ----------
-        gains : Gains
-            The gains.
-        values : dict of str to float
-            Of the searched fields.
-        plan : dict, optional
-            Other ``seed`` and ``runs`` than the study's.
-
-        Returns
-        -------
-        list of dict
-            In the order of the runs.
-        """
+        """Results of all runs with given gains."""
         campaign = self._campaign if plan is None else self._other(**plan)
         tried = campaign.with_gains(gains, diagnosis_values(values))
         rows = [row for part in self._execute(tried, range(tried.spec.runs)) for row in part]
         return sorted(rows, key=lambda row: row['number'])
 
-    def _other(self, seed, runs):
+    def _other(self, seed: int, runs: int) -> Campaign:
         data = {
             **self.study.campaign,
             'seed': seed,
@@ -135,18 +94,7 @@ class Bench:
         return resolve(data, self.study.name, self.study.folder, designed=False)
 
     def outcome(self, values: dict[str, float]) -> Outcome:
-        """Design, run, and measure.
-
-        Parameters
-        ----------
-        values : dict of str to float
-            Of the searched fields.
-
-        Returns
-        -------
-        Outcome
-            With the reason if there is no design.
-        """
+        """Design, run, and measure."""
         try:
             gains = self.gains(values)
         except (InfeasibleError, ConfigError) as error:
@@ -154,18 +102,7 @@ class Bench:
         return self.measure(self.rows(gains, values))
 
     def measure(self, rows: list[dict[str, Any]]) -> Outcome:
-        """Figures of a campaign's results.
-
-        Parameters
-        ----------
-        rows : list of dict
-            Results.
-
-        Returns
-        -------
-        Outcome
-            Without a reason.
-        """
+        """Figures of a campaign's results."""
         healthy = [self._is_healthy(row) for row in rows]
         return Outcome(
             figures={f.name: f.summary(f.values(rows, self.length)) for f in self.study.figures},
@@ -173,16 +110,16 @@ class Bench:
             false_alarms=sum(row['false_alarms'] for row, well in zip(rows, healthy) if well),
         )
 
-    def _is_healthy(self, row):
+    def _is_healthy(self, row: dict[str, Any]) -> bool:
         return any(meets(row, where, 'limits.healthy') for where in self.study.limits.healthy)
 
 
-def _base(study):
+def _base(study: Study) -> Requirement:
     path = Path(study.folder) / study.requirement
     return load_requirement(path if path.is_file() else study.requirement)
 
 
-def _score(rows, healthy):
+def _score(rows: list[dict[str, Any]], healthy: list[bool]) -> float:
     """Over whole healthy runs, and up to the faults of the others."""
     parts = [
         (row, part)

@@ -1,34 +1,23 @@
-"""The second look: picked and first design on other runs, pair by pair."""
+"""Validation: picked and first design on other runs, pair by pair."""
 
 from typing import Any
 
 import numpy as np
 
 from lpv_campaign.tune.cost import cost, excesses
+from lpv_campaign.tune.study_file import Study
+from lpv_campaign.tune.trial import Bench
+from lpv_core.certificate.gains import Gains
 
 
-def validate(bench, gains, values: dict[str, float], first) -> dict[str, Any]:
+def validate(bench: Bench, gains: Gains, values: dict[str, float], first: Gains) -> dict[str, Any]:
     """Compare two designs on the runs of the validation.
 
-    Both see the same paths, arms, noise and faults; the intervals are percentiles of a bootstrap
-    over the runs, which are drawn together with what both designs made of them.
+    Both see the same paths, arms, noise and faults; the intervals are percentiles of a
+    bootstrap over the runs, which are drawn together with what both designs made of them.
 
-    Parameters
-    ----------
-    bench : Bench
-        Runs.
-    gains : Gains
-        Picked.
-    values : dict of str to float
-        Searched fields of the picked one.
-    first : Gains
-        Of the values before the search.
-
-    Returns
-    -------
-    dict
-        ``accepted``, ``reason``, ``cost`` and ``figures`` with ``first``, ``picked``,
-        ``difference`` and its ``interval``, and the limits.
+    Returns ``accepted``, ``reason``, ``cost`` and ``figures`` with ``first``, ``picked``,
+    ``difference`` and its ``interval``, and the limits.
     """
     study, wanted = bench.study, bench.study.validation
     plan = {'seed': wanted.seed, 'runs': wanted.runs}
@@ -62,22 +51,22 @@ def validate(bench, gains, values: dict[str, float], first) -> dict[str, Any]:
     return result
 
 
-def _compare(study, columns):
+def _compare(study: Study, columns: dict[str, Any]) -> dict[str, Any]:
     wanted = study.validation
     rng = np.random.default_rng([study.seed, wanted.seed])
     names = [f.name for f in study.figures]
 
-    def summaries(chosen):
+    def summaries(chosen: Any) -> dict[str, dict[str, float]]:
         return {
             which: {f.name: f.summary(found[f.name][chosen]) for f in study.figures}
             for which, found in columns.items()
         }
 
-    def costs(found):
+    def costs(found: dict[str, dict[str, float]]) -> dict[str, float]:
         return {which: cost(study.figures, found[which], whole['first']) for which in found}
 
     whole = summaries(slice(None))
-    differences = {name: [] for name in ('cost', *names)}
+    differences: dict[str, list[float]] = {name: [] for name in ('cost', *names)}
     for _ in range(wanted.resamples):
         found = summaries(rng.integers(wanted.runs, size=wanted.runs))
         price = costs(found)
@@ -95,12 +84,12 @@ def _compare(study, columns):
     }
 
 
-def _entry(pair, differences, confidence):
+def _entry(pair: dict[str, float], differences: list[float], confidence: float) -> dict[str, Any]:
     tail = 50.0 * (1.0 - confidence)
     # A resample may hold no run that counts for a figure.
-    differences = np.array(differences)[np.isfinite(differences)]
+    known = np.array(differences)[np.isfinite(differences)]
     return {
         **pair,
         'difference': pair['picked'] - pair['first'],
-        'interval': np.percentile(differences, [tail, 100.0 - tail]).tolist(),
+        'interval': np.percentile(known, [tail, 100.0 - tail]).tolist(),
     }

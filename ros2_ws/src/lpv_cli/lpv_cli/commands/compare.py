@@ -1,6 +1,8 @@
 """``lpv compare``: two runs of one recording side by side."""
 
+import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich import box
@@ -8,24 +10,18 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from lpv_bag.run.record import BagError, load_run
-from lpv_core.model.arm import load_arm
+from lpv_bag.run.record import BagError, RunRecord, load_run
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.formatting import number
 from lpv_core.support.resources import bringup_file
-from lpv_report.comparison import Tolerances, answer_stamps, compare_runs
+from lpv_report.comparison import AlarmPair, Comparison, Tolerances, answer_stamps, compare_runs
 
 _DEFAULTS = Tolerances()
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('bag', help='first bag: recorded, or a result of lpv replay')
     parser.add_argument(
         'other',
@@ -56,19 +52,8 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> int:
-    """Compare, show, write.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0 if the runs are the same within the tolerances, 3 if not.
-    """
+def run(arguments: argparse.Namespace) -> int:
+    """Compare, show, write."""
     names = ('mise', 'delay', 'signal', 'flags', 'missing')
     tolerances = Tolerances(**{n: 0.0 if arguments.exact else getattr(arguments, n) for n in names})
     arm = load_arm(bringup_file('arms', arguments.arm))
@@ -84,26 +69,10 @@ def run(arguments) -> int:
     return 0 if result.same else 3
 
 
-def load_pair(bag: str | Path, other: str | Path, arm):
-    """Two runs of one recording.
-
-    Parameters
-    ----------
-    bag, other : str or pathlib.Path
-        Bags; they may hold answers alone.
-    arm : ArmParameters
-        Its joints are read.
-
-    Returns
-    -------
-    tuple of RunRecord
-        Streams that one of the bags lacks, and that are no answers, are those of the other.
-
-    Raises
-    ------
-    BagError
-        If a bag cannot be read.
-    """
+def load_pair(
+    bag: str | Path, other: str | Path, arm: ArmParameters
+) -> tuple[RunRecord, RunRecord]:
+    """Two runs of one recording."""
     records = [
         load_run(path, joint_names=arm.joint_names, answers_only=True) for path in (bag, other)
     ]
@@ -117,22 +86,14 @@ def load_pair(bag: str | Path, other: str | Path, arm):
             raise BagError(f'{path}: holds no answers of the diagnosis; run lpv replay first')
         if 'joint_states' not in record.stamps:  # times then count from the first answer
             record.stamps['joint_states'] = answer_stamps(record)
-    return tuple(records)
+    return records[0], records[1]
 
 
-def show(result, console) -> None:
-    """Show a comparison as tables.
-
-    Parameters
-    ----------
-    result : Comparison
-        What was found.
-    console : rich.console.Console
-        Where.
-    """
+def show(result: Comparison, console: Console) -> None:
+    """Show a comparison as tables."""
     console.print(
         f'{result.common} answers in both bags, {result.only_first} in the first alone, '
-        f'{result.only_second} in the second alone' + _mark(result.complete)
+        f'{result.only_second} in the second alone  ' + _mark(result.complete)
     )
     _table(
         console,
@@ -154,53 +115,61 @@ def show(result, console) -> None:
     )
     names = {
         'kind': 'kind',
-        'raised': 'raised [s]',
-        'delay': 'delay [s]',
-        'cleared': 'cleared [s]',
-        'size': 'size [rad]',
+        'raised': 'raised\n[s]',
+        'delay': 'delay\n[s]',
+        'cleared': 'cleared\n[s]',
+        'size': 'size\n[rad]',
     }
     _table(
         console,
-        'alarms, first | second',
+        'alarms, first run above second',
         ('sensor', *names.values(), ''),
         [
-            ((p.first or p.second).sensor, *(_both(p, name) for name in names), _mark(p.same))
+            (
+                next(e.sensor for e in (p.first, p.second) if e),
+                *(_both(p, name) for name in names),
+                _mark(p.same),
+            )
             for p in result.alarms
         ],
     )
     console.print('same' if result.same else 'DIFFERENT beyond the tolerances')
 
 
-def _table(console, title, columns, rows) -> None:
+def _table(
+    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
     if not rows:
         return
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify='left')
-    for column in columns:
-        table.add_column(escape(column), no_wrap=True)
+    # Names may wrap in a narrow terminal, figures must not.
+    for place, column in enumerate(columns):
+        width = None if place else min(12, max(len(row[0]) for row in rows))
+        table.add_column(escape(column), no_wrap=place > 0, overflow='fold', min_width=width)
     for row in rows:
         table.add_row(*map(escape, row))
     console.print(table)
 
 
-def _mark(same):
-    return '' if same else '  <- differs'
+def _mark(same: bool) -> str:
+    return '' if same else '<- differs'
 
 
-def _both(pair, name):
-    """Attribute of both alarms in one cell; once if it reads the same."""
+def _both(pair: AlarmPair, name: str) -> str:
+    """Attribute of both alarms, one above the other; once if it reads the same."""
     texts = []
     for episode in (pair.first, pair.second):
         value = getattr(episode, name) if episode is not None else None
         texts.append('-' if value is None else value if isinstance(value, str) else f'{value:.3f}')
-    return texts[0] if pair.same and texts[0] == texts[1] else ' | '.join(texts)
+    return texts[0] if pair.same and texts[0] == texts[1] else '\n'.join(texts)
 
 
-def _write(out, text, first, second, arm) -> None:
+def _write(out: Path, text: str, first: RunRecord, second: RunRecord, arm: ArmParameters) -> None:
     from lpv_report.comparison_figures import draw_comparison
-    from lpv_report.run.style import png
+    from lpv_report.style import png
 
     if out.exists() and not out.is_dir():
-        raise ConfigError('--out', f'{out} is no folder')
+        raise ConfigError('--out', f'{out} is not a folder')
     out.mkdir(parents=True, exist_ok=True)
     (out / 'comparison.json').write_text(text + '\n', encoding='utf-8')
     for name, figure in draw_comparison(first, second, arm):

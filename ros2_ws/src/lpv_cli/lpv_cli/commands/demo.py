@@ -1,21 +1,23 @@
 """``lpv demo``: the whole pipeline with one command."""
 
+import argparse
 import os
 import queue
 import re
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from lpv_cli.completion import shipped
-from lpv_cli.processes import Graph, NodeFailure, ended_by_signals
+from lpv_cli.needs import require_ros
+from lpv_cli.processes import Graph, NodeFailure, NodeProcess, ended_by_signals
 from lpv_core.certificate.gains import save_gains
 from lpv_core.control.tracking import COMPENSATION
-from lpv_core.model.arm import load_arm
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.simulation.scenario import Scenario, load_scenario
 from lpv_core.support.resources import bringup_file, executable
 
 NAMESPACE = '/lpv'
@@ -24,23 +26,15 @@ _SILENCE = 120.0
 """Longest time without progress before the run is given up [s]; the first start compiles."""
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
-    parser.add_argument(
-        '--arm', default='paper', help='shipped arm or arm file (paper)'
-    ).completer = shipped('arms')
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
     parser.add_argument(
         '--requirement', default='paper', help='shipped requirement or requirement file (paper)'
     )
     parser.add_argument(
         '--scenario', default='two_faults', help='shipped scenario or scenario file (two_faults)'
-    ).completer = shipped('scenarios')
+    )
     parser.add_argument(
         '--mode',
         choices=('lockstep', 'realtime'),
@@ -64,21 +58,14 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Design gains, run the graph, write and show the report.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; 1 if a node failed or the design is infeasible.
+    Exit code: 0; 1 if a node failed or the design is infeasible.
     """
     from lpv_report.run import print_table, read_used_gains, write_report
 
+    require_ros()
     console = Console(soft_wrap=True)
     files = {
         'arm': bringup_file('arms', arguments.arm),
@@ -109,7 +96,7 @@ def run(arguments) -> int:
     return 0
 
 
-def _fresh_folder(name):
+def _fresh_folder(name: str) -> Path:
     """The output folder, emptied of an earlier run's results and of nothing else."""
     out = Path(name).resolve()
     for part in ('bag', 'report', 'log'):
@@ -118,7 +105,7 @@ def _fresh_folder(name):
     return out
 
 
-def _design(arm, requirement, gains_file, console) -> bool:
+def _design(arm: ArmParameters, requirement: str, gains_file: Path, console: Console) -> bool:
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
@@ -137,7 +124,9 @@ def _design(arm, requirement, gains_file, console) -> bool:
     return True
 
 
-def _commands(arguments, files, out):
+def _commands(
+    arguments: argparse.Namespace, files: dict[str, Path], out: Path
+) -> dict[str, list[Any]]:
     """Programs of the graph with their arguments, in the order in which they start."""
     lockstep = str(arguments.mode == 'lockstep').lower()
     common = ['--ros-args', '-r', f'__ns:={NAMESPACE}', '-p', f'lockstep:={lockstep}']
@@ -152,6 +141,7 @@ def _commands(arguments, files, out):
             f'output:={out / "bag"}',
             '-p',
             f'gains_file:={files["gains"]}',
+            *scenario,
         ],
         'uio': [executable('lpv_uio', 'uio'), *common, *gains, *arm],
         'tracker': [
@@ -176,7 +166,13 @@ def _commands(arguments, files, out):
     }
 
 
-def _run_graph(arguments, files, out, scenario, console) -> None:
+def _run_graph(
+    arguments: argparse.Namespace,
+    files: dict[str, Path],
+    out: Path,
+    scenario: Scenario,
+    console: Console,
+) -> None:
     domain = arguments.domain_id
     if domain is None:
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
@@ -195,7 +191,7 @@ def _run_graph(arguments, files, out, scenario, console) -> None:
         raise NodeFailure(f'nodes ended with codes {bad}; their logs are in {out / "log"}')
 
 
-def _follow(graph, duration, console) -> None:
+def _follow(graph: Graph, duration: float, console: Console) -> None:
     """Show progress and alarms until the simulator has finished; the others then miss it."""
     simulator = graph.nodes[-1]
     columns = (
@@ -224,7 +220,7 @@ def _follow(graph, duration, console) -> None:
     graph.check(finite=simulator)
 
 
-def _check_running(graph, simulator, last) -> None:
+def _check_running(graph: Graph, simulator: NodeProcess, last: float) -> None:
     graph.check(finite=simulator)
     if time.monotonic() - last > _SILENCE:
         raise NodeFailure(f'no progress for {_SILENCE:g} s; logs are kept')

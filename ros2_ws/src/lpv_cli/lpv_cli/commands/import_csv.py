@@ -1,5 +1,6 @@
 """``lpv import-csv``: a CSV recording of an arm becomes a bag."""
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -7,14 +8,8 @@ from lpv_bag.run.csv_import import import_csv, load_column_map
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('csv', help='file with a header line and one sample a line')
     parser.add_argument(
         '--columns',
@@ -26,19 +21,8 @@ def add_arguments(parser) -> None:
     parser.add_argument('--delimiter', default=',', help='between cells (comma)')
 
 
-def run(arguments) -> int:
-    """Import.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+def run(arguments: argparse.Namespace) -> int:
+    """Import."""
     columns = load_column_map(bringup_file('columns', arguments.columns))
     out = Path(arguments.out)
     count, warnings = import_csv(arguments.csv, columns, out, arguments.topic, arguments.delimiter)

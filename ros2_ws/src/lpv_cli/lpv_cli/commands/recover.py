@@ -1,5 +1,6 @@
 """``lpv recover``: repair a bag that is cut off or damaged, and say what was lost."""
 
+import argparse
 import logging
 import shutil
 import sys
@@ -8,21 +9,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from lpv_bag.errors import BagError
 from lpv_bag.mcap.writer import PRESETS
-from lpv_bag.rosbag.errors import BagError
-from lpv_bag.rosbag.recovery import recover
+from lpv_bag.rosbag.recovery import Recovery, recover
 
 NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('bag', help='rosbag2 directory with MCAP files, or one MCAP file')
     parser.add_argument(
         '--out',
@@ -40,19 +35,8 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> int:
-    """Recover, and show what was lost.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0 if nothing was lost, 3 if something was, 1 if the bag is unreadable.
-    """
+def run(arguments: argparse.Namespace) -> int:
+    """Recover, and show what was lost."""
     logging.getLogger('lpv_bag').setLevel(logging.ERROR)  # all of it is in the result
     bag = Path(arguments.bag)
     out = Path(arguments.out) if arguments.out else None
@@ -70,7 +54,7 @@ def run(arguments) -> int:
     return NOTHING_LOST if result.nothing_lost else SOMETHING_LOST
 
 
-def _recover_into(bag, out, preset):
+def _recover_into(bag: Path, out: Path, preset: str) -> Recovery:
     new = not out.exists()
     try:
         return recover(bag, out, preset)
@@ -80,7 +64,7 @@ def _recover_into(bag, out, preset):
         raise
 
 
-def _show(result, out) -> None:
+def _show(result: Recovery, out: Path | None) -> None:
     console = Console(soft_wrap=True, highlight=False, markup=False)
     for text in result.damages:
         console.print(f'  {text}')

@@ -1,58 +1,57 @@
 """``lpv report``: the report of a recorded run."""
 
+import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from lpv_cli.completion import shipped
-from lpv_core.model.arm import load_arm
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
+if TYPE_CHECKING:  # drawing takes a second to import
+    from lpv_report.guarantees.gains_source import UsedGains
+    from lpv_report.run import ReportResult
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
 
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('bag', help='rosbag2 directory or MCAP file')
     parser.add_argument(
         '--arm',
-        help='arm file, or name of a shipped arm; the one that the gains describe if not given',
-    ).completer = shipped('arms')
+        help='arm file, or name of a shipped arm; if not given, the one that the gains '
+        'describe, or the shipped one that the recorded messages name',
+    )
     parser.add_argument(
         '--gains', help='gains file that the run was answered with; the one in the bag if not given'
     )
     parser.add_argument(
-        '--scenario', help='scenario whose path and obstacle are drawn'
-    ).completer = shipped('scenarios')
+        '--scenario',
+        help='scenario whose path and obstacle are drawn; the one in the bag if not given',
+    )
     parser.add_argument('--out', default='out/report', help='folder for the report')
 
 
-def run(arguments) -> int:
-    """Write the report and show its table.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0.
-    """
-    from lpv_report.run import find_used_gains, print_table, write_report
+def run(arguments: argparse.Namespace) -> int:
+    """Write the report and show its table."""
+    from lpv_report.run import (
+        find_scenario,
+        find_shipped_gains,
+        find_used_gains,
+        print_table,
+        write_report,
+    )
 
     used = find_used_gains(arguments.bag, arguments.gains)
+    if used.gains is None and not arguments.arm:
+        used = find_shipped_gains(arguments.bag)
     arm = _arm(arguments, used)
-    path = None
+    scenario = find_scenario(arguments.bag)
     if arguments.scenario:
-        path = load_scenario(bringup_file('scenarios', arguments.scenario)).path(arm)
+        scenario = load_scenario(bringup_file('scenarios', arguments.scenario))
+    path = scenario.path(arm) if scenario is not None else None
     result = write_report(
         arguments.bag,
         Path(arguments.out),
@@ -64,17 +63,17 @@ def run(arguments) -> int:
     console = Console(soft_wrap=True, highlight=False)
     if result.table:
         print_table(result.table)
-    console.print(_said(result.certificate, used))
+    console.print(_said(result, used))
     console.print(f'report  {result.html}')
     return 0
 
 
-def _arm(arguments, used):
+def _arm(arguments: argparse.Namespace, used: 'UsedGains') -> ArmParameters:
     from lpv_report.run import arm_of
 
     if arguments.arm:
         arm = load_arm(bringup_file('arms', arguments.arm))
-        if arguments.gains:
+        if arguments.gains and used.gains:
             used.gains.check_arm(arm, arguments.gains)
         return arm
     if used.gains is None:
@@ -82,10 +81,13 @@ def _arm(arguments, used):
     return arm_of(used.gains)
 
 
-def _said(certificate, used):
+def _said(result: 'ReportResult', used: 'UsedGains') -> str:
+    certificate, again = result.certificate, result.reproduction
     if certificate is None:
         return f'gains   not known: {used.problem}'
     if certificate.holds:
-        return f'gains   {used.source}: the certificate holds'
+        other = again is not None and not again.same
+        but = ', but the run had other gains or settings: see the report' if other else ''
+        return f'gains   {used.source}: the certificate holds{but}'
     why = certificate.problem or '; '.join(certificate.failed) or 'its margins were changed'
     return f'gains   {used.source}: the certificate does NOT hold: {why}'

@@ -3,24 +3,24 @@
 import argparse
 import os
 
-from lpv_cli.completion import packages, programs
+from lpv_cli.completion import completed, packages, programs
+from lpv_cli.discovery import stay_on_this_machine
+from lpv_cli.needs import require_ros
 from lpv_core.support.resources import executable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
-    parser.add_argument(
-        'package', help='ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_bag)'
-    ).completer = packages
-    parser.add_argument(
-        'program', help='its program (simulator, uio, tracker, recorder)'
-    ).completer = programs
+    """Declare the command's arguments."""
+    completed(
+        parser.add_argument(
+            'package', help='ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_bag)'
+        ),
+        packages,
+    )
+    completed(
+        parser.add_argument('program', help='its program (simulator, uio, tracker, recorder)'),
+        programs,
+    )
     parser.add_argument(
         'rest',
         nargs=argparse.REMAINDER,
@@ -30,19 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Become the program; returns only where it cannot be started.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        Never.
-    """
-    # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    """Become the program; returns only where it cannot be started."""
+    stay_on_this_machine()
+    require_ros()
     path = executable(arguments.package, arguments.program)
     os.execv(path, [str(path), *arguments.rest])

@@ -1,5 +1,6 @@
 """``lpv urdf``: the arm of an arm file as a URDF."""
 
+import argparse
 from pathlib import Path
 
 from lpv_core.export.urdf import arm_urdf
@@ -7,31 +8,14 @@ from lpv_core.model.arm import load_arm
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
     parser.add_argument('--out', help='file to write instead of the terminal')
 
 
-def run(arguments) -> int:
-    """Print or write the URDF.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+def run(arguments: argparse.Namespace) -> int:
+    """Print or write the URDF."""
     text = arm_urdf(load_arm(bringup_file('arms', arguments.arm)))
     if arguments.out:
         Path(arguments.out).write_text(text, encoding='utf-8')

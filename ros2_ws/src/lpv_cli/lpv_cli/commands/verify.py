@@ -1,31 +1,27 @@
 """``lpv verify``: check the certificate of a gains file, without any solver."""
 
+import argparse
+from typing import Any
+
 import numpy as np
 
-from lpv_cli.completion import shipped
 from lpv_core.certificate.claims import CLAIMS
 from lpv_core.certificate.conditions import Check, verify
-from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import arm_from_json, load_arm
+from lpv_core.certificate.gains import Gains, load_gains
+from lpv_core.model.arm import ArmParameters, arm_from_json, load_arm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 from lpv_design.guarantee import guarantee
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('gains', help='gains file as written by lpv design')
     parser.add_argument(
         '--arm',
         help='arm that the gains are to be used with: file or name of a '
         'shipped one; without, the arm that the file itself describes',
-    ).completer = shipped('arms')
+    )
     parser.add_argument(
         '--proof',
         action='store_true',
@@ -33,23 +29,16 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Rebuild and judge every inequality.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; 1 if an inequality does not hold.
+    Exit code: 0; 1 if an inequality does not hold.
     """
     gains = load_gains(arguments.gains)
     arm = _arm(arguments, gains)
     holds = True
-    print(f'gains for arm {arm.name!r}, method {gains.observer.method!r}')
+    observer: Any = gains.observer
+    print(f'gains for arm {arm.name!r}, method {observer.method!r}')
     for check in [*verify(arm, gains), *_map_check(arm, gains)]:
         holds &= check.holds
         print(f'  {"holds" if check.holds else "FAILS"}  {check.margin:+.3g}  {check.name}')
@@ -66,7 +55,7 @@ def run(arguments) -> int:
     return 0 if holds else 1
 
 
-def _map_check(arm, gains) -> list[Check]:
+def _map_check(arm: ArmParameters, gains: Gains) -> list[Check]:
     """The map of thresholds at rest, information in the file, as recomputed."""
     stored = gains.certificate.get('guarantee')
     if stored is None:
@@ -80,7 +69,7 @@ def _map_check(arm, gains) -> list[Check]:
     return [Check('information: map of thresholds at rest as recomputed', -1.0 if same else 1.0)]
 
 
-def _arm(arguments, gains):
+def _arm(arguments: argparse.Namespace, gains: Gains) -> ArmParameters:
     if arguments.arm:
         return load_arm(bringup_file('arms', arguments.arm))
     if 'arm_json' not in gains.certificate:

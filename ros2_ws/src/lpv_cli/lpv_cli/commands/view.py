@@ -1,18 +1,15 @@
-"""``lpv view``: start the live view beside a running graph."""
+"""``lpv view``: start the live view for a running graph."""
 
+import argparse
 import os
 
+from lpv_cli.discovery import stay_on_this_machine
+from lpv_cli.needs import require_ros
 from lpv_core.support.resources import bringup_file, executable
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
     parser.add_argument(
         '--scenario', help='shipped scenario or scenario file whose path and obstacle are drawn'
@@ -37,19 +34,9 @@ def add_arguments(parser) -> None:
     )
 
 
-def run(arguments) -> None:
-    """Become the view node; returns only where it cannot be started.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        Never.
-    """
+def run(arguments: argparse.Namespace) -> None:
+    """Become the view node; returns only where it cannot be started."""
+    require_ros()
     program = executable('lpv_view', 'view')
     parameters = {
         'arm_file': bringup_file('arms', arguments.arm),
@@ -64,6 +51,5 @@ def run(arguments) -> None:
         line += ['-p', f'{name}:={value}']
     if arguments.domain_id is not None:
         os.environ['ROS_DOMAIN_ID'] = str(arguments.domain_id)
-    # Nobody else's business: nodes are found on this machine only, unless asked otherwise.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    stay_on_this_machine()
     os.execv(program, line)

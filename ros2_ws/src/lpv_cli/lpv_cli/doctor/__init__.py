@@ -1,25 +1,21 @@
 """``lpv doctor``: finds the usual mistakes, and says what to do about them."""
 
+import argparse
 import json
 
 from rich.console import Console
 
 from lpv_cli.doctor.environment import check_environment
 from lpv_cli.doctor.files import check_files
-from lpv_cli.doctor.findings import Level, as_dict, show
+from lpv_cli.doctor.findings import Finding, Level, as_dict, show
+from lpv_core.model.arm import ArmParameters
 
 FOUND = 3
 """Exit code where something was found."""
 
 
-def add_arguments(parser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument(
         '--arm', help='arm file, or name of a shipped arm; without, that of the running observer'
     )
@@ -32,31 +28,22 @@ def add_arguments(parser) -> None:
     parser.add_argument('--json', action='store_true', help='findings as JSON')
 
 
-def _seconds(text):
+def _seconds(text: str) -> float:
     value = float(text)
     if not 0.5 <= value <= 600.0:
         raise ValueError  # argparse says that the value is invalid
     return value
 
 
-def run(arguments) -> int:
-    """Check environment, files and graph.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0 if nothing was found, 3 otherwise.
-    """
+def run(arguments: argparse.Namespace) -> int:
+    """Check environment, files and graph."""
     findings = check_environment()
     arm, of_files = check_files(arguments.arm, arguments.gains, arguments.scenario)
     findings += of_files
     if not arguments.offline:
-        findings += _check_graph(arm, arguments, alone=not of_files)
+        blocked = any(f.check in ('ros', 'middleware') and f.level == Level.ERROR for f in findings)
+        if not blocked:  # importing rclpy would end this process
+            findings += _check_graph(arm, arguments, alone=not of_files)
     if arguments.json:
         print(
             json.dumps(
@@ -68,11 +55,13 @@ def run(arguments) -> int:
     return 0 if _is_ok(findings) else FOUND
 
 
-def _is_ok(findings):
+def _is_ok(findings: list[Finding]) -> bool:
     return all(f.level == Level.OK for f in findings)
 
 
-def _check_graph(arm, arguments, alone):
+def _check_graph(
+    arm: ArmParameters | None, arguments: argparse.Namespace, alone: bool
+) -> list[Finding]:
     try:
         import rclpy  # noqa: F401
 

@@ -4,11 +4,15 @@ import importlib
 import importlib.metadata
 import importlib.util
 import os
+import re
+import subprocess
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from packaging.requirements import Requirement
 
-from lpv_cli.doctor.findings import error, ok, warn
+from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import executable
 
@@ -33,32 +37,38 @@ PROGRAMS = (
     ('lpv_bag', 'recorder'),
 )
 _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT')
+_PROBE = """
+import importlib.util
+spec = importlib.util.find_spec('rclpy')
+if spec is None:
+    raise SystemExit("No module named 'rclpy'")
+print('lpv', spec.origin, flush=True)
+from rclpy.utilities import get_rmw_implementation_identifier
+print('lpv', get_rmw_implementation_identifier(), flush=True)
+"""
+_PROBE_TIMEOUT = 60.0
+"""[s]"""
 _LARGEST_DOMAIN = 232
 _SAFE_DOMAIN = 101
 """Domains above have ports that the operating system also gives to others."""
 
 
-def check_environment():
-    """Run all checks of this module.
-
-    Returns
-    -------
-    list of Finding
-        One a check.
-    """
+def check_environment() -> list[Finding]:
+    """Run all checks of this module."""
+    probe = probe_ros()
     return [
         check_python(),
         check_packages(),
         check_compiler(),
-        check_ros(),
+        check_ros(probe),
         check_workspace(),
-        check_middleware(),
+        check_middleware(probe),
         check_domain(),
         check_range(),
     ]
 
 
-def check_python():
+def check_python() -> Finding:
     """Version of Python."""
     version = '.'.join(map(str, sys.version_info[:3]))
     if (3, 10) <= sys.version_info[:2] <= (3, 13):
@@ -66,7 +76,7 @@ def check_python():
     return warn('python', f'{version} is not tried', 'use Python 3.10 to 3.13')
 
 
-def check_packages(requirements=REQUIREMENTS):
+def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
     """Versions of the Python packages that all commands need."""
     bad = []
     for requirement in map(Requirement, requirements):
@@ -84,7 +94,7 @@ def check_packages(requirements=REQUIREMENTS):
     return ok('packages', f'{len(requirements)} packages in the versions that are needed')
 
 
-def check_compiler():
+def check_compiler() -> Finding:
     """Whether the recursions run compiled."""
     from lpv_core.support.jit import COMPILED
 
@@ -97,18 +107,37 @@ def check_compiler():
     )
 
 
-def check_ros():
+@dataclass(frozen=True)
+class RosProbe:
+    """What another process found: rclpy ends a process whose middleware is missing."""
+
+    file: str  # of rclpy; empty where it cannot be imported
+    middleware: str  # that was loaded; empty where none could be
+    problem: str  # last line of what was printed
+
+
+def probe_ros() -> RosProbe:
+    """Import rclpy in another process."""
+    done = subprocess.run(
+        [sys.executable, '-c', _PROBE], capture_output=True, text=True, timeout=_PROBE_TIMEOUT
+    )
+    lines = [line.split(' ', 1)[1] for line in done.stdout.splitlines() if line[:4] == 'lpv ']
+    printed = [line for line in done.stderr.splitlines() if line.strip()]
+    problem = re.sub(r', at /.*', '', printed[-1].split(']: ')[-1]) if printed else ''
+    file, middleware = (lines + ['', ''])[:2]
+    return RosProbe(file, middleware, problem)
+
+
+def check_ros(probe: RosProbe | None = None) -> Finding:
     """Whether there is one ROS 2, and only one."""
-    distro = os.environ.get('ROS_DISTRO', '')
-    try:
-        import rclpy
-    except ImportError as problem:
+    distro, probe = os.environ.get('ROS_DISTRO', ''), probe or probe_ros()
+    if not probe.file:
         return error(
             'ros',
-            f'rclpy cannot be imported: {problem}',
+            f'rclpy cannot be imported: {probe.problem}',
             'make setup, or source the ROS 2 that it was run with',
         )
-    inside = os.path.realpath(rclpy.__file__).startswith(os.path.realpath(sys.prefix) + os.sep)
+    inside = os.path.realpath(probe.file).startswith(os.path.realpath(sys.prefix) + os.sep)
     if distro and inside and sys.prefix != sys.base_prefix:
         return error(
             'ros',
@@ -119,7 +148,7 @@ def check_ros():
     return ok('ros', f'{distro} is sourced' if distro else 'from wheels')
 
 
-def check_workspace():
+def check_workspace() -> Finding:
     """Whether messages and programs of this workspace are built."""
     try:
         importlib.import_module('lpv_msgs.msg')
@@ -132,30 +161,22 @@ def check_workspace():
     return ok('workspace', 'messages and programs are there')
 
 
-def check_middleware():
+def check_middleware(probe: RosProbe | None = None) -> Finding:
     """Whether the middleware that is asked for is installed."""
-    wanted = os.environ.get('RMW_IMPLEMENTATION', '')
-    try:
-        from rclpy.utilities import get_rmw_implementation_identifier
-
-        found = get_rmw_implementation_identifier()
-    except Exception as problem:
-        # Missing libraries show up as many kinds of exceptions here.
+    wanted, probe = os.environ.get('RMW_IMPLEMENTATION', ''), probe or probe_ros()
+    remedy = f'install {wanted}, or unset RMW_IMPLEMENTATION' if wanted else 'make setup'
+    if not probe.middleware:
+        return error('middleware', probe.problem or 'none could be loaded', remedy)
+    if wanted and wanted != probe.middleware:
         return error(
             'middleware',
-            ' '.join(str(problem).split()) or type(problem).__name__,
-            f'install {wanted}, or unset RMW_IMPLEMENTATION' if wanted else 'make setup',
+            f'RMW_IMPLEMENTATION is {wanted}, but {probe.middleware} is loaded',
+            remedy,
         )
-    if wanted and wanted != found:
-        return error(
-            'middleware',
-            f'RMW_IMPLEMENTATION is {wanted}, but {found} is loaded',
-            f'install {wanted}, or unset RMW_IMPLEMENTATION',
-        )
-    return ok('middleware', found)
+    return ok('middleware', probe.middleware)
 
 
-def check_domain():
+def check_domain() -> Finding:
     """Whether ROS_DOMAIN_ID is a domain."""
     text = os.environ.get('ROS_DOMAIN_ID', '')
     remedy = 'export ROS_DOMAIN_ID=N with N from 0 to 101, the same for all nodes'
@@ -168,7 +189,7 @@ def check_domain():
     return ok('domain', text)
 
 
-def check_range():
+def check_range() -> Finding:
     """Where nodes are looked for."""
     text = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
     if os.environ.get('ROS_LOCALHOST_ONLY', '') == '1':

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from lpv_cli.doctor.findings import error, ok, warn
+from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import load_arm
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import LpvError
@@ -17,18 +17,7 @@ from lpv_core.support.resources import bringup_file
 def check_files(
     arm_name: str | None, gains_name: str | None, scenario_name: str | None
 ) -> tuple[Any, ...]:
-    """Run the checks of the files that are given.
-
-    Parameters
-    ----------
-    arm_name, gains_name, scenario_name : str or None
-        As on the command line.
-
-    Returns
-    -------
-    tuple
-        The arm, or None, and a list of findings.
-    """
+    """Run the checks of the files that are given."""
     arm, findings = None, []
     if arm_name:
         arm, finding = check_arm(arm_name)
@@ -50,42 +39,16 @@ def check_files(
 
 
 def check_arm(name: str) -> tuple[Any, ...]:
-    """Whether an arm file can be read.
-
-    Parameters
-    ----------
-    name : str
-        File, or name of a shipped arm.
-
-    Returns
-    -------
-    tuple
-        The arm, or None, and the finding.
-    """
+    """Whether an arm file can be read."""
     try:
         arm = load_arm(bringup_file('arms', name))
     except LpvError as problem:
-        return None, error('arm', str(problem), 'mend the field; docs/arm-file.md describes all')
+        return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
 
 
-def check_gains(name: str, arm, arm_name: str = 'ARM'):
-    """Whether gains can be read, belong to the arm, and have a certificate that holds.
-
-    Parameters
-    ----------
-    name : str
-        Gains file.
-    arm : ArmParameters or None
-        Without, only the file itself is checked.
-    arm_name : str, optional
-        What the arm is called on the command line.
-
-    Returns
-    -------
-    Finding
-        The worst.
-    """
+def check_gains(name: str, arm: ArmParameters | None, arm_name: str | None = 'ARM') -> Finding:
+    """Whether gains can be read, belong to the arm, and have a certificate that holds."""
     again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
     try:
         gains = load_gains(name)
@@ -107,22 +70,9 @@ def check_gains(name: str, arm, arm_name: str = 'ARM'):
     return ok('gains', f'certificate for arm {arm.name!r} holds')
 
 
-def check_scenario(name: str, arm):
-    """Whether a scenario can be run with the arm.
-
-    Parameters
-    ----------
-    name : str
-        File, or name of a shipped scenario.
-    arm : ArmParameters or None
-        Without, only the file itself is checked.
-
-    Returns
-    -------
-    Finding
-        The first that is wrong.
-    """
-    remedy = 'mend the field; docs/scenario-file.md describes all'
+def check_scenario(name: str, arm: ArmParameters | None) -> Finding:
+    """Whether a scenario can be run with the arm."""
+    remedy = 'correct the field; docs/scenario-file.md describes all'
     try:
         scenario = load_scenario(bringup_file('scenarios', name))
         if arm is not None:

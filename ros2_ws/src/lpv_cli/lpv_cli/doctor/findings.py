@@ -2,7 +2,9 @@
 
 from dataclasses import asdict, dataclass
 from enum import Enum
+from typing import Any
 
+from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
@@ -21,56 +23,36 @@ _STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check.
+    """Result of one check."""
 
-    Attributes
-    ----------
-    level : Level
-        How bad it is.
-    check : str
-        What was checked, a word or two.
-    text : str
-        What was found.
-    remedy : str
-        What to do; empty where nothing is to be done.
-    """
-
-    level: Level
-    check: str
-    text: str
-    remedy: str = ''
+    level: Level  # How bad it is
+    check: str  # What was checked, a word or two
+    text: str  # What was found
+    remedy: str = ''  # What to do; empty where nothing is to be done
 
 
-def ok(check, text):
+def ok(check: str, text: str) -> Finding:
     """A finding that all is well."""
     return Finding(Level.OK, check, text)
 
 
-def warn(check, text, remedy):
+def warn(check: str, text: str, remedy: str) -> Finding:
     """A finding that may be meant, or that may go wrong."""
     return Finding(Level.WARN, check, text, remedy)
 
 
-def error(check, text, remedy):
+def error(check: str, text: str, remedy: str) -> Finding:
     """A finding that keeps the software from working."""
     return Finding(Level.ERROR, check, text, remedy)
 
 
-def as_dict(finding):
+def as_dict(finding: Finding) -> dict[str, Any]:
     """Fields of a finding as plain data."""
     return {**asdict(finding), 'level': finding.level.value}
 
 
-def show(findings: list[Finding], console) -> None:
-    """Print findings as a table, each with its remedy below.
-
-    Parameters
-    ----------
-    findings : list of Finding
-        In the order of the checks.
-    console : rich.console.Console
-        Where to.
-    """
+def show(findings: list[Finding], console: Console) -> None:
+    """Print findings as a table, each with its remedy below."""
     table = Table(box=None, pad_edge=False, show_header=False)
     for _ in range(3):
         table.add_column(overflow='fold')

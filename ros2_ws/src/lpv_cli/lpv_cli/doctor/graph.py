@@ -4,10 +4,10 @@ from collections import Counter
 
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
-from lpv_cli.doctor.findings import error, ok, warn
+from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_cli.doctor.measurements import check_measurements
-from lpv_cli.doctor.watch import JOINT_STATE
-from lpv_core.model.arm import load_arm
+from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.support.errors import LpvError
 
 SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
@@ -15,23 +15,10 @@ SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
 _DEAD = 'a node that was killed is in the graph for some 20 s more'
 
 
-def check_graph(shot, arm=None, alone: bool = True):
-    """Run all checks of a graph.
-
-    Parameters
-    ----------
-    shot : lpv_cli.doctor.watch.Snapshot
-        What was seen.
-    arm : ArmParameters, optional
-        The arm that it should be; otherwise that of the running observer is taken.
-    alone : bool, optional
-        Whether nothing but the graph was to be checked: nothing running is a finding then.
-
-    Returns
-    -------
-    list of Finding
-        One a check, or one a problem.
-    """
+def check_graph(
+    shot: Snapshot, arm: ArmParameters | None = None, alone: bool = True
+) -> list[Finding]:
+    """Run all checks of a graph."""
     if not shot.ours() and not shot.measured:
         return [check_anybody(shot, alone)]
     arm = arm or running_arm(shot)
@@ -49,7 +36,7 @@ def check_graph(shot, arm=None, alone: bool = True):
     ]
 
 
-def running_arm(shot):
+def running_arm(shot: Snapshot) -> ArmParameters | None:
     """The arm of the running observer, or of any other node of ours; None if it is not known."""
     for _, values in sorted(shot.parameters.items(), key=lambda item: '/uio' not in item[0]):
         try:
@@ -59,7 +46,7 @@ def running_arm(shot):
     return None
 
 
-def check_anybody(shot, alone: bool = True):
+def check_anybody(shot: Snapshot, alone: bool = True) -> Finding:
     """Whether anything of this software runs on this domain."""
     if shot.ours():
         return ok('nodes', f'domain {shot.domain}: {", ".join(shot.ours())}')
@@ -80,7 +67,7 @@ def check_anybody(shot, alone: bool = True):
     )
 
 
-def check_states(shot):
+def check_states(shot: Snapshot) -> list[Finding]:
     """Whether managed nodes are active."""
     findings = []
     for name, state in shot.states.items():
@@ -99,14 +86,13 @@ def check_states(shot):
                     'lifecycle',
                     f'{name} is {state}',
                     f'ros2 lifecycle set {name} '
-                    f'{steps.get(state, "activate")}; finalized nodes are started '
-                    'anew',
+                    f'{steps.get(state, "activate")}; finalized nodes must be restarted',
                 )
             )
     return findings or [ok('lifecycle', f'{len(shot.states)} nodes are active')]
 
 
-def check_names(shot):
+def check_names(shot: Snapshot) -> list[Finding]:
     """Whether two nodes have one name: two graphs on one domain."""
     twice = sorted(name for name, count in Counter(shot.nodes).items() if count > 1)
     if not twice:
@@ -120,7 +106,7 @@ def check_names(shot):
     ]
 
 
-def check_publishers(shot):
+def check_publishers(shot: Snapshot) -> list[Finding]:
     """Whether topics of ours, and /clock, have one source each."""
     findings = []
     for topic, ends in sorted(shot.publishers.items()):
@@ -131,14 +117,14 @@ def check_publishers(shot):
             error(
                 'publishers',
                 f'{topic} has {len(ends)} publishers: {by}',
-                'two simulators, or a driver beside one: stop one, or give it '
+                'two simulators, or a driver and a simulator: stop one, or give it '
                 f'another ROS_DOMAIN_ID or namespace; {_DEAD}',
             )
         )
     return findings or [ok('publishers', 'every topic has one source')]
 
 
-def check_clock(shot):
+def check_clock(shot: Snapshot) -> list[Finding]:
     """Whether /clock runs where nodes wait for it."""
     waiting = sorted(n for n, values in shot.parameters.items() if values.get('use_sim_time'))
     if not waiting:
@@ -156,7 +142,7 @@ def check_clock(shot):
     ]
 
 
-def check_modes(shot):
+def check_modes(shot: Snapshot) -> list[Finding]:
     """Whether all nodes of a graph run in the same mode."""
     modes = {n: v['lockstep'] for n, v in shot.parameters.items() if v.get('lockstep') is not None}
     if len(set(modes.values())) < 2:
@@ -171,7 +157,7 @@ def check_modes(shot):
     ]
 
 
-def check_gains_in_use(shot, arm):
+def check_gains_in_use(shot: Snapshot, arm: ArmParameters | None) -> list[Finding]:
     """Whether running nodes have gains of the arm."""
     hashes = {
         n: v['gains.arm_sha256'] for n, v in shot.parameters.items() if v.get('gains.arm_sha256')
@@ -190,8 +176,8 @@ def check_gains_in_use(shot, arm):
     ]
 
 
-def check_connections(shot):
-    """Whether what nodes of ours listen to has a source, and commands are heard."""
+def check_connections(shot: Snapshot) -> list[Finding]:
+    """Whether what nodes of ours listen to has a source, and commands have subscribers."""
     findings = []
     for topic, ends in sorted(shot.subscriptions.items()):
         listeners = [e for e in ends if e.node in shot.ours() and not e.node.endswith('/recorder')]
@@ -207,14 +193,14 @@ def check_connections(shot):
         findings.append(
             error(
                 'connections',
-                f'{listeners[0].node} listens to {topic}, which nobody publishes',
+                f'{listeners[0].node} subscribes to {topic}, which has no publisher',
                 remedy,
             )
         )
     return findings or [ok('connections', 'every input has a source')]
 
 
-def check_qos(shot):
+def check_qos(shot: Snapshot) -> list[Finding]:
     """Whether publishers and subscriptions of a topic can talk to each other."""
     findings = []
     for topic, publishers in sorted(shot.publishers.items()):
@@ -227,15 +213,15 @@ def check_qos(shot):
                     findings.append(
                         error(
                             'qos',
-                            f'{topic}: {sink.node} does not hear {source.node}: {reason}',
+                            f'{topic}: {sink.node} receives nothing from {source.node}: {reason}',
                             'give all nodes the same mode (lockstep or realtime); a driver should '
-                            'offer reliable, or be heard best effort',
+                            'offer reliable, or be subscribed to best effort',
                         )
                     )
     return findings or [ok('qos', 'publishers and subscriptions fit')]
 
 
-def _mismatch(source, sink):
+def _mismatch(source: Endpoint, sink: Endpoint) -> str:
     if source.msgtype != sink.msgtype:
         return f'types {source.msgtype} and {sink.msgtype}'
     compatible, reason = qos_check_compatible(source.qos, sink.qos)

@@ -1,10 +1,14 @@
 """Checks of the measurements that were heard."""
 
 import math
+from typing import Any
 
 import numpy as np
 
-from lpv_cli.doctor.findings import error, ok, warn
+from lpv_cli.doctor.findings import Finding, Level, error, ok, warn
+from lpv_cli.doctor.signals import check_rate_source, check_units
+from lpv_cli.doctor.watch import Snapshot
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.support.errors import SampleError
 
@@ -14,21 +18,8 @@ _UNEVEN = 1.5
 """Largest ratio of measured to expected interval."""
 
 
-def check_measurements(shot, arm):
-    """Run all checks of the measurements.
-
-    Parameters
-    ----------
-    shot : lpv_cli.doctor.watch.Snapshot
-        What was heard.
-    arm : ArmParameters or None
-        Without, joint names and rate are not checked.
-
-    Returns
-    -------
-    list of Finding
-        For each topic.
-    """
+def check_measurements(shot: Snapshot, arm: ArmParameters | None) -> list[Finding]:
+    """Run all checks of the measurements."""
     findings = []
     for topic, heard in sorted(shot.measured.items()):
         if not heard:
@@ -49,29 +40,33 @@ def check_measurements(shot, arm):
             check_stamps(topic, heard, shot),
             check_rate(topic, messages, arm, shot),
         ]
-        findings += [p for p in problems if p is not None] or [
-            ok('measurements', f'{topic}: {len(messages)} messages in {shot.seconds:g} s')
-        ]
+        if arm is not None:
+            problems += [check_units(topic, messages, arm), check_rate_source(topic, messages, arm)]
+        found = [p for p in problems if p is not None]
+        if all(p.level == Level.OK for p in found):
+            text = f'{topic}: {len(messages)} messages in {shot.seconds:g} s'
+            found.insert(0, ok('measurements', text))
+        findings += found
     return findings
 
 
-def check_joints(topic, message, arm):
+def check_joints(topic: str, message: Any, arm: ArmParameters | None) -> Finding | None:
     """Names and sizes against the arm file."""
     if arm is None:
         return None
     try:
-        JointOrder(arm.joint_names).pick(message)
+        JointOrder(arm.joint_names).indices(message.name)
     except SampleError as problem:
         return error(
             'joints',
             f'{topic}: {problem}',
             'put the names of the driver into '
-            'joints.names of the arm file and design the gains again, or mend the driver',
+            'joints.names of the arm file and design the gains again, or correct the driver',
         )
     return None
 
 
-def check_efforts(topic, messages, shot):
+def check_efforts(topic: str, messages: list[Any], shot: Snapshot) -> Finding | None:
     """Whether torques are measured where the observer takes them from."""
     sources = [values.get('torque_source') for values in shot.parameters.values()]
     if 'command' in sources and 'effort' not in sources:
@@ -87,23 +82,36 @@ def check_efforts(topic, messages, shot):
     )
 
 
-def check_values(topic, messages):
-    """Whether positions and rates are numbers."""
-    bad = sum(
-        not (len(m.velocity) and np.isfinite([*m.position, *m.velocity]).all()) for m in messages
-    )
+def check_values(topic: str, messages: list[Any]) -> Finding | None:
+    """Whether positions and rates are there, and numbers."""
+    count = len(messages)
+    without = sum(not len(m.velocity) for m in messages)
+    if without:
+        return error(
+            'values',
+            f'{topic}: {without} of {count} messages carry no rates (velocity is empty)',
+            'let the driver publish joint rates in velocity [rad/s]: samples without are not used',
+        )
+    odd = sum({len(m.position), len(m.velocity)} != {len(m.name)} for m in messages)
+    if odd:
+        return error(
+            'values',
+            f'{topic}: {odd} of {count} messages have other numbers of positions or rates than '
+            'of names',
+            'let the driver publish one position and one rate per joint',
+        )
+    bad = sum(not np.isfinite([*m.position, *m.velocity]).all() for m in messages)
     if not bad:
         return None
     return error(
         'values',
-        f'{topic}: {bad} of {len(messages)} messages have positions or rates '
-        'that are missing or no numbers',
-        'see the sensors and their driver; the '
-        'observer bridges positions, and leaves out samples without rates',
+        f'{topic}: {bad} of {count} messages have positions or rates that are not numbers',
+        'see the sensors and their driver; the observer predicts positions for some time, and does '
+        'not use samples without rates',
     )
 
 
-def check_stamps(topic, heard, shot):
+def check_stamps(topic: str, heard: list[tuple[int, Any]], shot: Snapshot) -> Finding | None:
     """Whether stamps are set, increase, and are near the clock."""
     stamps = np.array([_nanoseconds(m) for _, m in heard], dtype=np.int64)
     if not stamps.any():
@@ -136,7 +144,9 @@ def check_stamps(topic, heard, shot):
     )
 
 
-def check_rate(topic, messages, arm, shot):
+def check_rate(
+    topic: str, messages: list[Any], arm: ArmParameters | None, shot: Snapshot
+) -> Finding | None:
     """Whether samples come as often as the gains were designed for."""
     stamps = np.unique([_nanoseconds(m) for m in messages])
     if arm is None or len(stamps) < 10:
@@ -147,11 +157,11 @@ def check_rate(topic, messages, arm, shot):
         return None
     return warn(
         'rate',
-        f'{topic}: a sample every {1e3 * interval:.3g} ms, the arm file says '
+        f'{topic}: one sample every {1e3 * interval:.3g} ms, the arm file says '
         f'{1e3 * arm.sample_time:.3g} ms',
         'set sample_time of the arm file to that of the driver and design the gains again',
     )
 
 
-def _nanoseconds(message):
+def _nanoseconds(message: Any) -> int:
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec

@@ -2,7 +2,9 @@
 
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import rclpy
 from lifecycle_msgs.srv import GetState
@@ -10,94 +12,60 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+
+from lpv_cli.discovery import stay_on_this_machine
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 OURS = ('arm_sim', 'uio', 'tracker', 'recorder')
 """Names of this software's nodes."""
 PARAMETERS = ('use_sim_time', 'lockstep', 'arm_file', 'torque_source', 'gains.arm_sha256')
-_QUIET, _LONGEST_SEARCH = 3.2, 10.0
-"""The search is over when nothing new was found for so long, and after so long at most [s]: DDS
-participants tell of themselves every 3 s."""
+_QUIET = 3.2
+"""The search ends when nothing new was found for this long [s]: DDS participants announce
+themselves every 3 s."""
+_LONGEST_SEARCH = 10.0
+"""It ends at the latest after this [s]."""
 _MOST_TOPICS = 8
 """More joint_states topics than these are not listened to."""
 
 
 @dataclass
 class Endpoint:
-    """A publisher or subscription.
+    """A publisher or subscription."""
 
-    Attributes
-    ----------
-    node : str
-        Full name of its node.
-    msgtype : str
-        Message type.
-    qos : rclpy.qos.QoSProfile
-        Offered or requested.
-    """
-
-    node: str
-    msgtype: str
-    qos: object
+    node: str  # Full name of its node
+    msgtype: str  # Message type
+    qos: QoSProfile  # Offered or requested
 
 
 @dataclass
 class Snapshot:
-    """What was seen of a graph.
+    """What was seen of a graph."""
 
-    Attributes
-    ----------
-    domain : int
-        ROS_DOMAIN_ID.
-    seconds : float
-        Time of listening [s].
-    nodes : list of str
-        Full names; twice where two nodes have one name.
-    states : dict
-        State of each managed node of ours; None where it did not answer.
-    parameters : dict of dict
-        Values of `PARAMETERS` of each node of ours that answered.
-    publishers, subscriptions : dict of list of Endpoint
-        By topic.
-    measured : dict of list
-        By topic of JointState: pairs of time of arrival [ns] and message.
-    clock : list
-        Pairs of time of arrival and time told by /clock [ns].
-    """
-
-    domain: int = 0
-    seconds: float = 3.0
-    nodes: list = field(default_factory=list)
+    domain: int = 0  # ROS_DOMAIN_ID
+    seconds: float = 3.0  # Time of listening [s]
+    nodes: list = field(default_factory=list)  # Full names; twice where two nodes have one name
+    # State of each managed node of ours; None where it did not answer
     states: dict = field(default_factory=dict)
+    # Values of `PARAMETERS` of each node of ours that answered
     parameters: dict = field(default_factory=dict)
-    publishers: dict = field(default_factory=dict)
-    subscriptions: dict = field(default_factory=dict)
+    publishers: dict = field(default_factory=dict)  # By topic
+    subscriptions: dict = field(default_factory=dict)  # By topic
+    # By topic of JointState: pairs of time of arrival [ns] and message
     measured: dict = field(default_factory=dict)
+    # Pairs of time of arrival and time told by /clock [ns]
     clock: list = field(default_factory=list)
 
-    def ours(self):
+    def ours(self) -> list[str]:
         """Full names of this software's nodes, each once."""
         return sorted({n for n in self.nodes if n.rsplit('/', 1)[1] in OURS})
 
 
 def watch(seconds: float) -> Snapshot:
-    """Join the graph of this shell's domain and look around.
-
-    Parameters
-    ----------
-    seconds : float
-        How long to listen to topics [s].
-
-    Returns
-    -------
-    Snapshot
-        What was there.
-    """
-    # As lpv run does it: nobody beyond this machine is bothered unless that is asked for.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    """Join the graph of this shell's domain and look around."""
+    stay_on_this_machine()
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node(
@@ -117,10 +85,10 @@ def watch(seconds: float) -> Snapshot:
 
 
 class _Watch:
-    def __init__(self, node, executor) -> None:
+    def __init__(self, node: Any, executor: Any) -> None:
         self._node, self._executor = node, executor
 
-    def look(self, seconds):
+    def look(self, seconds: float) -> Snapshot:
         self._find()
         node = self._node
         shot = Snapshot(node.context.get_domain_id(), seconds)
@@ -147,14 +115,14 @@ class _Watch:
             if found != known:
                 known, quiet_since = found, time.monotonic()
 
-    def _spin(self, seconds, questions=()) -> None:
+    def _spin(self, seconds: float, questions: Sequence['_Question'] = ()) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for question in questions:
                 question.ask()
             self._executor.spin_once(timeout_sec=min(0.05, max(0.0, end - time.monotonic())))
 
-    def _listen(self, shot) -> None:
+    def _listen(self, shot: Snapshot) -> None:
         node = self._node
         topics = [
             t
@@ -176,7 +144,7 @@ class _Watch:
             qos_profile_sensor_data,
         )
 
-    def _questions(self, names):
+    def _questions(self, names: list[str]) -> list['_Question']:
         questions = []
         for name in names:
             state = self._node.create_client(GetState, f'{name}/get_state')
@@ -189,7 +157,7 @@ class _Watch:
         return questions
 
     @staticmethod
-    def _write_down(shot, questions) -> None:
+    def _write_down(shot: Snapshot, questions: list['_Question']) -> None:
         for question in questions:
             answer, name = question.answer(), question.name
             if not question.parameter:
@@ -201,7 +169,7 @@ class _Watch:
 class _Question:
     """A request to a node, sent once its service has been found."""
 
-    def __init__(self, name, parameter, client, request) -> None:
+    def __init__(self, name: str, parameter: str, client: Any, request: Any) -> None:
         self.name, self.parameter = name, parameter
         self._client, self._request, self._future = client, request, None
 
@@ -209,18 +177,18 @@ class _Question:
         if self._future is None and self._client.service_is_ready():
             self._future = self._client.call_async(self._request)
 
-    def answer(self):
+    def answer(self) -> Any:
         return self._future.result() if self._future is not None and self._future.done() else None
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     return {
         ParameterType.PARAMETER_BOOL: value.bool_value,
         ParameterType.PARAMETER_STRING: value.string_value,
     }.get(value.type)
 
 
-def _endpoints(infos):
+def _endpoints(infos: list[Any]) -> list[Endpoint]:
     return [
         Endpoint(f'{i.node_namespace.rstrip("/")}/{i.node_name}', i.topic_type, i.qos_profile)
         for i in infos

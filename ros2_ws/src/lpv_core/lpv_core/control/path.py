@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import ELBOWS, inverse, joint_motion
 from lpv_core.support.errors import ConfigError
 
@@ -40,7 +42,7 @@ class Obstacle:
         [m].
     """
 
-    center: tuple
+    center: tuple[float, float]
     radius: float
 
 
@@ -63,48 +65,50 @@ class CartesianPath:
     Raises
     ------
     ConfigError
-        If times do not increase, there are fewer than two points, or the tip hits the obstacle.
+        If times do not increase, there are fewer than two points, the tip hits the obstacle, or a
+        joint would be faster than its velocity limit.
     UnreachableError
         If any part of the path is out of reach or singular.
     """
 
     def __init__(
         self,
-        arm,
+        arm: ArmParameters,
         times: Sequence[float],
-        points: np.ndarray,
+        points: ArrayLike,
         elbow: str = 'positive',
         obstacle: Obstacle | None = None,
     ) -> None:
-        times, points = np.asarray(times, float), np.asarray(points, float)
-        if len(times) < 2 or points.shape != (len(times), 2):
+        knots, tips = np.asarray(times, float), np.asarray(points, float)
+        if len(knots) < 2 or tips.shape != (len(knots), 2):
             raise ConfigError('path.waypoints', 'needs two or more points with t, x and y')
-        if not np.isfinite(points).all():
+        if not np.isfinite(tips).all():
             raise ConfigError('path.waypoints', 'x and y must be finite')
-        if not (np.isfinite(times).all() and np.all(np.diff(times) > 0)):
+        if not (np.isfinite(knots).all() and np.all(np.diff(knots) > 0)):
             raise ConfigError('path.waypoints', 'times must increase')
         if elbow not in ELBOWS:
             raise ConfigError('path.elbow', f'must be one of {", ".join(ELBOWS)}')
         self._arm, self._elbow, self.obstacle = arm, elbow, obstacle
-        self.start, self.end = float(times[0]), float(times[-1])
+        self.start, self.end = float(knots[0]), float(knots[-1])
         # Velocity and acceleration vanish at both ends; jerk is continuous inside.
         rest = [(1, np.zeros(2)), (2, np.zeros(2))]
-        self._spline = make_interp_spline(times, points, k=5, bc_type=(rest, rest))
+        self._spline = make_interp_spline(knots, tips, k=5, bc_type=(rest, rest))
         self._rate, self._curvature = self._spline.derivative(1), self._spline.derivative(2)
         # q1 of eqs. (32)-(34) counts from the x-axis, which is -pi/2 from the upper vertical.
         self._offset = np.array([-np.pi / 2 - arm.zero_angle, 0.0])
         self._grid = np.linspace(self.start, self.end, 1001)
         self._turning = self._first_joint(self._grid)
-        self._check(self._grid)
+        self._check_clearance()
+        self._check_rates(arm)
 
-    def _first_joint(self, times):
+    def _first_joint(self, times: np.ndarray) -> np.ndarray:
         """Continuous q1 along the path, started within (-pi, pi]."""
         q_1 = inverse(self._spline(times), self._arm.lengths, self._elbow)[:, 0] + self._offset[0]
         q_1[0] = (q_1[0] + np.pi) % (2.0 * np.pi) - np.pi
         return np.unwrap(q_1)
 
-    def _check(self, times) -> None:
-        tip = self.sample(times).tip
+    def _check_clearance(self) -> None:
+        tip = self.sample(self._grid).tip  # reachable everywhere
         if self.obstacle is not None:
             distance = np.hypot(*(tip - np.asarray(self.obstacle.center)).T)
             if distance.min() < self.obstacle.radius:
@@ -112,7 +116,15 @@ class CartesianPath:
                     'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
                 )
 
-    def sample(self, times: np.ndarray) -> Reference:
+    def _check_rates(self, arm: ArmParameters) -> None:
+        fastest = np.abs(self.sample(self._grid).velocity).max(axis=0)
+        for name, rate, limit in zip(arm.joint_names, fastest, arm.velocity_limit):
+            if rate > limit:
+                raise ConfigError(
+                    'path', f'needs {rate:.3g} rad/s of {name}, whose velocity_limit is {limit:g}'
+                )
+
+    def sample(self, times: ArrayLike) -> Reference:
         """References at the given times.
 
         Parameters
@@ -125,15 +137,15 @@ class CartesianPath:
         Reference
             Arrays of shape (..., 2).
         """
-        times = np.clip(np.asarray(times, float), self.start, self.end)
-        tip = self._spline(times)
+        clock = np.clip(np.asarray(times, float), self.start, self.end)
+        tip = self._spline(clock)
         q = inverse(tip, self._arm.lengths, self._elbow)
         rate, acceleration = joint_motion(
-            q, self._rate(times), self._curvature(times), self._arm.lengths
+            q, self._rate(clock), self._curvature(clock), self._arm.lengths
         )
-        return Reference(self._continuous(q + self._offset, times), rate, acceleration, tip)
+        return Reference(self._continuous(q + self._offset, clock), rate, acceleration, tip)
 
-    def _continuous(self, q, times):
+    def _continuous(self, q: np.ndarray, times: np.ndarray) -> np.ndarray:
         """q with the turn of q1 that the path is in: atan2 jumps on the negative x-axis."""
         near = np.interp(times, self._grid, self._turning)
         turns = np.round((near - q[..., 0]) / (2.0 * np.pi))

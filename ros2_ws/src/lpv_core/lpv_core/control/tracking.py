@@ -1,10 +1,14 @@
 """Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lpv_core.model.arm import ARM_CONSTANTS
+from lpv_core.certificate.gains import Gains
+from lpv_core.control.path import Reference
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JOINT_MAP, JointMap
 from lpv_core.support.jit import njit
@@ -15,44 +19,24 @@ COMPENSATION = ('off', 'confirmed', 'always')
 
 TRACKING_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
-    ('arm', ARM_CONSTANTS),
-    ('limit', 'f8', (2,)),
-    ('m1', 'f8', (2, 4)),
-    ('m2', 'f8', (2, 2)),
-    ('feed_forward', '?'),
+    ('arm', ARM_CONSTANTS),  # constants of the arm's model
+    ('limit', 'f8', (2,)),  # of the joint torques [N m]
+    ('m1', 'f8', (2, 4)),  # M1 [N m/rad], [N m s/rad]
+    ('m2', 'f8', (2, 2)),  # M2 [N m/(rad s)]
+    ('feed_forward', '?'),  # method exact
 )
-"""Conversions; constants of the arm; torque limits [N m]; gains; whether to feed forward."""
-
 TRACKING_STATE = record_type(
-    ('integral', 'f8', (2,)),
-    ('torque', 'f8', (2,)),
-    ('saturated', '?'),
-    ('x', 'f8', (4,)),
-    ('w', 'f8', (2,)),
-    ('step', 'f8', (2,)),
+    ('integral', 'f8', (2,)),  # eps of eq. (59) [rad s]
+    ('torque', 'f8', (2,)),  # joint torques of the last command [N m]
+    ('saturated', '?'),  # whether they met a limit
+    ('x', 'f8', (4,)),  # work space: deviation of the absolute state
+    ('w', 'f8', (2,)),  # work space: absolute reference [rad]
+    ('step', 'f8', (2,)),  # work space: step of eps [rad s]
 )
-"""eps [rad s]; joint torques of the last command [N m], and whether they met a limit; work space:
-deviation of the state, absolute reference, step of eps."""
 
 
-def tracking_constants(arm, gains) -> np.record:
-    """Constants of `track`.
-
-    Parameters
-    ----------
-    arm, gains
-        As `TrackingController`.
-
-    Returns
-    -------
-    numpy.record
-        Of type `TRACKING_CONSTANTS`.
-
-    Raises
-    ------
-    ConfigError
-        If the gains belong to another arm.
-    """
+def tracking_constants(arm: ArmParameters, gains: Gains) -> np.record:
+    """Constants of `track`, of type `TRACKING_CONSTANTS`; ConfigError for another arm's gains."""
     gains.check_arm(arm)
     controller = gains.controller
     return new_record(
@@ -67,7 +51,7 @@ def tracking_constants(arm, gains) -> np.record:
 
 
 @njit
-def _absolute(position, i):
+def _absolute(position: np.ndarray, i: int) -> float:
     """Absolute angle of link i without the zero angle, or its rate: J^-1 q."""
     return position[0] if i == 0 else position[0] + position[1]
 
@@ -76,9 +60,7 @@ def _absolute(position, i):
 def track(
     params: np.record,
     state: np.record,
-    position_ref: np.ndarray,
-    velocity_ref: np.ndarray,
-    acceleration_ref: np.ndarray,
+    reference: np.ndarray,
     position: np.ndarray,
     velocity: np.ndarray,
     integrated: np.ndarray,
@@ -90,8 +72,8 @@ def track(
     ----------
     params, state : numpy.record
         Constants and state.
-    position_ref, velocity_ref, acceleration_ref : ndarray, shape (2,)
-        References, joint coordinates [rad], [rad/s], [rad/s2].
+    reference : ndarray, shape (3, 2)
+        Joint positions, rates and accelerations [rad], [rad/s], [rad/s2].
     position, velocity, integrated : ndarray, shape (2,)
         State to feed back, and the position y of eq. (59), joint coordinates [rad], [rad/s].
     interval : float
@@ -99,19 +81,19 @@ def track(
     """
     x, zero = state.x, params.joints.zero
     for i in range(2):
-        state.w[i] = _absolute(position_ref, i) + zero
+        state.w[i] = _absolute(reference[0], i) + zero
         state.step[i] = interval * (state.w[i] - (_absolute(integrated, i) + zero))
         x[i], x[2 + i] = _absolute(position, i) + zero, _absolute(velocity, i)
     forward_1 = forward_2 = 0.0
     if params.feed_forward:
-        rate_1, rate_2 = _absolute(velocity_ref, 0), _absolute(velocity_ref, 1)
+        rate_1, rate_2 = _absolute(reference[1], 0), _absolute(reference[1], 1)
         forward_1, forward_2 = inverse_dynamics(
             state.w[0],
             state.w[1],
             rate_1,
             rate_2,
-            _absolute(acceleration_ref, 0),
-            _absolute(acceleration_ref, 1),
+            _absolute(reference[2], 0),
+            _absolute(reference[2], 1),
             params.arm,
         )
         x[0], x[1], x[2], x[3] = x[0] - state.w[0], x[1] - state.w[1], x[2] - rate_1, x[3] - rate_2
@@ -130,7 +112,8 @@ def track(
 
 
 @njit
-def _feedback(params, state, i):
+def _feedback(params: np.record, state: np.record, i: int) -> float:
+    """Row i of M1 x + M2 eps, eq. (65)."""
     total = 0.0
     for j in range(4):
         total += params.m1[i, j] * state.x[j]
@@ -175,12 +158,12 @@ class TrackingController:
         If the gains belong to another arm.
     """
 
-    def __init__(self, arm, gains) -> None:
+    def __init__(self, arm: ArmParameters, gains: Gains) -> None:
         self._constants = tracking_constants(arm, gains)
         self._state = new_record(TRACKING_STATE)
 
     @property
-    def integral(self):
+    def integral(self) -> np.ndarray:
         """eps of eq. (59), shape (2,) [rad s]."""
         return self._state.integral
 
@@ -190,10 +173,10 @@ class TrackingController:
 
     def update(
         self,
-        reference,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        integrated_position: np.ndarray,
+        reference: Reference,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        integrated_position: ArrayLike,
         interval: float,
     ) -> Command:
         """Torque for the present sample.
@@ -202,9 +185,9 @@ class TrackingController:
         ----------
         reference : Reference
             References at the sample's time, shape (2,) each.
-        position, velocity : ndarray, shape (2,)
+        position, velocity : array_like, shape (2,)
             State to feed back, joint coordinates [rad], [rad/s].
-        integrated_position : ndarray, shape (2,)
+        integrated_position : array_like, shape (2,)
             Position y of eq. (59), joint coordinates [rad].
         interval : float
             Time since the previous command [s]; 0 at the first.
@@ -217,45 +200,27 @@ class TrackingController:
         track(
             self._constants,
             self._state,
-            *(
-                np.ascontiguousarray(v, dtype=float)
-                for v in (
-                    reference.position,
-                    reference.velocity,
-                    reference.acceleration,
-                    position,
-                    velocity,
-                    integrated_position,
-                )
-            ),
+            np.array([reference.position, reference.velocity, reference.acceleration]),
+            np.ascontiguousarray(position, dtype=float),
+            np.ascontiguousarray(velocity, dtype=float),
+            np.ascontiguousarray(integrated_position, dtype=float),
             float(interval),
         )
         return Command(self._state.torque.copy(), bool(self._state.saturated))
 
 
-def feedback_position(
-    compensation: str, estimate, confirmed_fault: np.ndarray, joints: JointMap
-) -> np.ndarray:
-    """Joint position to close the loop on.
+def feedback_position(compensation: str, estimate: Any) -> np.ndarray:
+    """Joint position to close the loop on, shape (2,) [rad].
 
     Parameters
     ----------
     compensation : {'off', 'confirmed', 'always'}
         Which one.
-    estimate : Estimate
-        Latest estimate.
-    confirmed_fault : ndarray, shape (2,)
-        Fault estimates of confirmed sensors, zero elsewhere [rad].
-    joints : JointMap
-        Conversions of the arm.
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        [rad].
+    estimate : object
+        With the fields of lpv_msgs/StateEstimate.
     """
     if compensation == 'always':
         return estimate.position
-    if compensation == 'off':
-        return estimate.measured_position
-    return joints.joint_from_sensor(estimate.sensor_position - confirmed_fault)
+    return (
+        estimate.compensated_position if compensation == 'confirmed' else estimate.measured_position
+    )

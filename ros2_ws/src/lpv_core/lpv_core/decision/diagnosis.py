@@ -14,7 +14,8 @@ from lpv_core.bound.error_bound import (
     reset_bound,
     update_bound,
 )
-from lpv_core.decision.fault_classification import DROPOUT, INCONSISTENT, KINDS, NOISE, SPIKE
+from lpv_core.certificate.gains import Gains
+from lpv_core.decision.fault_kinds import DROPOUT, INCONSISTENT, KINDS, SCATTERED
 from lpv_core.decision.fault_magnitude import removable, size_error
 from lpv_core.decision.sensor_decision import (
     NOTHING,
@@ -25,12 +26,14 @@ from lpv_core.decision.sensor_decision import (
 )
 from lpv_core.decision.sensor_state import (
     SENSOR_CONSTANTS,
+    SENSOR_LIMITS,
     SENSOR_STATE,
     reset_sensor,
     restart_sensor,
 )
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import row_dot
-from lpv_core.observer.sampled_observer import NANOSECONDS, Mode
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.residual.change_detection import change_test, sigmas_for
 from lpv_core.residual.dead_reckoning import (
     RECKONING_CONSTANTS,
@@ -43,15 +46,17 @@ from lpv_core.residual.model_consistency import (
     CONSISTENCY_CONSTANTS,
     CONSISTENCY_STATE,
     consistency_test,
-    is_inconsistent,
     reset_consistency,
+    update_consistency,
 )
+from lpv_core.residual.noise_estimation import excess, innovation_gain
 from lpv_core.residual.rate_sensor_test import rate_test
-from lpv_core.residual.sample_buffer import new_history
+from lpv_core.residual.sample_buffer import SampleBuffer, buffer_of, new_buffers
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
-_HISTORY = 3.0
+_PAST = 3.0
 """Past that is kept of each sensor [s]."""
 
 
@@ -138,7 +143,7 @@ class Alarm:
     size, bound : float
         Fault at the event, with sign, and bound on its error [rad].
     kind : str
-        One of `lpv_core.decision.fault_classification.KINDS`.
+        One of `lpv_core.decision.fault_kinds.KINDS`.
     confidence : float
         One minus the probability of a healthy estimate like this: taking the bound as ``sigmas``
         standard deviations of a normal error, or from the mean time between false alarms.
@@ -158,110 +163,87 @@ class Alarm:
 _OK, _WARN, _ERROR, _STALE, _NOT_DIAGNOSABLE = (int(state) for state in SensorState)
 _INITIALISING = int(Mode.INITIALISING)
 _REST = NANOSECONDS
-"""An estimate is trusted again when there was no reason against it for so long [ns]."""
+"""An estimate is trusted again when there was no reason against it for this long [ns]."""
 
 DIAGNOSIS_CONSTANTS = record_type(
     ('bound', BOUND_CONSTANTS),
     ('consistency', CONSISTENCY_CONSTANTS),
     ('reckoning', RECKONING_CONSTANTS),
     ('sensor', SENSOR_CONSTANTS),
-    ('threshold_factor', 'f8'),
-    ('minimum_threshold', 'f8'),
-    ('compensation_rate', 'f8'),
-    ('safe_stop_bound', 'f8'),
-    ('max_ambiguous_change', 'f8'),
+    # As in `DiagnosisParameters`:
+    ('threshold_factor', 'f8'),  # [1]
+    ('minimum_threshold', 'f8'),  # [rad]
+    ('compensation_rate', 'f8'),  # [rad/s]
+    ('safe_stop_bound', 'f8'),  # [rad]
+    ('max_ambiguous_change', 'f8'),  # [rad]
 )
 
 ALARM_EVENT = record_type(
-    ('happened', 'i8'),
-    ('sensor', 'i8'),
-    ('onset', 'i8'),
-    ('detected', 'i8'),
-    ('amount', 'f8'),
-    ('bound', 'f8'),
-    ('kind', 'i8'),
-    ('by_change', '?'),
-    ('inconsistent', '?'),
+    ('happened', 'i8'),  # an `AlarmEvent`, -1 for none
+    ('sensor', 'i8'),  # its index
+    ('onset', 'i8'),  # [ns]
+    ('detected', 'i8'),  # [ns]
+    ('amount', 'f8'),  # [rad]
+    ('bound', 'f8'),  # [rad]
+    ('kind', 'i8'),  # of `lpv_core.decision.fault_kinds.FaultKind`
+    ('by_change', '?'),  # rests on a change of the residual
+    ('inconsistent', '?'),  # rates, torques and model contradict each other
 )
-"""What an `Alarm` is made from; ``happened`` is an AlarmEvent, -1 for none."""
+"""What an `Alarm` is made from."""
 
 DECISION = record_type(
-    ('bound', 'f8', (2,)),
-    ('threshold', 'f8', (2,)),
-    ('state', 'u1', (2,)),
-    ('alarm', 'u1', (2,)),
-    ('estimate', 'f8', (2,)),
-    ('estimate_bound', 'f8', (2,)),
-    ('confirmed_fault', 'f8', (2,)),
-    ('inconsistent', '?'),
-    ('trustworthy', '?'),
-    ('events', ALARM_EVENT, (2,)),
+    # Per physical sensor:
+    ('bound', 'f8', (2,)),  # of the levels f^ [rad]
+    ('threshold', 'f8', (2,)),  # of the levels f^ [rad]
+    ('state', 'u1', (2,)),  # of `SensorState`
+    ('alarm', 'u1', (2,)),  # confirmed faults
+    # The best that is known of the faults: confirmed faults that were seen as a change are measured
+    # by that, all else by the level.
+    ('estimate', 'f8', (2,)),  # [rad]
+    ('estimate_bound', 'f8', (2,)),  # bound on its error [rad]
+    # What is to be removed from the readings: confirmed faults, faded in and out where their size
+    # was not known at once; and jumps that are not confirmed yet, bridged for the dwell.
+    ('confirmed_fault', 'f8', (2,)),  # [rad]
+    ('events', ALARM_EVENT, (2,)),  # what happened at this sample
+    ('inconsistent', '?'),  # rates, torques and model contradict each other; cause unknown
+    ('trustworthy', '?'),  # False if a fault cannot be compensated safely: the arm should stop
 )
-"""Decision at one sample.
+"""Decision at one sample."""
 
-bound, threshold
-    Of the levels f^, per physical sensor [rad].
-state
-    Of `SensorState`, per physical sensor.
-alarm
-    Confirmed faults.
-estimate, estimate_bound
-    The best that is known of the faults, and bound on its error: confirmed faults that were seen as
-    a change are measured by that, all else by the level [rad].
-confirmed_fault
-    What is to be removed from the readings: confirmed faults, faded in and out where their size was
-    not known at once; and jumps that are not confirmed yet, which are bridged for the dwell [rad].
-inconsistent
-    Rates, torques and model contradict each other; the cause is unknown.
-trustworthy
-    False if a confirmed fault cannot be compensated safely: the arm should stop.
-events
-    What happened at this sample, one entry a sensor.
-"""
+COMPENSATION = record_type(
+    ('applied', 'f8'),  # what is removed from the reading [rad]
+    ('engaged', '?'),  # whether a confirmed fault is removed
+    ('missing', 'f8'),  # what it lacks of the confirmed fault while it is faded in [rad]
+)
 
 DIAGNOSIS_STATE = record_type(
-    # Beside the parts' states: last stamp [ns]; what is removed from the readings of each sensor
-    # [rad], whether that is being done, and what it lacks of the confirmed fault while it is faded
-    # in [rad]; since when a level is beyond its bound without an alarm, and when there was a reason
-    # not to trust the estimate last [ns].
     ('bound', BOUND_STATE),
     ('consistency', CONSISTENCY_STATE),
     ('reckoning', RECKONING_STATE),
     ('sensors', SENSOR_STATE, (2,)),
-    ('stamp', 'i8'),
-    ('applied', 'f8', (2,)),
-    ('engaged', 'u1', (2,)),
-    ('missing', 'f8', (2,)),
-    ('above_since', 'i8', (2,)),
-    ('doubted_at', 'i8'),
+    ('compensation', COMPENSATION, (2,)),
+    ('above_since', 'i8', (2,)),  # since when a level is above without an alarm [ns]
+    ('stamp', 'i8'),  # of the last estimate [ns]
+    ('distrusted_at', 'i8'),  # last reason not to trust the estimate [ns]
     ('decision', DECISION),
 )
 
 
-def diagnosis_constants(arm, gains, parameters: DiagnosisParameters) -> np.record:
-    """Constants of `diagnose` for one arm.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    gains : Gains
-        Its gains.
-    parameters : DiagnosisParameters
-        Tuning.
-
-    Returns
-    -------
-    numpy.record
-        Of type `DIAGNOSIS_CONSTANTS`.
-    """
+def diagnosis_constants(
+    arm: ArmParameters, gains: Gains, parameters: DiagnosisParameters
+) -> np.record:
+    """Constants of `diagnose` for one arm, of type `DIAGNOSIS_CONSTANTS`."""
     p = parameters
     sensor = new_record(
         SENSOR_CONSTANTS,
-        changes=change_test(arm, p.false_alarm_hours, p.minimum_threshold),
-        rates=rate_test(arm, gains),
-        noise=arm.position_noise,
-        step=arm.velocity_noise * arm.sample_time,
+        stated=new_record(
+            SENSOR_LIMITS,
+            changes=change_test(arm, p.false_alarm_hours, p.minimum_threshold),
+            rates=rate_test(arm, gains),
+            noise=arm.position_noise,
+            step=arm.velocity_noise * arm.sample_time,
+        ),
+        innovation_noise=arm.velocity_noise * innovation_gain(arm, gains),
         dwell=math.ceil(p.dwell * NANOSECONDS),
         clear_dwell=math.ceil(p.clear_dwell * NANOSECONDS),
         hysteresis=p.hysteresis,
@@ -282,39 +264,28 @@ def diagnosis_constants(arm, gains, parameters: DiagnosisParameters) -> np.recor
     )
 
 
-def diagnosis_history(arm) -> tuple[np.ndarray, ...]:
-    """Empty past of both sensors.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Its sample time.
-
-    Returns
-    -------
-    tuple of ndarray
-        Stamps (2, n) [ns] and values (2, n, 4), see `lpv_core.residual.sample_buffer`.
-    """
-    both = [new_history(round(_HISTORY / arm.sample_time)) for _ in range(2)]
-    return tuple(np.stack(part) for part in zip(*both))
+def diagnosis_buffers(arm: ArmParameters) -> SampleBuffer:
+    """Empty past of both sensors."""
+    return new_buffers(2, round(_PAST / arm.sample_time))
 
 
 @njit
-def reset_diagnosis(state) -> None:
+def reset_diagnosis(state: np.record, buffers: SampleBuffer) -> None:
     """Clear alarms and past."""
     reset_bound(state.bound)
     reset_consistency(state.consistency)
     reset_reckoning(state.reckoning)
     for i in range(2):
-        reset_sensor(state.sensors[i])
-    state.stamp = state.doubted_at = NEVER
-    state.applied[:] = state.missing[:] = 0.0
-    state.engaged[:] = 0
+        reset_sensor(state.sensors[i], buffer_of(buffers, i))
+        compensation = state.compensation[i]
+        compensation.applied = compensation.missing = 0.0
+        compensation.engaged = False
+    state.stamp = state.distrusted_at = NEVER
 
 
 @njit
 def diagnose(
-    params: np.record, state: np.record, stamps: np.ndarray, values: np.ndarray, estimate: np.record
+    params: np.record, state: np.record, buffers: SampleBuffer, estimate: np.record
 ) -> None:
     """Decide on one estimate; the decision is in ``state.decision``.
 
@@ -322,82 +293,100 @@ def diagnose(
     ----------
     params, state : numpy.record
         Constants and state.
-    stamps, values : ndarray
-        `diagnosis_history`.
+    buffers : SampleBuffer
+        `diagnosis_buffers`.
     estimate : numpy.record
-        Latest estimate.
+        Latest estimate, of type `lpv_core.observer.sampled_observer.ESTIMATE`.
     """
     if estimate.stamp < state.stamp:
         for i in range(2):
-            restart_sensor(state.sensors[i])
-        state.doubted_at = NEVER
+            restart_sensor(state.sensors[i], buffer_of(buffers, i))
+        state.distrusted_at = NEVER
     state.stamp = estimate.stamp
-    d = state.decision
+    decision, bound, consistency = state.decision, state.bound, state.consistency
     update_dead_reckoning(params.reckoning, state.reckoning, estimate)
-    update_bound(params.bound, state.bound, estimate, state.reckoning.lost)
-    d.inconsistent = is_inconsistent(
-        params.consistency, state.consistency, estimate, state.bound.momentum
-    )
+    update_bound(params.bound, bound, estimate, state.reckoning.lost)
+    noise = _largest_excess(state)
+    update_consistency(params.consistency, consistency, estimate, bound.momentum, noise)
+    decision.inconsistent = consistency.inconsistent
     for i in range(2):
-        d.bound[i] = state.bound.bound[i]
-        d.threshold[i] = max(params.threshold_factor * d.bound[i], params.minimum_threshold)
+        # Noise that is larger than stated widens the bound as far as that is noise.
+        decision.bound[i] = bound.bound[i] + (noise - 1.0) * params.bound.noise[i]
+        decision.threshold[i] = max(
+            params.threshold_factor * decision.bound[i], params.minimum_threshold
+        )
     for i in range(2):
-        _decide_one(params, state, stamps[i], values[i], estimate, i)
-    d.trustworthy = _is_trustworthy(params, state)
-    _compensate(params, state, estimate.interval)
+        _decide_sensor(params, state, buffer_of(buffers, i), estimate, i)
+    _update_trust(params, state)
+    for i in range(2):
+        _compensate(params, state, estimate.interval, i)
 
 
 @njit
-def _decide_one(params, state, stamps, values, estimate, i) -> None:
-    d, sensor, reckoned = state.decision, state.sensors[i], state.reckoning
-    sample = sensor.sample
-    sample.stamp, sample.fault, sample.reading = (
-        estimate.stamp,
-        estimate.fault[i],
-        estimate.sensor_position[i],
-    )
+def _largest_excess(state: np.record) -> float:
+    """Factor by which any noise is larger than stated; the observer mixes them all."""
+    largest = 1.0
+    for i in range(2):
+        noise = state.sensors[i].noise
+        for ratio in (noise.reading, noise.rate):
+            largest = max(largest, excess(ratio, noise.windows))
+    return largest
+
+
+@njit
+def _decide_sensor(
+    params: np.record, state: np.record, buffer: SampleBuffer, estimate: np.record, i: int
+) -> None:
+    decision, sensor = state.decision, state.sensors[i]
+    _fill_sample(params, state, estimate, i)
+    happened = decide(params.sensor, sensor, buffer)
+    event, alarm = decision.events[i], sensor.alarm
+    event.happened = happened
+    if happened != NOTHING:
+        event.sensor, event.onset, event.detected = i, alarm.onset, alarm.detected
+        event.amount, event.bound, event.kind = alarm.amount, _bound(params, state, i), alarm.kind
+        event.by_change, event.inconsistent = alarm.by_change, decision.inconsistent
+    decision.alarm[i] = alarm.active
+    decision.state[i] = _state(sensor)
+
+
+@njit
+def _fill_sample(params: np.record, state: np.record, estimate: np.record, i: int) -> None:
+    decision, reckoned, sample = state.decision, state.reckoning, state.sensors[i].sample
+    matrix, innovation = params.reckoning.sensor_matrix, estimate.innovation
+    sample.stamp, sample.fault = estimate.stamp, estimate.fault[i]
+    sample.reading, sample.missing = estimate.sensor_position[i], estimate.missing[i]
     sample.residual, sample.allowance = reckoned.residual[i], reckoned.allowance[i]
-    sample.threshold = d.threshold[i]
-    sample.innovation = row_dot(
-        params.reckoning.sensor_matrix, i, estimate.innovation[0], estimate.innovation[1]
-    )
-    sample.missing, sample.inconsistent = estimate.missing[i], d.inconsistent
-    sample.lost = _is_lost(params, d, estimate, i)
-    decided = decide(params.sensor, sensor, stamps, values)
-    event = d.events[i]
-    event.happened = decided
-    if decided != NOTHING:
-        event.sensor, event.onset, event.detected = i, sensor.onset, sensor.detected
-        event.amount, event.bound, event.kind = sensor.amount, _bound(params, state, i), sensor.kind
-        event.by_change, event.inconsistent = sensor.by_change, d.inconsistent
-    d.alarm[i] = sensor.alarm
-    d.state[i] = _state(sensor)
+    sample.rate = reckoned.rate[i]
+    sample.innovation = row_dot(matrix, i, innovation[0], innovation[1])
+    sample.threshold, sample.inconsistent = decision.threshold[i], decision.inconsistent
+    sample.lost = _is_lost(params, decision, estimate, i)
 
 
 @njit
-def _bound(params, state, i):
+def _bound(params: np.record, state: np.record, i: int) -> float:
     """Bound on the error of the size of a fault."""
     bound, sensor = state.decision.bound[i], state.sensors[i]
-    if not sensor.by_change or sensor.kind == INCONSISTENT:
+    if not sensor.alarm.by_change or sensor.alarm.kind == INCONSISTENT:
         return bound
-    return min(bound, size_error(params.sensor, sensor))
+    return min(bound, size_error(sensor))
 
 
 @njit
-def _is_lost(params, sample, estimate, i):
+def _is_lost(params: np.record, decision: np.record, estimate: np.record, i: int) -> bool:
     """Whether a level says nothing: gravity does not renew it, or not closely enough."""
-    if estimate.mode == _INITIALISING or sample.bound[i] > params.safe_stop_bound:
+    if estimate.mode == _INITIALISING or decision.bound[i] > params.safe_stop_bound:
         return True
     spread = params.bound.spread
     return (estimate.held[0] and spread[i, 0] > 0.0) or (estimate.held[1] and spread[i, 1] > 0.0)
 
 
 @njit
-def _state(sensor):
+def _state(sensor: np.record) -> int:
     sample = sensor.sample
     if sample.missing:
         return _STALE
-    if sensor.alarm:
+    if sensor.alarm.active:
         return _ERROR
     if sample.lost:
         return _NOT_DIAGNOSABLE
@@ -405,88 +394,74 @@ def _state(sensor):
 
 
 @njit
-def _compensate(params, state, interval) -> None:
-    """Follow confirmed faults: at once where a jump was seen, otherwise faded in, and out."""
-    step = params.compensation_rate * interval
-    for i in range(2):
-        sensor = state.sensors[i]
-        known = is_compensable(sensor)
-        best = sensor.sample.fault
-        if known:
-            # Rates alone may lead away in time; gravity's bound holds.
-            bound = state.decision.bound[i]
-            best = min(max(removable(params.sensor, sensor), best - bound), best + bound)
-        state.decision.estimate[i] = best
-        state.decision.estimate_bound[i] = (
-            _bound(params, state, i) if known else state.decision.bound[i]
-        )
-        # An arm that is stopped feels no step.
-        fade = step if state.decision.trustworthy else math.inf
-        if known:
-            at_once = sensor.stepped or sensor.kind == NOISE or sensor.kind == SPIKE
-            missing = state.missing[i] if state.engaged[i] else best - state.applied[i]
-            missing = 0.0 if at_once else _toward_zero(missing, fade)
-            # What the fault does meanwhile is followed; nothing beyond it is removed.
-            state.applied[i] = min(max(best - missing, min(best, 0.0)), max(best, 0.0))
-            state.missing[i] = best - state.applied[i]
-        else:
-            state.applied[i] = _toward_zero(state.applied[i], fade)
-        state.engaged[i] = known
-        state.decision.confirmed_fault[i] = state.applied[i] + suspected(sensor)
+def _compensate(params: np.record, state: np.record, interval: float, i: int) -> None:
+    """Follow a confirmed fault: at once where a jump was seen, otherwise faded in, and out."""
+    decision, sensor, own = state.decision, state.sensors[i], state.compensation[i]
+    known, best, bound = is_compensable(sensor), sensor.sample.fault, decision.bound[i]
+    decision.estimate_bound[i] = bound
+    if known:
+        # Rates alone may lead away in time; gravity's bound holds.
+        best = min(max(removable(sensor), best - bound), best + bound)
+        decision.estimate_bound[i] = _bound(params, state, i)
+    decision.estimate[i] = best
+    # An arm that is stopped feels no step.
+    fade = params.compensation_rate * interval if decision.trustworthy else math.inf
+    if known:
+        at_once = sensor.alarm.stepped or sensor.alarm.kind in SCATTERED
+        missing = own.missing if own.engaged else best - own.applied
+        missing = 0.0 if at_once else _toward_zero(missing, fade)
+        # What the fault does meanwhile is followed; nothing beyond it is removed.
+        own.applied = min(max(best - missing, min(best, 0.0)), max(best, 0.0))
+        own.missing = best - own.applied
+    else:
+        own.applied = _toward_zero(own.applied, fade)
+    own.engaged = known
+    decision.confirmed_fault[i] = own.applied + suspected(sensor)
 
 
 @njit
-def _toward_zero(value, step):
+def _toward_zero(value: float, step: float) -> float:
     return max(value - step, 0.0) if value > 0.0 else min(value + step, 0.0)
 
 
 @njit
-def _is_trustworthy(params, state):
-    """Whether the loop may go on, see `DECISION`."""
-    trusted = True
-    # An arm that was stopped does not go on and stop again with the noise.
-    share = 1.0 if state.decision.trustworthy else params.sensor.hysteresis
+def _update_trust(params: np.record, state: np.record) -> None:
+    """Whether the loop may go on: no reason against it, now and shortly before."""
+    decision, trusted = state.decision, True
     for i in range(2):
         sensor = state.sensors[i]
         above = abs(sensor.sample.fault) > sensor.sample.threshold
-        if not (above and sensor.sample.lost and not sensor.alarm):
+        if not (above and sensor.sample.lost and not sensor.alarm.active):
             state.above_since[i] = state.stamp
-        # Beyond its bound where gravity tells nothing: something is wrong, not known what.
-        if state.stamp - state.above_since[i] >= params.sensor.dwell > 0:
-            trusted = False
-        wide = abs(sensor.sample.fault) > share * sensor.sample.threshold
-        if sensor.alarm and sensor.kind == INCONSISTENT and wide:
-            trusted = False
-        if is_unexplained(sensor) and abs(sensor.amount) > share * params.max_ambiguous_change:
-            trusted = False
-        # What did not begin with a jump rests on the estimate alone.
-        relied = abs(sensor.amount) + _bound(params, state, i)
-        if is_compensable(sensor) and not sensor.stepped and relied > params.safe_stop_bound:
-            trusted = False
+        trusted = trusted and _is_trusted(params, state, i)
     if not trusted:
-        state.doubted_at = state.stamp
-    elif state.doubted_at != NEVER and state.stamp - state.doubted_at < _REST:
+        state.distrusted_at = state.stamp
+    elif state.distrusted_at != NEVER and state.stamp - state.distrusted_at < _REST:
         trusted = False  # the stop itself shakes the estimate
-    return trusted
+    decision.trustworthy = trusted
 
 
-def make_alarm(event: np.record, arm, parameters: DiagnosisParameters) -> Alarm:
-    """The alarm of an event.
+@njit
+def _is_trusted(params: np.record, state: np.record, i: int) -> bool:
+    """Whether nothing that is known of a sensor speaks against going on."""
+    sensor, sample, alarm = state.sensors[i], state.sensors[i].sample, state.sensors[i].alarm
+    # An arm that was stopped does not go on and stop again with the noise.
+    share = 1.0 if state.decision.trustworthy else params.sensor.hysteresis
+    # Beyond its bound where gravity tells nothing: something is wrong, not known what.
+    if state.stamp - state.above_since[i] >= params.sensor.dwell > 0:
+        return False
+    wide = abs(sample.fault) > share * sample.threshold
+    if alarm.active and alarm.kind == INCONSISTENT and wide:
+        return False
+    if is_unexplained(sensor) and abs(alarm.amount) > share * params.max_ambiguous_change:
+        return False
+    # What did not begin with a jump rests on the estimate alone.
+    relied = abs(alarm.amount) + _bound(params, state, i)
+    return not (is_compensable(sensor) and not alarm.stepped and relied > params.safe_stop_bound)
 
-    Parameters
-    ----------
-    event : numpy.record
-        Of type `ALARM_EVENT`.
-    arm : ArmParameters
-        Names of its sensors.
-    parameters : DiagnosisParameters
-        For the confidence.
 
-    Returns
-    -------
-    Alarm
-        The same, with confidence.
-    """
+def make_alarm(event: np.record, arm: ArmParameters, parameters: DiagnosisParameters) -> Alarm:
+    """The alarm of an event of type `ALARM_EVENT`, with the sensor's name and the confidence."""
     size, bound = float(event.amount), float(event.bound)
     confidence = math.erf(parameters.sigmas * abs(size) / max(bound, 1e-12) / math.sqrt(2.0))
     if event.by_change or event.kind == DROPOUT:
@@ -527,10 +502,10 @@ class Diagnosis:
 
     bound: np.ndarray
     threshold: np.ndarray
-    state: list
+    state: list[SensorState]
     alarm: np.ndarray
     confirmed_fault: np.ndarray
-    events: list
+    events: list[Alarm]
     inconsistent: bool
     trustworthy: bool
 
@@ -553,30 +528,26 @@ class Diagnoser:
         Present tuning.
     constants, state : numpy.record
         Of types `DIAGNOSIS_CONSTANTS` and `DIAGNOSIS_STATE`.
-    history : tuple of ndarray
-        `diagnosis_history`.
+    buffers : SampleBuffer
+        Past of both sensors.
     """
 
-    def __init__(self, arm, gains, parameters: DiagnosisParameters | None = None) -> None:
+    def __init__(
+        self, arm: ArmParameters, gains: Gains, parameters: DiagnosisParameters | None = None
+    ) -> None:
         self._arm, self._gains = arm, gains
-        self.state, self.history = new_record(DIAGNOSIS_STATE), diagnosis_history(arm)
+        self.state, self.buffers = new_record(DIAGNOSIS_STATE), diagnosis_buffers(arm)
         self.retune(parameters or DiagnosisParameters())
         self.reset()
 
     def retune(self, parameters: DiagnosisParameters) -> None:
-        """Change the tuning while running; alarms stay as they are.
-
-        Parameters
-        ----------
-        parameters : DiagnosisParameters
-            The new tuning.
-        """
+        """Change the tuning while running; alarms stay as they are."""
         self.parameters = parameters
         self.constants = diagnosis_constants(self._arm, self._gains, parameters)
 
     def reset(self) -> None:
         """Clear alarms and past."""
-        reset_diagnosis(self.state)
+        reset_diagnosis(self.state, self.buffers)
 
     def update(self, estimate: np.record) -> Diagnosis:
         """Decide on one estimate.
@@ -591,7 +562,7 @@ class Diagnoser:
         Diagnosis
             Bounds, states, alarms and events.
         """
-        diagnose(self.constants, self.state, *self.history, estimate)
+        diagnose(self.constants, self.state, self.buffers, estimate)
         d = self.state.decision
         return Diagnosis(
             d.bound.copy(),
@@ -605,18 +576,7 @@ class Diagnoser:
         )
 
     def alarms(self, events: Iterable[np.record]) -> list[Alarm]:
-        """Alarms of those entries in which something happened.
-
-        Parameters
-        ----------
-        events : iterable of numpy.record
-            Of type `ALARM_EVENT`.
-
-        Returns
-        -------
-        list of Alarm
-            In the same order.
-        """
+        """Alarms of those entries of type `ALARM_EVENT` in which something happened."""
         return [
             make_alarm(event, self._arm, self.parameters)
             for event in events

@@ -1,56 +1,34 @@
-"""Which kind of fault a confirmed one is, from its course since the onset."""
+"""Which kind of fault a confirmed one is, from its time profile since the onset."""
+
+import math
 
 import numpy as np
 
-from lpv_core.residual.sample_buffer import ALLOWANCE, READING, RESIDUAL
+from lpv_core.decision.fault_kinds import BIAS, DRIFT, NOISE, SCALE, STUCK, UNCLASSIFIED
+from lpv_core.residual.noise_estimation import noise_level
+from lpv_core.residual.sample_buffer import ALLOWANCE, READING, RESIDUAL, SampleBuffer
 from lpv_core.support.jit import njit
-
-KINDS = (
-    'bias',
-    'drift',
-    'scale',
-    'stuck',
-    'noise',
-    'spike',
-    'dropout',
-    'inconsistent',
-    'unclassified',
-)
-"""What an alarm may be called; ``inconsistent``: the cause is unknown, as rates, torques and model
-contradict each other, or because it may be the rate sensor's fault."""
-
-BIAS, DRIFT, SCALE, STUCK, NOISE, SPIKE, DROPOUT, INCONSISTENT, UNCLASSIFIED = range(len(KINDS))
+from lpv_core.support.timestamps import NANOSECONDS
 
 _SETTLED = 0.1
-"""Shortest time since the onset for a judgement of the course [s]."""
+"""Shortest time since the onset for a decision on the time profile [s]."""
 _STUCK_SAMPLES, _STILL = 20, 0.2
 """A reading stands still if so many samples stay within that part of its standard deviation."""
 _MOVED = 6.0
-"""Motion that a reading must show, over its standard deviation; that of an encoder's steps is less
-than a third of one."""
+"""Motion that a reading must show, over its standard deviation, beside errors of the rates; a step
+of an encoder whose noise is stated as its standard deviation, step/sqrt(12), is 3.5 of them."""
 _TELLING = 10.0
 """Drifts and scale errors show in a change of so many standard deviations of a reading: the
 residual of a healthy sensor changes, too; and beyond what stated errors of the rates may add."""
 _EXPLAINED = 0.1
 """Part of the change that a scale error may leave unexplained."""
 _CLEARLY = 4.0
-"""Ratio of residuals at which one course fits clearly better than another."""
+"""Ratio of residuals at which one time profile fits clearly better than another."""
 
 
 @njit
 def span(values: np.ndarray) -> float:
-    """Largest minus smallest value.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        [rad].
-
-    Returns
-    -------
-    float
-        [rad].
-    """
+    """Largest minus smallest of some values."""
     low = high = values[0]
     for k in range(1, len(values)):
         low, high = min(low, values[k]), max(high, values[k])
@@ -58,141 +36,102 @@ def span(values: np.ndarray) -> float:
 
 
 @njit
-def is_stuck(values: np.ndarray, end: int, position_noise: float) -> bool:
+def is_stuck(limits: np.record, buffer: SampleBuffer) -> bool:
     """Whether a reading has stood still while the arm moved.
 
     Parameters
     ----------
-    values : ndarray, shape (n, 4)
-        Samples of a history.
-    end : int
-        Rows in use.
-    position_noise : float
-        Standard deviation of a healthy reading [rad].
+    limits : numpy.record
+        Of type `lpv_core.decision.sensor_state.SENSOR_LIMITS`.
+    buffer : SampleBuffer
+        The sensor's past.
 
     Returns
     -------
     bool
-        False without enough motion to tell.
+        False without enough motion to tell: an encoder reads the same within a step, and errors of
+        the rates add up while it rests.
     """
     # Noise alone moves a healthy reading from sample to sample.
-    first = end - _STUCK_SAMPLES
-    if first < 0 or span(values[first:end, READING]) >= _STILL * position_noise:
+    stamps, values, count = buffer.stamps, buffer.values, buffer.used[0]
+    first = count - _STUCK_SAMPLES
+    if first < 0 or span(values[first:count, READING]) >= _STILL * limits.noise:
         return False
-    row = standstill(values, end, position_noise)
+    row, last = standstill(limits, buffer), count - 1
     moved = (
-        values[end - 1, READING]
-        - values[end - 1, RESIDUAL]
+        values[last, READING]
+        - values[last, RESIDUAL]
         - values[row, READING]
         + values[row, RESIDUAL]
     )
-    return abs(moved) > _MOVED * position_noise
+    elapsed = (stamps[last] - stamps[row]) / NANOSECONDS
+    error = (
+        limits.changes.walk * math.sqrt(elapsed) + values[last, ALLOWANCE] - values[row, ALLOWANCE]
+    )
+    return abs(moved) > _MOVED * limits.noise + error
 
 
 @njit
-def standstill(values: np.ndarray, end: int, position_noise: float) -> int:
-    """First row of those up to the end over which a reading has stood still.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, 4)
-        Samples of a history.
-    end : int
-        Rows in use.
-    position_noise : float
-        Standard deviation of a healthy reading [rad].
-
-    Returns
-    -------
-    int
-        ``end - 1`` or less.
-    """
-    row, last = end - 1, values[end - 1, READING]
-    while row > 0 and abs(values[row - 1, READING] - last) < _STILL * position_noise:
+def standstill(limits: np.record, buffer: SampleBuffer) -> int:
+    """First of the latest rows over which a reading has stood still."""
+    values, row = buffer.values, buffer.used[0] - 1
+    last = values[row, READING]
+    while row > 0 and abs(values[row - 1, READING] - last) < _STILL * limits.noise:
         row -= 1
     return row
 
 
 @njit
-def noise_level(values: np.ndarray) -> float:
-    """Standard deviation of white noise in a residual, by second differences.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, 4)
-        At least 10 samples.
-
-    Returns
-    -------
-    float
-        [rad]; the median ignores single spikes and steps.
-    """
-    count = len(values) - 2
-    second = np.empty(count)
-    for k in range(count):
-        second[k] = abs(
-            values[k + 2, RESIDUAL] - 2.0 * values[k + 1, RESIDUAL] + values[k, RESIDUAL]
-        )
-    second.sort()
-    median = 0.5 * (second[count // 2] + second[(count - 1) // 2])
-    return median / (0.6745 * np.sqrt(6.0))
-
-
-@njit
 def classify(
-    stamps: np.ndarray,
-    values: np.ndarray,
-    first: int,
-    end: int,
-    onset: int,
-    baseline: float,
-    position_noise: float,
+    limits: np.record, buffer: SampleBuffer, first: int, onset: int, baseline: float
 ) -> int:
-    """Name the kind of a fault that still acts.
+    """Kind of a fault that still acts.
 
     Parameters
     ----------
-    stamps, values : ndarray
-        A history, see `lpv_core.residual.sample_buffer`.
-    first, end : int
-        First row since the onset, and rows in use.
+    limits : numpy.record
+        Of type `lpv_core.decision.sensor_state.SENSOR_LIMITS`.
+    buffer : SampleBuffer
+        The sensor's past.
+    first : int
+        First row since the onset.
     onset : int
         [ns].
     baseline : float
         r before the onset [rad].
-    position_noise : float
-        Standard deviation of a healthy reading [rad].
 
     Returns
     -------
     int
-        Index into `KINDS`; ``UNCLASSIFIED`` while there is too little to tell.
+        Of `lpv_core.decision.fault_kinds.FaultKind`; ``UNCLASSIFIED`` while it cannot be told.
     """
+    stamps, values, end = buffer.stamps, buffer.values, buffer.used[0]
     count = end - first
-    if is_stuck(values, end, position_noise):
+    if is_stuck(limits, buffer):
         return STUCK
-    if count >= 25 and noise_level(values[max(first, end - 50) : end]) > 3.0 * position_noise:
+    recent = values[max(first, end - 50) : end]
+    if count >= 25 and noise_level(recent, RESIDUAL) > 3.0 * limits.noise:
         return NOISE
-    if count < 10 or (stamps[end - 1] - onset) / 1e9 < _SETTLED:
+    if count < 10 or (stamps[end - 1] - onset) / NANOSECONDS < _SETTLED:
         return UNCLASSIFIED
-    time = (stamps[first:end] - onset) / 1e9
-    return _course(time, values[first:end], baseline, position_noise)
+    time = (stamps[first:end] - onset) / NANOSECONDS
+    return _time_profile(time, values[first:end], baseline, limits.noise)
 
 
 @njit
 def fits_better(
     kind: int, than: int, time: np.ndarray, values: np.ndarray, baseline: float
 ) -> bool:
-    """Whether one course of a fault is to replace another one that was named before.
+    """Whether one time profile of a fault is to replace another one that was found before.
 
     Parameters
     ----------
     kind, than : int
-        ``BIAS``, ``DRIFT`` or ``SCALE``; what `classify` says now, and what was said.
+        What `classify` says now, and what was said.
     time : ndarray, shape (n,)
         Since the onset [s].
     values : ndarray, shape (n, 4)
-        See `lpv_core.residual.sample_buffer`.
+        Rows of a `SampleBuffer`.
     baseline : float
         r before the onset [rad].
 
@@ -202,7 +141,7 @@ def fits_better(
         A scale error shows late, in motion; it does not turn into a bias by standing still.
     """
     fault = values[:, RESIDUAL] - baseline
-    angle = values[:, READING] - fault  # as dead reckoning has it
+    angle = values[:, READING] - fault  # by dead reckoning
     if kind == SCALE:
         return than == BIAS or _CLEARLY * _residual(angle, fault) < _residual(time, fault)
     if kind != BIAS or than != SCALE:
@@ -211,7 +150,9 @@ def fits_better(
 
 
 @njit
-def _course(time, values, baseline, position_noise):
+def _time_profile(
+    time: np.ndarray, values: np.ndarray, baseline: float, position_noise: float
+) -> int:
     """Bias, drift or scale: the model that leaves the smallest residual, simplest first."""
     fault = values[:, RESIDUAL] - baseline
     angle = values[:, READING] - fault
@@ -237,7 +178,7 @@ def _course(time, values, baseline, position_noise):
 
 
 @njit
-def _mean(values, first, last):
+def _mean(values: np.ndarray, first: int, last: int) -> float:
     # In one fixed order of additions, which NumPy's own does not promise.
     total = 0.0
     for k in range(first, last):
@@ -246,7 +187,7 @@ def _mean(values, first, last):
 
 
 @njit
-def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
+def step_height(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
     """Height of a step: two levels with one common slope, by least squares.
 
     The slope is that of the residual's healthy error, which goes on beside the fault.
@@ -256,7 +197,7 @@ def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
     stamps : ndarray, shape (n,)
         Samples before and after the step [ns].
     values : ndarray, shape (n, 4)
-        See `lpv_core.residual.sample_buffer`.
+        Their rows of a `SampleBuffer`.
     row : int
         First sample after the step, with some on either side.
 
@@ -265,7 +206,7 @@ def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
     float
         [rad].
     """
-    time, fault = (stamps - stamps[row]) / 1e9, values[:, RESIDUAL]
+    time, fault = (stamps - stamps[row]) / NANOSECONDS, values[:, RESIDUAL]
     square = cross = height = middle = 0.0
     for first, last, sign in ((0, row, -1.0), (row, len(time), 1.0)):
         mean_time, mean = _mean(time, first, last), _mean(fault, first, last)
@@ -278,7 +219,7 @@ def step_of(stamps: np.ndarray, values: np.ndarray, row: int) -> float:
 
 
 @njit
-def _weight(basis, values):
+def _weight(basis: np.ndarray, values: np.ndarray) -> float:
     """Multiple of ``basis`` that comes closest to ``values``."""
     power = cross = 0.0
     for k in range(len(basis)):
@@ -288,7 +229,7 @@ def _weight(basis, values):
 
 
 @njit
-def _residual(basis, values):
+def _residual(basis: np.ndarray, values: np.ndarray) -> float:
     """Sum of squares that a multiple of ``basis`` leaves of ``values``."""
     weight = _weight(basis, values)
     total = 0.0

@@ -29,6 +29,8 @@ ARM_CONSTANTS = record_type(
 """Constants of eqs. (1)-(3) for compiled functions."""
 N_CONSTANTS = 12
 """Numbers in `ARM_CONSTANTS`; each is linear in masses, inertias, payload and friction."""
+RATES = ('independent', 'derived', 'none')
+"""What the rates of an arm may be."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,9 @@ class ArmParameters:
         Standard deviations of white sensor noise [rad], [rad/s].
     velocity_error : float
         Relative error of the rates (scale, delay); limits of changes grow with it.
+    rates : {'independent', 'derived', 'none'}
+        Whether rates have sensors of their own, are computed from the positions, or are missing;
+        see `lpv_core.residual.rate_independence`.
     disturbance_direction : tuple of float
         Last two rows of Bd, eq. (31): accelerations of the absolute angles per unit of d.
     disturbance_mean, disturbance_variance : float
@@ -127,6 +132,7 @@ class ArmParameters:
     position_noise: float = 1e-3
     velocity_noise: float = 1e-2
     velocity_error: float = 0.0
+    rates: str = 'independent'
     disturbance_direction: tuple = (0.7, 0.0)
     disturbance_mean: float = 0.2
     disturbance_variance: float = 0.9
@@ -248,11 +254,16 @@ class ArmParameters:
 
     def to_json(self) -> str:
         """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
-        return json.dumps(asdict(self), sort_keys=True)
+        parameters = asdict(self)
+        if self.rates == RATES[0]:
+            del parameters['rates']  # as written before rates could be stated
+        return json.dumps(parameters, sort_keys=True)
 
     def sha256(self) -> str:
-        """Hash of every parameter: gains carry it, so that they fit one arm only."""
-        return sha256_of(asdict(self))
+        """Hash of every parameter of the design: gains carry it, so that they fit one arm only."""
+        parameters = asdict(self)
+        del parameters['rates']
+        return sha256_of(parameters)
 
 
 def constants_vector(constants: np.record) -> np.ndarray:
@@ -429,6 +440,7 @@ def _joints_and_sensors(top: Section) -> dict[str, Any]:
         'position_noise': sensors.number('position_noise', above=0.0),
         'velocity_noise': sensors.number('velocity_noise', above=0.0),
         'velocity_error': sensors.number('velocity_error', 0.0, 0.0, 0.5),
+        'rates': sensors.text('rates', 'independent', choices=RATES),
     }
     joints.finish()
     sensors.finish()

@@ -5,10 +5,13 @@ header), so that neither ROS nor a bag library is needed here.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from lpv_core.decision.diagnosis import SensorState
+import numpy as np
+
+from lpv_core.decision.diagnosis import Alarm, SensorState
+from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import Mode
 
 # Levels of diagnostic_msgs/DiagnosticStatus.
@@ -28,9 +31,30 @@ _MODES = {
     Mode.STALE: (STALE, 'no usable measurements'),
     Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
 }
+_UNSUPPORTED = 'holding: the arm rests, and the measured torques do not hold it (brakes?)'
+_INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradict each other'
 
 
-def state_fields(state) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Findings:
+    """What else is known of observer and sensors.
+
+    Attributes
+    ----------
+    inconsistent : bool
+        Rates, torques and model contradict each other.
+    unsupported : bool
+        The arm rests, and the measured torques do not hold it.
+    warnings : tuple
+        For each sensor, what contradicts the arm file, by subject.
+    """
+
+    inconsistent: bool
+    unsupported: bool
+    warnings: tuple[dict[str, str], ...]
+
+
+def state_fields(state: np.record) -> dict[str, Any]:
     """Fields of lpv_msgs/StateEstimate.
 
     Parameters
@@ -57,7 +81,7 @@ def state_fields(state) -> dict[str, Any]:
     }
 
 
-def fault_fields(fault, sensor_names: Sequence[str]) -> dict[str, Any]:
+def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultEstimate.
 
     Parameters
@@ -80,24 +104,18 @@ def fault_fields(fault, sensor_names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def alarm_fields(alarm) -> dict[str, Any]:
-    """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds.
-
-    Parameters
-    ----------
-    alarm : Alarm
-        The event.
-
-    Returns
-    -------
-    dict
-        Field values.
-    """
+def alarm_fields(alarm: Alarm) -> dict[str, Any]:
+    """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds."""
     return {**asdict(alarm), 'event': int(alarm.event)}
 
 
 def diagnostic_fields(
-    name: str, arm, state, fault, inconsistent: bool, values: dict[str, Any]
+    name: str,
+    arm: ArmParameters,
+    state: np.record,
+    fault: np.record | None,
+    findings: Findings,
+    values: dict[str, Any],
 ) -> list[dict[str, Any]]:
     """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
 
@@ -109,8 +127,8 @@ def diagnostic_fields(
         Names of arm and sensors.
     state, fault : numpy.record
         `lpv_core.monitoring.monitor.ANSWER`'s; ``fault`` is None without an estimate.
-    inconsistent : bool
-        Rates, torques and model contradict each other.
+    findings : Findings
+        What else is known.
     values : dict
         Key-value pairs of the observer's status.
 
@@ -123,27 +141,34 @@ def diagnostic_fields(
     if fault is not None and level < STALE:
         if not state.trustworthy:
             level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
-        elif inconsistent:
-            level, message = (
-                WARN,
-                ('inconsistent, cause unknown: rates, torques and model contradict each other'),
-            )
+        elif findings.inconsistent:
+            level, message = WARN, _INCONSISTENT
+        elif findings.unsupported:
+            level, message = WARN, _UNSUPPORTED
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     for i, sensor in enumerate(arm.sensor_names):
-        state, values = SensorState.STALE, {}
+        sensor_state, values, above = SensorState.STALE, {}, False
         if fault is not None:
-            state = fault.state[i]
+            above = abs(fault.estimate[i]) > fault.threshold[i]
+            sensor_state = fault.state[i]
             values = {
                 'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
                 'bound [rad]': f'{fault.bound[i]:.6f}',
                 'threshold [rad]': f'{fault.threshold[i]:.6f}',
             }
-        level, message = _LEVELS[state]
+        level, message = _LEVELS[sensor_state]
+        if sensor_state == SensorState.WARN and not above:
+            message = _INCONSISTENT
+        if findings.warnings[i]:
+            level = max(level, WARN)
+            message = '; '.join([message, *findings.warnings[i].values()])
         result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
     return result
 
 
-def _status(level, name, message, hardware, values):
+def _status(
+    level: int, name: str, message: str, hardware: str, values: dict[str, Any]
+) -> dict[str, Any]:
     return {
         'level': level,
         'name': name,

@@ -7,33 +7,36 @@ many at a time; both run `monitor_step`.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from lpv_core.certificate.gains import Gains
 from lpv_core.decision.diagnosis import (
     ALARM_EVENT,
     DIAGNOSIS_CONSTANTS,
     DIAGNOSIS_STATE,
+    Alarm,
     AlarmEvent,
     DiagnosisParameters,
     SensorState,
     diagnose,
+    diagnosis_buffers,
     diagnosis_constants,
-    diagnosis_history,
     make_alarm,
     reset_diagnosis,
 )
 from lpv_core.decision.sensor_decision import NOTHING
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.model.joints import joint_angle
 from lpv_core.monitoring import message_fields
 from lpv_core.observer.sampled_observer import (
     COUNTERS,
     ESTIMATE,
-    NANOSECONDS,
     OBSERVER_CONSTANTS,
     OBSERVER_STATE,
+    Counters,
     Mode,
     counters,
     observe,
@@ -41,12 +44,18 @@ from lpv_core.observer.sampled_observer import (
     pair,
     reset_observer,
 )
+from lpv_core.residual.noise_estimation import excess
+from lpv_core.residual.rate_independence import RATE_SOURCES, UNDECIDED, contradicts, rate_source_of
+from lpv_core.residual.sample_buffer import RATE, READING, SampleBuffer, buffer_of
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
+_LONGEST_STALE = 50_000_000
+"""Time without a usable measurement after which the last estimate is not trustworthy [ns]."""
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 _SENSOR_STALE = int(SensorState.STALE)
 
@@ -58,10 +67,11 @@ MONITOR_STATE = record_type(
     ('estimate', ESTIMATE),
     ('diagnosis', DIAGNOSIS_STATE),
     ('has_estimate', '?'),
-    ('next_report', 'i8'),
+    ('next_report', 'i8'),  # [ns]
+    ('rates', 'u1', (2,)),  # what rates are, of `lpv_core.residual.rate_independence`
 )
 
-_STATE = record_type(
+_STATE = record_type(  # lpv_msgs/StateEstimate
     ('position', 'f8', (2,)),
     ('velocity', 'f8', (2,)),
     ('compensated_position', 'f8', (2,)),
@@ -70,7 +80,7 @@ _STATE = record_type(
     ('mode', 'u1'),
     ('trustworthy', '?'),
 )
-_FAULT = record_type(
+_FAULT = record_type(  # lpv_msgs/FaultEstimate
     ('estimate', 'f8', (2,)),
     ('bound', 'f8', (2,)),
     ('threshold', 'f8', (2,)),
@@ -78,49 +88,64 @@ _FAULT = record_type(
     ('alarm', 'u1', (2,)),
 )
 ANSWER = record_type(
-    ('answered', '?'),
-    ('has_fault', '?'),
-    ('restarted', '?'),
-    ('has_events', '?'),
-    ('due', '?'),
-    ('inconsistent', '?'),
+    ('answered', '?'),  # False for a sample with an old stamp, which needs no answer
+    ('has_fault', '?'),  # whether there is a fault estimate; a state there is always
+    ('restarted', '?'),  # the clock was set back: observer and alarms restarted
+    ('has_events', '?'),  # alarms changed
+    ('due', '?'),  # a diagnostics report is due
+    ('inconsistent', '?'),  # rates, torques and model contradict each other
     ('state', _STATE),
     ('fault', _FAULT),
 )
-"""What one measurement leads to.
-
-answered
-    False for a sample with an old stamp, which needs no answer.
-has_fault
-    Whether there is a fault estimate; a state there is always.
-restarted
-    Time went backwards: observer and alarms started anew.
-has_events, due
-    Whether alarms changed, and whether a diagnostics report is due.
-inconsistent
-    Whether rates, torques and model contradict each other.
-state, fault
-    Fields of lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate.
-"""
+"""What one measurement leads to."""
 _REPORT = record_type(
-    ('row', 'i8'), ('answer', ANSWER), ('inconsistent', '?'), ('counters', COUNTERS)
+    ('row', 'i8'),  # of the measurement
+    ('answer', ANSWER),
+    ('counters', COUNTERS),
+    ('unsupported', '?'),  # the arm rests, and the measured torques do not hold it
+    ('reading_noise', 'f8', (2,)),  # over what the arm file states, 1 if that is not less
+    ('rate_noise', 'f8', (2,)),  # the same of the rates
+    ('rates', 'u1', (2,)),  # what rates are, of `lpv_core.residual.rate_independence`
 )
-_EVENT = record_type(('row', 'i8'), ('event', ALARM_EVENT))
+_EVENT = record_type(
+    ('row', 'i8'),  # of the measurement
+    ('event', ALARM_EVENT),
+)
 _BUFFER = 64
 """Events and reports that are passed at a time."""
+_TESTED = 500
+"""Samples in which it is tested whether rates come from the positions."""
+
+
+class _Measurements(NamedTuple):
+    """Measurements in a row, as `SensorMonitor.take_many` gets them."""
+
+    stamp: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+
+
+class _Results(NamedTuple):
+    """What measurements lead to, and how much of it there is."""
+
+    answers: np.ndarray
+    events: np.ndarray
+    reports: np.ndarray
+    found: np.ndarray
+    """Number of events and of reports."""
 
 
 @njit
 def monitor_step(
     params: np.record,
     state: np.record,
-    stamps: np.ndarray,
-    values: np.ndarray,
+    buffers: SampleBuffer,
     answer: np.record,
-    stamp,
-    position,
-    velocity,
-    effort,
+    stamp: int,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    effort: np.ndarray,
 ) -> None:
     """Use one measurement.
 
@@ -128,8 +153,8 @@ def monitor_step(
     ----------
     params, state : numpy.record
         Constants and state.
-    stamps, values : ndarray
-        `lpv_core.decision.diagnosis.diagnosis_history`.
+    buffers : SampleBuffer
+        `lpv_core.decision.diagnosis.diagnosis_buffers`.
     answer : numpy.record
         Receives the answer, of type `ANSWER`.
     stamp, position, velocity, effort
@@ -141,11 +166,11 @@ def monitor_step(
     )
     answer.restarted = state.observer.counters.restarts > restarts
     if answer.restarted:
-        forget_estimate(state)
+        forget_estimate(state, buffers)
     answer.answered, answer.has_events = True, False
     if fresh:
         state.has_estimate = True
-        diagnose(params.diagnosis, state.diagnosis, stamps, values, state.estimate)
+        diagnose(params.diagnosis, state.diagnosis, buffers, state.estimate)
         events = state.diagnosis.decision.events
         answer.has_events = events[0].happened != NOTHING or events[1].happened != NOTHING
         _fill(params, state, answer, state.estimate.mode)
@@ -157,86 +182,107 @@ def monitor_step(
     else:
         # An unusable sample is answered with the last estimate; never with silence.
         _fill(params, state, answer, _STALE)
+        if stamp - state.observer.stamp > _LONGEST_STALE:
+            answer.state.trustworthy = False
     # On the clock of the data: replays then report alike.
     answer.due = answer.has_events or state.next_report == NEVER or stamp >= state.next_report
     if answer.due:
         state.next_report = stamp + _REPORT_INTERVAL
-
-
-@njit
-def forget_estimate(state) -> None:
-    """Estimates, alarms and the clock of reports start anew."""
-    reset_diagnosis(state.diagnosis)
-    state.has_estimate, state.next_report = False, NEVER
-
-
-@njit
-def _fill(params, s, answer, mode) -> None:
-    state, fault, e, d = answer.state, answer.fault, s.estimate, s.diagnosis.decision
-    joints = params.observer.recursion.joints
-    answer.has_fault, state.mode = s.has_estimate, mode
-    answer.inconsistent = s.has_estimate and d.inconsistent
-    if not s.has_estimate:
         for i in range(2):
-            state.position[i] = state.velocity[i] = state.compensated_position[i] = 0.0
-            state.measured_position[i] = state.measured_velocity[i] = 0.0
-        state.trustworthy = False
-        return
-    healthy_1 = e.sensor_position[0] - d.confirmed_fault[0]
-    healthy_2 = e.sensor_position[1] - d.confirmed_fault[1]
-    for i in range(2):
-        state.position[i], state.velocity[i] = e.position[i], e.velocity[i]
-        state.compensated_position[i] = joint_angle(
-            joints, joints.to_joint, i, healthy_1, healthy_2
-        )
-        state.measured_position[i] = e.measured_position[i]
-        state.measured_velocity[i] = e.measured_velocity[i]
-        fault.estimate[i], fault.bound[i] = d.estimate[i], d.estimate_bound[i]
-        fault.threshold[i], fault.alarm[i] = d.threshold[i], d.alarm[i]
-        fault.state[i] = _SENSOR_STALE if mode == _STALE else d.state[i]
-    state.trustworthy = d.trustworthy
+            _test_rates(state, buffer_of(buffers, i), i)
 
 
 @njit
-def _report(state, answer, report) -> None:
-    report.answer.state.mode, report.answer.has_fault = answer.state.mode, answer.has_fault
-    report.answer.state.trustworthy = answer.state.trustworthy
-    report.inconsistent = state.diagnosis.decision.inconsistent
+def _test_rates(state: np.record, buffer: SampleBuffer, i: int) -> None:
+    """Test whether the latest rates of a sensor come from its positions; keep what was found."""
+    rows = slice(max(0, buffer.used[0] - _TESTED), buffer.used[0])
+    source, _ = rate_source_of(
+        buffer.stamps[rows], buffer.values[rows, READING], buffer.values[rows, RATE]
+    )
+    if source != UNDECIDED:
+        state.rates[i] = source
+
+
+@njit
+def forget_estimate(state: np.record, buffers: SampleBuffer) -> None:
+    """Estimates, alarms and the clock of reports restart."""
+    reset_diagnosis(state.diagnosis, buffers)
+    state.has_estimate, state.next_report = False, NEVER
+    state.rates[:] = UNDECIDED
+
+
+@njit
+def _fill(params: np.record, state: np.record, answer: np.record, mode: int) -> None:
+    """Fill the messages' fields of an answer."""
+    to, fault, estimate = answer.state, answer.fault, state.estimate
+    decision, joints = state.diagnosis.decision, params.observer.recursion.joints
+    answer.has_fault, to.mode = state.has_estimate, mode
+    answer.inconsistent = state.has_estimate and decision.inconsistent
+    if not state.has_estimate:
+        for i in range(2):
+            to.position[i] = to.velocity[i] = to.compensated_position[i] = 0.0
+            to.measured_position[i] = to.measured_velocity[i] = 0.0
+        to.trustworthy = False
+        return
+    healthy_1 = estimate.sensor_position[0] - decision.confirmed_fault[0]
+    healthy_2 = estimate.sensor_position[1] - decision.confirmed_fault[1]
     for i in range(2):
-        report.answer.fault.estimate[i] = answer.fault.estimate[i]
-        report.answer.fault.bound[i] = answer.fault.bound[i]
-        report.answer.fault.threshold[i] = answer.fault.threshold[i]
-        report.answer.fault.state[i] = answer.fault.state[i]
-    to, now = report.counters, state.observer.counters
-    to.duplicates, to.out_of_order, to.restarts = now.duplicates, now.out_of_order, now.restarts
-    to.not_finite, to.implausible = now.not_finite, now.implausible
-    to.gaps, to.late_steps = now.gaps, now.late_steps
+        to.position[i], to.velocity[i] = estimate.position[i], estimate.velocity[i]
+        to.compensated_position[i] = joint_angle(joints, joints.to_joint, i, healthy_1, healthy_2)
+        to.measured_position[i] = estimate.measured_position[i]
+        to.measured_velocity[i] = estimate.measured_velocity[i]
+        fault.estimate[i], fault.bound[i] = decision.estimate[i], decision.estimate_bound[i]
+        fault.threshold[i], fault.alarm[i] = decision.threshold[i], decision.alarm[i]
+        fault.state[i] = _SENSOR_STALE if mode == _STALE else decision.state[i]
+    to.trustworthy = decision.trustworthy
+
+
+@njit
+def _report(state: np.record, answer: np.record, report: np.record) -> None:
+    """Copy what a diagnostics report needs."""
+    to = report.answer
+    to.state.mode, to.has_fault = answer.state.mode, answer.has_fault
+    to.state.trustworthy = answer.state.trustworthy
+    to.inconsistent = state.diagnosis.decision.inconsistent
+    for i in range(2):
+        to.fault.estimate[i], to.fault.bound[i] = answer.fault.estimate[i], answer.fault.bound[i]
+        to.fault.threshold[i], to.fault.state[i] = answer.fault.threshold[i], answer.fault.state[i]
+        noise = state.diagnosis.sensors[i].noise
+        report.reading_noise[i] = excess(noise.reading, noise.windows)
+        report.rate_noise[i] = excess(noise.rate, noise.windows)
+        report.rates[i] = state.rates[i]
+    report.unsupported = state.estimate.unsupported
+    count, now = report.counters, state.observer.counters
+    count.duplicates, count.out_of_order = now.duplicates, now.out_of_order
+    count.restarts, count.gaps, count.late_steps = now.restarts, now.gaps, now.late_steps
+    count.not_finite, count.implausible = now.not_finite, now.implausible
 
 
 @njit
 def _steps(
-    params,
-    state,
-    stamps,
-    values,
-    answered,
-    first,
-    stamp,
-    position,
-    velocity,
-    effort,
-    events,
-    reports,
-    found,
-):
+    params: np.record,
+    state: np.record,
+    buffers: SampleBuffer,
+    measured: _Measurements,
+    first: int,
+    results: _Results,
+) -> int:
     """`monitor_step` from row ``first`` on, as far as events and reports find room."""
+    answers, events, reports, found = results
     found[:] = 0
-    for k in range(first, len(stamp)):
+    for k in range(first, len(measured.stamp)):
         if found[0] + 2 > len(events) or found[1] == len(reports):
             return k
-        answer = answered[k]
+        answer = answers[k]
         monitor_step(
-            params, state, stamps, values, answer, stamp[k], position[k], velocity[k], effort[k]
+            params,
+            state,
+            buffers,
+            answer,
+            measured.stamp[k],
+            measured.position[k],
+            measured.velocity[k],
+            measured.effort[k],
         )
         if answer.has_events:
             for i in range(2):
@@ -249,11 +295,11 @@ def _steps(
             reports[found[1]].row = k
             _report(state, answer, reports[found[1]])
             found[1] += 1
-    return len(stamp)
+    return len(measured.stamp)
 
 
 @njit
-def copy_event(event, to) -> None:
+def copy_event(event: np.record, to: np.record) -> None:
     """Copy an alarm event, of type `lpv_core.decision.diagnosis.ALARM_EVENT`."""
     to.happened, to.sensor, to.onset = event.happened, event.sensor, event.onset
     to.detected, to.amount, to.bound = event.detected, event.amount, event.bound
@@ -268,33 +314,38 @@ class Answer:
     ----------
     stamp : int
         Of the measurement [ns]; of every message, too.
-    state, fault : dict or None
-        lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate.
+    state : dict
+        lpv_msgs/StateEstimate.
+    fault : dict or None
+        lpv_msgs/FaultEstimate.
     alarms : list of dict
         lpv_msgs/FaultAlarm.
     status : list of dict or None
         diagnostic_msgs/DiagnosticArray's statuses where a report is due.
     events : list of Alarm
         The alarm events themselves.
+    warnings : list of str
+        What contradicts the arm file and was not said before.
     restarted : bool
-        Time went backwards: observer and alarms started anew.
+        The clock was set back: observer and alarms restarted.
     inconsistent : bool
         Rates, torques and model contradict each other.
     """
 
     stamp: int
-    state: dict = None
-    fault: dict = None
-    alarms: list = field(default_factory=list)
-    status: list = None
-    events: list = field(default_factory=list)
+    state: dict[str, Any]
+    fault: dict[str, Any] | None = None
+    alarms: list[dict[str, Any]] = field(default_factory=list)
+    status: list[dict[str, Any]] | None = None
+    events: list[Alarm] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     restarted: bool = False
     inconsistent: bool = False
 
 
 @dataclass
 class Answers:
-    """What many measurements lead to, one row a measurement.
+    """What many measurements lead to, one row per measurement.
 
     Attributes
     ----------
@@ -314,8 +365,8 @@ class Answers:
     inconsistent: np.ndarray
     state: np.recarray
     fault: np.recarray
-    events: list
-    reports: list
+    events: list[tuple[int, Alarm]]
+    reports: list[tuple[int, list[dict[str, Any]]]]
 
 
 class SensorMonitor:
@@ -352,8 +403,8 @@ class SensorMonitor:
     def __init__(
         self,
         name: str,
-        arm,
-        gains,
+        arm: ArmParameters,
+        gains: Gains,
         parameters: DiagnosisParameters | None = None,
         max_gap: float = 0.1,
         initial_samples: int = 1,
@@ -364,63 +415,51 @@ class SensorMonitor:
             MONITOR_CONSTANTS, observer=observer_constants(arm, gains, initial_samples, max_gap)
         )
         self._state, self._answer = new_record(MONITOR_STATE), new_record(ANSWER)
-        self._history = diagnosis_history(arm)
+        self._buffers = diagnosis_buffers(arm)
         self._order = JointOrder(arm.joint_names)
         self.retune(parameters or DiagnosisParameters())
         self.reset()
 
     def retune(self, parameters: DiagnosisParameters) -> None:
-        """Change the tuning while running; alarms stay as they are.
-
-        Parameters
-        ----------
-        parameters : DiagnosisParameters
-            The new tuning.
-        """
+        """Change the tuning while running; alarms stay as they are."""
         self._parameters = parameters
         self._constants.diagnosis = diagnosis_constants(self.arm, self._gains, parameters)
 
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
         reset_observer(self._state.observer)
-        forget_estimate(self._state)
+        forget_estimate(self._state, self._buffers)
+        self._warned: set[tuple[int, str]] = set()
 
     def warm_up(self) -> None:
-        """Compile by two made-up samples, and forget them: the first real ones must not wait."""
+        """Compile with two made-up samples, and forget them: the first real ones must not wait."""
         still = np.zeros(2)
         for stamp in (1, 1 + round(self.arm.sample_time * NANOSECONDS)):
             self._step(stamp, np.array([0.0, 0.1]), still, still)
         self.reset()
 
     @property
-    def counters(self):
-        """Samples that were not usable as they came: `lpv_core.observer.sampled_observer.Counters`."""
+    def counters(self) -> Counters:
+        """Samples that were not usable as they came."""
         return counters(self._state.observer.counters)
 
     @property
-    def parts(self):
+    def parts(self) -> tuple[np.record, np.record, SampleBuffer, np.record]:
         """What `monitor_step` works on: constants, state, past of both sensors, answer."""
-        return (self._constants, self._state, *self._history, self._answer)
+        return self._constants, self._state, self._buffers, self._answer
 
-    def alarms(self, events: Iterable[np.record]):
-        """Alarms of events.
-
-        Parameters
-        ----------
-        events : iterable of numpy.record
-            Of type `lpv_core.decision.diagnosis.ALARM_EVENT`.
-
-        Returns
-        -------
-        list of Alarm
-            In the same order.
-        """
+    def alarms(self, events: Iterable[np.record]) -> list[Alarm]:
+        """Alarms of events of type `lpv_core.decision.diagnosis.ALARM_EVENT`."""
         return [make_alarm(event, self.arm, self._parameters) for event in events]
 
-    def _step(self, stamp, position, velocity, effort) -> None:
+    def _step(
+        self, stamp: int, position: np.ndarray, velocity: np.ndarray, effort: np.ndarray
+    ) -> None:
         monitor_step(*self.parts, stamp, position, velocity, effort)
 
-    def take(self, stamp: int, message, torque: Sequence[float] | None = None) -> Answer | None:
+    def take(
+        self, stamp: int, message: Any, torque: Sequence[float] | None = None
+    ) -> Answer | None:
         """Use one measurement.
 
         Parameters
@@ -444,11 +483,15 @@ class SensorMonitor:
         """
         try:
             position, velocity, effort = self._order.pick(message)
-            effort = pair(effort if torque is None else torque, 'torque')
+            measured = (
+                pair(position, 'position'),
+                pair(velocity, 'velocity'),
+                pair(effort if torque is None else torque, 'torque'),
+            )
         except SampleError:
             self.rejected += 1
             raise
-        self._step(stamp, pair(position, 'position'), pair(velocity, 'velocity'), effort)
+        self._step(stamp, *measured)
         now = self._answer
         if not now.answered:
             return None
@@ -468,7 +511,9 @@ class SensorMonitor:
             )
             answer.alarms = [message_fields.alarm_fields(event) for event in answer.events]
         if now.due:
-            answer.status = self._status_now()
+            report = self._report_now()
+            answer.status = self._status(report)
+            answer.warnings = self._new_warnings(report)
         return answer
 
     def take_many(
@@ -487,40 +532,30 @@ class SensorMonitor:
         Returns
         -------
         Answers
-            One row a measurement.
+            One row per measurement.
         """
-        given = [np.ascontiguousarray(v, dtype=float) for v in (position, velocity, effort)]
-        stamps = np.ascontiguousarray(stamps, dtype=np.int64)
-        answered = np.zeros(len(stamps), ANSWER).view(np.recarray)
+        given = (np.ascontiguousarray(v, dtype=float) for v in (position, velocity, effort))
+        measured = _Measurements(np.ascontiguousarray(stamps, dtype=np.int64), *given)
+        answers = np.zeros(len(stamps), ANSWER).view(np.recarray)
         events, reports = (np.zeros(_BUFFER, kind).view(np.recarray) for kind in (_EVENT, _REPORT))
         found, row = np.zeros(2, np.int64), 0
-        result = Answers(
-            answered.answered,
-            answered.has_fault,
-            answered.restarted,
-            answered.inconsistent,
-            answered.state,
-            answered.fault,
-            [],
-            [],
+        results = _Results(answers, events, reports, found)
+        answered = Answers(
+            answers.answered,
+            answers.has_fault,
+            answers.restarted,
+            answers.inconsistent,
+            answers.state,
+            answers.fault,
+            events=[],
+            reports=[],
         )
         while row < len(stamps):
-            row = _steps(
-                self._constants,
-                self._state,
-                *self._history,
-                answered,
-                row,
-                stamps,
-                *given,
-                events,
-                reports,
-                found,
-            )
+            row = _steps(self._constants, self._state, self._buffers, measured, row, results)
             new = events[: found[0]]
-            result.events += zip(new.row.tolist(), self.alarms(e.event for e in new))
-            result.reports += [(int(r.row), self._status(r)) for r in reports[: found[1]]]
-        return result
+            answered.events += zip(new['row'].tolist(), self.alarms(e.event for e in new))
+            answered.reports += [(int(r.row), self._status(r)) for r in reports[: found[1]]]
+        return answered
 
     def stale_fault(self) -> dict[str, Any] | None:
         """Fields of a FaultEstimate that says that its values are the last ones.
@@ -549,14 +584,44 @@ class SensorMonitor:
             As `lpv_core.monitoring.message_fields.diagnostic_fields`.
         """
         _fill(self._constants, self._state, self._answer, int(mode))
-        return self._status_now()
+        return self._status(self._report_now())
 
-    def _status_now(self):
+    def _report_now(self) -> np.record:
         report = new_record(_REPORT)
         _report(self._state, self._answer, report)
-        return self._status(report)
+        return report
 
-    def _status(self, report):
+    def _warnings(self, report: np.record) -> tuple[dict[str, str], ...]:
+        """What contradicts the arm file, for each sensor by subject."""
+        result: tuple[dict[str, str], ...] = ({}, {})
+        for i, (sensor, warnings) in enumerate(zip(self.arm.sensor_names, result)):
+            for what, ratio in (
+                (sensor, report.reading_noise[i]),
+                (f'the rate of {sensor}', report.rate_noise[i]),
+            ):
+                if ratio > 1.0:
+                    warnings[what] = (
+                        f'noise of {what} is {ratio:.1f} times what the arm file states'
+                    )
+            found = RATE_SOURCES[report.rates[i]]
+            if contradicts(self.arm.rates, found):
+                warnings['rates'] = (
+                    f'rates of {sensor} are {found}, the arm file states {self.arm.rates}'
+                )
+        return result
+
+    def _new_warnings(self, report: np.record) -> list[str]:
+        """Warnings on subjects that were not warned of before."""
+        found = {
+            (i, subject): text
+            for i, warnings in enumerate(self._warnings(report))
+            for subject, text in warnings.items()
+        }
+        new = [text for subject, text in found.items() if subject not in self._warned]
+        self._warned |= set(found)
+        return new
+
+    def _status(self, report: np.record) -> list[dict[str, Any]]:
         values = {
             **asdict(counters(report.counters)),
             'rejected messages': self.rejected,
@@ -568,24 +633,15 @@ class SensorMonitor:
             self.arm,
             answer.state,
             answer.fault if answer.has_fault else None,
-            bool(report.inconsistent),
+            message_fields.Findings(
+                bool(answer.inconsistent), bool(report.unsupported), self._warnings(report)
+            ),
             values,
         )
 
 
-def describe(event) -> str:
-    """An alarm event as one line of text.
-
-    Parameters
-    ----------
-    event : Alarm
-        The event.
-
-    Returns
-    -------
-    str
-        Sensor, kind, size, bound and confidence.
-    """
+def describe(event: Alarm) -> str:
+    """An alarm event as one line of text: sensor, kind, size, bound and confidence."""
     words = {
         AlarmEvent.RAISED: 'ALARM',
         AlarmEvent.UPDATED: 'alarm updated',

@@ -25,94 +25,92 @@ import math
 
 import numpy as np
 
+from lpv_core.certificate.gains import ExactObserverGains
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import acceleration, coupling
+from lpv_core.model.polytope import slope_range
 from lpv_core.support.jit import njit
+from lpv_core.support.records import new_record, record_type
+
+EXACT_CONSTANTS = record_type(
+    ('arm', ARM_CONSTANTS),
+    ('kappa', 'f8', (2,)),  # s kappa_i: the sign of the region is in it [1/(kg m2)]
+    ('mu', 'f8', (2,)),  # [1/s]
+    ('low', 'f8', (2,)),  # certified range of cos(theta_i)
+    ('high', 'f8', (2,)),
+)
+
+
+def exact_constants(arm: ArmParameters, gains: ExactObserverGains) -> np.record:
+    """Constants of `exact_step`, of type `EXACT_CONSTANTS`."""
+    low, high = slope_range(arm)
+    return new_record(
+        EXACT_CONSTANTS,
+        arm=arm.constants(),
+        kappa=arm.sign * np.asarray(gains.kappa),
+        mu=gains.mu,
+        # The region ends at |cos| = 1; no rounding of the cosine may leave it.
+        low=np.where(low <= -1.0, -1.0 - 1e-9, low),
+        high=np.where(high >= 1.0, 1.0 + 1e-9, high),
+    )
 
 
 @njit
-def _rates(theta_1, theta_2, rate_1, rate_2, v_1, v_2, torque, kappa_1, kappa_2, mu, arm):
-    r_1, r_2 = rate_1 - v_1, rate_2 - v_2
-    off = coupling(theta_1, theta_2, arm)
-    turning = -arm.coupling * math.sin(theta_1 - theta_2) * (v_1 - v_2)  # rate of Xi12
-    p_1, p_2 = arm.inertia[0] * r_1 + off * r_2, off * r_1 + arm.inertia[1] * r_2
-    c_1, c_2 = mu[0] * p_1 + turning * r_2, mu[1] * p_2 + turning * r_1
+def _rates(
+    params: np.record,
+    x: tuple[float, float, float, float],
+    v: np.ndarray,
+    torque: np.ndarray,
+    kappa: tuple[float, float],
+) -> tuple[float, float, float, float]:
+    """d theta^/dt and d theta^'/dt as in the module's docstring."""
+    arm, mu = params.arm, params.mu
+    r_1, r_2 = x[2] - v[0], x[3] - v[1]
+    off = coupling(x[0], x[1], arm)
+    turning = -arm.coupling * math.sin(x[0] - x[1]) * (v[0] - v[1])  # Xi12'
+    p_1, p_2 = arm.inertia[0] * r_1 + off * r_2, off * r_1 + arm.inertia[1] * r_2  # Xi r
+    c_1, c_2 = mu[0] * p_1 + turning * r_2, mu[1] * p_2 + turning * r_1  # (mu Xi + Xi') r
     det = arm.inertia[0] * arm.inertia[1] - off * off
     # Measured rates feed friction and Coriolis terms: no fault in them.
-    a_1, a_2 = acceleration(theta_1, theta_2, v_1, v_2, torque[0], torque[1], arm)
+    a_1, a_2 = acceleration(x[0], x[1], v[0], v[1], torque[0], torque[1], arm)
     return (
-        v_1 - kappa_1 * p_1,
-        v_2 - kappa_2 * p_2,
+        v[0] - kappa[0] * p_1,
+        v[1] - kappa[1] * p_2,
         a_1 - (arm.inertia[1] * c_1 - off * c_2) / det,
         a_2 - (arm.inertia[0] * c_2 - off * c_1) / det,
     )
 
 
 @njit
-def exact_step(
-    x: np.ndarray,
-    v_old: np.ndarray,
-    v_new: np.ndarray,
-    torque: np.ndarray,
-    dt: float,
-    kappa: np.ndarray,
-    mu: np.ndarray,
-    arm: np.ndarray,
-    slope_low: np.ndarray,
-    slope_high: np.ndarray,
-    held: np.ndarray,
-) -> None:
-    """Advance the observer over one sample interval, in place, by the Heun rule.
+def exact_step(params: np.record, state: np.record, torque: np.ndarray, dt: float) -> None:
+    """Advance the observer over one sample interval by the Heun rule.
 
     Where the estimate leaves the region of certified gravity slopes, the correction of that
     link's angle is suspended (``held``): the configuration carries no information there.
 
     Parameters
     ----------
-    x : ndarray, shape (4,)
-        theta^ [rad] and theta^' [rad/s], absolute; advanced in place.
-    v_old, v_new : ndarray, shape (2,)
-        Measured absolute rates at both ends of the interval [rad/s].
+    params : numpy.record
+        Of type `EXACT_CONSTANTS`.
+    state : numpy.record
+        Of type `lpv_core.observer.observer_step.RECURSION_STATE`: theta^ and theta^' in ``x`` are
+        advanced, with the measured rates ``v_old`` and ``v_new`` of both ends of the interval;
+        ``held`` receives which links are held.
     torque : ndarray, shape (2,)
         Generalised torques Q held over the interval [N m].
     dt : float
         Length of the interval [s].
-    kappa : ndarray, shape (2,)
-        s*kappa_i [1/(kg m2)]; the sign of the region is in it.
-    mu : ndarray, shape (2,)
-        mu_i [1/s].
-    arm : numpy.record
-        Constants of the arm.
-    slope_low, slope_high : ndarray, shape (2,)
-        Certified range of cos(theta_i).
-    held : ndarray of bool, shape (2,)
-        Receives which links are held.
     """
+    x = state.x
     for link in range(2):
         cosine = math.cos(x[link])
-        held[link] = cosine < slope_low[link] or cosine > slope_high[link]
-    k_1 = 0.0 if held[0] else kappa[0]
-    k_2 = 0.0 if held[1] else kappa[1]
-    a_1, a_2, a_3, a_4 = _rates(
-        x[0], x[1], x[2], x[3], v_old[0], v_old[1], torque, k_1, k_2, mu, arm
-    )
-    b_1, b_2, b_3, b_4 = _rates(
-        x[0] + dt * a_1,
-        x[1] + dt * a_2,
-        x[2] + dt * a_3,
-        x[3] + dt * a_4,
-        v_new[0],
-        v_new[1],
-        torque,
-        k_1,
-        k_2,
-        mu,
-        arm,
-    )
-    h = 0.5 * dt
-    x[0] += h * (a_1 + b_1)
-    x[1] += h * (a_2 + b_2)
-    x[2] += h * (a_3 + b_3)
-    x[3] += h * (a_4 + b_4)
+        state.held[link] = cosine < params.low[link] or cosine > params.high[link]
+    kappa = (0.0 if state.held[0] else params.kappa[0], 0.0 if state.held[1] else params.kappa[1])
+    a = _rates(params, (x[0], x[1], x[2], x[3]), state.v_old, torque, kappa)
+    end = (x[0] + dt * a[0], x[1] + dt * a[1], x[2] + dt * a[2], x[3] + dt * a[3])
+    b = _rates(params, end, state.v_new, torque, kappa)
+    for i in range(4):
+        x[i] += 0.5 * dt * (a[i] + b[i])
 
 
 def output_injection(
@@ -120,7 +118,7 @@ def output_injection(
     rates: np.ndarray,
     kappa: np.ndarray,
     mu: np.ndarray,
-    arm: np.ndarray,
+    arm: np.record,
     sensor_matrix: np.ndarray,
 ) -> np.ndarray:
     """K(rho) of the observer in the paper's form z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y).

@@ -10,6 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from lpv_core.certificate.gains import Gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.dynamics import acceleration
 from lpv_core.model.joints import JointMap, joint_angle, row_dot
 from lpv_core.observer.observer_step import (
@@ -21,12 +23,17 @@ from lpv_core.observer.observer_step import (
 )
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
-
-NANOSECONDS = 1_000_000_000
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _LARGEST_ANGLE = 1e4
-"""A position sensor that reads more [rad] is taken as silent; floats lose microradians there."""
+"""A position sensor that reads more [rad] is taken as missing; floats lose microradians there."""
+_AT_REST = 5.0
+"""Rates below so many standard deviations of their noise are those of an arm at rest."""
+_SUPPORTED = 0.02
+"""At rest, torques below that part of what gravity needs are not those that hold the arm."""
+_REST = 0.02
+"""An arm is held by something that is not measured if it seems so for this long [s]."""
 _EFFORT_MARGIN = 10.0
 """A torque so many times above the arm's limit is no torque of this arm."""
 
@@ -69,85 +76,58 @@ COUNTERS = record_type(*((name, 'i8') for name in Counters.__dataclass_fields__)
 
 OBSERVER_CONSTANTS = record_type(
     ('recursion', RECURSION_CONSTANTS),
-    ('sample_time', 'f8'),
-    ('max_gap', 'f8'),
-    ('initial_samples', 'i8'),
-    ('velocity_limit', 'f8', (2,)),
-    ('effort_limit', 'f8', (2,)),
+    ('sample_time', 'f8'),  # [s]
+    ('max_gap', 'f8'),  # longest interval that is integrated [s]
+    ('initial_samples', 'i8'),  # samples that the start value is averaged over
+    ('velocity_limit', 'f8', (2,)),  # of the joints [rad/s]
+    ('effort_limit', 'f8', (2,)),  # of the joints [N m]
+    ('rest_rate', 'f8'),  # rates of an arm at rest stay below [rad/s]
+    ('rest_samples', 'i8'),  # at rest without torque, after which it is held by something else
+    ('torque_tolerance', 'f8', (2,)),  # generalised torques at rest that the model may miss [N m]
 )
 OBSERVER_STATE = record_type(
     ('recursion', RECURSION_STATE),
-    ('stamp', 'i8'),
-    ('started', 'i8'),
+    ('stamp', 'i8'),  # of the last sample [ns]
+    ('started', 'i8'),  # samples since the start
+    ('unsupported', 'i8'),  # samples at rest without the torque that gravity needs
     ('counters', COUNTERS),
-    ('y', 'f8', (4,)),
-    ('y_new', 'f8', (4,)),
-    ('before', 'f8', (4,)),
-    ('after', 'f8', (4,)),
-    ('torque', 'f8', (2,)),
+    # Outputs in sensor coordinates, positions [rad] and rates [rad/s]:
+    ('y', 'f8', (4,)),  # of the last sample
+    ('y_new', 'f8', (4,)),  # of this sample
+    ('before', 'f8', (4,)),  # at the start of a part of the interval
+    ('after', 'f8', (4,)),  # and at its end
+    ('torque', 'f8', (2,)),  # generalised torques Q over the interval [N m]
 )
 
 ESTIMATE = record_type(
-    ('stamp', 'i8'),
-    ('interval', 'f8'),
-    ('mode', 'u1'),
-    ('position', 'f8', (2,)),
-    ('velocity', 'f8', (2,)),
-    ('measured_position', 'f8', (2,)),
-    ('measured_velocity', 'f8', (2,)),
-    ('fault', 'f8', (2,)),
-    ('absolute_position', 'f8', (2,)),
-    ('sensor_position', 'f8', (2,)),
-    ('held', 'u1', (2,)),
-    ('missing', 'u1', (2,)),
-    ('absolute_velocity', 'f8', (2,)),
-    ('absolute_acceleration', 'f8', (2,)),
-    ('innovation', 'f8', (2,)),
-    ('bridged', '?'),
+    ('stamp', 'i8'),  # time of the measurement [ns]
+    ('interval', 'f8'),  # since the previous estimate [s]
+    ('mode', 'u1'),  # of `Mode`
+    # ROS joint coordinates:
+    ('position', 'f8', (2,)),  # estimated [rad]
+    ('velocity', 'f8', (2,)),  # estimated [rad/s]
+    ('measured_position', 'f8', (2,)),  # [rad]
+    ('measured_velocity', 'f8', (2,)),  # [rad/s]
+    # Physical position sensors:
+    ('fault', 'f8', (2,)),  # f^ [rad]
+    ('sensor_position', 'f8', (2,)),  # readings [rad]
+    ('missing', 'u1', (2,)),  # no finite value: the reading is carried on by its rate
+    # Absolute coordinates, by link:
+    ('absolute_position', 'f8', (2,)),  # theta^ [rad]
+    ('absolute_velocity', 'f8', (2,)),  # measured theta' [rad/s]
+    ('absolute_acceleration', 'f8', (2,)),  # theta'' of the model at the estimate [rad/s2]
+    ('innovation', 'f8', (2,)),  # estimated minus measured theta' [rad/s]
+    ('held', 'u1', (2,)),  # the configuration carries no gravity information: dead reckoning
+    ('unsupported', '?'),  # at rest, and not held by the measured torques: brakes, for example
+    ('bridged', '?'),  # the interval was too long: angles went on by the encoders' increments
 )
-"""One estimate.
-
-stamp, interval
-    Time of the measurement [ns], and since the previous estimate [s].
-mode
-    Of `Mode`.
-position, velocity, measured_position, measured_velocity
-    Estimated and measured joint positions and rates, ROS joint coordinates [rad], [rad/s].
-fault, sensor_position
-    f^ and readings of the physical position sensors [rad].
-absolute_position
-    Estimated absolute angles theta^ [rad].
-held
-    Links whose configuration carries no gravity information: dead reckoning.
-missing
-    Position sensors that delivered no finite value; their readings are carried on by their rates.
-bridged
-    The interval was too long to be integrated: angles went on by the encoders' increments.
-absolute_velocity, absolute_acceleration
-    Measured theta' and the model's theta'' at the estimate [rad/s], [rad/s2].
-innovation
-    Estimated minus measured theta' [rad/s].
-"""
+"""One estimate."""
 
 
-def observer_constants(arm, gains, initial_samples=1, max_gap=0.1) -> np.record:
-    """Constants of `observe` for one arm.
-
-    Parameters
-    ----------
-    arm, gains, initial_samples, max_gap
-        As `UnknownInputObserver`.
-
-    Returns
-    -------
-    numpy.record
-        Of type `OBSERVER_CONSTANTS`.
-
-    Raises
-    ------
-    ConfigError
-        If the gains belong to another arm.
-    """
+def observer_constants(
+    arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
+) -> np.record:
+    """Constants of `observe`, of type `OBSERVER_CONSTANTS`; see `UnknownInputObserver`."""
     gains.check_arm(arm)
     return new_record(
         OBSERVER_CONSTANTS,
@@ -157,13 +137,16 @@ def observer_constants(arm, gains, initial_samples=1, max_gap=0.1) -> np.record:
         initial_samples=max(1, int(initial_samples)),
         velocity_limit=arm.velocity_limit,
         effort_limit=_EFFORT_MARGIN * np.asarray(arm.torque_limit),
+        rest_rate=_AT_REST * arm.velocity_noise,
+        rest_samples=max(5, math.ceil(_REST / arm.sample_time)),
+        torque_tolerance=np.asarray(arm.torque_tolerance) + sum(arm.coulomb),
     )
 
 
 @njit
-def reset_observer(state) -> None:
-    """Forget everything but the counters; the next sample starts anew."""
-    state.stamp, state.started = NEVER, 0
+def reset_observer(state: np.record) -> None:
+    """Forget everything but the counters; the observer restarts with the next sample."""
+    state.stamp, state.started, state.unsupported = NEVER, 0, 0
     state.recursion.held[:] = False
     state.y[:] = 0.0
 
@@ -178,13 +161,14 @@ def observe(
     velocity: np.ndarray,
     effort: np.ndarray,
 ) -> bool:
-    """Take one measurement; the estimate at its time goes into ``estimate``.
+    """Use one measurement; the estimate at its time goes into ``estimate``.
 
     Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s back
-    means that time restarted, and so does the observer; a position that is not finite, or absurd,
-    is carried on by the rates of that sensor (the state estimate does not need it); a
+    means that the clock was set back: the observer restarts; a position that is not finite, or
+    absurd, is carried on by the rates of that sensor (the state estimate does not need it); a
     velocity or effort that is not finite, or beyond what the arm can do, drops the sample; an
-    interval above ``max_gap`` re-anchors the estimate.
+    interval above ``max_gap`` re-anchors the estimate; an arm at rest whose measured torques do not
+    hold it against gravity is held by something else: nothing is learnt from them.
 
     Parameters
     ----------
@@ -218,6 +202,8 @@ def observe(
         _start(params, state)
     elif interval > params.max_gap:
         _bridge(params, state)
+    elif _is_unsupported(params, state):
+        _hold(params, state, interval)
     else:
         _advance(params, state, interval)
     if state.started < params.initial_samples:
@@ -233,12 +219,13 @@ def observe(
     state.started += 1
     estimate.stamp, estimate.interval, estimate.bridged = stamp, interval, interval > params.max_gap
     estimate.missing[0], estimate.missing[1] = missing_1, missing_2
+    estimate.unsupported = state.unsupported >= params.rest_samples
     _fill(params, state, estimate)
     return True
 
 
 @njit
-def _interval(state, stamp):
+def _interval(state: np.record, stamp: int) -> float:
     """Time since the last sample [s]; negative if this one is to be dropped."""
     if state.stamp == NEVER:
         return 0.0
@@ -257,7 +244,7 @@ def _interval(state, stamp):
 
 
 @njit
-def _usable(params, state, velocity, effort) -> bool:
+def _usable(params: np.record, state: np.record, velocity: np.ndarray, effort: np.ndarray) -> bool:
     for i in range(2):
         if not (math.isfinite(velocity[i]) and math.isfinite(effort[i])):
             state.counters.not_finite += 1
@@ -270,10 +257,12 @@ def _usable(params, state, velocity, effort) -> bool:
 
 
 @njit
-def _outputs(params, state, position, velocity, interval):
-    """Readings of the sensors into ``y_new``; whether the first and the second one are silent.
+def _outputs(
+    params: np.record, state: np.record, position: np.ndarray, velocity: np.ndarray, interval: float
+) -> tuple[bool, bool]:
+    """Readings of the sensors into ``y_new``; whether the first and the second one are missing.
 
-    A silent sensor is taken to read on as its rates say: as if its fault stayed what it was.
+    A missing sensor is carried on by its rates: as if its fault stayed what it was.
     """
     y, joints = state.y_new, params.recursion.joints
     for i in range(2):
@@ -293,7 +282,7 @@ def _outputs(params, state, position, velocity, interval):
 
 
 @njit
-def _average_start(params, state) -> None:
+def _average_start(params: np.record, state: np.record) -> None:
     """Move the start value to the mean of the samples so far; their mean fault is zero."""
     r = state.recursion
     share_1, share_2 = r.x[4] / (state.started + 1), r.x[5] / (state.started + 1)
@@ -305,7 +294,7 @@ def _average_start(params, state) -> None:
 
 
 @njit
-def _anchor(params, state) -> None:
+def _anchor(params: np.record, state: np.record) -> None:
     """Angles from the readings without their fault estimates, rates as measured."""
     r, y, angle = state.recursion, state.y_new, params.recursion.joints.angle
     for i in range(2):
@@ -315,7 +304,7 @@ def _anchor(params, state) -> None:
 
 
 @njit
-def _start(params, state) -> None:
+def _start(params: np.record, state: np.record) -> None:
     state.recursion.x[4:] = 0.0
     _anchor(params, state)
     state.y[:] = state.y_new
@@ -323,14 +312,51 @@ def _start(params, state) -> None:
 
 
 @njit
-def _bridge(params, state) -> None:
+def _bridge(params: np.record, state: np.record) -> None:
     """Re-anchor after a gap: the encoder's increment is all that is known of it."""
     state.counters.gaps += 1
     _anchor(params, state)
 
 
 @njit
-def _advance(params, state, interval) -> None:
+def _is_unsupported(params: np.record, state: np.record) -> bool:
+    """Whether the arm rests although the measured torques do not hold it.
+
+    The torque of brakes is often not measured.  Taken for what acts on the arm, zero torque at rest
+    would mean that both links are vertical.
+    """
+    x, y, arm = state.recursion.x, state.y_new, params.recursion.arm
+    needed = beyond = measured = 0.0
+    for i in range(2):
+        gravity = abs(arm.gravity[i] * math.sin(x[i]))
+        needed = max(needed, gravity)
+        beyond = max(beyond, gravity - params.torque_tolerance[i])
+        measured = max(measured, abs(state.torque[i]))
+    at_rest = abs(y[2]) <= params.rest_rate and abs(y[3]) <= params.rest_rate
+    if at_rest and beyond > 0.0 and measured <= _SUPPORTED * needed:
+        state.unsupported += 1
+    else:
+        state.unsupported = 0
+    return state.unsupported >= params.rest_samples
+
+
+@njit
+def _hold(params: np.record, state: np.record, interval: float) -> None:
+    """Dead reckoning of both links: angles go on by the measured rates."""
+    r, joints = state.recursion, params.recursion.joints
+    for i in range(2):
+        before = row_dot(joints.angle, i, state.y[2], state.y[3])
+        rate = row_dot(joints.angle, i, state.y_new[2], state.y_new[3])
+        r.x[i] += 0.5 * interval * (before + rate)
+        r.x[2 + i], r.held[i] = rate, True
+    for i in range(2):
+        r.x[4 + i] = state.y_new[i] - row_dot(joints.sensor, i, r.x[0], r.x[1])
+    set_state(params.recursion, r, state.y_new)
+
+
+@njit
+def _advance(params: np.record, state: np.record, interval: float) -> None:
+    state.recursion.held[:] = False
     steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
     if steps == 1:
         advance(params.recursion, state.recursion, state.y, state.y_new, state.torque, interval)
@@ -339,24 +365,15 @@ def _advance(params, state, interval) -> None:
     state.before[:] = state.y
     for k in range(1, steps + 1):
         for i in range(4):
-            state.after[i] = (
-                state.y_new[i]
-                if k == steps
-                else (state.before[i] + (state.y_new[i] - state.y[i]) / steps)
-            )
-        advance(
-            params.recursion,
-            state.recursion,
-            state.before,
-            state.after,
-            state.torque,
-            interval / steps,
-        )
+            share = (state.y_new[i] - state.y[i]) / steps
+            state.after[i] = state.y_new[i] if k == steps else state.before[i] + share
+        part = interval / steps
+        advance(params.recursion, state.recursion, state.before, state.after, state.torque, part)
         state.before[:] = state.after
 
 
 @njit
-def _fill(params, state, estimate) -> None:
+def _fill(params: np.record, state: np.record, estimate: np.record) -> None:
     r, y, joints = state.recursion, state.y_new, params.recursion.joints
     if state.started <= params.initial_samples:
         estimate.mode = _INITIALISING
@@ -393,7 +410,7 @@ class UnknownInputObserver:
         Designed gains.
     initial_samples : int, optional
         Samples over which the start value is averaged.  The observer takes their mean for free of
-        faults: a constant bias at the start is only learnt at the certified decay rate.
+        faults: a constant bias at the start is only found at the certified decay rate.
     max_gap : float, optional
         Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
         encoder's increment and hold the fault estimate.
@@ -404,28 +421,36 @@ class UnknownInputObserver:
         If the gains belong to another arm.
     """
 
-    def __init__(self, arm, gains, initial_samples: int = 1, max_gap: float = 0.1) -> None:
+    def __init__(
+        self, arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
+    ) -> None:
         self._constants = observer_constants(arm, gains, initial_samples, max_gap)
         self._state, self._estimate = new_record(OBSERVER_STATE), new_record(ESTIMATE)
         self.arm, self.joints = arm, JointMap(arm)
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything but the counters; the next sample starts anew."""
+        """Forget everything but the counters; the observer restarts with the next sample."""
         reset_observer(self._state)
 
     @property
-    def counters(self):
+    def counters(self) -> Counters:
         """What was not usable so far, as `Counters`."""
         return counters(self._state.counters)
 
     @property
-    def stamp(self):
+    def stamp(self) -> int | None:
         """Stamp of the last accepted sample [ns], or None."""
         return None if self._state.stamp == NEVER else int(self._state.stamp)
 
-    def update(self, stamp, position, velocity, effort) -> np.record | None:
-        """Take one measurement and return the estimate at its time, see :func:`observe`.
+    def update(
+        self,
+        stamp: int,
+        position: Sequence[float],
+        velocity: Sequence[float],
+        effort: Sequence[float],
+    ) -> np.record | None:
+        """Use one measurement and return the estimate at its time, see :func:`observe`.
 
         Parameters
         ----------
@@ -455,41 +480,12 @@ class UnknownInputObserver:
 
 
 def counters(record: np.record) -> Counters:
-    """`Counters` of a record.
-
-    Parameters
-    ----------
-    record : numpy.record
-        Of type `COUNTERS`.
-
-    Returns
-    -------
-    Counters
-        Plain numbers.
-    """
+    """Plain numbers of a record of type `COUNTERS`."""
     return Counters(*record.tolist())
 
 
 def pair(values: Sequence[float], name: str) -> np.ndarray:
-    """Two numbers as an array.
-
-    Parameters
-    ----------
-    values : sequence of two floats
-        The numbers.
-    name : str
-        For the message.
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        The same.
-
-    Raises
-    ------
-    SampleError
-        If it has another shape.
-    """
+    """Two numbers as an array; SampleError with the given name if there are not two."""
     array = np.ascontiguousarray(values, dtype=float)
     if array.shape != (2,):
         raise SampleError(f'{name} must have 2 values, one a joint, got shape {array.shape}')

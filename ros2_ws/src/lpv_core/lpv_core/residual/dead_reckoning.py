@@ -11,6 +11,7 @@ two values of the allowance, plus their noise (`lpv_core.residual.change_detecti
 
 import numpy as np
 
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap, row_dot
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
@@ -20,43 +21,32 @@ RATE_BIAS = 0.1
 
 _RESERVE = 4.0
 """What may be between two samples, over what is known of the accelerations at both."""
-_LATELY = 0.05
+_SMOOTHING = 0.05
 """Time constant of the average of roughness [s]."""
 _LATE = 1.5
 """Samples that come after so many sample times have others lost before them."""
 
 RECKONING_CONSTANTS = record_type(
-    ('sensor_matrix', 'f8', (2, 2)), ('bias', 'f8'), ('scale', 'f8'), ('longest', 'f8')
+    ('sensor_matrix', 'f8', (2, 2)),  # S
+    ('bias', 'f8'),  # bias of the rates [rad/s]
+    ('scale', 'f8'),  # relative error of the rates [1]
+    ('longest', 'f8'),  # longest interval without lost samples [s]
 )
-"""S; bias [rad/s] and relative error of the rates; longest interval without lost samples [s]."""
 RECKONING_STATE = record_type(
+    # Per sensor:
     ('started', '?'),
-    ('rate', 'f8', (2,)),
-    ('acceleration', 'f8', (2,)),
-    ('travel', 'f8', (2,)),
-    ('residual', 'f8', (2,)),
-    ('allowance', 'f8', (2,)),
-    ('lost', 'f8', (2,)),
-    ('roughness', 'f8', (2,)),
+    ('rate', 'f8', (2,)),  # at the last sample [rad/s]
+    ('acceleration', 'f8', (2,)),  # at the last sample [rad/s2]
+    ('travel', 'f8', (2,)),  # S int theta' dt [rad]
+    ('residual', 'f8', (2,)),  # r [rad]
+    ('allowance', 'f8', (2,)),  # what errors of the rates can have added to r [rad]
+    ('lost', 'f8', (2,)),  # its part from samples lost just before this one [rad]
+    ('roughness', 'f8', (2,)),  # mean change of the rate in a sample beyond acceleration [rad/s]
 )
-"""Per sensor: rate and acceleration at the last sample [rad/s], [rad/s2]; S int theta' dt, residual
-and allowance [rad]; part of the allowance that samples lost just before this one make [rad]; mean
-change of the rate from one sample to the next beyond its acceleration [rad/s]."""
 
 
-def dead_reckoning(arm) -> np.record:
-    """Constants of `update_dead_reckoning` for one arm.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Its sensors.
-
-    Returns
-    -------
-    numpy.record
-        Of type `RECKONING_CONSTANTS`.
-    """
+def dead_reckoning(arm: ArmParameters) -> np.record:
+    """Constants of `update_dead_reckoning` for one arm, of type `RECKONING_CONSTANTS`."""
     return new_record(
         RECKONING_CONSTANTS,
         sensor_matrix=np.asarray(JointMap(arm).sensor_matrix),
@@ -67,8 +57,8 @@ def dead_reckoning(arm) -> np.record:
 
 
 @njit
-def reset_reckoning(state) -> None:
-    """Start anew with the next estimate."""
+def reset_reckoning(state: np.record) -> None:
+    """Restart with the next estimate."""
     state.started = False
 
 
@@ -83,19 +73,11 @@ def update_dead_reckoning(params: np.record, state: np.record, estimate: np.reco
     estimate : numpy.record
         Latest estimate.
     """
+    matrix, interval = params.sensor_matrix, estimate.interval
     for i in range(2):
-        rate = row_dot(
-            params.sensor_matrix, i, estimate.absolute_velocity[0], estimate.absolute_velocity[1]
-        )
-        acceleration = row_dot(
-            params.sensor_matrix,
-            i,
-            estimate.absolute_acceleration[0],
-            estimate.absolute_acceleration[1],
-        )
-        expected = row_dot(
-            params.sensor_matrix, i, estimate.absolute_position[0], estimate.absolute_position[1]
-        )
+        rate = _sensor_value(matrix, i, estimate.absolute_velocity)
+        acceleration = _sensor_value(matrix, i, estimate.absolute_acceleration)
+        expected = _sensor_value(matrix, i, estimate.absolute_position)
         state.lost[i] = 0.0
         if not state.started:
             state.travel[i], state.allowance[i], state.roughness[i] = expected, 0.0, 0.0
@@ -103,21 +85,24 @@ def update_dead_reckoning(params: np.record, state: np.record, estimate: np.reco
             # The encoder's own increment is all that is known of a gap: r stays what it was.
             state.travel[i] = estimate.fault[i] + expected - state.residual[i]
         else:
-            state.travel[i] += 0.5 * estimate.interval * (state.rate[i] + rate)
-            if estimate.interval > params.longest:
-                _bridge(state, i, estimate.interval, rate, acceleration)
+            state.travel[i] += 0.5 * interval * (state.rate[i] + rate)
+            if interval > params.longest:
+                _bridge(state, i, interval, rate, acceleration)
             else:
-                _watch_roughness(state, i, estimate.interval, rate)
+                _update_roughness(state, i, interval, rate)
         state.residual[i] = estimate.fault[i] + expected - state.travel[i]
-        state.allowance[i] += (
-            estimate.interval * (params.bias + params.scale * abs(rate)) + state.lost[i]
-        )
+        state.allowance[i] += interval * (params.bias + params.scale * abs(rate)) + state.lost[i]
         state.rate[i], state.acceleration[i] = rate, acceleration
     state.started = True
 
 
 @njit
-def _bridge(state, i, interval, rate, acceleration) -> None:
+def _sensor_value(matrix: np.ndarray, sensor: int, absolute: np.ndarray) -> float:
+    return row_dot(matrix, sensor, absolute[0], absolute[1])
+
+
+@njit
+def _bridge(state: np.record, i: int, interval: float, rate: float, acceleration: float) -> None:
     """Lost samples: the trapezoid is corrected by the model's accelerations at both ends (Euler and
     Maclaurin), and what may have been between them is allowed for."""
     before, twelfth = state.acceleration[i], interval * interval / 12.0
@@ -130,8 +115,8 @@ def _bridge(state, i, interval, rate, acceleration) -> None:
 
 
 @njit
-def _watch_roughness(state, i, interval, rate) -> None:
+def _update_roughness(state: np.record, i: int, interval: float, rate: float) -> None:
     """A gap is carried on by the two rates at its ends: their noise counts as it is, which may be
     more than stated where the arm is quick."""
     rough = abs(rate - state.rate[i] - interval * state.acceleration[i])
-    state.roughness[i] += min(1.0, interval / _LATELY) * (rough - state.roughness[i])
+    state.roughness[i] += min(1.0, interval / _SMOOTHING) * (rough - state.roughness[i])

@@ -13,47 +13,35 @@ import math
 
 import numpy as np
 
-from lpv_core.model.arm import ARM_CONSTANTS
+from lpv_core.certificate.gains import ExactObserverGains, Gains
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import coupling
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _FILTERS = (0.02, 0.2)
 """Time constants of the averages [s]: a jump of a rate, and a lasting contradiction."""
-_HOLD = 1_000_000_000
-"""An inconsistency is believed to last so long after it was seen [ns]."""
+_HOLD = NANOSECONDS
+"""An inconsistency is believed to last for this long after it was seen [ns]."""
 
 CONSISTENCY_CONSTANTS = record_type(
-    ('used', '?'),
+    ('used', '?'),  # whether the test is made
     ('arm', ARM_CONSTANTS),
-    ('inertia', 'f8', (2,)),
-    ('noise', 'f8', (len(_FILTERS), 2)),
-    ('tolerance', 'f8', (2,)),
+    ('inertia', 'f8', (2,)),  # Xi_ii [kg m2]
+    ('noise', 'f8', (len(_FILTERS), 2)),  # limit by noise for each average [rad/s]
+    ('tolerance', 'f8', (2,)),  # limit by tolerated torques [rad/s]
 )
-"""Whether the test is made; constants of the arm; Xi_ii; limits by noise for each average and by
-tolerated torques [rad/s]."""
-CONSISTENCY_STATE = record_type(('means', 'f8', (len(_FILTERS), 2)), ('until', 'i8'))
-"""Averages [rad/s]; end of the inconsistency [ns]."""
+CONSISTENCY_STATE = record_type(
+    ('means', 'f8', (len(_FILTERS), 2)),  # averages of the momentum innovation [rad/s]
+    ('until', 'i8'),  # end of the inconsistency [ns]
+    ('inconsistent', '?'),  # rates, torques and model contradict each other, now or shortly before
+)
 
 
-def consistency_test(arm, gains, sigmas: float) -> np.record:
-    """Healthy bound of the averaged momentum innovation.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Its inertia, noise and torque tolerance.
-    gains : Gains
-        The test is only made for method ``exact``.
-    sigmas : float
-        Standard deviations of noise in the limit.
-
-    Returns
-    -------
-    numpy.record
-        Of type `CONSISTENCY_CONSTANTS`.
-    """
-    if gains.observer.method != 'exact':
+def consistency_test(arm: ArmParameters, gains: Gains, sigmas: float) -> np.record:
+    """`CONSISTENCY_CONSTANTS` for one arm; method ``exact`` only; ``sigmas`` of noise in limits."""
+    if not isinstance(gains.observer, ExactObserverGains):
         return new_record(CONSISTENCY_CONSTANTS)
     constants = arm.constants()
     inertia = constants.inertia
@@ -70,41 +58,29 @@ def consistency_test(arm, gains, sigmas: float) -> np.record:
         arm=constants,
         inertia=inertia,
         noise=noise,
-        tolerance=tolerated_rates(arm, gains),
+        tolerance=tolerated_rates(arm, gains.observer),
     )
 
 
-def tolerated_rates(arm, gains) -> np.ndarray:
-    """What tolerated torques make of the momentum innovation of method ``exact``.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Its inertia and torque tolerance.
-    gains : Gains
-        Its gains.
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        By link [rad/s].
-    """
+def tolerated_rates(arm: ArmParameters, observer: ExactObserverGains) -> np.ndarray:
+    """Momentum innovation that tolerated torques make with method ``exact``, by link [rad/s]."""
     inertia = arm.constants().inertia
-    return np.asarray(arm.torque_tolerance) / (np.asarray(gains.observer.mu) * inertia)
+    return np.asarray(arm.torque_tolerance) / (np.asarray(observer.mu) * inertia)
 
 
 @njit
-def reset_consistency(state) -> None:
+def reset_consistency(state: np.record) -> None:
     """Forget the past."""
     state.means[:] = 0.0
     state.until = NEVER
+    state.inconsistent = False
 
 
 @njit
-def is_inconsistent(
-    params: np.record, state: np.record, estimate: np.record, healthy: np.ndarray
-) -> bool:
-    """Judge one sample.
+def update_consistency(
+    params: np.record, state: np.record, estimate: np.record, healthy: np.ndarray, noise: float
+) -> None:
+    """Test one sample; fills ``inconsistent`` of the state.
 
     Parameters
     ----------
@@ -114,20 +90,20 @@ def is_inconsistent(
         Latest estimate.
     healthy : ndarray, shape (2,)
         Bound on the scaled momentum error of a healthy arm [rad/s].
-
-    Returns
-    -------
-    bool
-        True if rates, torques and model contradict each other, now or shortly before.
+    noise : float
+        Noise of the rates over what is stated.
     """
     if not params.used:
-        return False
+        return
     off = coupling(estimate.absolute_position[0], estimate.absolute_position[1], params.arm)
     for f in range(len(_FILTERS)):
         share = min(1.0, estimate.interval / _FILTERS[f])
         for i in range(2):
             momentum = estimate.innovation[i] + off * estimate.innovation[1 - i] / params.inertia[i]
             state.means[f, i] += share * (momentum - state.means[f, i])
-            if abs(state.means[f, i]) > healthy[i] + params.tolerance[i] + params.noise[f, i]:
+            if (
+                abs(state.means[f, i])
+                > healthy[i] + params.tolerance[i] + noise * params.noise[f, i]
+            ):
                 state.until = estimate.stamp + _HOLD
-    return estimate.stamp < state.until
+    state.inconsistent = estimate.stamp < state.until

@@ -1,87 +1,86 @@
 """The simulated arm with its sensors: plant, disturbance, noise and faults, step by step.
 
-All functions take the constants ``c`` (`PLANT_CONSTANTS`) and the state ``s`` (`PLANT_STATE`).
+All functions take constants (`PLANT_CONSTANTS`) and state (`PLANT_STATE`).
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lpv_core.model.arm import ARM_CONSTANTS
+from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics, rk4_step
 from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
 from lpv_core.model.polytope import sinc_box
 from lpv_core.model.state_space import lpv_rk4_step, vertex_matrices
-from lpv_core.simulation.faults import FaultInjector, apply_faults, is_frozen, rate_bias
+from lpv_core.simulation.faults import (
+    FaultInjector,
+    apply_faults,
+    derived_rate_error,
+    is_frozen,
+    rate_bias,
+)
 from lpv_core.simulation.mujoco_plant import MujocoPlant
+from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
 
-_LPV = record_type(('box', 'f8', (3, 2)), ('a', 'f8', (8, 4, 4)), ('b', 'f8', (8, 4, 2)))
+_LPV = record_type(
+    ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
+    ('a', 'f8', (8, 4, 4)),  # A of the vertices
+    ('b', 'f8', (8, 4, 2)),  # B of the vertices
+)
 PLANT_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
-    ('arm', ARM_CONSTANTS),
+    ('arm', ARM_CONSTANTS),  # constants of the true arm
     ('is_lpv', '?'),
-    ('lpv', _LPV),
-    ('sample_time', 'f8'),
-    ('substeps', 'i8'),
-    ('torque_limit', 'f8', (2,)),
-    ('direction', 'f8', (2,)),
-    ('push_mean', 'f8'),
-    ('push_deviation', 'f8'),
+    ('lpv', _LPV),  # the paper's plant
+    ('sample_time', 'f8'),  # [s]
+    ('substeps', 'i8'),  # Runge-Kutta steps per sample
+    ('torque_limit', 'f8', (2,)),  # [N m]
+    ('direction', 'f8', (2,)),  # Bd of the disturbance d
+    ('push_mean', 'f8'),  # of d
+    ('push_deviation', 'f8'),  # standard deviation of d
     ('disturbed', '?'),
     ('noisy', '?'),
-    ('position_noise', 'f8'),
-    ('velocity_noise', 'f8'),
+    ('position_noise', 'f8'),  # standard deviation [rad]
+    ('velocity_noise', 'f8'),  # standard deviation [rad/s]
+    ('derived', '?'),  # rates are differences of the positions: faults are in both
 )
-"""Conversions; constants of the true arm; the paper's LPV plant; time step [s]; limits [N m];
-direction, mean and standard deviation of d; standard deviations of noise [rad], [rad/s]."""
-
 PLANT_STATE = record_type(
-    ('state', 'f8', (4,)),
-    ('step_count', 'i8'),
-    ('torque', 'f8', (2,)),
-    ('disturbance', 'f8'),
-    ('position', 'f8', (2,)),
-    ('velocity', 'f8', (2,)),
-    ('measured_position', 'f8', (2,)),
-    ('measured_velocity', 'f8', (2,)),
-    ('fault', 'f8', (2,)),
-    ('reading', 'f8', (2,)),
-    ('rho', 'f8', (8,)),
+    ('state', 'f8', (4,)),  # absolute angles and rates [rad], [rad/s]
+    ('step_count', 'i8'),  # number of the present sample
+    ('torque', 'f8', (2,)),  # joint torque over the step before [N m]
+    ('disturbance', 'f8'),  # d over the step before
+    ('position', 'f8', (2,)),  # true joint positions [rad]
+    ('velocity', 'f8', (2,)),  # true joint rates [rad/s]
+    ('measured_position', 'f8', (2,)),  # [rad]
+    ('measured_velocity', 'f8', (2,)),  # [rad/s]
+    ('fault', 'f8', (2,)),  # of the physical sensors, NaN in a dropout [rad]
+    ('reading', 'f8', (2,)),  # work space: readings of the physical sensors [rad]
+    ('rho', 'f8', (8,)),  # work space of the LPV plant
 )
-"""Absolute angles and rates [rad], [rad/s]; number of the sample; what acted over the step before:
-joint torque [N m] and d; true and measured joint positions and rates; fault of the physical
-sensors, NaN in a dropout [rad]; work space."""
 
 
 @njit
-def take_torque(
-    params: np.record, state: np.record, first: float, second: float, generator
+def set_torque(
+    params: np.record,
+    state: np.record,
+    torque_1: float,
+    torque_2: float,
+    generator: np.random.Generator,
 ) -> None:
-    """Take a joint torque for the coming step, within limits, and draw the disturbance.
-
-    Parameters
-    ----------
-    params, state : numpy.record
-        Constants and state.
-    first, second : float
-        Joint torques [N m].
-    generator : numpy.random.Generator
-        Of the disturbance.
-    """
-    state.torque[0] = min(max(first, -params.torque_limit[0]), params.torque_limit[0])
-    state.torque[1] = min(max(second, -params.torque_limit[1]), params.torque_limit[1])
+    """Set joint torques [N m] for the coming step, within limits, and draw the disturbance."""
+    state.torque[0] = min(max(torque_1, -params.torque_limit[0]), params.torque_limit[0])
+    state.torque[1] = min(max(torque_2, -params.torque_limit[1]), params.torque_limit[1])
     state.disturbance = 0.0
     if params.disturbed:
         state.disturbance = params.push_mean + params.push_deviation * generator.standard_normal()
 
 
 @njit
-def integrate(params, state) -> None:
+def integrate(params: np.record, state: np.record) -> None:
     """Advance the plant by one sample time."""
     q_1, q_2 = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
     push_1, push_2 = (
@@ -114,7 +113,7 @@ def integrate(params, state) -> None:
 
 
 @njit
-def brake(params, state) -> None:
+def brake(params: np.record, state: np.record) -> None:
     """Let one sample time pass with the brakes engaged: no motion, no disturbance felt.
 
     The torque sensors then read what holds the arm.
@@ -128,29 +127,29 @@ def brake(params, state) -> None:
 
 
 @njit
-def read_sensors(params: np.record, state: np.record, faults, noise, chance) -> None:
-    """Read the sensors at the present sample.
-
-    Parameters
-    ----------
-    params, state : numpy.record
-        Constants and state.
-    faults : numpy.recarray
-        Scheduled faults.
-    noise, chance : numpy.random.Generator
-        Of the sensors' noise and of random faults.
-    """
+def read_sensors(
+    params: np.record,
+    state: np.record,
+    faults: np.recarray,
+    noise: np.random.Generator,
+    chance: np.random.Generator,
+) -> None:
+    """Read the sensors at the present sample, with noise and faults from two generators."""
     x, joints, time = state.state, params.joints, state.step_count * params.sample_time
     for i in range(2):
         state.position[i] = joint_angle(joints, joints.j, i, x[0], x[1])
         state.velocity[i] = row_dot(joints.j, i, x[2], x[3])
         state.reading[i] = row_dot(joints.sensor, i, x[0], x[1])
     true_1, true_2 = state.reading[0], state.reading[1]
+    before_1, before_2 = state.fault[0], state.fault[1]
     apply_faults(faults, time, state.reading, params.sample_time, chance)
     state.fault[0], state.fault[1] = state.reading[0] - true_1, state.reading[1] - true_2
     rate_1 = row_dot(joints.sensor, 0, x[2], x[3]) + rate_bias(faults, 0, time)
     rate_2 = row_dot(joints.sensor, 1, x[2], x[3]) + rate_bias(faults, 1, time)
-    # Numbers are drawn with or without noise, so that both runs share the later ones.
+    if params.derived and state.step_count > 0:
+        rate_1 += derived_rate_error(state.fault[0], before_1, params.sample_time)
+        rate_2 += derived_rate_error(state.fault[1], before_2, params.sample_time)
+    # Drawn with or without noise, so that both runs share the later numbers.
     draw_1, draw_2 = noise.standard_normal(), noise.standard_normal()
     draw_3, draw_4 = noise.standard_normal(), noise.standard_normal()
     if params.noisy:
@@ -169,7 +168,7 @@ def read_sensors(params: np.record, state: np.record, faults, noise, chance) -> 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the sensors say, in ROS joint coordinates.
+    """Readings of the sensors, in ROS joint coordinates.
 
     Attributes
     ----------
@@ -186,7 +185,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Truth:
-    """What no observer may know.
+    """True state of the arm, which no observer may know.
 
     Attributes
     ----------
@@ -212,7 +211,7 @@ class ArmSimulator:
     arm : ArmParameters
         Nominal arm (sensors, limits, disturbance).
     scenario : Scenario
-        What happens.
+        Path, plant, noise, disturbance and faults.
     substeps : int, optional
         Runge-Kutta steps per sample.
 
@@ -225,20 +224,20 @@ class ArmSimulator:
     noise, push : numpy.random.Generator
         Of the sensors' noise and of the disturbance.
     engine : MujocoPlant or None
-        What integrates the arm instead of `integrate`.
+        Integrates the arm in place of `integrate`.
     """
 
-    def __init__(self, arm, scenario, substeps: int = 2) -> None:
+    def __init__(self, arm: ArmParameters, scenario: Scenario, substeps: int = 2) -> None:
         self.arm, self.scenario = arm, scenario
         self.sample_time = arm.sample_time
         self.joints = JointMap(arm)
         streams = np.random.SeedSequence(scenario.seed).spawn(3)
-        # One stream a purpose: injecting a fault must not change noise and disturbance.
+        # One stream per purpose: injecting a fault must not change noise and disturbance.
         self.noise, self.push, fault_stream = (np.random.default_rng(s) for s in streams)
         self.injector = FaultInjector(arm.sensor_names, scenario.faults, fault_stream)
         true_arm = scenario.true_arm(arm)
-        self.constants = _plant_constants(arm, true_arm, scenario, self.joints, substeps)
-        self.engine = None
+        self.constants = _plant_constants(arm, true_arm, scenario, substeps)
+        self.engine: MujocoPlant | None = None
         if scenario.plant == 'mujoco':
             self.engine = MujocoPlant(true_arm, scenario.coulomb)
         self.state = new_record(PLANT_STATE)
@@ -248,21 +247,21 @@ class ArmSimulator:
         self._sensed = False
 
     @property
-    def step_count(self):
+    def step_count(self) -> int:
         """Number of the present sample."""
         return int(self.state.step_count)
 
     @property
-    def time(self):
+    def time(self) -> float:
         """Time of the present sample [s]."""
         return self.step_count * self.sample_time
 
-    def step(self, joint_torque: Sequence[float]) -> None:
+    def step(self, joint_torque: ArrayLike) -> None:
         """Apply a torque over one sample time.
 
         Parameters
         ----------
-        joint_torque : sequence of two floats
+        joint_torque : array_like, shape (2,)
             Commanded joint torques [N m]; clipped to the arm's limits.
 
         Raises
@@ -272,22 +271,23 @@ class ArmSimulator:
         """
         torque = np.asarray(joint_torque, float)
         if torque.shape != (2,) or not np.isfinite(torque).all():
-            raise ValueError(f'torque must be two finite numbers, got {joint_torque}')
-        take_torque(self.constants, self.state, torque[0], torque[1], self.push)
+            raise ValueError(f'torque must be two finite numbers, got {joint_torque!r}')
+        set_torque(self.constants, self.state, torque[0], torque[1], self.push)
         self.advance()
         self._sensed = False
 
     def advance(self) -> None:
-        """Advance the plant by one sample time under the torque that was taken."""
-        c, s = self.constants, self.state
+        """Advance the plant by one sample time under the torque that was set."""
+        params, state = self.constants, self.state
         if self.engine is None:
-            integrate(c, s)
+            integrate(params, state)
             return
-        torque = self.joints.absolute_torque(s.torque)
-        s.state[:] = self.engine.advance(
-            s.state, torque, c.direction * s.disturbance, self.sample_time, int(c.substeps)
+        torque = self.joints.absolute_torque(state.torque)
+        push = params.direction * state.disturbance
+        state.state[:] = self.engine.advance(
+            state.state, torque, push, self.sample_time, int(params.substeps)
         )
-        s.step_count += 1
+        state.step_count += 1
 
     def hold(self) -> None:
         """Let one sample time pass with the brakes engaged, see `brake`.
@@ -297,32 +297,31 @@ class ArmSimulator:
         brake(self.constants, self.state)
         self._sensed = False
 
-    def sense(self) -> tuple[Any, ...]:
-        """Readings at the present sample; the same ones when asked again.
-
-        Returns
-        -------
-        tuple
-            ``(Measurement, Truth)``.
-        """
-        s = self.state
+    def sense(self) -> tuple[Measurement, Truth]:
+        """Readings and truth at the present sample; the same ones when asked again."""
+        state = self.state
         if not self._sensed:
             read_sensors(
-                self.constants, s, self.injector.records, self.noise, self.injector.generator
+                self.constants, state, self.injector.records, self.noise, self.injector.generator
             )
             self._sensed = True
         measurement = Measurement(
-            s.measured_position.copy(), s.measured_velocity.copy(), s.torque.copy()
+            state.measured_position.copy(), state.measured_velocity.copy(), state.torque.copy()
         )
         return measurement, Truth(
-            s.position.copy(), s.velocity.copy(), s.fault.copy(), float(s.disturbance)
+            state.position.copy(),
+            state.velocity.copy(),
+            state.fault.copy(),
+            float(state.disturbance),
         )
 
 
-def _plant_constants(arm, true_arm, scenario, joints, substeps):
+def _plant_constants(
+    arm: ArmParameters, true_arm: ArmParameters, scenario: Scenario, substeps: int
+) -> np.record:
     params = new_record(
         PLANT_CONSTANTS,
-        joints=joints.record(),
+        joints=JointMap(arm).record(),
         arm=true_arm.constants(scenario.plant in ('nonlinear', 'mujoco')),
         sample_time=arm.sample_time,
         substeps=substeps,
@@ -334,6 +333,7 @@ def _plant_constants(arm, true_arm, scenario, joints, substeps):
         noisy=scenario.noise,
         position_noise=scenario.noise_factor * arm.position_noise,
         velocity_noise=scenario.noise_factor * arm.velocity_noise,
+        derived=arm.rates == 'derived',
     )
     if scenario.plant == 'lpv':
         box = sinc_box(scenario.sinc_min)

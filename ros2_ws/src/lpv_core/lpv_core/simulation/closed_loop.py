@@ -4,10 +4,14 @@ Simulator, monitor and controller are the very functions that the nodes call.
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
-from lpv_core.control.path_follower import PathGuide
+from lpv_core.certificate.gains import Gains
+from lpv_core.control.path import Reference
+from lpv_core.control.path_follower import PathFollower
 from lpv_core.control.tracking import (
     COMPENSATION,
     TRACKING_STATE,
@@ -15,46 +19,75 @@ from lpv_core.control.tracking import (
     track,
     tracking_constants,
 )
-from lpv_core.decision.diagnosis import ALARM_EVENT
+from lpv_core.control.watchdog import (
+    DriveLimits,
+    StopReason,
+    TrackerLimits,
+    check_drive,
+    check_estimate,
+    check_motion,
+    drive_watchdog,
+    note_stop,
+    tracker_watchdog,
+)
+from lpv_core.decision.diagnosis import ALARM_EVENT, Alarm, DiagnosisParameters
 from lpv_core.decision.sensor_decision import NOTHING
+from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor, copy_event, monitor_step
-from lpv_core.observer.sampled_observer import NANOSECONDS
+from lpv_core.residual.sample_buffer import SampleBuffer
 from lpv_core.simulation.arm_simulator import (
     ArmSimulator,
     brake,
     integrate,
     read_sensors,
-    take_torque,
+    set_torque,
 )
+from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.jit import njit
-from lpv_core.support.records import NEVER, new_record, record_type
+from lpv_core.support.records import new_record, record_type
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _OFF, _CONFIRMED, _ALWAYS = range(len(COMPENSATION))
-_SENSE, _COMMAND, _ADVANCE = range(3)
-_MOST_DELAY = 64
+_NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
+_MAX_DELAY = 64
 """Commands that can be on their way."""
 _EVENTS = 64
 
-_LOOP = record_type(
-    ('phase', 'i8'),
-    ('external', '?'),
-    ('compensation', 'i8'),
-    ('literal', '?'),
-    ('delay', 'i8'),
-    ('loss', 'f8'),
-    ('started', '?'),
-    ('previous', 'i8'),
-    ('offset', 'i8'),
-    ('found', 'i8'),
-    ('queue', 'f8', (_MOST_DELAY, 2)),
-    ('stops', 'u1', (_MOST_DELAY,)),
-    ('stop', '?'),
+
+class Phase(IntEnum):
+    """Where in a sample the loop goes on."""
+
+    SENSE = 0
+    REFERENCE = 1  # a path that starts or goes on needs its references from outside
+    COMMAND = 2
+    ACT = 3
+    ADVANCE = 4  # the plant is integrated outside
+
+
+_SENSE, _REFERENCE, _COMMAND, _ACT, _ADVANCE = (int(phase) for phase in Phase)
+
+LOOP_STATE = record_type(
+    ('phase', 'i8'),  # of `Phase`
+    ('external', '?'),  # whether the plant is integrated outside
+    ('compensation', 'i8'),  # index in COMPENSATION
+    ('literal', '?'),  # whether eq. (59) integrates the measurement
+    ('period', 'f8'),  # sample time [s]
+    ('delay', 'i8'),  # samples between a command and its effect
+    ('loss', 'f8'),  # probability that a measurement is lost
+    ('started', '?'),  # whether a command was ever given
+    ('previous', 'i8'),  # sample of the last command, or NEVER
+    ('answered', 'i8'),  # sample that the last command answers
+    ('acting', 'i8'),  # sample that the command answers which acts
+    ('offset', 'i8'),  # samples by which the path is late
+    ('found', 'i8'),  # alarm events since the caller looked
+    ('queue', 'f8', (_MAX_DELAY, 2)),  # torques on their way [N m]
+    ('stops', 'u1', (_MAX_DELAY,)),  # whether the commands on their way are safe stops
+    ('stamps', 'i8', (_MAX_DELAY,)),  # samples that the commands on their way answer
+    ('stop', '?'),  # whether the last command is a safe stop
+    ('reason', 'i8'),  # `StopReason` of the tracker
+    ('torque', 'f8', (2,)),  # of the command that acts [N m]
+    ('braking', '?'),  # whether the command that acts is a safe stop
 )
-"""Where to go on; whether the plant is advanced from outside; compensation; whether eq. (59)
-integrates the measurement; samples between a command and its effect; probability that a measurement
-is lost; whether a command was given, and the stamp of the last one; samples by which the path is
-late; alarm events found; commands on their way: torques [N m], and whether they are safe stops;
-whether the last command is one."""
 
 _ROW = record_type(
     ('time', 'f8'),
@@ -79,188 +112,276 @@ _ROW = record_type(
     ('safe_stop', '?'),
     ('disturbance', 'f8'),
     ('place', 'i8'),
+    ('stop_reason', 'u1'),
+    ('brake_reason', 'u1'),
 )
+"""See `Run`."""
+
+
+class Stall(NamedTuple):
+    """A part of the graph that is held up; what it would have passed on is lost."""
+
+    part: str  # one of PARTS
+    begin: float  # [s]
+    duration: float  # [s]
+
+
+PARTS = ('observer', 'tracker', 'commands')
+"""What can stall: the way of measurements to the observer (or the process that publishes them, or
+the observer), the tracker, and the way of its commands to the drives."""
+_NO_MEASUREMENT, _NO_ESTIMATE, _NO_COMMAND = 1, 2, 4
+
+
+@dataclass(frozen=True)
+class Transport:
+    """How messages get from node to node in a simulated run."""
+
+    delay: int = 0  # samples from a measurement to the effect of its command, at most 63
+    loss: float = 0.0  # probability that a measurement is lost; the last command then goes on
+    stalls: tuple[Stall, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.delay < _MAX_DELAY:
+            raise ValueError(f'delay must be 0 to {_MAX_DELAY - 1} samples, got {self.delay}')
+
+    def blocked(self, count: int, period: float) -> np.ndarray:
+        """What is blocked at each sample, as a sum of flags."""
+        flags = np.zeros(count, np.uint8)
+        for stall in self.stalls:
+            first = round(stall.begin / period)
+            last = round((stall.begin + stall.duration) / period)
+            flags[first:last] |= 1 << PARTS.index(stall.part)
+        return flags
+
+
+class _Plant(NamedTuple):
+    """Arguments of the functions of `lpv_core.simulation.arm_simulator`."""
+
+    constants: np.record
+    state: np.record
+    faults: np.recarray
+    noise: np.random.Generator
+    push: np.random.Generator
+    chance: np.random.Generator
+
+
+class _Monitor(NamedTuple):
+    """Arguments of `monitor_step`; measurement as arrays of one kind only."""
+
+    constants: np.record
+    state: np.record
+    buffers: SampleBuffer
+    answer: np.record
+    measurement: np.ndarray
+
+
+class _Tracker(NamedTuple):
+    """Arguments of `track`; references of all samples, shape (n, 3, 2); both watchdogs."""
+
+    constants: np.record
+    state: np.record
+    references: np.ndarray
+    watchdog: np.record
+    drives: np.record
+
+
+class _Log(NamedTuple):
+    """What a run leaves, and what is blocked at each sample."""
+
+    rows: np.recarray
+    events: np.recarray
+    blocked: np.ndarray
 
 
 @njit
 def _run(
-    loop,
-    c_plant,
-    plant,
-    faults,
-    noise,
-    push,
-    chance,
-    losses,
-    c_monitor,
-    monitor,
-    stamps,
-    values,
-    answer,
-    c_track,
-    controller,
-    positions,
-    velocities,
-    accelerations,
-    rows,
-    events,
-    first,
-):
+    loop: np.record,
+    plant: _Plant,
+    losses: np.random.Generator,
+    monitor: _Monitor,
+    tracker: _Tracker,
+    log: _Log,
+    first: int,
+) -> int:
     """Go on from sample ``first``; returns the sample at which something is needed from outside.
 
-    That is room for alarm events, references for a path that starts or goes on (phase _COMMAND), or
-    the advance of an external plant (phase _ADVANCE).
+    That is room for alarm events (phase SENSE), references for a path that starts or goes on (phase
+    REFERENCE), or the integration of an external plant (phase ADVANCE).
     """
-    period = c_plant.sample_time
-    # Arrays of their own: the monitor is then compiled for one kind of arrays only.
-    position, velocity, effort = np.empty(2), np.empty(2), np.empty(2)
-    for k in range(first, len(rows)):
-        row, answering = rows[k], loop.phase == _COMMAND
+    for k in range(first, len(log.rows)):
+        row = log.rows[k]
         if loop.phase == _SENSE:
-            if loop.found + 2 > len(events):
+            if loop.found + 2 > len(log.events):
                 return k
-            read_sensors(c_plant, plant, faults, noise, chance)
-            _record_truth(plant, row, k * period)
-            row.lost = loop.loss > 0.0 and losses.random() < loop.loss
-            if not row.lost:
-                position[:] = plant.measured_position
-                velocity[:] = plant.measured_velocity
-                effort[:] = plant.torque
-                monitor_step(
-                    c_monitor,
-                    monitor,
-                    stamps,
-                    values,
-                    answer,
-                    round(k * period * 1e9),
-                    position,
-                    velocity,
-                    effort,
-                )
-                _keep_events(loop, monitor, answer, events)
-                if not answer.state.trustworthy:
-                    # No start value yet, or a fault that cannot be compensated: brake.
-                    _stop(loop, controller)
-                elif loop.previous == NEVER:
-                    loop.phase = _COMMAND
-                    return k
-                else:
-                    answering = True
-        elif answering:
-            loop.previous, loop.started = k, True
-        if answering:
-            _command(
-                loop,
-                answer,
-                c_track,
-                controller,
-                positions[k - loop.offset],
-                velocities[k - loop.offset],
-                accelerations[k - loop.offset],
-                k,
-                period,
-            )
-        if loop.phase != _ADVANCE:
-            if loop.stop and loop.started:
-                loop.offset += 1  # the clock of the path stands still
-            place = min(max(k - loop.offset, 0), len(positions) - 1)
-            _record_answer(answer, monitor.diagnosis.decision, row, positions[place])
-            row.place, row.safe_stop = place, loop.stop
-            row.command[0], row.command[1] = controller.torque[0], controller.torque[1]
-            slot = k % _MOST_DELAY
-            loop.queue[slot, 0], loop.queue[slot, 1] = controller.torque[0], controller.torque[1]
-            loop.stops[slot] = loop.stop
-            acting = (k - loop.delay) % _MOST_DELAY
-            row.braked = k < loop.delay or loop.stops[acting] != 0
-            if row.braked:
-                brake(c_plant, plant)
-            else:
-                take_torque(c_plant, plant, loop.queue[acting, 0], loop.queue[acting, 1], push)
-                if loop.external:
-                    loop.phase = _ADVANCE
-                    return k
-                integrate(c_plant, plant)
+            _sense(loop, plant, losses, monitor, tracker, log, k)
+            if loop.phase == _REFERENCE:
+                return k
+        elif loop.phase == _REFERENCE:
+            loop.previous, loop.started, loop.phase = k, True, _COMMAND
+        if loop.phase == _COMMAND:
+            _command(loop, monitor.answer.state, tracker, k)
+        if loop.phase == _ACT:
+            _act(loop, plant, monitor, tracker, row, log.blocked[k], k)
+            if loop.phase == _ADVANCE:
+                return k
         loop.phase = _SENSE
-        row.torque[0], row.torque[1] = plant.torque[0], plant.torque[1]
-    return len(rows)
-
-
-def _stamps(first, end, period):
-    return np.rint(np.arange(first, end) * period * NANOSECONDS).astype(np.int64)
-
-
-def _guide_on(guide, first, period, position, reference) -> None:
-    """Lay references from row ``first`` on for a loop that starts, or goes on after a stop.
-
-    Rows count the samples in which the clock of the path runs.
-    """
-    stamps = _stamps(first, len(reference.position), period)
-    if guide.running:
-        guide.stop(round((first - 1) * period * NANOSECONDS))
-    guide.reference(int(stamps[0]), np.array(position))
-    if first == 0 and guide.is_on_path:
-        return  # they are there
-    ahead = guide.ahead(stamps)
-    for name in ('position', 'velocity', 'acceleration', 'tip'):
-        getattr(reference, name)[first:] = getattr(ahead, name)
+        row.torque[0], row.torque[1] = plant.state.torque[0], plant.state.torque[1]
+    return len(log.rows)
 
 
 @njit
-def _stop(loop, controller) -> None:
-    loop.stop, loop.previous = True, NEVER
-    controller.integral[:] = 0.0
-    controller.torque[:] = 0.0
-
-
-@njit
-def _command(loop, answer, params, controller, position, velocity, acceleration, k, period) -> None:
-    """Answer an estimate as the tracker node does."""
-    state = answer.state
-    if loop.compensation == _ALWAYS:
-        feedback = state.position
-    elif loop.compensation == _CONFIRMED:
-        feedback = state.compensated_position
-    else:
-        feedback = state.measured_position
-    # Eq. (59) literally integrates the faulty measurement; the exact loop does not.
-    integrated = state.measured_position if loop.literal else feedback
-    interval = (round(k * period * 1e9) - round(loop.previous * period * 1e9)) / NANOSECONDS
-    track(
-        params,
-        controller,
-        position,
-        velocity,
-        acceleration,
-        feedback,
-        state.velocity,
-        integrated,
-        interval,
+def _sense(
+    loop: np.record,
+    plant: _Plant,
+    losses: np.random.Generator,
+    monitor: _Monitor,
+    tracker: _Tracker,
+    log: _Log,
+    k: int,
+) -> None:
+    """Read the sensors and let the observer answer, unless the measurement is lost."""
+    row, state = log.rows[k], plant.state
+    read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
+    _record_truth(state, row, k * loop.period)
+    row.lost = loop.loss > 0.0 and losses.random() < loop.loss
+    row.lost = row.lost or log.blocked[k] & _NO_MEASUREMENT != 0
+    loop.phase = _ACT
+    now = round(k * loop.period * 1e9)
+    previous = NEVER if loop.previous == NEVER else round(loop.previous * loop.period * 1e9)
+    if previous != NEVER and now - previous > tracker.watchdog.silence:
+        _stop(loop, tracker, _SILENCE)
+    if row.lost:
+        return
+    measurement, answer = monitor.measurement, monitor.answer
+    measurement[0, :] = state.measured_position
+    measurement[1, :] = state.measured_velocity
+    measurement[2, :] = state.torque
+    monitor_step(
+        monitor.constants,
+        monitor.state,
+        monitor.buffers,
+        answer,
+        now,
+        measurement[0],
+        measurement[1],
+        measurement[2],
     )
-    loop.stop, loop.previous = False, k
+    _keep_events(loop, monitor, log.events)
+    if log.blocked[k] & _NO_ESTIMATE != 0:
+        return
+    estimate = answer.state
+    reason = check_estimate(
+        tracker.watchdog, now, 0, estimate.mode, estimate.trustworthy, estimate.velocity
+    )
+    loop.answered = k
+    if reason != _NONE:
+        _stop(loop, tracker, reason)
+    else:
+        loop.phase = _REFERENCE if loop.previous == NEVER else _COMMAND
 
 
 @njit
-def _keep_events(loop, monitor, answer, events) -> None:
-    if not answer.has_events:
+def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
+    loop.stop, loop.previous, loop.reason = True, NEVER, reason
+    tracker.state.integral[:] = 0.0
+    tracker.state.torque[:] = 0.0
+    note_stop(tracker.watchdog)
+
+
+@njit
+def _command(loop: np.record, estimate: np.record, tracker: _Tracker, k: int) -> None:
+    """Answer an estimate as the tracker node does."""
+    loop.phase = _ACT
+    if loop.compensation == _ALWAYS:
+        feedback = estimate.position
+    elif loop.compensation == _CONFIRMED:
+        feedback = estimate.compensated_position
+    else:
+        feedback = estimate.measured_position
+    now = round(k * loop.period * 1e9)
+    reference = tracker.references[k - loop.offset]
+    reason = check_motion(tracker.watchdog, now, reference[0], feedback)
+    if reason != _NONE:
+        _stop(loop, tracker, reason)
+        return
+    # Eq. (59) literally integrates the faulty measurement; the exact loop does not.
+    integrated = estimate.measured_position if loop.literal else feedback
+    track(
+        tracker.constants,
+        tracker.state,
+        reference,
+        feedback,
+        estimate.velocity,
+        integrated,
+        (now - round(loop.previous * loop.period * 1e9)) / NANOSECONDS,
+    )
+    loop.stop, loop.previous, loop.reason = False, k, _NONE
+
+
+@njit
+def _act(
+    loop: np.record,
+    plant: _Plant,
+    monitor: _Monitor,
+    tracker: _Tracker,
+    row: np.record,
+    blocked: int,
+    k: int,
+) -> None:
+    """Queue the command, and let the one that has arrived act over one sample."""
+    if loop.stop and loop.started:
+        loop.offset += 1  # the clock of the path stands still
+    place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
+    _record_answer(
+        monitor.answer, monitor.state.diagnosis.decision, row, tracker.references[place, 0]
+    )
+    torque, slot = tracker.state.torque, k % _MAX_DELAY
+    row.place, row.safe_stop, row.stop_reason = place, loop.stop, loop.reason
+    row.command[0], row.command[1] = torque[0], torque[1]
+    loop.queue[slot, 0], loop.queue[slot, 1] = torque[0], torque[1]
+    loop.stops[slot], loop.stamps[slot] = loop.stop, loop.answered
+    arrived = (k - loop.delay) % _MAX_DELAY
+    if k >= loop.delay and blocked & _NO_COMMAND == 0:
+        loop.torque[0], loop.torque[1] = loop.queue[arrived, 0], loop.queue[arrived, 1]
+        loop.braking, loop.acting = loop.stops[arrived] != 0, loop.stamps[arrived]
+    now = round(k * loop.period * 1e9)
+    age = now - round(loop.acting * loop.period * 1e9)
+    row.brake_reason = check_drive(tracker.drives, now, age, loop.braking, plant.state.velocity)
+    row.braked = row.brake_reason != _NONE
+    if row.braked:
+        brake(plant.constants, plant.state)
+        return
+    set_torque(plant.constants, plant.state, loop.torque[0], loop.torque[1], plant.push)
+    if loop.external:
+        loop.phase = _ADVANCE
+    else:
+        integrate(plant.constants, plant.state)
+
+
+@njit
+def _keep_events(loop: np.record, monitor: _Monitor, events: np.recarray) -> None:
+    if not monitor.answer.has_events:
         return
     for i in range(2):
-        event = monitor.diagnosis.decision.events[i]
+        event = monitor.state.diagnosis.decision.events[i]
         if event.happened != NOTHING:
             copy_event(event, events[loop.found])
             loop.found += 1
 
 
 @njit
-def _record_truth(plant, row, time) -> None:
-    row.time, row.disturbance = time, plant.disturbance
+def _record_truth(state: np.record, row: np.record, time: float) -> None:
+    row.time, row.disturbance = time, state.disturbance
     for i in range(2):
-        row.position[i], row.velocity[i] = plant.position[i], plant.velocity[i]
-        row.measured[i], row.fault[i] = plant.measured_position[i], plant.fault[i]
-        row.measured_velocity[i] = plant.measured_velocity[i]
+        row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
+        row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]
+        row.measured_velocity[i] = state.measured_velocity[i]
 
 
 @njit
-def _record_answer(answer, decision, row, reference) -> None:
+def _record_answer(
+    answer: np.record, decision: np.record, row: np.record, reference: np.ndarray
+) -> None:
     row.inconsistent, row.trustworthy = decision.inconsistent, answer.state.trustworthy
     for i in range(2):
         row.estimate[i] = answer.state.position[i]
@@ -274,7 +395,7 @@ def _record_answer(answer, decision, row, reference) -> None:
 
 @dataclass
 class Run:
-    """Signals of one run, one row a sample.
+    """Signals of one run, one row per sample.
 
     Attributes
     ----------
@@ -306,6 +427,8 @@ class Run:
         d over the step before the sample.
     place : ndarray of int, shape (n,)
         Row of ``path`` that is the sample's reference: the path's clock stands still in a stop.
+    stop_reason, brake_reason : ndarray of int, shape (n,)
+        `lpv_core.control.watchdog.StopReason` of the tracker, `BrakeReason` of the drives.
     path : ndarray, shape (4, n, 2)
         Positions, rates, accelerations [rad], [rad/s], [rad/s2] and tip [m] of references.
     alarms : list of Alarm
@@ -334,19 +457,20 @@ class Run:
     safe_stop: np.ndarray
     disturbance: np.ndarray
     place: np.ndarray
+    stop_reason: np.ndarray
+    brake_reason: np.ndarray
     path: np.ndarray
     alarms: list
 
 
 def run_closed_loop(
-    arm,
-    gains,
-    scenario,
+    arm: ArmParameters,
+    gains: Gains,
+    scenario: Scenario,
     compensation: str = 'confirmed',
-    parameters=None,
+    parameters: DiagnosisParameters | None = None,
     substeps: int = 2,
-    delay: int = 0,
-    loss: float = 0.0,
+    transport: Transport = Transport(),
 ) -> Run:
     """Simulate a scenario with observer, diagnosis and tracking.
 
@@ -357,81 +481,109 @@ def run_closed_loop(
     gains : Gains
         Its gains.
     scenario : Scenario
-        What happens.
+        Path, plant, noise, disturbance and faults.
     compensation : {'off', 'confirmed', 'always'}, optional
-        What the loop closes on.
+        Which position the loop closes on.
     parameters : DiagnosisParameters, optional
         Tuning of the diagnosis.
     substeps : int, optional
         Plant steps per sample.
-    delay : int, optional
-        Samples from a measurement to the effect of the command that answers it, at most 63.
-    loss : float, optional
-        Probability that a measurement is lost; the last command then goes on.
+    transport : Transport, optional
+        Delay, losses and stalls; none otherwise.
 
     Returns
     -------
     Run
         All signals.
     """
-    if not 0 <= delay < _MOST_DELAY:
-        raise ValueError(f'delay must be 0 to {_MOST_DELAY - 1} samples, got {delay}')
-    plant = ArmSimulator(arm, scenario, substeps)
-    monitor = SensorMonitor('loop', arm, gains, parameters)
-    rows = np.zeros(round(scenario.duration / arm.sample_time) + 1, _ROW).view(np.recarray)
-    path = scenario.path(arm)
-    guide = PathGuide(arm, path)
-    # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
-    reference = path.sample(_stamps(0, len(rows), arm.sample_time) / NANOSECONDS)
+    simulator = ArmSimulator(arm, scenario, substeps)
+    sensor_monitor = SensorMonitor('loop', arm, gains, parameters)
     loop = new_record(
-        _LOOP,
+        LOOP_STATE,
         compensation=COMPENSATION.index(compensation),
-        delay=delay,
-        loss=loss,
+        period=arm.sample_time,
+        delay=transport.delay,
+        loss=transport.loss,
         literal=gains.controller.method == 'paper',
         previous=NEVER,
         stop=True,
-        external=plant.engine is not None,
+        braking=True,
+        external=simulator.engine is not None,
+    )
+    count = round(scenario.duration / arm.sample_time) + 1
+    references = _References(arm, scenario, count)
+    plant = _Plant(
+        simulator.constants,
+        simulator.state,
+        simulator.injector.records,
+        simulator.noise,
+        simulator.push,
+        simulator.injector.generator,
+    )
+    monitor = _Monitor._make([*sensor_monitor.parts, np.empty((3, 2))])
+    tracker = _Tracker(
+        tracking_constants(arm, gains),
+        new_record(TRACKING_STATE),
+        references.motion,
+        tracker_watchdog(arm, TrackerLimits()),
+        drive_watchdog(arm, DriveLimits()),
+    )
+    log = _Log(
+        np.zeros(count, _ROW).view(np.recarray),
+        np.zeros(_EVENTS, ALARM_EVENT).view(np.recarray),
+        transport.blocked(count, arm.sample_time),
     )
     # A stream of its own: losses must not change noise and disturbance.
     losses = np.random.default_rng([scenario.seed, 1])
-    controller, c_track = new_record(TRACKING_STATE), tracking_constants(arm, gains)
-    events = np.zeros(_EVENTS, ALARM_EVENT).view(np.recarray)
-    alarms, k = [], 0
-    while k < len(rows):
-        k = _run(
-            loop,
-            plant.constants,
-            plant.state,
-            plant.injector.records,
-            plant.noise,
-            plant.push,
-            plant.injector.generator,
-            losses,
-            *monitor.parts,
-            c_track,
-            controller,
-            reference.position,
-            reference.velocity,
-            reference.acceleration,
-            rows,
-            events,
-            k,
-        )
-        alarms += monitor.alarms(events[: loop.found])
+    alarms: list[Alarm] = []
+    k = 0
+    while k < count:
+        k = _run(loop, plant, losses, monitor, tracker, log, k)
+        alarms += sensor_monitor.alarms(log.events[: loop.found])
         loop.found = 0
         if loop.phase == _ADVANCE:
-            plant.advance()
-        elif loop.phase == _COMMAND and k < len(rows):
-            state = monitor.parts[1]
-            feedback = feedback_position(
-                compensation, state.estimate, state.diagnosis.decision.confirmed_fault, plant.joints
-            )
-            _guide_on(guide, k - int(loop.offset), arm.sample_time, feedback, reference)
+            simulator.advance()
+        elif loop.phase == _REFERENCE and k < count:
+            feedback = feedback_position(compensation, monitor.answer.state)
+            references.restart(k - int(loop.offset), feedback)
     return Run(
-        **{name: rows[name] for name in rows.dtype.names},
+        **{name: log.rows[name] for name in _ROW.fields or ()},
         alarms=alarms,
-        path=np.stack(
-            [reference.position, reference.velocity, reference.acceleration, reference.tip]
-        ),
+        path=np.stack([*np.moveaxis(references.motion, 1, 0), references.tip]),
     )
+
+
+class _References:
+    """References of all samples; rows count the samples in which the clock of the path runs.
+
+    Attributes
+    ----------
+    motion : ndarray, shape (n, 3, 2)
+        Joint positions, rates and accelerations [rad], [rad/s], [rad/s2].
+    tip : ndarray, shape (n, 2)
+        [m].
+    """
+
+    def __init__(self, arm: ArmParameters, scenario: Scenario, count: int) -> None:
+        path = scenario.path(arm)
+        self._follower = PathFollower(arm, path)
+        # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
+        times = np.rint(np.arange(count) * arm.sample_time * NANOSECONDS)
+        self._stamps = times.astype(np.int64)
+        self._period = arm.sample_time
+        self.motion, self.tip = np.empty((count, 3, 2)), np.empty((count, 2))
+        self._set(0, path.sample(self._stamps / NANOSECONDS))
+
+    def restart(self, first: int, position: np.ndarray) -> None:
+        """From row ``first`` on, references of a loop that starts, or goes on after a stop."""
+        if self._follower.running:
+            self._follower.stop(round((first - 1) * self._period * NANOSECONDS))
+        self._follower.reference(int(self._stamps[first]), position)
+        if first > 0 or not self._follower.is_on_path:
+            self._set(first, self._follower.ahead(self._stamps[first:]))
+
+    def _set(self, first: int, reference: Reference) -> None:
+        self.motion[first:, 0] = reference.position
+        self.motion[first:, 1] = reference.velocity
+        self.motion[first:, 2] = reference.acceleration
+        self.tip[first:] = reference.tip

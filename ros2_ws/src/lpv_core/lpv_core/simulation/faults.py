@@ -11,21 +11,29 @@ from lpv_core.support.jit import njit
 from lpv_core.support.records import record_type
 
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
-
-
 _BIAS, _DRIFT, _SCALE, _STUCK, _NOISE, _SPIKE, _DROPOUT, _RATE_BIAS = range(len(KINDS))
 
+_NEEDED = {
+    'bias': 'size',
+    'scale': 'size',
+    'noise': 'size',
+    'spike': 'size',
+    'drift': 'rate',
+    'rate_bias': 'size',
+}
+"""Field of `Fault` that must not be zero, by kind."""
+
 _FAULT = record_type(
-    ('kind', 'i8'),
+    ('kind', 'i8'),  # index in KINDS
     ('sensor', 'i8'),
-    ('onset', 'f8'),
-    ('duration', 'f8'),
-    ('amount', 'f8'),
+    ('onset', 'f8'),  # [s]
+    ('duration', 'f8'),  # [s]
+    ('amount', 'f8'),  # size of `Fault`
     ('rate', 'f8'),
-    ('frozen', 'f8'),
+    ('frozen', 'f8'),  # reading at which a stuck sensor froze [rad]
     ('is_frozen', '?'),
 )
-"""A `Fault` for compiled functions; ``frozen`` is the reading at which a stuck one froze."""
+"""A `Fault` for compiled functions."""
 
 
 @dataclass(frozen=True)
@@ -60,26 +68,21 @@ class Fault:
 
 
 @njit
-def _acts(f, time) -> bool:
+def _acts(f: np.record, time: float) -> bool:
     return time >= f.onset and (f.duration <= 0.0 or time < f.onset + f.duration)
 
 
 @njit
-def apply_faults(faults, time: float, reading: np.ndarray, sample_time: float, generator) -> None:
-    """Add all faults that act to the readings.
+def apply_faults(
+    faults: np.recarray,
+    time: float,
+    reading: np.ndarray,
+    sample_time: float,
+    generator: np.random.Generator,
+) -> None:
+    """Add all faults that act at a time to the readings S theta [rad]; NaN for a dropout.
 
-    Parameters
-    ----------
-    faults : numpy.recarray
-        Scheduled faults.
-    time : float
-        [s].
-    reading : ndarray, shape (2,)
-        Readings S theta [rad]; changed in place, NaN for a dropout.
-    sample_time : float
-        For the rate of spikes [s].
-    generator : numpy.random.Generator
-        Source of randomness.
+    ``sample_time`` [s] is for the rate of spikes.
     """
     for k in range(len(faults)):
         f = faults[k]
@@ -109,23 +112,8 @@ def apply_faults(faults, time: float, reading: np.ndarray, sample_time: float, g
 
 
 @njit
-def rate_bias(faults, sensor: int, time: float) -> float:
-    """What faults add to the rate that belongs to a sensor.
-
-    Parameters
-    ----------
-    faults : numpy.recarray
-        Scheduled faults.
-    sensor : int
-        Index.
-    time : float
-        [s].
-
-    Returns
-    -------
-    float
-        [rad/s].
-    """
+def rate_bias(faults: np.recarray, sensor: int, time: float) -> float:
+    """What faults add to the rate that belongs to a sensor [rad/s]."""
     total = 0.0
     for k in range(len(faults)):
         f = faults[k]
@@ -135,23 +123,19 @@ def rate_bias(faults, sensor: int, time: float) -> float:
 
 
 @njit
-def is_frozen(faults, sensor: int, time: float) -> bool:
-    """Whether a sensor is stuck: it carries no noise either.
+def derived_rate_error(fault: float, before: float, interval: float) -> float:
+    """What a fault adds to a rate that is the difference of the faulty positions [rad/s].
 
-    Parameters
-    ----------
-    faults : numpy.recarray
-        Scheduled faults.
-    sensor : int
-        Index.
-    time : float
-        [s].
-
-    Returns
-    -------
-    bool
-        True while a fault of kind stuck acts.
+    NaN without a position; the first position after a dropout has no difference.
     """
+    if math.isnan(before) and not math.isnan(fault):
+        return 0.0
+    return (fault - before) / interval
+
+
+@njit
+def is_frozen(faults: np.recarray, sensor: int, time: float) -> bool:
+    """Whether a sensor is stuck: it carries no noise either."""
     for k in range(len(faults)):
         if faults[k].kind == _STUCK and faults[k].sensor == sensor and _acts(faults[k], time):
             return True
@@ -159,20 +143,7 @@ def is_frozen(faults, sensor: int, time: float) -> bool:
 
 
 def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
-    """Refuse a fault that the simulator cannot apply.
-
-    Parameters
-    ----------
-    fault : Fault
-        The fault.
-    sensor_names : sequence of str
-        Known sensors.
-
-    Raises
-    ------
-    ConfigError
-        Naming the field.
-    """
+    """Refuse a fault that the simulator cannot apply: ConfigError naming the field."""
     if fault.sensor not in sensor_names:
         raise ConfigError(
             'fault.sensor', f'{fault.sensor!r} is unknown; the arm has ' + ', '.join(sensor_names)
@@ -183,24 +154,13 @@ def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
         value = getattr(fault, name)
         if not math.isfinite(value):
             raise ConfigError(f'fault.{name}', f'must be finite, got {value}')
-    for name in (
-        ('duration',)
-        + (('size',) if fault.kind == 'noise' else ())
-        + (('rate',) if fault.kind == 'spike' else ())
-    ):
+    not_negative = {'noise': ('duration', 'size'), 'spike': ('duration', 'rate')}
+    for name in not_negative.get(fault.kind, ('duration',)):
         if getattr(fault, name) < 0.0:
             raise ConfigError(f'fault.{name}', 'must not be negative')
-    needed = {
-        'bias': 'size',
-        'scale': 'size',
-        'noise': 'size',
-        'spike': 'size',
-        'drift': 'rate',
-        'rate_bias': 'size',
-    }
-    name = needed.get(fault.kind)
-    if name and getattr(fault, name) == 0.0:
-        raise ConfigError(f'fault.{name}', f'must not be 0 for a {fault.kind} fault')
+    needed = _NEEDED.get(fault.kind)
+    if needed and getattr(fault, needed) == 0.0:
+        raise ConfigError(f'fault.{needed}', f'must not be 0 for a {fault.kind} fault')
 
 
 class FaultInjector:
@@ -225,10 +185,13 @@ class FaultInjector:
         As given.
     """
 
-    def __init__(self, sensor_names: Sequence[str], faults: Iterable[Fault], generator) -> None:
+    def __init__(
+        self, sensor_names: Sequence[str], faults: Iterable[Fault], generator: np.random.Generator
+    ) -> None:
         self._names = tuple(sensor_names)
         self.generator = generator
-        self.faults, self.records = [], np.zeros(0, _FAULT).view(np.recarray)
+        self.faults: list[Fault] = []
+        self.records = np.zeros(0, _FAULT).view(np.recarray)
         for fault in faults:
             self.add(fault)
 

@@ -1,13 +1,16 @@
-"""The arm in MuJoCo: a plant whose dynamics and integration nobody here wrote.
+"""The arm in MuJoCo: a plant with independent dynamics and integration.
 
 MuJoCo is needed by this module alone, and only when such a plant is made.
 """
 
 import math
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from lpv_core.export.mjcf import mjcf
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_core.support.errors import LpvError
 
@@ -41,7 +44,7 @@ class MujocoPlant:
         If MuJoCo is not installed, or refuses the arm.
     """
 
-    def __init__(self, arm, coulomb: str = 'smooth') -> None:
+    def __init__(self, arm: ArmParameters, coulomb: str = 'smooth') -> None:
         self._mujoco = _load_mujoco()
         text = mjcf(arm, coulomb)
         try:
@@ -95,7 +98,7 @@ class MujocoPlant:
             [joints.absolute_position(data.qpos), joints.absolute_velocity(data.qvel)]
         )
 
-    def _step_with_passive_forces(self, steps) -> None:
+    def _step_with_passive_forces(self, steps: int) -> None:
         # The call is one for the whole process: it is put back for other users of MuJoCo.
         before = self._mujoco.get_mjcb_passive()
         self._mujoco.set_mjcb_passive(self._add_passive_forces)
@@ -104,12 +107,12 @@ class MujocoPlant:
         finally:
             self._mujoco.set_mjcb_passive(before)
 
-    def _add_passive_forces(self, model, data) -> None:
+    def _add_passive_forces(self, model: Any, data: Any) -> None:
         self._mujoco.mj_mulM(model, data, self._forces, self._push)
         data.qfrc_passive += self._forces - self._coulomb * np.arctan(self._slope * data.qvel)
 
 
-def _load_mujoco():
+def _load_mujoco() -> ModuleType:
     try:
         import mujoco
     except ImportError as error:

@@ -1,34 +1,24 @@
-"""Compiles what would otherwise be compiled when it is first used.
+"""Compiles every compiled function ahead of its first use.
 
-``python -m lpv_core.simulation.precompile`` after an installation lets nodes start in seconds: the machine
-code is kept (see `lpv_core.support.jit`).
+``python -m lpv_core.simulation.precompile`` after an installation lets nodes start in seconds: the
+machine code is kept (see `lpv_core.support.jit`).
 """
 
 from dataclasses import replace
 
-from lpv_core.certificate.gains import load_gains
+from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.control.tracking import TrackingController
-from lpv_core.model.arm import load_arm
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.closed_loop import run_closed_loop
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.simulation.scenario import Scenario, load_scenario
 from lpv_core.support.jit import COMPILED
 from lpv_core.support.resources import bringup_file
 
 
-def precompile(arm, gains, scenario) -> None:
-    """Run every compiled function once.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Any arm.
-    gains : Gains
-        Its gains.
-    scenario : Scenario
-        Any scenario of it.
-    """
+def precompile(arm: ArmParameters, gains: Gains, scenario: Scenario) -> None:
+    """Run every compiled function once, on any arm with its gains and a scenario."""
     short = replace(scenario, duration=3 * arm.sample_time)
     run = run_closed_loop(arm, gains, short)
     monitor = SensorMonitor('precompile', arm, gains)

@@ -1,4 +1,4 @@
-"""What happens in a simulated run: path, faults, noise, disturbance, plant; from one YAML file."""
+"""Contents of a simulated run: path, faults, noise, disturbance, plant; from one YAML file."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +8,7 @@ import numpy as np
 
 from lpv_core.control.path import CartesianPath, Obstacle
 from lpv_core.export.mjcf import COULOMB
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import ELBOWS
 from lpv_core.simulation.faults import KINDS, Fault
 from lpv_core.support.config import Section, read_yaml
@@ -19,91 +20,35 @@ PLANTS = ('nonlinear', 'nonlinear_without_coriolis', 'lpv', 'mujoco')
 class Scenario:
     """A simulated run.
 
-    Attributes
-    ----------
-    name : str
-        Name.
-    duration : float
-        Length [s].
-    seed : int
-        Seed of all randomness.
-    plant : str
-        One of `PLANTS`: the true arm, the arm of eq. (4), the paper's LPV plant (25), or the
-        true arm in MuJoCo.
-    sinc_min : float
-        Lower end of the box of phi2, phi3 of the LPV plant.
-    mass_factors, inertia_factors : tuple of float
-        Model error: true over nominal, per link.
-    payload : float
-        Point mass at the tip beside the model's; negative: less than the model has [kg].
-    friction_factor : float
-        True over nominal friction.
-    noise, disturbance : bool
-        Whether sensors are noisy and d acts.
-    noise_factor, disturbance_factor : float
-        True over stated standard deviation of the sensors' noise; true d over stated d.
-    times : tuple of float
-        Waypoint times [s].
-    points : tuple
-        Waypoints (x, y) [m].
-    elbow : str
-        Branch.
-    obstacle : Obstacle or None
-        Obstacle of the path.
-    faults : tuple of Fault
-        Scheduled faults.
-    coulomb : {'smooth', 'dry'}
-        Law of Coulomb friction in MuJoCo.
+    Attributes are commented where they are declared.
     """
 
     name: str
-    duration: float
-    seed: int
-    plant: str
-    sinc_min: float
-    mass_factors: tuple
-    inertia_factors: tuple
-    payload: float
-    friction_factor: float
-    noise: bool
-    disturbance: bool
-    times: tuple
-    points: tuple
-    elbow: str
-    obstacle: Obstacle
-    faults: tuple
-    coulomb: str = 'smooth'
-    noise_factor: float = 1.0
-    disturbance_factor: float = 1.0
+    duration: float  # [s]
+    seed: int  # of all randomness
+    plant: str  # one of `PLANTS`: the true arm, the arm of eq. (4), the LPV plant (25), or MuJoCo's
+    sinc_min: float  # lower end of the box of phi2, phi3 of the LPV plant
+    mass_factors: tuple[float, float]  # true over nominal, per link
+    inertia_factors: tuple[float, float]  # true over nominal, per link
+    payload: float  # point mass at the tip beside the model's, may be negative [kg]
+    friction_factor: float  # true over nominal
+    noise: bool  # whether the sensors are noisy
+    disturbance: bool  # whether d acts
+    times: tuple[float, ...]  # of the waypoints [s]
+    points: tuple[tuple[float, float], ...]  # waypoints x, y [m]
+    elbow: str  # branch of the inverse kinematics
+    obstacle: Obstacle | None
+    faults: tuple[Fault, ...]
+    coulomb: str = 'smooth'  # law of Coulomb friction in MuJoCo: smooth or dry
+    noise_factor: float = 1.0  # true over stated standard deviation of the sensors' noise
+    disturbance_factor: float = 1.0  # true over stated d
 
-    def path(self, arm) -> CartesianPath:
-        """Build the Cartesian path for an arm.
-
-        Parameters
-        ----------
-        arm : ArmParameters
-            The arm.
-
-        Returns
-        -------
-        CartesianPath
-            The path.
-        """
+    def path(self, arm: ArmParameters) -> CartesianPath:
+        """The Cartesian path for an arm."""
         return CartesianPath(arm, self.times, np.array(self.points), self.elbow, self.obstacle)
 
-    def true_arm(self, arm):
-        """The plant's arm: nominal parameters with model error and payload.
-
-        Parameters
-        ----------
-        arm : ArmParameters
-            Nominal arm.
-
-        Returns
-        -------
-        ArmParameters
-            What is simulated.
-        """
+    def true_arm(self, arm: ArmParameters) -> ArmParameters:
+        """The plant's arm: nominal parameters with model error and payload."""
         scaled = arm.scaled(self.mass_factors, self.inertia_factors)
         scaled = replace(
             scaled,
@@ -198,35 +143,19 @@ def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     return scenario
 
 
-def _expanded(data):
+def _expanded(data: Any) -> Any:
     """``plant: mujoco`` stands for ``plant: {model: mujoco}``."""
     if isinstance(data, dict) and isinstance(data.get('plant'), str):
         return {**data, 'plant': {'model': data['plant']}}
     return data
 
 
-def parse_faults(top) -> tuple[Fault, ...]:
-    """Read the list ``faults``.
-
-    Parameters
-    ----------
-    top : lpv_core.support.config.Section
-        Mapping that holds it.
-
-    Returns
-    -------
-    tuple of Fault
-        Empty if there is no such list.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
-    """
+def parse_faults(top: Section) -> tuple[Fault, ...]:
+    """Read the list ``faults``, which may be missing; ConfigError naming the offending field."""
     return tuple(_fault(section) for section in top.sections('faults', []))
 
 
-def _fault(section):
+def _fault(section: Section) -> Fault:
     fault = Fault(
         sensor=section.text('sensor'),
         kind=section.text('kind', choices=KINDS),

@@ -14,6 +14,12 @@ from lpv_core.support.errors import ConfigError
 
 MAX_BYTES = 4 << 20
 """Largest YAML file that is read [bytes]; a gains file has about 20 kB."""
+MAX_VALUES = 200_000
+"""Most values in a file, with those that aliases repeat."""
+MAX_DEPTH = 50
+"""Deepest nesting of a file."""
+MAX_INTEGER = 2**63 - 1
+"""Largest integer, as a ROS parameter has it; all of these are finite floats, too."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -33,7 +39,10 @@ class _Loader(yaml.SafeLoader):
 
 def _short(value: object) -> str:
     """Text of a value for messages; nested aliases can stand for megabytes."""
-    return reprlib.repr(value)
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # an integer of thousands of digits
+        return f'a huge {type(value).__name__}'
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
@@ -52,7 +61,9 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If the file is missing, too large, not YAML, or not a mapping.
+        If the file is missing, too large, not YAML, or not a mapping, or if it holds what no file
+        of this software needs: keys that are not text, dates, binary data, NaN, huge integers,
+        deep nesting.
     """
     path = Path(path)
     try:
@@ -62,12 +73,49 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         data = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)  # noqa: S506
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        text = ' '.join(str(error).split())
+    except ConfigError:
+        raise
+    except Exception as error:  # constructors of tags raise many kinds
+        text = ' '.join(str(error).split())[:300]
         raise ConfigError('file', f'is not valid YAML ({text})', str(path)) from error
     if not isinstance(data, dict):
         raise ConfigError('file', 'must hold a mapping at its top level', str(path))
+    _check_values(data, str(path))
     return data
+
+
+def _check_values(data: dict[str, Any], source: str) -> None:
+    """Refuse what no file may hold, before anything else looks at it."""
+    left, count = [('', data, 0)], 0
+    while left:
+        name, value, depth = left.pop()
+        count += 1
+        if count > MAX_VALUES or depth > MAX_DEPTH:
+            limit = f'{MAX_VALUES} values' if count > MAX_VALUES else f'{MAX_DEPTH} levels'
+            raise ConfigError(name or 'file', f'has more than {limit}', source)
+        items: Iterable[tuple[object, Any]] = ()
+        if isinstance(value, dict):
+            items = ((f'{name}.{key}' if name else key, item) for key, item in value.items())
+            wrong = [key for key in value if not isinstance(key, str)]
+            if wrong:
+                reason = f'has a key that is not text: {_short(wrong[0])}; put it in quotes'
+                raise ConfigError(name or 'file', reason, source)
+        elif isinstance(value, list):
+            items = ((f'{name}[{i}]', item) for i, item in enumerate(value))
+        elif reason := _wrong_scalar(value):
+            raise ConfigError(name, reason, source)
+        left += [(str(key), item, depth + 1) for key, item in items]
+
+
+def _wrong_scalar(value: object) -> str:
+    """Why a scalar is refused; '' if it is not."""
+    if isinstance(value, int) and abs(value) > MAX_INTEGER:
+        return f'must be at most {MAX_INTEGER} in magnitude'
+    if isinstance(value, float) and math.isnan(value):
+        return 'must be a number, got NaN'
+    if value is None or isinstance(value, (str, int, float)):
+        return ''
+    return f'must be a number or text, got a {type(value).__name__}; put text in quotes'
 
 
 def sha256_of(data: object) -> str:
@@ -230,6 +278,23 @@ class Section:
         if len(value) != size:
             raise self.error(key, f'must have {size} numbers, got {len(value)}')
         return [self._number(f'{key}[{i}]', v, low, high, above) for i, v in enumerate(value)]
+
+    def numbers(self, key: str, most: int, low: float = -math.inf) -> list[float]:
+        """Return 1 to ``most`` finite floats."""
+        value = self._get(key, _REQUIRED)
+        if not isinstance(value, list) or not 1 <= len(value) <= most:
+            raise self.error(key, f'must be a list of 1 to {most} numbers')
+        return [self._number(f'{key}[{i}]', v, low, math.inf, None) for i, v in enumerate(value)]
+
+    def rows(self, key: str, width: int, most: int) -> list[list[float]]:
+        """Return 1 to ``most`` lists of ``width`` finite floats each."""
+        value = self._get(key, _REQUIRED)
+        if not isinstance(value, list) or not 1 <= len(value) <= most:
+            raise self.error(key, f'must be a list of 1 to {most} rows')
+        rows = [
+            Section({f'{key}[{i}]': row}, self._source, self._prefix) for i, row in enumerate(value)
+        ]
+        return [row.vector(f'{key}[{i}]', width) for i, row in enumerate(rows)]
 
     def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
         """Return an array of the given shape from a flat list (row-major)."""

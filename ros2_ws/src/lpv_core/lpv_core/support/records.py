@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 
-NEVER = -(2**63)
-"""Stamp of what has not happened."""
-
 
 def record_type(*fields: tuple[Any, ...]) -> np.dtype:
     """Type of a record.

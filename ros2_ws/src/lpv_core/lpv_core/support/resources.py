@@ -1,17 +1,21 @@
 """Where packages keep their files and programs, with a ROS 2 sourced or without."""
 
 import os
+import site
 import sys
 from pathlib import Path
 
 from lpv_core.support.errors import ConfigError
+
+_SOURCES = Path(__file__).resolve().parents[3]
+"""Where the packages are in a checkout."""
 
 
 def _prefix(package: str) -> Path:
     # The ament index by hand: its Python package refuses to look where nothing is sourced, and
     # programs built into a virtual environment must run without.
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    for prefix in (*prefixes, sys.prefix):
+    for prefix in (*prefixes, sys.prefix, site.getuserbase()):
         if (
             Path(prefix) / 'share' / 'ament_index' / 'resource_index' / 'packages' / package
         ).is_file():
@@ -29,7 +33,12 @@ def executable(package: str, name: str) -> Path:
 
 def shipped_files(kind: str) -> dict[str, Path]:
     """Files of one kind that are installed with lpv_bringup."""
-    folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
+    try:
+        folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
+    except ConfigError:  # a checkout that was not built
+        folder = _SOURCES / 'lpv_bringup' / kind
+        if not folder.is_dir():
+            raise
     return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
 
 

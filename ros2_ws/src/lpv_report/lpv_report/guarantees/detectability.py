@@ -5,7 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.certificate.gains import Gains
 from lpv_core.decision.diagnosis import SensorState
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_design.guarantee import at_rest, vertical
 from lpv_report.history.phases import starting
@@ -18,61 +21,41 @@ _SOURCES = (('ground_truth', 'true'), ('state_estimate', 'estimated'), ('joint_s
 
 @dataclass(frozen=True)
 class Grid:
-    """Detectability over configurations.
+    """Detectability over configurations."""
 
-    Attributes
-    ----------
-    one, two : ndarray, shapes (n,) and (m,)
-        Angles of link 1 and 2 from the vertical of the region [rad].
-    detectable : ndarray or None, shape (n, m, 2)
-        Smallest lasting fault of each sensor that is detected for certain at rest [rad]; None
-        without gains.
-    lost : ndarray of bool, shape (n, m, 2)
-        Where a sensor is not diagnosable: a link that it sees is outside the certified region.
-    """
-
+    # angles of link 1 and 2 from the vertical of the region [rad]; shapes (n,) and (m,)
     one: np.ndarray
+    # angles of link 1 and 2 from the vertical of the region [rad]; shapes (n,) and (m,)
     two: np.ndarray
-    detectable: np.ndarray
+    # smallest lasting fault of each sensor that is detected for certain at rest [rad]; None without
+    # gains; shape (n, m, 2)
+    detectable: np.ndarray | None
+    # where a sensor is not diagnosable: a link that it sees is outside the certified region; shape
+    # (n, m, 2)
     lost: np.ndarray
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """What could be detected during a run.
+    """What could be detected during a run."""
 
-    Attributes
-    ----------
-    source : str
-        Whose angles they are: true, estimated or measured.
-    time : ndarray, shape (n,)
-        Of each measurement [s].
-    deviation : ndarray, shape (n, 2)
-        Angles of the links from the vertical of the region [rad]; NaN where unknown.
-    moving : ndarray or None, shape (n, 2)
-        Threshold plus bound as recorded [rad]: they know motion and past.
-    not_diagnosable : ndarray of bool, shape (n, 2)
-        As recorded.
-    places : ndarray of int, shape (k,)
-        Rows for which the following was computed; empty without gains.
-    resting : ndarray, shape (k, 2)
-        Threshold plus bound of the design at rest in the configuration [rad]; infinite where
-        gravity cannot bound the error.
-    gains : Gains or None
-        What `configurations` needs.
-    """
-
-    source: str
-    time: np.ndarray
+    source: str  # whose angles they are: true, estimated or measured
+    time: np.ndarray  # of each measurement [s]; shape (n,)
+    # angles of the links from the vertical of the region [rad]; NaN where unknown; shape (n, 2)
     deviation: np.ndarray
-    moving: np.ndarray
-    not_diagnosable: np.ndarray
-    places: np.ndarray
+    # threshold plus bound as recorded [rad]: they know motion and past; shape (n, 2)
+    moving: np.ndarray | None
+    not_diagnosable: np.ndarray  # as recorded; shape (n, 2)
+    places: np.ndarray  # rows for which the following was computed; empty without gains; shape (k,)
+    # threshold plus bound of the design at rest in the configuration [rad]; infinite where gravity
+    # cannot bound the error; shape (k, 2)
     resting: np.ndarray
-    gains: object
+    gains: Gains | None  # what `configurations` needs
 
 
-def detectability(record, arm, gains=None) -> Detectability | None:
+def detectability(
+    record: RunRecord, arm: ArmParameters, gains: Gains | None = None
+) -> Detectability | None:
     """Detectability of a run.
 
     Parameters
@@ -108,11 +91,11 @@ def detectability(record, arm, gains=None) -> Detectability | None:
             if len(known)
             else known
         )
-        resting = sum(at_rest(arm, gains, deviation[places] + vertical(arm)))
+        resting = np.add(*at_rest(arm, gains, deviation[places] + vertical(arm)))
     return Detectability(source, record.time, deviation, moving, lost, places, resting, gains)
 
 
-def _angles(record, arm):
+def _angles(record: RunRecord, arm: ArmParameters) -> tuple[str, np.ndarray]:
     for stream, text in _SOURCES:
         position = record.aligned(stream, 'position')
         if position is not None:
@@ -120,8 +103,8 @@ def _angles(record, arm):
     raise AssertionError('a run has measurements')
 
 
-def _near_zero(angles):
-    """Whole turns taken off, so that the path lies around the vertical without jumps."""
+def _near_zero(angles: np.ndarray) -> np.ndarray:
+    """Angles without whole turns, so that the path is near the vertical and has no jumps."""
     result = np.array(angles)
     for column in result.T:
         known = np.isfinite(column)
@@ -133,21 +116,8 @@ def _near_zero(angles):
     return result
 
 
-def configurations(found: Detectability, arm) -> Grid:
-    """Detectability at rest over all configurations around the path.
-
-    Parameters
-    ----------
-    found : Detectability
-        Path, and gains if they are known.
-    arm : ArmParameters
-        The arm.
-
-    Returns
-    -------
-    Grid
-        Covers path and certified region.
-    """
+def configurations(found: Detectability, arm: ArmParameters) -> Grid:
+    """Detectability at rest over all configurations around the path."""
     deviation, gains, limits = found.deviation, found.gains, np.arccos(arm.cos_min)
     axes = []
     for i in range(2):
@@ -158,60 +128,40 @@ def configurations(found: Detectability, arm) -> Grid:
     outside = np.cos(both) < np.asarray(arm.cos_min)
     seen = np.abs(JointMap(arm).sensor_matrix) > 0.0
     lost = np.stack([(outside & row).any(axis=-1) for row in seen], axis=-1)
-    able = None if gains is None else sum(at_rest(arm, gains, both + vertical(arm)))
-    return Grid(*axes, able, lost)
+    able = None if gains is None else np.add(*at_rest(arm, gains, both + vertical(arm)))
+    return Grid(axes[0], axes[1], able, lost)
 
 
 @dataclass(frozen=True)
 class DetectabilityRow:
-    """Summary for one sensor; None where there is nothing to tell.
+    """Summary for one sensor; None where a figure is not known."""
 
-    Attributes
-    ----------
-    sensor : str
-        Its name.
-    smallest, middle, largest : float or None
-        Recorded threshold plus bound while it was diagnosable: least, median, greatest [rad].
-    rest_smallest, rest_largest : float or None
-        At rest in the configurations of the path, as far as gravity bounds the error [rad].
-    unbounded : float or None
-        Share of the path in which gravity does not bound the error at rest.
-    lost : float or None
-        Share of the time in which the sensor was not diagnosable.
-    """
-
-    sensor: str
-    smallest: float = None
-    middle: float = None
-    largest: float = None
-    rest_smallest: float = None
-    rest_largest: float = None
-    unbounded: float = None
-    lost: float = None
+    sensor: str  # its name
+    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
+    smallest: float | None = None
+    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
+    middle: float | None = None
+    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
+    largest: float | None = None
+    # at rest in the configurations of the path, as far as gravity bounds the error [rad]
+    rest_smallest: float | None = None
+    # at rest in the configurations of the path, as far as gravity bounds the error [rad]
+    rest_largest: float | None = None
+    unbounded: float | None = (
+        None  # share of the path in which gravity does not bound the error at rest
+    )
+    lost: float | None = None  # share of the time in which the sensor was not diagnosable
 
 
 def summary(found: Detectability, sensor_names: Sequence[str]) -> list[DetectabilityRow]:
-    """Summary for all sensors.
-
-    Parameters
-    ----------
-    found : Detectability
-        Of `detectability`.
-    sensor_names : sequence of str
-        Names of the sensors.
-
-    Returns
-    -------
-    list of DetectabilityRow
-        One a sensor.
-    """
+    """Summary for all sensors."""
     return [
         DetectabilityRow(name, **_recorded(found, i), **_resting(found, i))
         for i, name in enumerate(sensor_names)
     ]
 
 
-def _recorded(found, i):
+def _recorded(found: Detectability, i: int) -> dict[str, float]:
     if found.moving is None:
         return {}
     lost = found.not_diagnosable[:, i]
@@ -228,7 +178,7 @@ def _recorded(found, i):
     }
 
 
-def _resting(found, i):
+def _resting(found: Detectability, i: int) -> dict[str, float]:
     values = found.resting[:, i]
     if not values.size:
         return {}

@@ -1,15 +1,20 @@
-"""Pictures of what could be detected: over time, and over configurations with the path."""
+"""Figures of what could be detected: over time, and over configurations with the path."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from lpv_report.guarantees.detectability import configurations
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
+from lpv_report.guarantees.detectability import Detectability, Grid, configurations
 from lpv_report.history.episodes import intervals
-from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT, thin
+from lpv_report.style import BAND, HATCHED, INK, PALE, SENSOR, SOFT, legend_above, shade, thin
 
 _WIDTH = 8.6
 _LEVELS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
@@ -18,23 +23,8 @@ _COLORS = plt.get_cmap('viridis').with_extremes(over=BAND)
 _ALERT = '#d01c3b'
 
 
-def over_time(found, record, sensor_names: Sequence[str]):
-    """Smallest lasting fault that is detected for certain, by time.
-
-    Parameters
-    ----------
-    found : Detectability
-        What could be detected.
-    record : RunRecord
-        The run, for the true faults.
-    sensor_names : sequence of str
-        Names of the sensors.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+def over_time(found: Detectability, record: RunRecord, sensor_names: Sequence[str]) -> Figure:
+    """Smallest lasting fault that is detected for certain, by time."""
     figure, axes = plt.subplots(2, sharex=True, figsize=(_WIDTH, 3.9))
     truth = record.aligned('ground_truth', 'fault')
     for i, axis in enumerate(axes):
@@ -69,25 +59,13 @@ def over_time(found, record, sensor_names: Sequence[str]):
         _hatch(axis, found, i)
         axis.set_ylabel('fault [rad]')
         axis.set_title(sensor_names[i], pad=7)
-        handles, labels = axis.get_legend_handles_labels()
-        if handles:
-            axis.legend(
-                handles,
-                labels,
-                loc='lower right',
-                bbox_to_anchor=(1.0, 1.0),
-                ncols=len(handles),
-                borderaxespad=0.25,
-                handlelength=1.7,
-                columnspacing=1.3,
-                handletextpad=0.5,
-            )
+        legend_above(axis)
         axis.set_xlim(0.0, found.time[-1])
     axes[-1].set_xlabel('time [s]')
     return figure
 
 
-def _scale(axis, found, i) -> None:
+def _scale(axis: Axes, found: Detectability, i: int) -> None:
     """Limits by what could be detected; true faults start from nothing."""
     parts = [found.resting[:, i]] + ([] if found.moving is None else [found.moving[:, i]])
     values = np.concatenate(parts)
@@ -99,47 +77,19 @@ def _scale(axis, found, i) -> None:
     axis.minorticks_off()
 
 
-def _unbounded(axis, found, i) -> None:
-    label = 'no bound at rest'
+def _unbounded(axis: Axes, found: Detectability, i: int) -> None:
     time = found.time[found.places]
-    for part in intervals(~np.isfinite(found.resting[:, i]), time) if len(time) else ():
-        axis.axvspan(
-            part.start, part.end, color=BAND, alpha=0.45, linewidth=0, label=label, zorder=0
-        )
-        label = None
+    parts = intervals(~np.isfinite(found.resting[:, i]), time) if len(time) else []
+    shade(axis, [(p.start, p.end) for p in parts], 'no bound at rest', color=BAND, alpha=0.45)
 
 
-def _hatch(axis, found, i) -> None:
-    label = 'not diagnosable'
-    for part in intervals(found.not_diagnosable[:, i], found.time):
-        axis.axvspan(
-            part.start,
-            part.end,
-            facecolor='none',
-            edgecolor=SOFT,
-            hatch='////',
-            linewidth=0,
-            label=label,
-            zorder=0,
-        )
-        label = None
+def _hatch(axis: Axes, found: Detectability, i: int) -> None:
+    parts = intervals(found.not_diagnosable[:, i], found.time)
+    shade(axis, [(p.start, p.end) for p in parts], 'not diagnosable', **HATCHED)
 
 
-def over_configurations(found, arm):
-    """The same over the configurations of the arm, with the path of the run.
-
-    Parameters
-    ----------
-    found : Detectability
-        What could be detected.
-    arm : ArmParameters
-        Names of the sensors.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+def over_configurations(found: Detectability, arm: ArmParameters) -> Figure:
+    """The same over the configurations of the arm, with the path of the run."""
     grid = configurations(found, arm)
     figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.15), sharex=True, sharey=True)
     for i, axis in enumerate(axes):
@@ -147,7 +97,7 @@ def over_configurations(found, arm):
         if grid.detectable is None:
             _colored_path(axis, found, i)
         else:
-            _background(axis, grid, i)
+            _background(axis, grid, grid.detectable, i)
             _path(axis, found, i)
         _region(axis, grid, i)
         axis.set_title(f'Sensor {i + 1}: {arm.sensor_names[i]}', pad=7)
@@ -173,9 +123,9 @@ def over_configurations(found, arm):
     return figure
 
 
-def _background(axis, grid, i) -> None:
+def _background(axis: Axes, grid: Grid, detectable: np.ndarray, i: int) -> None:
     one, two = np.degrees(grid.one), np.degrees(grid.two)
-    values = grid.detectable[:, :, i].T
+    values = detectable[:, :, i].T
     finite = values <= _LEVELS[-1]
     axis.contourf(
         one,
@@ -189,7 +139,7 @@ def _background(axis, grid, i) -> None:
     if not finite.all():
         axis.fill([], [], facecolor=BAND, label='no bound at rest')
     if finite.any():
-        # Only where there is a bound: at its border all lines would lie upon each other.
+        # Only where there is a bound: at its border all lines would coincide.
         lines = axis.contour(
             one,
             two,
@@ -201,7 +151,7 @@ def _background(axis, grid, i) -> None:
         axis.clabel(lines, fontsize=7.5, fmt='%g')
 
 
-def _region(axis, grid, i) -> None:
+def _region(axis: Axes, grid: Grid, i: int) -> None:
     """Hatch what lies outside the region that this sensor needs."""
     one, two, lost = np.degrees(grid.one), np.degrees(grid.two), grid.lost[:, :, i].T
     axis.set(xlim=one[[0, -1]], ylim=two[[0, -1]])
@@ -220,7 +170,7 @@ def _region(axis, grid, i) -> None:
     )
 
 
-def _path(axis, found, i) -> None:
+def _path(axis: Axes, found: Detectability, i: int) -> None:
     known = np.degrees(found.deviation[_spread(found.deviation)])
     lost = found.not_diagnosable[_spread(found.deviation), i]
     axis.plot(*known.T, color='white', linewidth=3.2, solid_capstyle='round')
@@ -250,18 +200,18 @@ def _path(axis, found, i) -> None:
         )
 
 
-def _colored_path(axis, found, i) -> None:
+def _colored_path(axis: Axes, found: Detectability, i: int) -> None:
     """Without gains, what is known is known on the path alone."""
     rows = _spread(found.deviation)
     at, lost = np.degrees(found.deviation[rows]), found.not_diagnosable[rows, i]
-    axis.scatter(
-        *at[~lost].T, c=found.moving[rows, i][~lost], norm=_NORM, cmap=_COLORS, s=9.0, linewidths=0
-    )
+    look: dict[str, Any] = {'s': 9.0, 'linewidths': 0}
+    if found.moving is not None:
+        shades = found.moving[rows, i][~lost]
+        axis.scatter(at[~lost, 0], at[~lost, 1], c=shades, norm=_NORM, cmap=_COLORS, **look)
     if lost.any():
-        axis.scatter(
-            *at[lost].T, color=_ALERT, s=9.0, linewidths=0, label='reported as not diagnosable'
-        )
+        label = 'reported as not diagnosable'
+        axis.scatter(at[lost, 0], at[lost, 1], color=_ALERT, label=label, **look)
 
 
-def _spread(deviation, most=3000):
+def _spread(deviation: np.ndarray, most: int = 3000) -> np.ndarray:
     return np.unique(np.linspace(0, len(deviation) - 1, most).astype(int))

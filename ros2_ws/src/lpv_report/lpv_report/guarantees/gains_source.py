@@ -1,38 +1,34 @@
-"""Which gains a bag was answered with."""
+"""Which gains a run was made with."""
 
 import hashlib
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpv_bag.recorder.output_folder import GAINS_NAME
-from lpv_bag.rosbag.errors import BagError
+from lpv_bag.errors import BagError
+from lpv_bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
+from lpv_bag.rosbag.reading import open_bag
 from lpv_core.certificate.gains import Gains, load_gains
-from lpv_core.model.arm import arm_from_json
+from lpv_core.model.arm import ArmParameters, arm_from_json
+from lpv_core.simulation.scenario import Scenario, load_scenario
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import shipped_files
 
 
 @dataclass(frozen=True)
 class UsedGains:
-    """Gains of a run, or why they are not known.
+    """Gains of a run, or why they are not known."""
 
-    Attributes
-    ----------
-    gains : Gains or None
-        None where they are not known.
-    source : str
-        Where they come from, for the reader.
-    digest : str
-        SHA-256 of their file.
-    problem : str
-        Why they are not known; empty where they are.
-    """
-
-    gains: Gains = None
-    source: str = ''
-    digest: str = ''
-    problem: str = ''
+    gains: Gains | None = None  # none where they are not known
+    source: str = ''  # where they come from, for the reader
+    digest: str = ''  # SHA-256 of their file
+    problem: str = ''  # why they are not known; empty where they are
 
 
+_LOG = logging.getLogger(__name__)
+_ANSWERS = tuple(
+    f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
+)
 UNKNOWN = UsedGains(problem='The bag carries no gains, and none were given.')
 
 
@@ -62,7 +58,7 @@ def read_used_gains(path: str | Path, source: str = '') -> UsedGains:
 
 
 def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGains:
-    """Gains that a bag was answered with: those given, or those that lie in the bag.
+    """Gains of a recorded run: those given, or those in the bag.
 
     Parameters
     ----------
@@ -87,19 +83,107 @@ def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGai
         raise BagError(f'{bag}: there is no such bag')
     if given:
         return read_used_gains(given)
-    folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
-    # A single file belongs to the folder's bag only if that is one.
-    if not (folder / GAINS_NAME).is_file() or not (
-        folder == Path(bag) or (folder / 'metadata.yaml').is_file()
-    ):
+    file = _beside(bag, GAINS_NAME)
+    if file is None:
         return UNKNOWN
     try:
-        return read_used_gains(folder / GAINS_NAME, f'{GAINS_NAME} of the bag')
+        return read_used_gains(file, f'{GAINS_NAME} of the bag')
     except (ConfigError, OSError) as error:
         return UsedGains(problem=f'The gains in the bag cannot be used: {error}')
 
 
-def arm_of(gains: Gains):
+def _beside(bag: str | Path, name: str) -> Path | None:
+    """A file that accompanies a bag; None where there is none."""
+    folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
+    # A single file belongs to the folder's bag only if that is one.
+    ours = folder == Path(bag) or (folder / 'metadata.yaml').is_file()
+    return folder / name if ours and (folder / name).is_file() else None
+
+
+def find_scenario(bag: str | Path) -> Scenario | None:
+    """Scenario that lies in a bag; None where there is none, or none that can be used.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        rosbag2 directory or single storage file.
+
+    Returns
+    -------
+    Scenario or None
+        For its path and obstacle: a damaged copy must not stand in the way of a report.
+    """
+    file = _beside(bag, SCENARIO_NAME)
+    try:
+        return None if file is None else load_scenario(file)
+    except ConfigError as error:
+        _LOG.warning('%s', error)
+        return None
+
+
+def named_arm(bag: str | Path) -> str:
+    """Name of the arm that recorded answers of the diagnosis carry; '' without answers.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        rosbag2 directory or single storage file.
+
+    Returns
+    -------
+    str
+        ``frame_id`` of their headers.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    with open_bag(bag) as reader:
+        answers = [c for c in reader.connections if c.msgtype in _ANSWERS and c.msgcount]
+        for connection, _, data in reader.messages(answers) if answers else ():
+            return str(reader.deserialize(data, connection.msgtype).header.frame_id)
+    return ''
+
+
+def find_shipped_gains(bag: str | Path) -> UsedGains:
+    """Shipped gains of the arm that the messages of a bag name.
+
+    A bag of ``ros2 bag record`` has no gains beside it.  Whether the run had these gains is not
+    known from the name: the report runs the diagnosis again, and says whether it gives the
+    recorded estimates.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        rosbag2 directory or single storage file.
+
+    Returns
+    -------
+    UsedGains
+        Without gains where no message names a shipped arm; its problem says what to give.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    name = named_arm(bag)
+    if not name:
+        return UsedGains(
+            problem='the bag holds neither gains nor answers of the diagnosis; say which arm it '
+            'is of, e.g. lpv report BAG --arm my_arm.yaml'
+        )
+    shipped = shipped_files('gains')
+    if name not in shipped:
+        return UsedGains(
+            problem=f'the bag is of arm {name!r}, which is not a shipped one; give its files, '
+            f'e.g. lpv report BAG --arm {name}.yaml --gains gains.yaml'
+        )
+    return read_used_gains(shipped[name], f'shipped gains of arm {name!r}, which the messages name')
+
+
+def arm_of(gains: Gains) -> ArmParameters:
     """The arm that a gains file describes.
 
     Parameters

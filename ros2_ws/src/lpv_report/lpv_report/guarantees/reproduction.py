@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.certificate.gains import Gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.monitor import SensorMonitor
 
 _SAME = 1e-6
@@ -14,18 +17,10 @@ _MOST = 200_000
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Comparison of recorded and recomputed fault estimates.
+    """Comparison of recorded and recomputed fault estimates."""
 
-    Attributes
-    ----------
-    samples : int
-        Compared ones.
-    largest : float
-        Largest difference of a fault estimate [rad].
-    """
-
-    samples: int
-    largest: float
+    samples: int  # compared ones
+    largest: float  # largest difference of a fault estimate [rad]
 
     @property
     def same(self) -> bool:
@@ -33,7 +28,7 @@ class Reproduction:
         return self.largest <= _SAME
 
     @property
-    def text(self):
+    def text(self) -> str:
         """One sentence for the reader."""
         if self.same:
             return (
@@ -48,23 +43,8 @@ class Reproduction:
         )
 
 
-def reproduce(record, arm, gains) -> Reproduction | None:
-    """Run the observer again over the measurements of a run.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    gains : Gains
-        Gains of this arm.
-
-    Returns
-    -------
-    Reproduction or None
-        None if the bag holds no fault estimates that could be compared.
-    """
+def reproduce(record: RunRecord, arm: ArmParameters, gains: Gains) -> Reproduction | None:
+    """Run the observer again over the measurements of a run."""
     recorded = record.aligned('fault_estimate', 'estimate')
     if recorded is None:
         return None
@@ -72,7 +52,10 @@ def reproduce(record, arm, gains) -> Reproduction | None:
     monitor = SensorMonitor('', arm, gains)
     answers = monitor.take_many(
         record.stamps['joint_states'][:_MOST],
-        *(record.get('joint_states', name)[:_MOST] for name in ('position', 'velocity', 'effort')),
+        *(
+            record.streams['joint_states'][name][:_MOST]
+            for name in ('position', 'velocity', 'effort')
+        ),
     )
     both = answers.has_fault & np.isfinite(recorded).all(axis=1)
     if not both.any():

@@ -5,118 +5,63 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lpv_bag.run.streams import RecordedAlarm, RunRecord
 from lpv_core.decision.diagnosis import AlarmEvent
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One alarm of one sensor; times since the first measurement [s].
+    """One alarm of one sensor; times since the first measurement [s]."""
 
-    Attributes
-    ----------
-    sensor : str
-        Name of the sensor.
-    sensor_index : int
-        Its column.
-    onset : float
-        First sample above the threshold, as diagnosed.
-    raised : float
-        When the fault was confirmed.
-    cleared : float or None
-        When the alarm ended; None if it lasted to the end of the run.
-    size, bound : float
-        Fault estimate when the alarm was raised, and the bound of its error [rad].
-    largest : float
-        Fault estimate of largest magnitude during the alarm [rad]; NaN without fault estimates.
-    kind : str
-        Latest classification.
-    confidence : float
-        Latest confidence.
-    true_onset : float or None
-        Start of the true fault at the time of the alarm; NaN if there was none (false alarm),
-        None without ground truth.
-    """
-
-    sensor: str
-    sensor_index: int
-    onset: float
-    raised: float
-    cleared: float
-    size: float
-    bound: float
+    sensor: str  # name of the sensor
+    sensor_index: int  # its column
+    onset: float  # first sample above the threshold, as diagnosed
+    raised: float  # when the fault was confirmed
+    cleared: float | None  # when the alarm ended; None if it lasted to the end of the run
+    size: float  # latest fault estimate before the alarm was cleared [rad]
+    bound: float  # bound of its error [rad]
+    # fault estimate of largest magnitude during the alarm [rad]; NaN without fault estimates
     largest: float
-    kind: str
-    confidence: float
-    true_onset: float = None
+    kind: str  # latest classification
+    confidence: float  # latest confidence
+    # start of the true fault at the time of the alarm; NaN if there was none (false alarm), None
+    # without ground truth
+    true_onset: float | None = None
 
     @property
-    def delay(self):
+    def delay(self) -> float | None:
         """Time from the true fault's onset to the alarm [s]; None where that is unknown."""
         if self.true_onset is None or math.isnan(self.true_onset):
             return None
         return self.raised - self.true_onset
 
     @property
-    def false_alarm(self):
+    def false_alarm(self) -> bool:
         """Whether ground truth says that there was no fault."""
         return self.true_onset is not None and math.isnan(self.true_onset)
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A stretch of time of one sensor.
+    """An interval of time of one sensor."""
 
-    Attributes
-    ----------
-    sensor_index : int
-        Column of the sensor.
-    start, end : float
-        [s] since the first measurement; the end is that of the record if it lasted so long.
-    """
-
-    sensor_index: int
+    sensor_index: int  # column of the sensor
+    # [s] since the first measurement; the end is that of the record if it lasted so long
     start: float
+    # [s] since the first measurement; the end is that of the record if it lasted so long
     end: float
 
 
 def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list[Interval]:
-    """Stretches in which a mask is true.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (n,)
-        The mask.
-    time : ndarray, shape (n,)
-        [s].
-    sensor_index : int, optional
-        Passed on.
-
-    Returns
-    -------
-    list of Interval
-        In the order of time; each ends at the first sample that is outside.
-    """
+    """Intervals in which a mask is true; each ends at the first sample outside."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(int))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [
-        Interval(sensor_index, float(time[a]), float(time[min(b, len(time) - 1)]))
-        for a, b in zip(starts, ends)
-    ]
+    ends = np.minimum(ends, len(time) - 1)
+    return [Interval(sensor_index, float(time[a]), float(time[b])) for a, b in zip(starts, ends)]
 
 
-def true_faults(record) -> list[Interval] | None:
-    """When faults really acted.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-
-    Returns
-    -------
-    list of Interval or None
-        By sensor and time; None without ground truth.
-    """
+def true_faults(record: RunRecord) -> list[Interval] | None:
+    """Intervals in which faults acted; None without ground truth."""
     truth = record.get('ground_truth', 'fault')
     if truth is None:
         return None
@@ -129,7 +74,7 @@ def true_faults(record) -> list[Interval] | None:
     ]
 
 
-def episodes(record) -> list[Episode]:
+def episodes(record: RunRecord) -> list[Episode]:
     """Alarms of a run.
 
     Parameters
@@ -143,7 +88,9 @@ def episodes(record) -> list[Episode]:
         In the order in which they were raised.  An alarm whose start is not in the bag (an event
         that clears or updates it is) is taken from that event.
     """
-    faults, closed, running = true_faults(record), [], {}
+    faults = true_faults(record)
+    closed: list[Episode] = []
+    running: dict[int, Episode] = {}
     for event in record.alarms:
         episode = running.pop(event.sensor_index, None)
         if episode is None or event.event == AlarmEvent.RAISED:
@@ -153,13 +100,17 @@ def episodes(record) -> list[Episode]:
             closed.append(replace(episode, cleared=record.seconds(event.stamp)))
         else:
             running[event.sensor_index] = replace(
-                episode, kind=event.kind, confidence=event.confidence
+                episode,
+                kind=event.kind,
+                confidence=event.confidence,
+                size=event.size,
+                bound=event.bound,
             )
     found = [_with_largest(record, e) for e in (*closed, *running.values())]
     return sorted(found, key=lambda e: (e.raised, e.sensor_index))
 
 
-def missed_faults(record, found: list[Episode]) -> list[Interval]:
+def missed_faults(record: RunRecord, found: list[Episode]) -> list[Interval]:
     """True faults during which no alarm was raised or active.
 
     Parameters
@@ -186,7 +137,7 @@ def missed_faults(record, found: list[Episode]) -> list[Interval]:
     ]
 
 
-def _start(record, event, faults):
+def _start(record: RunRecord, event: RecordedAlarm, faults: list[Interval] | None) -> Episode:
     raised = record.seconds(event.detected)
     return Episode(
         event.sensor,
@@ -203,7 +154,7 @@ def _start(record, event, faults):
     )
 
 
-def _true_onset(faults, sensor_index, raised):
+def _true_onset(faults: list[Interval] | None, sensor_index: int, raised: float) -> float | None:
     if faults is None:
         return None
     begun = [
@@ -212,7 +163,7 @@ def _true_onset(faults, sensor_index, raised):
     return begun[-1] if begun else math.nan
 
 
-def _with_largest(record, episode):
+def _with_largest(record: RunRecord, episode: Episode) -> Episode:
     estimate = record.get('fault_estimate', 'estimate')
     if estimate is None or not 0 <= episode.sensor_index < estimate.shape[1]:
         return episode

@@ -1,42 +1,46 @@
 """One picture of what happened when: states of the sensors, stops, contradictions."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import SensorState
-from lpv_report.history.episodes import intervals
-from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, starting
-from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT
+from lpv_report.history.episodes import Interval, intervals
+from lpv_report.history.phases import (
+    BRAKED,
+    INCONSISTENT,
+    NO_COMMAND,
+    SAFE_STOP,
+    TOO_FAST,
+    UNSAFE,
+    Phase,
+    starting,
+)
+from lpv_report.style import BAND, INK, PALE, SENSOR, SOFT
 
 _HALF = 0.32
 _LINES = (
     (INCONSISTENT, 'inconsistent', SOFT),
     (UNSAFE, 'not trustworthy', '#a5456f'),
     (SAFE_STOP, 'safe stop', INK),
+    (BRAKED, 'drives braked', '#7a5c2e'),
+    (NO_COMMAND, 'no command', BAND),
+    (TOO_FAST, 'above speed limit', '#d01c3b'),
 )
 
 
-def timeline(record, found, faults, sensor_names: Sequence[str]):
-    """States over time as bars.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    found : list of Phase
-        Of `lpv_report.history.phases.phases`.
-    faults : list of Interval or None
-        True faults; None where they are not known.
-    sensor_names : sequence of str
-        Names of the sensors.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without fault estimates.
-    """
+def timeline(
+    record: RunRecord,
+    found: Sequence[Phase],
+    faults: Sequence[Interval] | None,
+    sensor_names: Sequence[str],
+) -> Figure | None:
+    """States over time as bars."""
     states = record.get('fault_estimate', 'state')
     if states is None:
         return None
@@ -74,7 +78,7 @@ def timeline(record, found, faults, sensor_names: Sequence[str]):
     return figure
 
 
-def _sensor(axis, time, state, i) -> None:
+def _sensor(axis: Axes, time: np.ndarray, state: np.ndarray, i: int) -> None:
     looks = (
         (SensorState.OK, 'watched, no fault', {'facecolor': '#e4e9ee'}),
         (SensorState.WARN, 'suspected', {'facecolor': PALE[i]}),
@@ -92,13 +96,13 @@ def _sensor(axis, time, state, i) -> None:
             axis.broken_barh(parts, (i - _HALF, 2 * _HALF), label=label, **look)
 
 
-def _legend(figure, axis) -> None:
-    found = {}
+def _legend(figure: Figure, axis: Axes) -> None:
+    found: dict[str, Any] = {}
     for handle, label in zip(*axis.get_legend_handles_labels()):
         found.setdefault(label, handle)
     figure.legend(
-        found.values(),
-        found.keys(),
+        list(found.values()),
+        list(found),
         loc='outside upper right',
         ncols=len(found),
         handlelength=1.4,

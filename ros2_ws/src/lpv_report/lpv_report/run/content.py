@@ -1,14 +1,31 @@
 """What a report says, as plain values for its template."""
 
 import time
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv_core.observer.sampled_observer import NANOSECONDS
-from lpv_report.guarantees.detectability import summary
-from lpv_report.history.episodes import episodes, missed_faults
-from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, UNSAFE, listed
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
+from lpv_core.support.timestamps import NANOSECONDS
+from lpv_report.guarantees.detectability import Detectability, summary
+from lpv_report.guarantees.examination import Certificate
+from lpv_report.guarantees.gains_source import UsedGains
+from lpv_report.guarantees.reproduction import Reproduction
+from lpv_report.history.episodes import Episode, Interval, episodes, missed_faults
+from lpv_report.history.motion import Motion
+from lpv_report.history.phases import (
+    BRAKED,
+    INCONSISTENT,
+    SAFE_STOP,
+    TOO_FAST,
+    UNSAFE,
+    Phase,
+    listed,
+)
+from lpv_report.run.table import PAPER, Row
+from lpv_report.run.terms import TERMS
 from lpv_report.run.versions import installed_versions
 
 _CALENDAR = 946684800 * NANOSECONDS
@@ -16,67 +33,49 @@ _CALENDAR = 946684800 * NANOSECONDS
 
 
 class Tile(NamedTuple):
-    """A figure on top of the page.
+    """A figure on top of the page."""
 
-    Attributes
-    ----------
-    name, value, note : str
-        What it is, the figure, and a remark.
-    look : str
-        '', good, bad or warn.
-    """
-
-    name: str
-    value: str
-    note: str = ''
-    look: str = ''
+    name: str  # what it is
+    value: str  # the figure
+    note: str = ''  # a remark
+    look: str = ''  # '', good, bad or warn
 
 
-def content(
-    record, arm, title: str, table, used, certificate, reproduction, able, found
-) -> dict[str, Any]:
-    """Values for the template.
+@dataclass(frozen=True)
+class Findings:
+    """All that a report is made of."""
 
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    title : str
-        Heading.
-    table : list of Row
-        Of `lpv_report.run.table.make_table`.
-    used : UsedGains
-        Gains, or why they are not known.
-    certificate : Certificate or None
-        Of the gains.
-    reproduction : Reproduction or None
-        Whether the gains give the recorded estimates.
-    able : Detectability or None
-        What could be detected.
-    found : list of Phase
-        Stretches without an answer.
+    record: RunRecord  # the run
+    arm: ArmParameters  # its arm
+    title: str  # heading
+    table: list[Row]  # of `lpv_report.run.table.make_table`
+    used: UsedGains  # gains of the run, or why they are not known
+    certificate: Certificate | None  # of the gains
+    reproduction: Reproduction | None  # whether the gains give the recorded estimates
+    detectable: Detectability | None  # what could be detected
+    phases: list[Phase]  # intervals without an answer, stops, speeds above the limits
+    motion: Motion  # extremes of the motion
 
-    Returns
-    -------
-    dict
-        Names of the template.
-    """
+
+def content(findings: Findings) -> dict[str, Any]:
+    """Values for the template."""
+    record, arm, certificate = findings.record, findings.arm, findings.certificate
+    found, able = findings.phases, findings.detectable
     alarms = episodes(record)
     names = record.sensor_names or arm.sensor_names
     missed = missed_faults(record, alarms)
     truth = 'ground_truth' in record.streams
     shown, rests = listed(found)
     return {
-        'title': title,
+        'title': findings.title,
         'duration': record.time[-1],
         'samples': len(record.time),
         'period': _period(record),
         'begin': _begin(record),
         'warnings': record.warnings,
-        'verdict': _verdict(alarms, missed, found, truth, 'fault_alarm' in record.topics),
-        'tiles': _tiles(record, alarms, missed, truth, certificate, found),
+        'verdict': _verdict(findings, alarms, missed),
+        'ran_away': findings.motion.fastest > 1.0,
+        'tiles': _tiles(findings, alarms, missed),
         'episodes': alarms,
         'missed': [(names[m.sensor_index], m) for m in missed],
         'have_truth': truth,
@@ -84,13 +83,14 @@ def content(
         'rests': rests,
         'from_reports': (INCONSISTENT, UNSAFE),
         'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
-        'table': table,
-        'compare': any(row.paper is not None for row in table),
+        'table': findings.table,
+        'compare': any(row.paper is not None for row in findings.table),
+        'errors': any(row.signal in PAPER for row in findings.table),
         'detectable': summary(able, arm.sensor_names) if able is not None else [],
         'resting': able is not None and able.gains is not None,
         'certificate': certificate,
-        'no_gains': used.problem,
-        'reproduction': reproduction,
+        'no_gains': findings.used.problem,
+        'reproduction': findings.reproduction,
         'no_design': (
             'The gains are not known.'
             if certificate is None
@@ -99,51 +99,64 @@ def content(
         'versions': installed_versions(),
         'counts': sorted(record.counts.items()),
         'arm_facts': _arm_facts(arm),
+        'terms': TERMS,
     }
 
 
-def _period(record):
+def _period(record: RunRecord) -> str:
     stamps = record.stamps['joint_states']
     return f'{np.median(np.diff(stamps)) / 1e6:.3g}' if len(stamps) > 1 else ''
 
 
-def _begin(record):
+def _begin(record: RunRecord) -> str:
     stamp = int(record.stamps['joint_states'][0])
     if stamp < _CALENDAR:
         return ''
     return time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(stamp // NANOSECONDS))
 
 
-def _count(number, one, many):
+def _count(number: int, one: str, many: str) -> str:
     return f'{number or "no"} {one if number == 1 else many}'
 
 
-def _verdict(alarms, missed, found, truth, recorded):
-    """The answer in a sentence or two."""
-    stops = sum(phase.what == SAFE_STOP for phase in found)
-    odd = sum(phase.what == INCONSISTENT for phase in found)
-    parts = [
-        f'{_count(stops, "safe stop", "safe stops")}, '
-        f'{_count(odd, "inconsistent phase", "inconsistent phases")}.'
-    ]
-    if truth and recorded:
-        wrong = sum(alarm.false_alarm for alarm in alarms)
-        parts.insert(
-            0,
-            f'{_count(wrong, "false alarm", "false alarms")}, '
-            f'{_count(len(missed), "fault", "faults")} missed',
-        )
+def _verdict(findings: Findings, alarms: list[Episode], missed: list[Interval]) -> str:
+    """The answer in a sentence or two; a run that ran away is called that first."""
+    record, found = findings.record, findings.phases
+    recorded = 'fault_alarm' in record.topics
     sensors = sorted({alarm.sensor for alarm in alarms})
     text = _count(len(alarms), 'alarm', 'alarms') if recorded else 'alarms were not recorded'
-    parts.insert(
-        0, text[0].upper() + text[1:] + (f', of {" and ".join(sensors)}' if sensors else '')
+    parts = [text[0].upper() + text[1:] + (f', of {" and ".join(sensors)}' if sensors else '')]
+    if 'ground_truth' in record.streams and recorded:
+        wrong = sum(alarm.false_alarm for alarm in alarms)
+        parts.append(
+            f'{_count(wrong, "false alarm", "false alarms")}, '
+            f'{_count(len(missed), "fault", "faults")} missed'
+        )
+    stops = sum(phase.what == SAFE_STOP for phase in found)
+    odd = sum(phase.what == INCONSISTENT for phase in found)
+    brakes = [phase for phase in found if phase.what == BRAKED]
+    if brakes:
+        reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))
+        times = _count(len(brakes), 'time', 'times')
+        parts.append(f'the drives braked {times} ({reasons})')
+    parts.append(
+        f'{_count(stops, "safe stop", "safe stops")}, '
+        f'{_count(odd, "inconsistent phase", "inconsistent phases")}.'
     )
-    return '; '.join(parts)
+    move, words = findings.motion, '; '.join(parts)
+    if move.fastest <= 1.0:
+        return words
+    lasted = sum(phase.duration for phase in found if phase.what == TOO_FAST)
+    return (
+        f'The arm exceeded its speed limit for {lasted:.3f} s ({move.joint}: '
+        f'{move.speed:.3g} rad/s {move.source}, limit {move.limit:g} rad/s). {words}'
+    )
 
 
-def _tiles(record, alarms, missed, truth, certificate, found):
+def _tiles(findings: Findings, alarms: list[Episode], missed: list[Interval]) -> list[Tile]:
+    record, move = findings.record, findings.motion
     tiles = [Tile('alarms', str(len(alarms)), _ongoing(alarms))]
-    if truth:
+    if 'ground_truth' in record.streams:
         false = sum(alarm.false_alarm for alarm in alarms)
         delays = [alarm.delay for alarm in alarms if alarm.delay is not None]
         tiles += [
@@ -152,30 +165,36 @@ def _tiles(record, alarms, missed, truth, certificate, found):
         ]
         if delays:
             tiles.append(Tile('slowest alarm', f'{max(delays):.3f} s', 'after the fault'))
-    stopped = sum(p.duration for p in found if p.what == SAFE_STOP)
+    stopped = sum(p.duration for p in findings.phases if p.what == SAFE_STOP)
     if 'torque_command' in record.streams:
         tiles.append(Tile('stopped', f'{stopped:.1f} s', look='warn' if stopped else ''))
-    return [*tiles, _certificate_tile(certificate)]
+    limit = f'limit {move.limit:g}, {move.joint}, {move.source}'
+    look = 'bad' if move.fastest > 1.0 else ''
+    tiles.append(Tile('fastest joint', f'{move.speed:.3g} rad/s', limit, look))
+    if move.path_error is not None:
+        tiles.append(Tile('farthest from path', f'{move.path_error:.3g} m', 'true tip'))
+    return [*tiles, _certificate_tile(findings.certificate, findings.reproduction)]
 
 
-def _ongoing(alarms):
+def _ongoing(alarms: list[Episode]) -> str:
     active = sum(alarm.cleared is None for alarm in alarms)
     return f'{active} to the end' if active else ''
 
 
-def _certificate_tile(certificate):
+def _certificate_tile(certificate: Certificate | None, again: Reproduction | None) -> Tile:
     if certificate is None:
-        return Tile('certificate', 'unknown', look='warn')
+        return Tile('certificate of the gains', 'unknown', look='warn')
+    if certificate.holds and again is not None and not again.same:
+        return Tile('certificate of the gains', 'holds', 'but the run had others', 'warn')
     if certificate.holds:
-        return Tile('certificate', 'holds', f'{len(certificate.checks)} checks', 'good')
-    return Tile(
-        'certificate',
-        'changed' if not (certificate.problem or certificate.failed) else 'fails',
-        look='bad',
-    )
+        return Tile(
+            'certificate of the gains', 'holds', f'{len(certificate.checks)} checks', 'good'
+        )
+    word = 'changed' if not (certificate.problem or certificate.failed) else 'fails'
+    return Tile('certificate of the gains', word, look='bad')
 
 
-def _arm_facts(arm):
+def _arm_facts(arm: ArmParameters) -> list[tuple[str, str]]:
     return [
         ('name', arm.name),
         ('SHA-256', arm.sha256()),

@@ -1,38 +1,25 @@
 """All figures of a report, in the order of the page."""
 
-import matplotlib.pyplot as plt
+from collections.abc import Callable, Iterator
 
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from lpv_core.control.path import CartesianPath
 from lpv_report.guarantees.detectability_figures import over_configurations, over_time
 from lpv_report.history.episodes import true_faults
 from lpv_report.history.timeline import timeline
+from lpv_report.run.content import Findings
 from lpv_report.run.figures import cartesian, faults, measured, states, torques
-from lpv_report.run.style import SETTINGS
+from lpv_report.style import SETTINGS
 
 
-def draw_all(record, arm, path=None, found=(), able=None):
-    """Draw everything that a run has to show.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    path : CartesianPath, optional
-        Reference path with its obstacle.
-    found : list of Phase, optional
-        Stretches without an answer.
-    able : Detectability, optional
-        What could be detected.
-
-    Yields
-    ------
-    tuple of str and matplotlib.figure.Figure
-        Name and figure; the figure is closed afterwards.
-    """
+def draw_all(findings: Findings, path: CartesianPath | None) -> Iterator[tuple[str, Figure]]:
+    """Draw everything that a run has to show; each figure is closed when the next one is wanted."""
+    record, arm, able = findings.record, findings.arm, findings.detectable
     names = arm.sensor_names
-    makers = {
-        'timeline': lambda: timeline(record, found, true_faults(record), names),
+    makers: dict[str, Callable[[], Figure | None]] = {
+        'timeline': lambda: timeline(record, findings.phases, true_faults(record), names),
         'path': lambda: cartesian(record, arm, path),
         'faults': lambda: faults(record, names),
         'measured': lambda: measured(record),

@@ -1,4 +1,4 @@
-"""Counterparts of the paper's figures 4 to 8; one function a figure.
+"""Counterparts of the paper's figures 4 to 8; one function per figure.
 
 Every function returns a Matplotlib figure, or None where the run has nothing to show in it.
 Joint or sensor 1 is blue and 2 is vermilion throughout; wide pale lines are the truth or the
@@ -6,22 +6,30 @@ reference, thin lines what is measured or estimated.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.control.path import CartesianPath
 from lpv_core.decision.diagnosis import SensorState
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import forward
-from lpv_report.history.episodes import episodes, intervals
-from lpv_report.run.style import BAND, INK, PALE, SENSOR, SOFT, thin
+from lpv_report.history.episodes import Episode, episodes, intervals
+from lpv_report.style import BAND, HATCHED, INK, PALE, SENSOR, SOFT, legend_above, shade, thin
 
 _WIDTH = 8.6
-_WIDE = {'linewidth': 3.4}
-_THIN = {'linewidth': 1.1}
-_DASHED = {'linewidth': 1.1, 'linestyle': (0, (4, 2.5))}
+_WIDE: dict[str, Any] = {'linewidth': 3.4}
+_THIN: dict[str, Any] = {'linewidth': 1.1}
+_DASHED: dict[str, Any] = {'linewidth': 1.1, 'linestyle': (0, (4, 2.5))}
 
 
-def _axes(rows, columns=1, height=2.15, **options):
+def _axes(
+    rows: int, columns: int = 1, height: float = 2.15, **options: Any
+) -> tuple[Figure, np.ndarray]:
     figure, axes = plt.subplots(
         rows, columns, sharex=True, squeeze=False, figsize=(_WIDTH, height * rows + 0.3), **options
     )
@@ -30,7 +38,9 @@ def _axes(rows, columns=1, height=2.15, **options):
     return figure, axes
 
 
-def _draw(axis, time, values, label, color, **options):
+def _draw(
+    axis: Axes, time: np.ndarray, values: np.ndarray | None, label: str, color: str, **options: Any
+) -> bool:
     """A curve, if there is any: returns whether it was drawn."""
     if values is None or not np.isfinite(values).any():
         return False
@@ -38,32 +48,22 @@ def _draw(axis, time, values, label, color, **options):
     return True
 
 
-def _finish(axis, record, title) -> None:
+def _finish(axis: Axes, record: RunRecord, title: str) -> None:
     """Title on the left, legend on the right, both above the data."""
     axis.set_title(title, pad=7)
-    handles, labels = axis.get_legend_handles_labels()
-    if handles:
-        axis.legend(
-            handles,
-            labels,
-            loc='lower right',
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=len(handles),
-            borderaxespad=0.25,
-            handlelength=1.7,
-            columnspacing=1.3,
-            handletextpad=0.5,
-        )
+    legend_above(axis)
     axis.set_xlim(0.0, record.time[-1])
     axis.margins(y=0.08)
 
 
-def _column(record, stream, name, index):
+def _column(record: RunRecord, stream: str, name: str, index: int) -> np.ndarray | None:
     values = record.aligned(stream, name)
     return None if values is None else values[:, index]
 
 
-def _tip(record, arm, stream, name: str = 'position'):
+def _tip(
+    record: RunRecord, arm: ArmParameters, stream: str, name: str = 'position'
+) -> np.ndarray | None:
     q = record.aligned(stream, name)
     if q is None:
         return None
@@ -71,23 +71,8 @@ def _tip(record, arm, stream, name: str = 'position'):
     return forward(q + np.array([arm.zero_angle + np.pi / 2, 0.0]), arm.lengths)
 
 
-def cartesian(record, arm, path=None):
-    """Fig. 4: reference path, true path, and the path that the measurements claim.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters
-        Its arm.
-    path : CartesianPath, optional
-        Supplies the obstacle, and the reference if the run has none.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+def cartesian(record: RunRecord, arm: ArmParameters, path: CartesianPath | None = None) -> Figure:
+    """Fig. 4: reference path, true path, and the path according to the measurements."""
     figure, axis = plt.subplots(figsize=(_WIDTH, 4.6))
     reference = record.aligned('reference', 'tip_position')
     if reference is None and path is not None:
@@ -95,19 +80,15 @@ def cartesian(record, arm, path=None):
     actual, label = _tip(record, arm, 'ground_truth'), 'true tip'
     if actual is None:
         actual, label = _tip(record, arm, 'state_estimate'), 'tip as estimated'
+    tip = _tip(record, arm, 'joint_states')
     curves = (
-        (
-            _tip(record, arm, 'joint_states'),
-            'tip as measured, with faults',
-            SENSOR[1],
-            {'linewidth': 0.8},
-        ),
-        (reference, 'reference path', BAND, {'linewidth': 6.0}),
-        (actual, label, SENSOR[0], {'linewidth': 1.4}),
+        (tip, 'tip as measured, with faults', SENSOR[1], 0.8),
+        (reference, 'reference path', BAND, 6.0),
+        (actual, label, SENSOR[0], 1.4),
     )
-    for points, text, color, options in curves:
+    for points, text, color, width in curves:
         if points is not None:
-            axis.plot(*_thin_path(points), label=text, color=color, **options)
+            axis.plot(*_thin_path(points), label=text, color=color, linewidth=width)
     if path is not None and path.obstacle is not None:
         axis.add_patch(
             plt.Circle(
@@ -119,8 +100,9 @@ def cartesian(record, arm, path=None):
                 label='obstacle',
             )
         )
-    first = actual if actual is not None else _tip(record, arm, 'joint_states')
-    _mark_ends(axis, first)
+    marked = actual if actual is not None else tip
+    if marked is not None:
+        _mark_ends(axis, marked)
     axis.set(xlabel='x [m]', ylabel='y [m]')
     axis.set_aspect('equal', adjustable='datalim')
     axis.margins(0.05)
@@ -134,7 +116,7 @@ def cartesian(record, arm, path=None):
     return figure
 
 
-def _thin_path(points, step=0.5e-3):
+def _thin_path(points: np.ndarray, step: float = 0.5e-3) -> np.ndarray:
     """x and y without samples that are closer than a line's width to the one before [m]."""
     points = points[np.isfinite(points).all(axis=1)]
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
@@ -142,7 +124,7 @@ def _thin_path(points, step=0.5e-3):
     return points[index].T
 
 
-def _mark_ends(axis, points) -> None:
+def _mark_ends(axis: Axes, points: np.ndarray) -> None:
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return
@@ -157,21 +139,8 @@ def _mark_ends(axis, points) -> None:
         )
 
 
-def faults(record, sensor_names: Sequence[str] | None = None):
-    """Fig. 5: sensor faults and their estimates, thresholds and alarms.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    sensor_names : sequence of str, optional
-        Names instead of the recorded ones.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without fault estimates.
-    """
+def faults(record: RunRecord, sensor_names: Sequence[str] | None = None) -> Figure | None:
+    """Fig. 5: sensor faults and their estimates, thresholds and alarms."""
     if 'fault_estimate' not in record.streams:
         return None
     names = sensor_names or record.sensor_names
@@ -179,9 +148,10 @@ def faults(record, sensor_names: Sequence[str] | None = None):
     figure, axes = _axes(2, height=2.5)
     for i, axis in enumerate(axes[:, 0]):
         threshold = _column(record, 'fault_estimate', 'threshold', i)
-        axis.fill_between(
-            *_band(time, threshold), color=BAND, alpha=0.45, linewidth=0, label='below threshold'
-        )
+        if threshold is not None:
+            at, high = thin(time, threshold)
+            look: dict[str, Any] = {'color': BAND, 'alpha': 0.45, 'linewidth': 0}
+            axis.fill_between(at, -high, high, label='below threshold', **look)
         _draw(axis, time, _column(record, 'ground_truth', 'fault', i), 'fault', PALE[i], **_WIDE)
         _draw(
             axis,
@@ -197,55 +167,20 @@ def faults(record, sensor_names: Sequence[str] | None = None):
     return figure
 
 
-def _band(time, threshold):
-    at, high = thin(time, threshold)
-    return at, -high, high
+def _shade(axis: Axes, record: RunRecord, sensor: int, alarms: list[Episode]) -> None:
+    """Alarms as shaded, intervals without diagnosis as hatched intervals."""
+    end = float(record.time[-1])
+    mine = [e for e in alarms if e.sensor_index == sensor]
+    spans = [(e.raised, end if e.cleared is None else e.cleared) for e in mine]
+    shade(axis, spans, 'alarm', color=SENSOR[sensor], alpha=0.12)
+    state = _column(record, 'fault_estimate', 'state', sensor)
+    if state is not None:
+        lost = intervals(state == SensorState.NOT_DIAGNOSABLE, record.time)
+        shade(axis, [(part.start, part.end) for part in lost], 'not diagnosable', **HATCHED)
 
 
-def _shade(axis, record, sensor, alarms) -> None:
-    """Alarms as shaded, stretches without diagnosis as hatched intervals."""
-    end, label = record.time[-1], 'alarm'
-    for episode in alarms:
-        if episode.sensor_index == sensor:
-            stop = end if episode.cleared is None else episode.cleared
-            axis.axvspan(
-                episode.raised,
-                stop,
-                color=SENSOR[sensor],
-                alpha=0.12,
-                linewidth=0,
-                label=label,
-                zorder=0,
-            )
-            label = None
-    state, label = _column(record, 'fault_estimate', 'state', sensor), 'not diagnosable'
-    for lost in intervals(state == SensorState.NOT_DIAGNOSABLE, record.time):
-        axis.axvspan(
-            lost.start,
-            lost.end,
-            facecolor='none',
-            edgecolor=SOFT,
-            hatch='////',
-            linewidth=0,
-            label=label,
-            zorder=0,
-        )
-        label = None
-
-
-def measured(record):
-    """Fig. 6: measured joint positions, with faults, and their references.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+def measured(record: RunRecord) -> Figure:
+    """Fig. 6: measured joint positions, with faults, and their references."""
     figure, axes = _axes(2, height=2.4)
     for i, axis in enumerate(axes[:, 0]):
         _draw(
@@ -277,19 +212,8 @@ def measured(record):
     return figure
 
 
-def states(record):
-    """Fig. 7: joint positions and rates with their estimates.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run; without ground truth the measurement takes its place.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without state estimates.
-    """
+def states(record: RunRecord) -> Figure | None:
+    """Fig. 7: joint positions and rates with their estimates."""
     if 'state_estimate' not in record.streams:
         return None
     truth = 'ground_truth' if 'ground_truth' in record.streams else 'joint_states'
@@ -311,19 +235,8 @@ def states(record):
     return figure
 
 
-def torques(record):
-    """Fig. 8: torques of both joints.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None if neither commands nor efforts are recorded.
-    """
+def torques(record: RunRecord) -> Figure | None:
+    """Fig. 8: torques of both joints."""
     figure, axes = _axes(2, height=2.2)
     drawn = False
     for i, axis in enumerate(axes[:, 0]):

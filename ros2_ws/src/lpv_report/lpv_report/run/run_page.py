@@ -8,43 +8,17 @@ from lpv_report.page import environment
 
 
 def number(value: float | None, form: str) -> str:
-    """A number as text.
-
-    Parameters
-    ----------
-    value : float or None
-        The number.
-    form : str
-        Format of the % operator.
-
-    Returns
-    -------
-    str
-        A dash where there is no finite number.
-    """
+    """A number as text."""
     return form % value if value is not None and math.isfinite(value) else '-'
 
 
-def share(value):
+def share(value: float | None) -> str:
     """A share from 0 to 1 as percentage; a dash for None."""
     return '-' if value is None else f'{100.0 * value:.1f} %'
 
 
 def render(values: dict[str, Any], figures: dict[str, dict[str, Any]]) -> str:
-    """The page as text.
-
-    Parameters
-    ----------
-    values : dict
-        Of `lpv_report.run.content.content`.
-    figures : dict of str to dict
-        Caption and data (base64) of each picture by name.
-
-    Returns
-    -------
-    str
-        HTML that needs nothing from elsewhere.
-    """
+    """The page as text."""
     templates = environment(Path(__file__).parent)
     templates.filters.update(number=number, share=share)
     known = {name: None for name in ('timeline', 'detectability', 'map')}

@@ -1,12 +1,14 @@
 """Table 2 of the paper beside the figures of a run."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.metrics import mise
 
@@ -26,28 +28,28 @@ PAPER = {
 """MISE of Table 2; states and tracking in absolute angles, as in the paper."""
 
 
+_TABLE_1 = ((10.0, 1.0, 0.5, 0.83), (5.0, 1.0, 0.5, 0.41))
+"""Mass [kg], length, center of mass [m] and inertia [kg m2] of the paper's links."""
+
+
+def is_paper_arm(arm: ArmParameters) -> bool:
+    """Whether an arm is that of the paper's Table 1, whose errors Table 2 lists."""
+    links = tuple((k.mass, k.length, k.center_of_mass, k.inertia) for k in arm.links)
+    return links == _TABLE_1 and arm.arrangement == 'absolute' and arm.sign > 0
+
+
 @dataclass(frozen=True)
 class Row:
-    """One line of a table.
+    """One line of a table."""
 
-    Attributes
-    ----------
-    signal, meaning, unit : str
-        What it is.
-    value : float
-        Ours.
-    paper : float or None
-        The paper's.
-    """
-
-    signal: str
-    meaning: str
-    unit: str
-    value: float
-    paper: float = None
+    signal: str  # what it is
+    meaning: str  # what it is
+    unit: str  # what it is
+    value: float  # ours
+    paper: float | None = None  # the paper's
 
 
-def make_table(record, arm) -> list[Row]:
+def make_table(record: RunRecord, arm: ArmParameters) -> list[Row]:
     """MISE against ground truth, or the size of fault estimates where there is none.
 
     Parameters
@@ -63,12 +65,18 @@ def make_table(record, arm) -> list[Row]:
         Rows in the order of the paper's Table 2.
     """
     if 'ground_truth' in record.streams and 'state_estimate' in record.streams:
-        return _against_truth(record, JointMap(arm))
+        rows = _against_truth(record, JointMap(arm))
+        return rows if is_paper_arm(arm) else [replace(row, paper=None) for row in rows]
     return _without_truth(record)
 
 
-def _against_truth(record, joints):
-    get = record.aligned
+def _against_truth(record: RunRecord, joints: JointMap) -> list[Row]:
+
+    def get(stream: str, name: str) -> np.ndarray:
+        values = record.aligned(stream, name)
+        assert values is not None  # of streams that are there
+        return values
+
     truth = joints.absolute_position(get('ground_truth', 'position'))
     errors = {
         'x1': truth - joints.absolute_position(get('state_estimate', 'position')),
@@ -85,7 +93,7 @@ def _against_truth(record, joints):
     pairs = {'x1': 'x2', 'x3': 'x4', 'f1': 'f2', 'y1': 'y2', 'e_t1': 'e_t2'}
     values = {}
     for first, error in errors.items():
-        values[first], values[pairs[first]] = (float(v) for v in mise(error))
+        values[first], values[pairs[first]] = np.asarray(mise(error)).tolist()
     return [
         Row(name, *PAPER[name][:2], values[name], PAPER[name][2])
         for name in PAPER
@@ -93,7 +101,7 @@ def _against_truth(record, joints):
     ]
 
 
-def _without_truth(record):
+def _without_truth(record: RunRecord) -> list[Row]:
     estimate = record.aligned('fault_estimate', 'estimate')
     if estimate is None:
         return []
@@ -114,25 +122,19 @@ def _without_truth(record):
     return rows
 
 
-def _times(row):
-    if not row.value > 0.0:
+def _times(row: Row) -> str:
+    if row.paper is None or not row.value > 0.0:
         return '-'
     ratio = row.paper / row.value
     return f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
 
 
-def print_table(rows: list[Row], console=None) -> None:
-    """Show a table on the terminal.
-
-    Parameters
-    ----------
-    rows : list of Row
-        From `make_table`.
-    console : rich.console.Console, optional
-        Where.
-    """
+def print_table(rows: list[Row], console: Console | None = None) -> None:
+    """Show a table on the terminal."""
     with_paper = any(row.paper is not None for row in rows)
-    table = Table(title='MISE, eq. (70)' if with_paper else None, box=box.SIMPLE_HEAD)
+    errors = any(row.signal in PAPER for row in rows)
+    title = 'mean squared errors (MISE, eq. (70))' if errors else None
+    table = Table(title=title, box=box.SIMPLE_HEAD)
     for name in ('signal', 'meaning', 'unit'):
         table.add_column(name, no_wrap=True)
     table.add_column('this run', justify='right', no_wrap=True)

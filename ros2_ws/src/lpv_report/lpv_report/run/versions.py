@@ -14,18 +14,12 @@ _PACKAGES = (
 
 
 def installed_versions() -> list[tuple[str, ...]]:
-    """Versions of the software that reads, computes and draws.
-
-    Returns
-    -------
-    list of tuple of str
-        Name and version.
-    """
+    """Versions of the software that reads, computes and draws."""
     found = [(title, _version(name)) for name, title in _PACKAGES]
     return [found[0], ('Python', platform.python_version()), *found[1:]]
 
 
-def _version(name):
+def _version(name: str) -> str:
     try:
         return version(name)
     except PackageNotFoundError:

@@ -5,16 +5,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lpv_bag.run.record import load_run
+from lpv_core.control.path import CartesianPath
+from lpv_core.model.arm import ArmParameters
 from lpv_report.guarantees.detectability import detectability
-from lpv_report.guarantees.examination import examine
-from lpv_report.guarantees.gains_source import find_used_gains
-from lpv_report.guarantees.reproduction import reproduce
+from lpv_report.guarantees.examination import Certificate, examine
+from lpv_report.guarantees.gains_source import UsedGains, find_used_gains
+from lpv_report.guarantees.reproduction import Reproduction, reproduce
+from lpv_report.history.motion import motion, motion_phases
 from lpv_report.history.phases import phases
-from lpv_report.run.content import content
+from lpv_report.run.content import Findings, content
 from lpv_report.run.drawing import draw_all
 from lpv_report.run.run_page import render
-from lpv_report.run.style import png
 from lpv_report.run.table import make_table
+from lpv_report.style import png
 
 _CAPTIONS = {
     'timeline': 'What the diagnosis said of each sensor, and when.',
@@ -33,28 +36,22 @@ _CAPTIONS = {
 
 @dataclass(frozen=True)
 class ReportResult:
-    """What was written.
+    """What was written."""
 
-    Attributes
-    ----------
-    html : pathlib.Path
-        The report.
-    pictures : list of pathlib.Path
-        PNG files.
-    table : list of Row
-        Its table.
-    certificate : Certificate or None
-        Of the gains; None where they are not known.
-    """
-
-    html: Path
-    pictures: list
-    table: list
-    certificate: object = None
+    html: Path  # the report
+    pictures: list  # PNG files
+    table: list  # its table
+    certificate: Certificate | None = None  # of the gains; None where they are not known
+    reproduction: Reproduction | None = None  # whether the gains give the recorded estimates
 
 
 def write_report(
-    bag: str | Path, out: str | Path, arm, path=None, title: str = 'Run', used=None
+    bag: str | Path,
+    out: str | Path,
+    arm: ArmParameters,
+    path: CartesianPath | None = None,
+    title: str = 'Run',
+    used: UsedGains | None = None,
 ) -> ReportResult:
     """Write the report of a bag.
 
@@ -85,23 +82,31 @@ def write_report(
     """
     record = load_run(bag, joint_names=arm.joint_names)
     used = used or find_used_gains(bag)
-    certificate = examine(used, arm) if used.gains is not None else None
+    certificate = examine(used, arm)
     gains = used.gains if certificate is not None and not certificate.problem else None
-    again = reproduce(record, arm, gains) if gains is not None else None
-    able = detectability(record, arm, gains if certificate and certificate.holds else None)
-    found = phases(record, bag, arm.sensor_names)
-    table = make_table(record, arm)
+    findings = Findings(
+        record,
+        arm,
+        title,
+        make_table(record, arm),
+        used,
+        certificate,
+        reproduce(record, arm, gains) if gains is not None else None,
+        detectability(record, arm, gains if certificate and certificate.holds else None),
+        sorted(
+            [*phases(record, bag, arm.sensor_names), *motion_phases(record, arm)],
+            key=lambda p: (p.start, p.what, p.sensor),
+        ),
+        motion(record, arm),
+    )
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     pictures, figures = [], {}
-    for name, figure in draw_all(record, arm, path, found, able):
+    for name, figure in draw_all(findings, path):
         data = png(figure)
         pictures.append(out / f'{name}.png')
         pictures[-1].write_bytes(data)
         figures[name] = {'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()}
     html = out / 'report.html'
-    html.write_text(
-        render(content(record, arm, title, table, used, certificate, again, able, found), figures),
-        encoding='utf-8',
-    )
-    return ReportResult(html, pictures, table, certificate)
+    html.write_text(render(content(findings), figures), encoding='utf-8')
+    return ReportResult(html, pictures, findings.table, certificate, findings.reproduction)

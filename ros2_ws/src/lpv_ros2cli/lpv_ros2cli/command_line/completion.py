@@ -16,10 +16,11 @@ def complete() -> None:
         return
     import argcomplete
 
+    from lpv_node.discovery import stay_local
     from lpv_ros2cli.command_line.parsing import build_parser, chosen
     from lpv_ros2cli.errors import CliError
 
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    stay_local()
     try:
         parser = build_parser(*chosen(_words()))
     except CliError:

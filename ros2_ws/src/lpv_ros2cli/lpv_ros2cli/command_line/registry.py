@@ -15,6 +15,9 @@ VERBS = {
         'show information about message and service types',
         {
             'list': 'list the interface types that are available',
+            'package': 'list the interface types of a package',
+            'packages': 'list the packages that have interfaces',
+            'proto': 'print an interface with default values',
             'show': 'print the definition of an interface type',
         },
     ),
@@ -22,6 +25,7 @@ VERBS = {
         'managed nodes',
         {
             'get': 'get the lifecycle state of one or more nodes',
+            'list': 'list the transitions of a node',
             'nodes': 'list the nodes that have a lifecycle',
             'set': 'trigger a lifecycle transition',
         },
@@ -33,6 +37,7 @@ VERBS = {
     'param': (
         'parameters',
         {
+            'delete': 'delete a parameter',
             'describe': 'show descriptions of declared parameters',
             'dump': 'print the parameters of a node as a parameter file',
             'get': 'get a parameter',
@@ -51,17 +56,26 @@ VERBS = {
     ),
     'service': (
         'services',
-        {'call': 'call a service', 'list': 'list the services that are available'},
+        {
+            'call': 'call a service',
+            'find': 'list the services of a type',
+            'info': 'print information about a service',
+            'list': 'list the services that are available',
+            'type': 'print the type of a service',
+        },
     ),
     'topic': (
         'topics',
         {
             'bw': 'print the bandwidth of a topic',
+            'delay': 'print the delay of a topic with a header',
             'echo': 'print the messages of a topic',
-            'hz': 'print the rate of a topic',
+            'find': 'list the topics of a type',
+            'hz': 'print the rates of topics',
             'info': 'print information about a topic',
             'list': 'list the topics that are available',
             'pub': 'publish messages to a topic',
+            'type': 'print the type of a topic',
         },
     ),
 }

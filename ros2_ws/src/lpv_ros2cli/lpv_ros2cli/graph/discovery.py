@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from lpv_node.discovery import DISCOVERY_RANGE
 from lpv_ros2cli.errors import CliError
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def wait_for(condition: Callable[[], Found], timeout: float = LONGEST) -> Found:
 
 def _all_found(node: 'Node') -> bool:
     """Whether every participant of this machine was found, and of others probably."""
-    if os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') != 'LOCALHOST':
+    if os.environ.get(DISCOVERY_RANGE) != 'LOCALHOST':
         return False  # who is on the network cannot be known: take the whole time
     participants = {
         bytes(info.endpoint_gid[:12])

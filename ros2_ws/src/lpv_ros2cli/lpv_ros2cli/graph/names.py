@@ -50,7 +50,7 @@ def find_topic(node: 'Node', name: str, spin_time: float | None = None) -> tuple
     full = absolute(name)
     types = find(node, lambda: dict(node.get_topic_names_and_types()).get(full), spin_time)
     if not types:
-        raise CliError(f"Unknown topic '{full}': it has no publishers and no subscriptions")
+        raise CliError(f"Unknown topic '{full}'")
     return full, types
 
 

@@ -51,7 +51,7 @@ def chosen_profile(arguments: Namespace, base: 'QoSProfile') -> 'QoSProfile':
     return profile
 
 
-def fitting(node: 'Node', topic: str, depth: int = 10) -> 'QoSProfile':
+def matching(node: 'Node', topic: str, depth: int = 10) -> 'QoSProfile':
     """Profile that is compatible with every publisher of a topic."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 

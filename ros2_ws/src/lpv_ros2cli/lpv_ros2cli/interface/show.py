@@ -5,7 +5,6 @@ import sys
 from argparse import ArgumentParser, Namespace
 
 from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.message.types import definition, full_type, installed
 
 _FIELD = re.compile(r'([A-Za-z][A-Za-z0-9_/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-zA-Z]\w*\s*(?![=\w])')
@@ -27,17 +26,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Print a definition, with nested types indented below the fields that have them."""
     name = arguments.type if arguments.type != '-' else sys.stdin.readline().strip()
-    _show(_existing(name), arguments, 0)
-
-
-def _existing(name: str) -> str:
-    if name.count('/') == 1:
-        package, short = name.split('/')
-        for kind in ('msg', 'srv', 'action'):
-            if f'{package}/{kind}/{short}' in installed([package]):
-                return f'{package}/{kind}/{short}'
-        raise CliError(f"Unknown interface '{name}'")
-    return full_type(name)
+    _show(name, arguments, 0)
 
 
 def _show(name: str, arguments: Namespace, depth: int) -> None:
@@ -46,7 +35,7 @@ def _show(name: str, arguments: Namespace, depth: int) -> None:
         code = line.partition('#')[0] if '"' not in line and "'" not in line else line
         shown = line.rstrip() if comments else code.rstrip()
         if shown.strip() or comments:
-            print('\t' * depth + shown)
+            print('\t' * depth + shown if shown else '')
         nested = _nested_type(code.strip(), name)
         if nested is not None and depth < _DEEPEST:
             _show(nested, arguments, depth + 1)

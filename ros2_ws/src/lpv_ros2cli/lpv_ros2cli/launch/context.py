@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lpv_ros2cli.command_line.expressions import evaluate
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.launch.expressions import evaluate
 from lpv_ros2cli.launch.substitutions import Parts, Substitution, parse
 from lpv_ros2cli.packages import executable, prefix_of, share_of
 

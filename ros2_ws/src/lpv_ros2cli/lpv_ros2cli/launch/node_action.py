@@ -31,6 +31,7 @@ class ProcessSpec:
     shutdown_on_exit: bool = False  # stop everything when it ends
     sigterm_timeout: float = 5.0  # from SIGINT to SIGTERM [s]
     sigkill_timeout: float = 5.0  # from SIGTERM to SIGKILL [s]
+    is_node: bool = False  # a ROS node itself, which handles SIGTERM once it has started
 
 
 def node_process(context: Context, entity: Entity) -> ProcessSpec:
@@ -61,7 +62,9 @@ def node_process(context: Context, entity: Entity) -> ProcessSpec:
     for old, new in remaps:
         command += ['-r', f'{old}:={new}']
     label = context.perform(entity.text('exec_name') or program)
-    return _process(context, entity, label, command, f'{package}/{program}')
+    process = _process(context, entity, label, command, f'{package}/{program}')
+    process.is_node = process.command == command  # not a prefix that runs it
+    return process
 
 
 def program_process(context: Context, entity: Entity) -> ProcessSpec:

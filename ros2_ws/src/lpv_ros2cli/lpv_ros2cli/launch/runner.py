@@ -28,6 +28,7 @@ class _Process:
         self.popen: subprocess.Popen[str] | None = None
         self.pid = 0
         self.retries = 0
+        self.stopped_early = False
         self.start_at: float | None = None
         self.signal_sent: signal.Signals | None = None
         self.escalate_at: float | None = None
@@ -35,6 +36,19 @@ class _Process:
     @property
     def running(self) -> bool:
         return self.popen is not None
+
+    @property
+    def is_starting(self) -> bool:
+        """Whether this is a node that has not reached its own signal handlers.
+
+        A Python node is importing then: SIGINT would make it print a traceback.
+        """
+        return self.running and self.spec.is_node and not _catches(self.pid, signal.SIGTERM)
+
+    def stop(self) -> None:
+        """Tell the process to end; one that is still starting has nothing to clean up."""
+        self.stopped_early = self.is_starting
+        self.send(signal.SIGTERM if self.stopped_early else signal.SIGINT)
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the process and its children, if it runs."""
@@ -69,11 +83,11 @@ class Runner:
         self._failed = False
 
     def run(self) -> int:
-        """Run until all have ended."""
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as nohup asks for
-            numbers.append(signal.SIGHUP)  # the processes do not notice that the terminal closes
-        previous = {number: signal.signal(number, self._on_signal) for number in numbers}
+        """Run until all have ended; signals that come later change nothing."""
+        # SIGHUP, too: the processes do not notice that the terminal closes.
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # of nohup
+                signal.signal(number, self._on_signal)
         try:
             with tempfile.TemporaryDirectory(prefix='launch_params_') as folder:
                 self._folder = Path(folder)
@@ -81,11 +95,8 @@ class Runner:
                     self._start(process)
                 self._loop()
         finally:
-            for number, handler in previous.items():
-                signal.signal(number, handler)
             for process in self._processes:  # only after an error in here
-                if process.running:
-                    process.send(signal.SIGKILL)
+                process.send(signal.SIGKILL)
         return int(self._failed)
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
@@ -170,7 +181,10 @@ class Runner:
 
     def _ended(self, process: _Process, code: int) -> None:
         process.popen = process.escalate_at = None
-        if code == 0:
+        if process.stopped_early and code == -signal.SIGTERM:
+            text = f'process was stopped before it had started [pid {process.pid}]'
+            self._log.note('INFO', process.name, text)
+        elif code == 0:
             self._log.note(
                 'INFO', process.name, f'process has finished cleanly [pid {process.pid}]'
             )
@@ -206,7 +220,7 @@ class Runner:
         for process in self._processes:
             process.start_at = None
             if process.running:
-                process.send(signal.SIGINT)
+                process.stop()
 
     def _escalate(self, process: _Process, last: signal.Signals) -> None:
         following = _ESCALATION[last]
@@ -220,3 +234,13 @@ class Runner:
             f"receiving '{last.name}', escalating to '{following.name}'",
         )
         process.send(following)
+
+
+def _catches(pid: int, number: signal.Signals) -> bool:
+    """Whether a process has a handler for a signal; True where that cannot be told."""
+    try:
+        status = Path(f'/proc/{pid}/status').read_text(encoding='ascii')
+        mask = int(status.split('SigCgt:')[1].split()[0], 16)
+    except (OSError, ValueError, IndexError):
+        return True
+    return bool(mask >> (number - 1) & 1)

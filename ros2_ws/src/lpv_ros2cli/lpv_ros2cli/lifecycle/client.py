@@ -7,7 +7,7 @@ from lpv_ros2cli.graph.calling import call, ready_client
 from lpv_ros2cli.graph.names import find_node, node_names
 
 if TYPE_CHECKING:
-    from lifecycle_msgs.msg import State, Transition
+    from lifecycle_msgs.msg import State, Transition, TransitionDescription
     from rclpy.node import Node
 
 _STATE_TYPE = 'lifecycle_msgs/srv/GetState'
@@ -43,12 +43,19 @@ class Lifecycle:
 
         return self._call(GetState, 'get_state', 5.0).current_state
 
-    def transitions(self) -> list['Transition']:
-        """Transitions (lifecycle_msgs/Transition) that are possible now."""
+    def transitions(self) -> list['TransitionDescription']:
+        """Transitions that are possible now."""
         from lifecycle_msgs.srv import GetAvailableTransitions
 
         found = self._call(GetAvailableTransitions, 'get_available_transitions', 5.0)
-        return [description.transition for description in found.available_transitions]
+        return list(found.available_transitions)
+
+    def transition_graph(self) -> list['TransitionDescription']:
+        """All transitions."""
+        from lifecycle_msgs.srv import GetAvailableTransitions
+
+        found = self._call(GetAvailableTransitions, 'get_transition_graph', 5.0)
+        return list(found.available_transitions)
 
     def change(self, transition: 'Transition') -> bool:
         """Trigger a transition; whether it succeeded. Nodes may take long to configure."""

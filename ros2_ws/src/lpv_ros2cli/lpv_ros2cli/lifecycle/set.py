@@ -25,13 +25,11 @@ def run(arguments: Namespace) -> None:
     """Trigger a transition."""
     with discovery.command_node() as node:
         lifecycle = Lifecycle(node, arguments.node_name, arguments.spin_time)
-        available = lifecycle.transitions()
+        available = [description.transition for description in lifecycle.transitions()]
         chosen = [t for t in available if arguments.transition in (t.label, str(t.id))]
         if not chosen:
-            raise CliError(
-                'Unknown transition requested, available ones are: '
-                + (', '.join(f'{t.label} [{t.id}]' for t in available) or 'none')
-            )
+            lines = (f'\n- {t.label} [{t.id}]' for t in available)
+            raise CliError(f'Unknown transition requested, available ones are:{"".join(lines)}')
         if not lifecycle.change(chosen[0]):
             raise CliError('Transitioning failed')
     print('Transitioning successful')

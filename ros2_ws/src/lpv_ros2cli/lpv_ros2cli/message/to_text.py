@@ -2,7 +2,7 @@
 
 import array
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,9 @@ DEFAULT_LENGTH = 128
 """Elements and characters that are shown of a long field."""
 
 
+_ARRAYS = (list, tuple, array.array, np.ndarray)
+
+
 @dataclass(frozen=True)
 class Style:
     """How messages are shown."""
@@ -22,28 +25,39 @@ class Style:
     truncate: int | None = DEFAULT_LENGTH  # longest list, text or bytes; None shows all
     no_arr: bool = False  # a remark in place of arrays
     no_str: bool = False  # a remark in place of texts
-    flow: bool = False  # one line per message
+    flow: bool = False  # lists in one line each
 
 
 class _Dumper(yaml.SafeDumper):
-    """Block style, lists not indented, no aliases."""
+    """Mappings in block style, lists not indented, no aliases."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
 
 
-def to_yaml(value: Any, style: Style = Style()) -> str:  # noqa: B008 - immutable
-    """A message, or a field of one, as YAML."""
-    plain = to_plain(value, style)
-    text = yaml.dump(
-        plain,
+def _represent_mapping(dumper: yaml.SafeDumper, data: dict[Any, Any]) -> yaml.Node:
+    return dumper.represent_mapping('tag:yaml.org,2002:map', data.items(), flow_style=False)
+
+
+def _represent_text(dumper: yaml.SafeDumper, data: str) -> yaml.Node:
+    # Unquoted or in single quotes, a reader would take this character for the end of a line.
+    quotes = '"' if '\x85' in data else None
+    return dumper.represent_scalar('tag:yaml.org,2002:str', data, style=quotes)
+
+
+_Dumper.add_representer(dict, _represent_mapping)
+_Dumper.add_representer(str, _represent_text)
+
+
+def to_yaml(message: Any, style: Style = Style()) -> str:  # noqa: B008 - immutable
+    """A message as YAML; with ``flow``, lists take one line each, as upstream."""
+    return yaml.dump(
+        to_plain(message, style),
         Dumper=_Dumper,
         width=sys.maxsize,
-        sort_keys=False,
         default_flow_style=style.flow,
         allow_unicode=True,
     )
-    return text.removesuffix('...\n')  # the end mark of a bare scalar
 
 
 def to_plain(value: Any, style: Style = Style()) -> object:  # noqa: B008 - immutable
@@ -51,7 +65,7 @@ def to_plain(value: Any, style: Style = Style()) -> object:  # noqa: B008 - immu
     if is_message(value):
         kinds = value.get_fields_and_field_types()
         return {name: _field(getattr(value, name), kind, style) for name, kind in kinds.items()}
-    if isinstance(value, (list, tuple, array.array, np.ndarray)):
+    if isinstance(value, _ARRAYS):
         return _list(value, style)
     if isinstance(value, bytes):
         value = value.decode('latin-1')
@@ -79,19 +93,30 @@ def _list(values: Any, style: Style) -> list[object]:
     return plain if len(plain) == len(values) else [*plain, '...']
 
 
-def to_csv(value: Any, style: Style = Style()) -> str:  # noqa: B008 - immutable
-    """A message, or a field of one, as comma-separated values of all its fields."""
-    return ','.join(_flat(to_plain(value, style)))
+def to_csv(message: Any, style: Style = Style()) -> str:  # noqa: B008 - immutable
+    """A message as comma-separated values of all its fields, in upstream's form."""
+    kinds = message.get_fields_and_field_types()
+    return _joined(_csv_field(getattr(message, name), kind, style) for name, kind in kinds.items())
 
 
-def _flat(plain: object) -> Iterator[str]:
-    if isinstance(plain, dict):
-        plain = plain.values()
-    elif not isinstance(plain, list):
-        yield str(plain)
-        return
-    for item in plain:
-        yield from _flat(item)
+def _csv_field(value: Any, kind: str, style: Style) -> str:
+    if is_message(value):
+        return to_csv(value, style)
+    if isinstance(value, _ARRAYS) and not style.no_arr:
+        shown = value if style.truncate is None else value[: style.truncate]
+        parts = [_csv_field(item, '', style) for item in shown]
+        return _joined(parts if len(parts) == len(value) else [*parts, '...'])
+    if isinstance(value, bytes) and style.truncate is not None and len(value) > style.truncate:
+        return str(value[: style.truncate] + b'...')
+    return str(value if isinstance(value, bytes) else _field(value, kind, style))
+
+
+def _joined(parts: Iterable[str]) -> str:
+    """As upstream: without commas behind leading empty values."""
+    text = ''
+    for part in parts:
+        text = f'{text},{part}' if text else part
+    return text
 
 
 def field_of(message: Any, path: str) -> object:

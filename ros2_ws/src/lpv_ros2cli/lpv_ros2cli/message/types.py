@@ -2,15 +2,50 @@
 
 import importlib
 import re
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.packages import prefix_of, resources
 
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
-KINDS = {'msg': 'Messages', 'srv': 'Services', 'action': 'Actions'}
-"""Kinds of interfaces, with their headings."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Of interfaces."""
+
+    heading: str
+    noun: str
+    option: str  # that chooses them
+
+
+KINDS = {
+    'msg': Kind('Messages', 'messages', 'msgs'),
+    'srv': Kind('Services', 'services', 'srvs'),
+    'action': Kind('Actions', 'actions', 'actions'),
+}
+"""Kinds of interfaces by the folder of their definitions."""
+
+
+def add_kind_arguments(parser: ArgumentParser) -> None:
+    """Declare the options that choose kinds."""
+    for name, kind in KINDS.items():
+        parser.add_argument(
+            f'-{name[0]}',
+            f'--only-{kind.option}',
+            action='append_const',
+            dest='kinds',
+            const=name,
+            help=f'only {kind.noun}',
+        )
+
+
+def chosen_kinds(arguments: Namespace) -> list[str]:
+    """Kinds that were chosen, or all, in the order of `KINDS`."""
+    return [name for name in KINDS if arguments.kinds is None or name in arguments.kinds]
 
 
 def full_type(text: str, kind: str | None = None) -> str:
@@ -53,10 +88,15 @@ def installed(packages: Iterable[str] | None = None) -> list[str]:
 
 
 def definition(name: str) -> str:
-    """Text of an interface's definition file."""
-    package, kind, short = full_type(name).split('/')
-    path = prefix_of(package) / 'share' / package / kind / f'{short}.{kind}'
+    """Text of an interface's definition file; errors as upstream."""
+    parts = name.split('/')
+    if len(parts) != 3 or not all(_NAME.fullmatch(part) for part in parts):
+        raise CliError(f"Invalid name '{name}'. Expected three parts separated by '/'")
+    package, kind, short = parts
+    if package not in resources('packages'):
+        raise CliError(f"Unknown package '{package}'")
+    folder = prefix_of(package) / 'share' / package / kind
     try:
-        return path.read_text(encoding='utf-8')
+        return (folder / f'{short}.{kind}').read_text(encoding='utf-8')
     except OSError as error:
-        raise CliError(f"The interface '{name}' is not installed") from error
+        raise CliError(f"Could not find the interface '{folder / short}.idl'") from error

@@ -3,6 +3,8 @@
 import array
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.graph.calling import call, ready_client
 from lpv_ros2cli.graph.names import find_node
@@ -52,9 +54,10 @@ class ParameterAccess:
 
         values = self._call(GetParameters, 'get_parameters', names=list(names)).values
         # A node that lacks one of the parameters answers with fewer values, or none.
-        return values if len(values) == len(names) else [self._value(name) for name in names]
+        return values if len(values) == len(names) else [self.lookup(name) for name in names]
 
-    def _value(self, name: str) -> 'ParameterValue':
+    def lookup(self, name: str) -> 'ParameterValue':
+        """Value of one parameter, without type if the node does not declare it."""
         from rcl_interfaces.msg import ParameterValue
         from rcl_interfaces.srv import GetParameters
 
@@ -65,7 +68,7 @@ class ParameterAccess:
         """Value of one declared parameter."""
         from rcl_interfaces.msg import ParameterType
 
-        found = self._value(name)
+        found = self.lookup(name)
         if found.type == ParameterType.PARAMETER_NOT_SET and name not in self.names():
             raise CliError(
                 f"Parameter not set: node {self.name} declares no '{name}'; "
@@ -89,6 +92,16 @@ class ParameterAccess:
         if len(results) != len(wanted):
             raise CliError(f'node {self.name} gave no answer for each of the parameters')
         return dict(zip(values, results))
+
+
+def value_from_text(text: str) -> 'ParameterValue':
+    """Value of a parameter from YAML; what is no YAML is a text, as upstream."""
+    from rclpy.parameter import get_parameter_value
+
+    try:
+        return get_parameter_value(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise CliError(f'the value is not valid YAML: {" ".join(str(error).split())}') from error
 
 
 def plain_value(value: 'ParameterValue') -> Any:

@@ -8,7 +8,7 @@ from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.command_line.yaml_text import read_yaml
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.graph import discovery
-from lpv_ros2cli.param.client import ParameterAccess, fitted
+from lpv_ros2cli.param.client import ParameterAccess, fitted, value_from_text
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -26,8 +26,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Set what a parameter file says of a node; 1 where the node refused any of it."""
-    from rclpy.parameter import get_parameter_value
-
     data = read_yaml(arguments.parameter_file, 'the parameter file')
     with discovery.command_node() as node:
         access = ParameterAccess(node, arguments.node_name, arguments.spin_time)
@@ -38,7 +36,7 @@ def run(arguments: Namespace) -> int:
         }
         results = access.set(
             {
-                name: fitted(get_parameter_value(_text(value)), kinds.get(name))
+                name: fitted(value_from_text(_text(value)), kinds.get(name))
                 for name, value in values.items()
             }
         )

@@ -1,12 +1,11 @@
 """``ros2 param set``."""
 
+import sys
 from argparse import ArgumentParser, Namespace
 
 from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.command_line.yaml_text import parse_yaml
-from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.graph import discovery
-from lpv_ros2cli.param.client import ParameterAccess, fitted
+from lpv_ros2cli.param.client import ParameterAccess, fitted, value_from_text
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -19,17 +18,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Set a parameter; the node may refuse, with a reason."""
-    from rclpy.parameter import get_parameter_value
-
-    parse_yaml(arguments.value, 'the value')
-    value = get_parameter_value(arguments.value)
+    """Set a parameter; a node that refuses is no error of the command, as upstream."""
     name = arguments.parameter_name
     with discovery.command_node() as node:
         access = ParameterAccess(node, arguments.node_name, arguments.spin_time)
-        value = fitted(value, access.value(name).type)
+        value = fitted(value_from_text(arguments.value), access.lookup(name).type)
         result = access.set({name: value})[name]
     reason = f': {result.reason}' if result.reason else ''
-    if not result.successful:
-        raise CliError(f'Setting parameter failed{reason}')
-    print(f'Set parameter successful{reason}')
+    if result.successful:
+        print(f'Set parameter successful{reason}')
+    else:
+        print(f'Setting parameter failed{reason}', file=sys.stderr)

@@ -53,7 +53,7 @@ def run(arguments: Namespace) -> None:
 
 
 def _check_type(node: 'Node', name: str, expected: str) -> None:
-    """A client of another type would wait for ever."""
+    """Wait for the service; a client of another type would wait in vain."""
 
     def types_there() -> list[str] | None:
         return dict(node.get_service_names_and_types()).get(name)
@@ -61,8 +61,7 @@ def _check_type(node: 'Node', name: str, expected: str) -> None:
     types = discovery.find(node, types_there, 0.5)
     if not types:
         print('waiting for service to become available...', flush=True)
-        types = discovery.find(node, types_there)
-    if not types:
-        raise CliError(f"Unknown service '{name}': no node offers it")
+        while not (types := types_there()):
+            time.sleep(0.05)
     if expected not in types:
         raise CliError(f"service '{name}' is of type {', '.join(types)}, not {expected}")

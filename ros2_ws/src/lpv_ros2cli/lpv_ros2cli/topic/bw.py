@@ -7,15 +7,17 @@ from collections import deque
 from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.graph import discovery, qos
-from lpv_ros2cli.graph.receiving import receive, topic_and_class
+from lpv_ros2cli.graph.receiving import Reception, topic_class
 
 _WINDOW = 100
+_UNITS = ((1, 'B', 0), (1000, 'KB', 2), (1000_000, 'MB', 2))
+"""Sizes are shown in the unit of the bandwidth: divisor, name, decimals."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.topics, 'topic_name', help='topic')
+    completion.add_argument(parser, completion.topics, 'topic', help='topic')
     parser.add_argument(
         '-w',
         '--window',
@@ -32,17 +34,18 @@ def run(arguments: Namespace) -> None:
         raise CliError('--window must be at least 2')
     bandwidth = Bandwidth(arguments.window)
     with discovery.command_node() as node:
-        name, message_class = topic_and_class(node, arguments)
-        node.create_subscription(
+        name, message_class = topic_class(node, arguments.topic, arguments.spin_time)
+        reception = Reception(node)
+        reception.subscribe(
             message_class,
             name,
-            lambda data: bandwidth.take(time.monotonic(), len(data)),
-            qos.fitting(node, name, depth=1000),
+            lambda data: bandwidth.add(time.monotonic(), len(data)),
+            qos.matching(node, name, depth=1000),
             raw=True,
         )
-        print(f'Subscribed to [{name}]', flush=True)
+        print(f'Subscribed to [{arguments.topic}]', flush=True)
         node.create_timer(1.0, lambda: _report(bandwidth))
-        receive(node)
+        reception.run()
 
 
 def _report(bandwidth: 'Bandwidth') -> None:
@@ -58,7 +61,7 @@ class Bandwidth:
         self._times: deque[float] = deque(maxlen=window)
         self._sizes: deque[int] = deque(maxlen=window)
 
-    def take(self, now: float, size: int) -> None:
+    def add(self, now: float, size: int) -> None:
         """Count a message that came at a time [s], of a size [bytes]."""
         self._times.append(now)
         self._sizes.append(size)
@@ -67,22 +70,14 @@ class Bandwidth:
         """Two lines about the time up to now [s]; empty where too little is known."""
         if len(self._times) < 2:
             return ''
-        number, total = len(self._sizes), sum(self._sizes)
-        span = now - self._times[0]
-        sizes = ' '.join(
-            f'{name}: {_bytes(value)}'
-            for name, value in (
-                ('mean', total / number),
-                ('min', min(self._sizes)),
-                ('max', max(self._sizes)),
-            )
+        count, total = len(self._sizes), sum(self._sizes)
+        rate = total / (now - self._times[0])
+        divisor, unit, digits = next((form for form in _UNITS if rate < 1000 * form[0]), _UNITS[-1])
+
+        def shown(number: float) -> str:
+            return f'{number / divisor:.{digits}f} {unit}'
+
+        return (
+            f'{shown(rate)}/s from {count} messages\n\tMessage size mean: {shown(total / count)} '
+            f'min: {shown(min(self._sizes))} max: {shown(max(self._sizes))}'
         )
-        return f'{_bytes(total / span)}/s from {number} messages\n\tMessage size {sizes}'
-
-
-def _bytes(number: float) -> str:
-    for unit in ('B', 'KB'):
-        if number < 1000:
-            return f'{number:.0f} {unit}' if unit == 'B' else f'{number:.2f} {unit}'
-        number /= 1000
-    return f'{number:.2f} MB'

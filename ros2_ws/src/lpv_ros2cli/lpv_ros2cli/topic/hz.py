@@ -1,22 +1,25 @@
 """``ros2 topic hz``."""
 
-import math
 import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
+from functools import partial
+from typing import Any
 
 from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
 from lpv_ros2cli.graph import discovery, qos
-from lpv_ros2cli.graph.receiving import receive, topic_and_class
+from lpv_ros2cli.graph.receiving import Reception, message_filter, topic_class
+from lpv_ros2cli.topic.statistics import Statistics, table
 
 _WINDOW = 10000
+_HEADINGS = ('topic', 'rate', 'min_delta', 'max_delta', 'std_dev', 'window')
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
     discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.topics, 'topic_name', help='topic')
+    completion.add_argument(parser, completion.topics, 'topic_name', nargs='+', help='topics')
     parser.add_argument(
         '-w',
         '--window',
@@ -26,6 +29,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         help=f'messages over which the rate is averaged ({_WINDOW})',
     )
     parser.add_argument(
+        '--filter',
+        metavar='EXPRESSION',
+        help='only messages m for which this holds, e.g. \'m.kind == "bias"\'',
+    )
+    parser.add_argument(
         '--wall-time',
         action='store_true',
         help='accepted for compatibility: rates are of the wall clock',
@@ -33,57 +41,74 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Print the rate once a second until interrupted."""
+    """Print the rates once a second until interrupted."""
     if arguments.window < 2:
         raise CliError('--window must be at least 2')
-    rate = Rate(arguments.window)
+    matches, rates = message_filter(arguments.filter), {}
+    names = list(dict.fromkeys(arguments.topic_name))
+
+    def receive(rate: Rate, message: Any) -> None:
+        if matches(message):
+            rate.add(time.monotonic())
+
     with discovery.command_node() as node:
-        name, message_class = topic_and_class(node, arguments)
-        node.create_subscription(
-            message_class,
-            name,
-            lambda _: rate.take(time.monotonic()),
-            qos.fitting(node, name, depth=1000),
-            raw=True,
+        reception = Reception(node)
+        for typed in names:
+            name, message_class = topic_class(node, typed, arguments.spin_time)
+            rates[typed] = Rate(arguments.window)
+            profile = qos.matching(node, name, depth=1000)
+            # Messages are only deserialized where the filter reads them.
+            raw = arguments.filter is None
+            reception.subscribe(message_class, name, partial(receive, rates[typed]), profile, raw)
+            if len(names) > 1:
+                print(f'Subscribed to [{typed}]', flush=True)
+        node.create_timer(1.0, lambda: _report(rates))
+        reception.run()
+
+
+def _report(rates: dict[str, 'Rate']) -> None:
+    found = {name: new for name, rate in rates.items() if (new := rate.news()) is not None}
+    if not found:
+        return
+    if len(rates) == 1:
+        (new,) = found.values()
+        print(
+            f'average rate: {1.0 / new.mean if new.mean > 0.0 else 0.0:.3f}\n\t{new.spread()}',
+            flush=True,
         )
-        node.create_timer(1.0, lambda: _report(rate))
-        receive(node)
-
-
-def _report(rate: 'Rate') -> None:
-    text = rate.describe()
-    if text:
-        print(text, flush=True)
+        return
+    rows = [
+        (
+            name,
+            f'{1.0 / new.mean if new.mean > 0.0 else 0.0:.3f}',
+            f'{new.least:.3f}',
+            f'{new.most:.3f}',
+            f'{new.deviation:.5f}',
+            str(new.count),
+        )
+        for name, new in found.items()
+    ]
+    print(table(_HEADINGS, rows), flush=True)
 
 
 class Rate:
-    """Rate of messages over the last ones."""
+    """Intervals between the last messages of a topic."""
 
     def __init__(self, window: int) -> None:
         self._intervals: deque[float] = deque(maxlen=window)
         self._last: float | None = None
-        self._reported = 0
-        self.count = 0
+        self._is_new = False
 
-    def take(self, now: float) -> None:
+    def add(self, now: float) -> None:
         """Count a message that came at a time [s]."""
         if self._last is not None:
             self._intervals.append(now - self._last)
+            self._is_new = True
         self._last = now
-        self.count += 1
 
-    def describe(self) -> str:
-        """Two lines about the rate; empty where no interval is known or nothing new came."""
-        if not self._intervals:
-            return ''
-        if self.count == self._reported:
-            return 'no new messages'
-        self._reported = self.count
-        number = len(self._intervals)
-        mean = sum(self._intervals) / number
-        spread = math.sqrt(sum((x - mean) ** 2 for x in self._intervals) / number)
-        rate = 1.0 / mean if mean > 0.0 else 0.0
-        return (
-            f'average rate: {rate:.3f}\n\tmin: {min(self._intervals):.3f}s '
-            f'max: {max(self._intervals):.3f}s std dev: {spread:.5f}s window: {number + 1}'
-        )
+    def news(self) -> Statistics | None:
+        """Statistics of the intervals [s]; None if there are no new ones since the last call."""
+        if not self._is_new:
+            return None
+        self._is_new = False
+        return Statistics.of(self._intervals)

@@ -86,7 +86,7 @@ function verdict(kind, icon, head, text) {
   put(byId('verdict-text'), text);
 }
 
-// The answer to the operator's question: which sensor lies, by how much, how sure is that?
+// The answer to the operator's question: which sensor is faulty, by how much, how sure is that?
 function showVerdict(frame, alarms, hello, silent) {
   const open = alarms.filter((row) => row.ended == null);
   if (silent) {
@@ -96,9 +96,12 @@ function showVerdict(frame, alarms, hello, silent) {
     const text = open.map((row) => `${row.sensor}: ${show(row.size)} ± ${plain(row.bound)} rad, `
       + `${row.kind}, confidence ${plain(row.confidence, 2)}`).join('; ');
     const names = [...new Set(open.map((row) => row.sensor))].join(' and ');
-    verdict('error', '✕', `${names} ${open.length > 1 ? 'lie' : 'lies'}`, text);
+    verdict('error', '✕', `${names} ${open.length > 1 ? 'are' : 'is'} faulty`, text);
   } else if (frame.trustworthy === false) {
     verdict('error', '✕', 'The estimate is not trustworthy', ' The arm must not rely on it.');
+  } else if (frame.diagnostics.some((status) => status.level === 'ERROR')) {
+    const failed = frame.diagnostics.filter((status) => status.level === 'ERROR');
+    verdict('error', '✕', 'The arm is stopped', ` ${failed.map((s) => s.message).join('; ')}`);
   } else if (!frame.live.fault_estimate) {
     verdict('stale', '◌', 'No diagnosis', ' The observer sends no fault estimates.');
   } else if (frame.states.includes('WARN')) {

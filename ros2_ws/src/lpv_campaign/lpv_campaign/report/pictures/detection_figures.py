@@ -1,9 +1,12 @@
 """Pictures of detection probability and delay against the size of the fault."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from lpv_campaign.report.pictures.axes import plain_decades
@@ -14,18 +17,10 @@ _BOTH = '#009e73'
 _LEAST_DELAY = 1e-3
 
 
-def draw_detection(entries: list[dict[str, Any]]):
-    """Probability above delay, a column a kind of fault that has a size.
+def draw_detection(entries: list[dict[str, Any]]) -> Figure | None:
+    """Probability above delay, one column per kind of fault that has a size.
 
-    Parameters
-    ----------
-    entries : list of dict
-        From `lpv_campaign.report.sections.detection.detection`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without sizes.
+    Returns None without sizes.
     """
     entries = [e for e in entries if len(e['classes']) > 1]
     kinds = list(dict.fromkeys(e['kind'] for e in entries))[:_COLUMNS]
@@ -68,7 +63,7 @@ def draw_detection(entries: list[dict[str, Any]]):
     return figure
 
 
-def _handles(colours, sensors):
+def _handles(colours: dict[str, str], sensors: Sequence[str]) -> list[Any]:
     handles = [plt.Line2D([], [], color=colours[s], label=s) for s in sensors]
     return [
         *handles,
@@ -85,7 +80,7 @@ def _handles(colours, sensors):
     ]
 
 
-def _probability(axis, entry, colour) -> None:
+def _probability(axis: Axes, entry: dict[str, Any], colour: str) -> None:
     classes = entry['classes']
     middle = np.array([c['middle'] for c in classes])
     rate, low, high = (
@@ -109,19 +104,13 @@ def _probability(axis, entry, colour) -> None:
     axis.plot(size, 1.0 / (1.0 + np.exp(-np.clip(value, -500.0, 500.0))), color=colour)
 
 
-def _delay(axis, entry, colour) -> None:
+def _delay(axis: Axes, entry: dict[str, Any], colour: str) -> None:
     cases = [
         (s, d) for s, d in zip(entry['cases']['size'], entry['cases']['delay']) if d is not None
     ]
     if cases:
-        axis.scatter(
-            *np.maximum(np.array(cases).T, _LEAST_DELAY),
-            s=3,
-            color=colour,
-            alpha=0.35,
-            linewidths=0,
-            rasterized=True,
-        )
+        size, delay = np.maximum(np.array(cases).T, _LEAST_DELAY)
+        axis.scatter(size, delay, s=3, color=colour, alpha=0.35, linewidths=0, rasterized=True)
     classes = [c for c in entry['classes'] if c['delay']['count']]
     middle = [c['middle'] for c in classes]
     low, median, high = (

@@ -4,6 +4,8 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from lpv_campaign.report.pictures.axes import plain_decades
 from lpv_report.style import BAND, INK, SENSOR, SETTINGS, SOFT
@@ -11,18 +13,10 @@ from lpv_report.style import BAND, INK, SENSOR, SETTINGS, SOFT
 _MARKERS = 'os^Dv'
 
 
-def draw_estimates(entries: list[dict[str, Any]]):
-    """RMS error and guaranteed threshold over abs(cos(theta)), a panel a sensor.
+def draw_estimates(entries: list[dict[str, Any]]) -> Figure | None:
+    """RMS error and guaranteed threshold over abs(cos(theta)), one panel per sensor.
 
-    Parameters
-    ----------
-    entries : list of dict
-        From `lpv_campaign.report.sections.estimates.estimates`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without errors.
+    Returns None without errors.
     """
     entries = [e for e in entries if e['classes']]
     if not entries:
@@ -51,7 +45,7 @@ def draw_estimates(entries: list[dict[str, Any]]):
     return figure
 
 
-def _threshold(axis, entry) -> None:
+def _threshold(axis: Axes, entry: dict[str, Any]) -> None:
     lines = entry['threshold']
     if not lines:
         return
@@ -80,7 +74,7 @@ def _threshold(axis, entry) -> None:
     axis.set_ylim(min(errors) * 0.08, max(*highest, *least) * 1.6)
 
 
-def _error(axis, entry, colour, marker, label) -> None:
+def _error(axis: Axes, entry: dict[str, Any], colour: str, marker: str, label: str) -> None:
     classes = [c for c in entry['classes'] if c['runs']['count']]
     if not classes:
         return

@@ -1,9 +1,12 @@
 """Pictures of the ROC curves and of the sweep of the threshold factor."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, PercentFormatter
 
 from lpv_campaign.report.pictures.axes import plain_decades
@@ -27,18 +30,10 @@ _LINEAR = 0.01
 """Below this rate the axis of false alarms is linear, so that it begins at 0."""
 
 
-def draw_roc(data: dict[str, Any]):
-    """ROC curves, a panel a kind of fault.
+def draw_roc(data: dict[str, Any]) -> Figure | None:
+    """ROC curves, one panel per kind of fault.
 
-    Parameters
-    ----------
-    data : dict
-        From `lpv_campaign.report.sections.roc.roc`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without curves.
+    Returns None without curves.
     """
     kinds = list(dict.fromkeys(c['kind'] for c in data['curves'] if c['points']['factor']))
     if not kinds:
@@ -71,7 +66,7 @@ def draw_roc(data: dict[str, Any]):
     return figure
 
 
-def _curve(axis, curve, colour) -> None:
+def _curve(axis: Axes, curve: dict[str, Any], colour: str) -> None:
     points = curve['points']
     false = points['false_alarm']
     axis.plot(false, points['detection'], color=colour, drawstyle='steps-post', zorder=3)
@@ -114,7 +109,7 @@ def _curve(axis, curve, colour) -> None:
     )
 
 
-def _rates(axis) -> None:
+def _rates(axis: Axes) -> None:
     axis.set_xscale('symlog', linthresh=_LINEAR, linscale=0.6)
     axis.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
     axis.xaxis.set_major_locator(FixedLocator([0.0, 0.01, 0.1, 1.0]))
@@ -123,7 +118,7 @@ def _rates(axis) -> None:
     axis.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _legend(figure, sensors) -> None:
+def _legend(figure: Figure, sensors: Sequence[str]) -> None:
     handles = [plt.Line2D([], [], color=SENSOR[i % 2], label=s) for i, s in enumerate(sensors)]
     handles += [
         plt.Line2D(
@@ -143,18 +138,10 @@ def _legend(figure, sensors) -> None:
     figure.legend(handles=handles, loc='outside upper center', ncols=columns)
 
 
-def draw_sweep(data: dict[str, Any]):
+def draw_sweep(data: dict[str, Any]) -> Figure | None:
     """Rates against the factor on the threshold.
 
-    Parameters
-    ----------
-    data : dict
-        From `lpv_campaign.report.sections.roc.roc`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None without curves.
+    Returns None without curves.
     """
     curves = [c for c in data['curves'] if c['points']['factor']]
     if not curves:
@@ -201,14 +188,14 @@ def draw_sweep(data: dict[str, Any]):
     return figure
 
 
-def _factors(curves):
+def _factors(curves: list[dict[str, Any]]) -> tuple[float, float]:
     """From where nearly every healthy run is above to where few faults are."""
     factors = np.concatenate([c['points']['factor'] for c in curves])
     low, high = np.percentile(factors[factors > 0.0], (2.0, 98.0))
     return min(low, 0.5) * 0.9, max(high, 2.0) * 1.1
 
 
-def _against_factor(axis, curve, key, **style) -> None:
+def _against_factor(axis: Axes, curve: dict[str, Any], key: str, **style: Any) -> None:
     points = curve['points']
     # The logarithm has no place for factor 0.
     shown = np.array(points['factor']) > 0.0

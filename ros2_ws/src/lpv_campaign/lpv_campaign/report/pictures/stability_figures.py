@@ -4,7 +4,10 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from lpv_campaign.report.sections.stability import size_of
@@ -17,41 +20,27 @@ _COLOURS = LinearSegmentedColormap.from_list(
 )
 
 
-def draw_stability(data: dict[str, Any]):
-    """Rate of stable runs, a map a pair of factors.
+def draw_stability(data: dict[str, Any]) -> Figure | None:
+    """Rate of stable runs, one map per pair of factors.
 
-    Parameters
-    ----------
-    data : dict
-        From `lpv_campaign.report.sections.stability.stability`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None with fewer than two factors.
+    Returns None with fewer than two factors.
     """
+    if not data['unstable']:
+        return None
     return _draw(data['maps'], 'cells', 'stable runs')
 
 
-def draw_going(data: dict[str, Any]):
+def draw_going(data: dict[str, Any]) -> Figure | None:
     """Rate of stable runs without a safe stop, likewise.
 
-    Parameters
-    ----------
-    data : dict
-        From `lpv_campaign.report.sections.stability.stability`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None with fewer than two factors, or without any safe stop.
+    Returns None with fewer than two factors, or without any safe stop.
     """
     if not data['stopped']:
         return None
     return _draw(data['maps'], 'going', 'stable, without a safe stop')
 
 
-def _draw(maps, key, label):
+def _draw(maps: list[dict[str, Any]], key: str, label: str) -> Figure | None:
     if not maps:
         return None
     columns = min(_COLUMNS, len(maps))
@@ -71,7 +60,7 @@ def _draw(maps, key, label):
     return figure
 
 
-def _draw_map(axis, entry, cells):
+def _draw_map(axis: Axes, entry: dict[str, Any], cells: list[list[dict[str, Any]]]) -> Any:
     rates = np.array([[np.nan if c['rate'] is None else c['rate'] for c in line] for line in cells])
     image = axis.imshow(rates, origin='lower', aspect='auto', cmap=_COLOURS, vmin=0.0, vmax=1.0)
     for (row, column), rate in np.ndenumerate(rates):
@@ -103,11 +92,18 @@ def _draw_map(axis, entry, cells):
     return image
 
 
-def _ticks(axis, factor) -> None:
+def _ticks(axis: Axis, factor: dict[str, Any]) -> None:
     """Levels in the middle of cells, edges between them."""
     if factor['levels'] is not None:
         axis.set_ticks(range(size_of(factor)), [f'{v:.3g}' for v in factor['levels']])
         return
     edges = factor['edges']
-    places = range(0, len(edges), 2)
-    axis.set_ticks([k - 0.5 for k in places], [f'{edges[k]:.3g}' for k in places])
+    places = range(0, len(edges), 1 if len(edges) <= _FEW else 2)
+    ticks = axis.set_ticks([k - 0.5 for k in places], [f'{edges[k]:.3g}' for k in places])
+    # At the corners of maps labels of both axes and of neighbours meet: they are pulled inwards.
+    if isinstance(axis, XAxis):
+        ticks[0].label1.set(horizontalalignment='left')
+        ticks[-1].label1.set(horizontalalignment='right')
+    else:
+        ticks[0].label1.set(verticalalignment='bottom')
+        ticks[-1].label1.set(verticalalignment='top')

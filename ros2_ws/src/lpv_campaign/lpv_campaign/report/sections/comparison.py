@@ -7,25 +7,18 @@ import numpy as np
 from lpv_campaign.report.sections.roc import area
 from lpv_campaign.report.sections.tracking import false_alarms
 from lpv_campaign.report.statistics.intervals import share, spread
+from lpv_campaign.report.statistics.results import Results
 
 _LEFT_OUT = ('fault.kind', 'fault.sensor')
 _MOST = 12
 
 
-def comparison(results) -> list[dict[str, Any]]:
+def comparison(results: Results) -> list[dict[str, Any]]:
     """The main figures for each alternative.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    list of dict
-        One a factor of texts (or of a few numbers that tune design and diagnosis) with more than
-        one value: ``factor``, and ``groups`` of ``value`` and its figures; errors are those of
-        stable runs.
+    Returns one a factor of texts (or of a few numbers that tune design and diagnosis) with more
+    than one value: ``factor``, and ``groups`` of ``value`` and its figures; errors are those of
+    stable runs.
     """
     tables = [_table(results, name, results.text(name)) for name in _alternatives(results)]
     designs, modes = results.text('design'), results.text('compensation')
@@ -35,7 +28,7 @@ def comparison(results) -> list[dict[str, Any]]:
     return tables
 
 
-def _alternatives(results):
+def _alternatives(results: Results) -> list[str]:
     names = [name for name in results.varied(numeric=False) if name not in _LEFT_OUT]
     names += [
         name
@@ -45,7 +38,7 @@ def _alternatives(results):
     return [name for name in names if 1 < len(set(results.text(name))) <= _MOST]
 
 
-def _table(results, name, values):
+def _table(results: Results, name: str, values: np.ndarray) -> dict[str, Any]:
     groups = [
         {'value': value, **_figures(results, values == value)}
         for value in sorted(set(values), key=_by_size)
@@ -53,14 +46,14 @@ def _table(results, name, values):
     return {'factor': name, 'groups': groups}
 
 
-def _by_size(value):
+def _by_size(value: str) -> tuple[Any, ...]:
     try:
         return (0, float(value), value)
     except ValueError:
         return (1, 0.0, value)
 
 
-def _figures(results, chosen):
+def _figures(results: Results, chosen: np.ndarray) -> dict[str, Any]:
     faulty, stable = results.faulty & chosen, results.flag('stable')
     return {
         'runs': int(chosen.sum()),
@@ -75,11 +68,11 @@ def _figures(results, chosen):
     }
 
 
-def _area(results, chosen):
+def _area(results: Results, chosen: np.ndarray) -> dict[str, Any]:
     """Area under the ROC curve of all kinds and both sensors."""
     positive, negative = [], []
     for i in range(len(results.sensors)):
         positive.append(results.number(f'score_during_{i + 1}')[results.of_sensor(i) & chosen])
         negative.append(results.number(f'score_before_{i + 1}')[chosen])
-    positive, negative = np.concatenate(positive), np.concatenate(negative)
-    return area(positive[~np.isnan(positive)], negative[~np.isnan(negative)])
+    faulty, healthy = np.concatenate(positive), np.concatenate(negative)
+    return area(faulty[~np.isnan(faulty)], healthy[~np.isnan(healthy)])

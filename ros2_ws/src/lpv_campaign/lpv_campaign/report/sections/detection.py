@@ -6,7 +6,7 @@ import numpy as np
 
 from lpv_campaign.report.statistics.intervals import share, spread
 from lpv_campaign.report.statistics.probability import detection_curve
-from lpv_campaign.report.statistics.results import dose_of
+from lpv_campaign.report.statistics.results import Results, dose_of
 
 _CLASSES = 8
 _LEVELS = 12
@@ -14,20 +14,12 @@ PROBABILITIES = (0.95, 0.99)
 """Of which the smallest size is given."""
 
 
-def detection(results) -> list[dict[str, Any]]:
+def detection(results: Results) -> list[dict[str, Any]]:
     """Detection of each kind of fault by each sensor.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    list of dict
-        ``kind``, ``sensor`` (a name, or both), rates ``detected`` and ``isolated``, spreads of
-        ``delay`` and ``onset_error`` [s] and of ``size_error`` [rad], ``dose`` and ``unit``,
-        ``classes`` of sizes, ``curve``, ``smallest`` size by probability, and ``cases``.
+    Returns ``kind``, ``sensor`` (a name, or both), rates ``detected`` and ``isolated``, spreads
+    of ``delay`` and ``onset_error`` [s] and of ``size_error`` [rad], ``dose`` and ``unit``,
+    ``classes`` of sizes, ``curve``, ``smallest`` size by probability, and ``cases``.
     """
     entries = []
     found, isolated = results.flag('detected'), results.flag('isolated')
@@ -55,7 +47,7 @@ def detection(results) -> list[dict[str, Any]]:
     return entries
 
 
-def _against_size(size, found, delay):
+def _against_size(size: np.ndarray, found: np.ndarray, delay: np.ndarray) -> dict[str, Any]:
     known = np.isfinite(size)
     size, found, delay = size[known], found[known], delay[known]
     curve = detection_curve(size, found)
@@ -81,18 +73,7 @@ def _against_size(size, found, delay):
 
 
 def classes(values: np.ndarray) -> list[np.ndarray]:
-    """Classes of about equal numbers, or one a level where there are few levels.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Finite values.
-
-    Returns
-    -------
-    list of ndarray
-        Indices of the members of each class, by increasing value; none is empty.
-    """
+    """Classes of about equal numbers, or one a level where there are few levels."""
     levels = np.unique(values)
     if len(levels) <= _LEVELS:
         return [np.flatnonzero(values == level) for level in levels]

@@ -1,4 +1,4 @@
-"""Error of the fault estimates against the configuration, beside what the design guarantees."""
+"""Error of the fault estimates against the configuration, and what the design guarantees."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 
 from lpv_campaign.execution.run_metrics import BINS
 from lpv_campaign.report.statistics.intervals import spread
+from lpv_campaign.report.statistics.results import Results
 from lpv_core.support.errors import LpvError
 from lpv_design.guarantee import guarantee
 
@@ -14,20 +15,13 @@ _LEAST_SAMPLES = 20.0
 """A run needs so many samples in a class to count in its spread."""
 
 
-def estimates(results) -> list[dict[str, Any]]:
+def estimates(results: Results) -> list[dict[str, Any]]:
     """RMS error over classes of abs(cos(theta_i)), by design and sensor.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    list of dict
-        ``design``, ``sensor``, and ``classes`` with ``low``, ``high`` (of the cosine), ``samples``,
-        ``rms`` over all samples, and the spread ``runs`` of the RMS of single runs [rad];
-        ``threshold``: at rest, by cosine, least and largest over the other link's angles [rad].
+    Returns ``design``, ``sensor``, and ``classes`` with ``low``, ``high`` (of the cosine),
+    ``samples``, ``rms`` over all samples, and the spread ``runs`` of the RMS of single runs
+    [rad]; ``threshold``: at rest, by cosine, least and largest over the other link's angles
+    [rad].
     """
     entries, designs = [], results.text('design')
     for design in dict.fromkeys(designs):
@@ -48,7 +42,7 @@ def estimates(results) -> list[dict[str, Any]]:
     return entries
 
 
-def _classes(squares, counts):
+def _classes(squares: np.ndarray, counts: np.ndarray) -> list[dict[str, Any]]:
     found = []
     for k in np.flatnonzero(counts.sum(axis=0) > 0.0):
         enough = counts[:, k] >= _LEAST_SAMPLES
@@ -65,7 +59,7 @@ def _classes(squares, counts):
     return found
 
 
-def _guaranteed(results, design, chosen):
+def _guaranteed(results: Results, design: str, chosen: np.ndarray) -> list[list[dict[str, Any]]]:
     """Thresholds at rest of both sensors over their own link's angle, by the design's map."""
     times = results.number('sample_time')[chosen]
     times, arm = times[np.isfinite(times)], results.campaign.arm

@@ -10,6 +10,8 @@ import numpy as np
 import yaml
 
 from lpv_campaign.execution.execute import software
+from lpv_campaign.plan.campaign import Campaign
+from lpv_campaign.report.statistics.results import Results
 from lpv_core.certificate.conditions import verify
 
 _PACKAGES = ('numpy', 'scipy', 'numba', 'pyarrow', 'distributed', 'lpv_core', 'lpv_campaign')
@@ -35,19 +37,12 @@ _ORDER = (
 """Of the fields of a campaign file."""
 
 
-def head(results) -> dict[str, Any]:
+def head(results: Results) -> dict[str, Any]:
     """The head of the report.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    dict
-        ``name``, ``spec`` (YAML), ``arm``, ``arm_sha256``, ``planned`` and finished ``runs``,
-        ``missing``, ``duration`` of a run [s], ``hours`` simulated, ``designs``, ``software``.
+    Returns ``name``, ``spec`` (YAML), ``arm``, ``arm_sha256``, ``planned`` and finished
+    ``runs``, ``missing``, ``duration`` of a run [s], ``hours`` simulated, ``designs``,
+    ``software``.
     """
     campaign = results.campaign
     runs = results.count * (2 if campaign.spec.twin else 1)
@@ -76,21 +71,22 @@ def head(results) -> dict[str, Any]:
     }
 
 
-def _in_order(data):
-    """A campaign file as people write it: what was kept is sorted by name."""
+def _in_order(data: Any) -> Any:
+    """A campaign file as users write it: what was kept is sorted by name."""
     if not isinstance(data, dict):
         return data
     return {key: _in_order(data[key]) for key in sorted(data, key=_rank)}
 
 
-def _rank(key):
+def _rank(key: str) -> int:
     return _ORDER.index(key) if key in _ORDER else len(_ORDER)
 
 
-def _design(campaign, key, data):
+def _design(campaign: Campaign, key: str, data: dict[str, Any]) -> dict[str, Any]:
     name, _, time = key.rpartition('@')
     gains = campaign.gains(name, float(time))
-    observer, controller = gains.observer, gains.controller
+    observer: Any = gains.observer
+    controller: Any = gains.controller
     checks = verify(replace(campaign.arm, sample_time=float(time)), gains)
     return {
         'name': name,
@@ -106,7 +102,7 @@ def _design(campaign, key, data):
     }
 
 
-def _software():
+def _software() -> dict[str, str]:
     found = {'Python': platform.python_version()}
     for name in _PACKAGES:
         try:

@@ -7,26 +7,19 @@ import numpy as np
 
 from lpv_campaign.plan.spec import BOTH, NO_FAULT
 from lpv_campaign.report.statistics.intervals import proportion
+from lpv_campaign.report.statistics.results import Results
 from lpv_core.simulation.faults import KINDS
 
 _SAID = (NO_FAULT, *KINDS, 'unclassified', 'inconsistent')
 
 
-def isolation(results) -> dict[str, Any]:
+def isolation(results: Results) -> dict[str, Any]:
     """Confusion of kinds and of sensors.
 
     Runs without a fault are a row of their own, with false alarms as what was said.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    dict
-        ``kinds`` and ``sensors``: as `confusion`; ``healthy``: runs without a fault, and those of
-        them ``with_alarm``.
+    Returns ``kinds`` and ``sensors``: as `confusion`; ``healthy``: runs without a fault, and
+    those of them ``with_alarm``.
     """
     faulty = results.faulty
     kind, said_kind = results.kind[faulty], results.text('said_kind', NO_FAULT)[faulty]
@@ -46,18 +39,9 @@ def confusion(
 ) -> dict[str, Any]:
     """Count what was said of what.
 
-    Parameters
-    ----------
-    truth, said : ndarray of str, shape (n,)
-        Of each case.
-    truths, answers : sequence of str
-        Order of rows and columns; others follow, and those that never occur are left out.
-
-    Returns
-    -------
-    dict
-        ``rows``, ``columns``, ``counts`` and ``rates`` (of each row), and rates with intervals of
-        each row: ``right`` answers among all, and ``right_if_said``, among those that are not none.
+    Returns ``rows``, ``columns``, ``counts`` and ``rates`` (of each row), and rates with
+    intervals of each row: ``right`` answers among all, and ``right_if_said``, among those that
+    are not none.
     """
     rows, columns = _occurring(truth, truths), _occurring(said, (*truths, *answers))
     counts = [
@@ -79,7 +63,7 @@ def confusion(
     }
 
 
-def _occurring(values, order):
+def _occurring(values: np.ndarray, order: Sequence[str]) -> list[str]:
     present = set(values)
     known = [name for name in dict.fromkeys(order) if name in present]
     return known + sorted(present - set(known))

@@ -6,29 +6,21 @@ import numpy as np
 from scipy.stats import rankdata
 
 from lpv_campaign.report.statistics.intervals import area_interval, proportion, share, wilson
+from lpv_campaign.report.statistics.results import Results
 
 _POINTS, _DIGITS = 200, 6
 ALL = 'all'
 """Stands for all kinds, or for both sensors."""
 
 
-def roc(results) -> dict[str, Any]:
+def roc(results: Results) -> dict[str, Any]:
     """ROC curves by kind of fault and sensor.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    dict
-        ``curves``: one a kind (and all, where there are several) and a sensor, each with
-        ``kind``, ``sensor``, ``positive`` and ``negative`` cases, those
-        ``without_score``, ``area`` with its interval, ``points`` of the sweep,
-        rates of the ``score`` at the shipped threshold and of the
-        ``shipped`` decision (actual alarms); ``mean_window``: mean length of the windows without a
-        fault [s].
+    Returns ``curves``: one per kind (and all, where there are several) and sensor, each with
+    ``kind``, ``sensor``, ``positive`` and ``negative`` cases, those ``without_score``, ``area``
+    with its interval, ``points`` of the sweep, rates of the ``score`` at the shipped threshold
+    and of the ``shipped`` decision (actual alarms); ``mean_window``: mean length of the windows
+    without a fault [s].
     """
     curves = []
     kinds = results.kinds
@@ -41,18 +33,18 @@ def roc(results) -> dict[str, Any]:
     return {'curves': curves, 'mean_window': _mean_window(results)}
 
 
-def _mean_window(results):
+def _mean_window(results: Results) -> float | None:
     """Mean length of the windows without a fault from which false alarms are counted [s]."""
     hours = results.early_hours
     return float(hours.mean() * 3600.0) if hours.size else None
 
 
-def at_factor(points, factor=1.0):
+def at_factor(points: dict[str, Any], factor: Any = 1.0) -> int | None:
     """Place of a factor in the points of a sweep; None where it is not among them."""
     return points['factor'].index(factor) if factor in points['factor'] else None
 
 
-def _curve(results, i, chosen):
+def _curve(results: Results, i: int, chosen: np.ndarray) -> dict[str, Any]:
     during = results.number(f'score_during_{i + 1}')[chosen]
     before = results.number(f'score_before_{i + 1}')
     positive, negative = during[~np.isnan(during)], before[~np.isnan(before)]
@@ -70,15 +62,7 @@ def _curve(results, i, chosen):
 def area(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any]:
     """Area under the ROC curve: how often a faulty case scores above a healthy one.
 
-    Parameters
-    ----------
-    positive, negative : ndarray, shapes (m,) and (n,)
-        Scores with and without a fault.
-
-    Returns
-    -------
-    dict
-        ``area``, ``area_low``, ``area_high``; None where either is empty.
+    Returns ``area``, ``area_low``, ``area_high``; None where either is empty.
     """
     m, n = len(positive), len(negative)
     if not (m and n):
@@ -89,20 +73,12 @@ def area(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any]:
     return {'area': value, 'area_low': low, 'area_high': high}
 
 
-def sweep(positive: np.ndarray, negative: np.ndarray):
+def sweep(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any]:
     """Rates above a threshold that is multiplied by a factor.
 
-    Parameters
-    ----------
-    positive, negative : ndarray, shapes (m,) and (n,)
-        Scores with and without a fault.
-
-    Returns
-    -------
-    dict of list
-        ``factor``, ``detection``, ``false_alarm``, and both rates' intervals with ``_low`` and
-        ``_high``; from the highest factor to the lowest, the shipped one (1) among them; some
-        hundreds. Empty without scores of either.
+    Returns ``factor``, ``detection``, ``false_alarm``, and both rates' intervals with ``_low``
+    and ``_high``; from the highest factor to the lowest, the shipped one (1) among them; some
+    hundreds. Empty without scores of either.
     """
     if not (len(positive) and len(negative)):
         return {'factor': []}
@@ -128,18 +104,18 @@ def sweep(positive: np.ndarray, negative: np.ndarray):
     return {name: np.round(values, _DIGITS).tolist() for name, values in points.items()}
 
 
-def _above(scores, factors):
+def _above(scores: np.ndarray, factors: np.ndarray) -> np.ndarray:
     return len(scores) - np.searchsorted(np.sort(scores), factors, side='right')
 
 
-def _informative(factors, hits, false):
+def _informative(factors: np.ndarray, hits: np.ndarray, false: np.ndarray) -> np.ndarray:
     """Factors at which something changes, and the shipped one."""
     kept = np.ones(len(factors), bool)
     kept[1:] = (np.diff(hits) != 0) | (np.diff(false) != 0)
     return kept | (factors == 1.0)
 
 
-def _shipped(results, i, chosen):
+def _shipped(results: Results, i: int, chosen: np.ndarray) -> dict[str, Any]:
     """What the diagnosis did: alarms while the fault acted, and alarms before any fault."""
     name = f'found_{i + 1}'
     if name not in results.columns:

@@ -8,15 +8,7 @@ from lpv_campaign.report import text
 def tiles(numbers: dict[str, Any]) -> list[dict[str, Any]]:
     """What a reader wants to know first.
 
-    Parameters
-    ----------
-    numbers : dict
-        Content of ``report.json``.
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``value`` and ``note`` of each.
+    Returns ``name``, ``value`` and ``note`` of each.
     """
     head, overall, stability = numbers['head'], numbers['overall'], numbers['stability']
     hours = f'{text.number(head["hours"])} h simulated'
@@ -31,7 +23,7 @@ def tiles(numbers: dict[str, Any]) -> list[dict[str, Any]]:
         {
             'name': 'detected and isolated',
             'value': text.percent(overall['isolated']),
-            'note': 'no other sensor blamed',
+            'note': 'no alarm of another sensor',
         },
         {
             'name': 'false alarms of healthy arms',

@@ -1,4 +1,4 @@
-"""Tracking with faults and without, and false alarms an hour."""
+"""Tracking with faults and without, and false alarms per hour."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from lpv_campaign.plan.spec import NO_FAULT
 from lpv_campaign.report.statistics.intervals import poisson_rate, share, spread
+from lpv_campaign.report.statistics.results import Results
 
 _COLUMNS = {
     'rms': 'tracking_rms',
@@ -15,19 +16,11 @@ _COLUMNS = {
 }
 
 
-def tracking(results) -> list[dict[str, Any]]:
+def tracking(results: Results) -> list[dict[str, Any]]:
     """Tracking error by kind of fault and compensation mode.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-
-    Returns
-    -------
-    list of dict
-        ``kind``, ``compensation``, ``runs``, rate of ``stable`` ones, and of these spreads of
-        ``rms``, ``rms_during``, ``largest`` [rad] and ``ratio`` (to the healthy twin).
+    Returns ``kind``, ``compensation``, ``runs``, rate of ``stable`` ones, and of these spreads
+    of ``rms``, ``rms_during``, ``largest`` [rad] and ``ratio`` (to the healthy twin).
     """
     modes, stable, entries = results.text('compensation'), results.flag('stable'), []
     healthy = [NO_FAULT] if (results.kind == NO_FAULT).any() else []
@@ -51,22 +44,13 @@ def tracking(results) -> list[dict[str, Any]]:
     return entries
 
 
-def false_alarms(results, chosen: np.ndarray | None = None) -> dict[str, Any]:
-    """False alarms an hour of operation without a fault, with exact intervals.
+def false_alarms(results: Results, chosen: np.ndarray | None = None) -> dict[str, Any]:
+    """False alarms per hour of operation without a fault, with exact intervals.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-    chosen : ndarray of bool, shape (n,), optional
-        Those that count.
-
-    Returns
-    -------
-    dict
-        As `poisson_rate`, of alarms of either sensor before the fault, after it, or without any;
-        ``before`` and ``after``: the same of those before any fault, and of those after its end,
-        where a fault that was not noticed ends in a change; ``runs``: the rate of runs with any.
+    Returns as `poisson_rate`, of alarms of either sensor before the fault, after it, or without
+    any; ``before`` and ``after``: the same of those before any fault, and of those after its
+    end, where a fault that was not detected ends in a change; ``runs``: the rate of runs with
+    any.
     """
     chosen = np.ones(results.count, bool) if chosen is None else chosen
     alarms = np.nan_to_num(results.number('false_alarms')[chosen])
@@ -80,6 +64,6 @@ def false_alarms(results, chosen: np.ndarray | None = None) -> dict[str, Any]:
     }
 
 
-def wrong_alarms(results):
-    """Rate of runs in which a healthy sensor was blamed while the other one was faulty."""
+def wrong_alarms(results: Results) -> dict[str, Any]:
+    """Rate of runs in which a healthy sensor raised an alarm while the other one was faulty."""
     return share(results.number('wrong_alarms') > 0.0, results.faulty)

@@ -7,27 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from lpv_campaign.report.statistics.results import dose_of
+from lpv_campaign.report.statistics.results import Results, dose_of
 
 _MOST = 10
 
 
-def worst(results, folder: str | Path) -> list[dict[str, Any]]:
+def worst(results: Results, folder: str | Path) -> list[dict[str, Any]]:
     """Lists of single runs.
 
-    Parameters
-    ----------
-    results : Results
-        Rows.
-    folder : str or pathlib.Path
-        Folder of the results, for the commands.
-
-    Returns
-    -------
-    list of dict
-        ``title``, ``figure`` (what the list is sorted by), ``unit``, ``runs``: at most ten, each
-        with ``number``, ``kind``, ``sensor``, ``size`` (with unit, or empty), ``value``,
-        ``stable`` and ``command``.
+    Returns ``title``, ``figure`` (what the list is sorted by), ``unit``, ``runs``: at most ten,
+    each with ``number``, ``kind``, ``sensor``, ``size`` (with unit, or empty), ``value``,
+    ``stable`` and ``command``.
     """
     lost = _lost_tracking(results)
     missed, relative = _missed(results)
@@ -64,13 +54,13 @@ def worst(results, folder: str | Path) -> list[dict[str, Any]]:
     ]
 
 
-def _lost_tracking(results):
+def _lost_tracking(results: Results) -> np.ndarray:
     """Largest error; a run that ended in no number at all is the worst."""
     error = results.number('tracking_max')
     return np.where(np.isnan(error) & ~results.flag('stable'), math.inf, error)
 
 
-def _missed(results):
+def _missed(results: Results) -> tuple[np.ndarray, np.ndarray]:
     """Undetected faults, and their size over the largest of the kind; 1 where there are none."""
     relative = np.ones(results.count)
     for kind in results.kinds:
@@ -80,13 +70,15 @@ def _missed(results):
     return results.faulty & ~results.flag('detected'), relative
 
 
-def _list(results, folder, key, among, value):
+def _list(
+    results: Results, folder: str | Path, key: np.ndarray, among: np.ndarray, value: np.ndarray
+) -> list[dict[str, Any]]:
     order = np.lexsort((results.number('number'), -np.nan_to_num(key, posinf=math.inf)))
     chosen = [int(k) for k in order if among[k] and not np.isnan(key[k])][:_MOST]
     return [_run(results, folder, k, float(value[k])) for k in chosen]
 
 
-def _run(results, folder, row, value):
+def _run(results: Results, folder: str | Path, row: int, value: float) -> dict[str, Any]:
     number = int(results.number('number')[row])
     kind = str(results.kind[row])
     size, dose = results.dose(kind)[row], dose_of(kind)
@@ -104,19 +96,6 @@ def _run(results, folder, row, value):
 
 
 def command(folder: str | Path, number: int) -> str:
-    """Command that replays a run into a bag.
-
-    Parameters
-    ----------
-    folder : str or pathlib.Path
-        Folder of the results.
-    number : int
-        Number of the run.
-
-    Returns
-    -------
-    str
-        For a shell.
-    """
+    """Command that replays a run into a bag."""
     bag = Path(folder) / 'bags' / f'run_{number}'
     return f'lpv campaign {shlex.quote(str(folder))} --run {number} --bag {shlex.quote(str(bag))}'

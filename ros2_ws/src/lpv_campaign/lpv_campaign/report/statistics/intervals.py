@@ -1,6 +1,7 @@
 """Confidence intervals of rates, areas and quantiles; 95 % each, two-sided."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -39,15 +40,7 @@ def wilson(hits: int | np.ndarray, cases: int | np.ndarray) -> tuple[np.ndarray,
 def proportion(hits: int, cases: int) -> dict[str, Any]:
     """A rate with Wilson's interval.
 
-    Parameters
-    ----------
-    hits, cases : int
-        Successes and trials.
-
-    Returns
-    -------
-    dict
-        ``hits``, ``cases``, ``rate``, ``low``, ``high``; the last three None without cases.
+    Returns ``hits``, ``cases``, ``rate``, ``low``, ``high``; the last three None without cases.
     """
     hits, cases = int(hits), int(cases)
     if cases == 0:
@@ -63,20 +56,7 @@ def proportion(hits: int, cases: int) -> dict[str, Any]:
 
 
 def share(mask: np.ndarray, among: np.ndarray | None = None) -> dict[str, Any]:
-    """Rate of a property, with its interval.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (n,)
-        Who has it.
-    among : ndarray of bool, shape (n,), optional
-        Who counts.
-
-    Returns
-    -------
-    dict
-        As `proportion`.
-    """
+    """Rate of a property, with its interval."""
     if among is None:
         return proportion(int(np.count_nonzero(mask)), len(mask))
     return proportion(int(np.count_nonzero(mask & among)), int(np.count_nonzero(among)))
@@ -127,7 +107,7 @@ def area_interval(area: float, positive: int, negative: int) -> tuple[float, ...
     """
     mean = (positive + negative) / 2.0 - 1.0
 
-    def excess(theta):
+    def excess(theta: float) -> float:
         spread = (
             theta
             * (1.0 - theta)
@@ -142,8 +122,8 @@ def area_interval(area: float, positive: int, negative: int) -> tuple[float, ...
     return float(low), float(high)
 
 
-def _one_end(excess, area):
-    # At 0 and 1 the spread vanishes, so that the search must begin beside them.
+def _one_end(excess: Callable[[float], float], area: float) -> tuple[float, float]:
+    # At 0 and 1 the spread vanishes, so that the search must start next to them.
     if area == 1.0:
         return brentq(excess, 0.0, 1.0 - 1e-12), 1.0
     return 0.0, brentq(excess, 1e-12, 1.0)
@@ -152,15 +132,7 @@ def _one_end(excess, area):
 def spread(values: np.ndarray) -> dict[str, Any]:
     """Median and the middle 90 % of some values.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Values; those that are not finite do not count.
-
-    Returns
-    -------
-    dict
-        ``count``, ``low`` (5 %), ``median``, ``high`` (95 %); None without values.
+    Returns ``count``, ``low`` (5 %), ``median``, ``high`` (95 %); None without values.
     """
     values = np.asarray(values, float)
     values = values[np.isfinite(values)]

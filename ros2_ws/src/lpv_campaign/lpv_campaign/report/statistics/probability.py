@@ -15,25 +15,15 @@ _CONVERGED = 1e-10
 
 @dataclass(frozen=True)
 class DetectionCurve:
-    """P = 1 / (1 + exp(-(a + b ln(size)))).
+    """P = 1 / (1 + exp(-(a + b ln(size))))."""
 
-    Attributes
-    ----------
-    intercept, slope : float
-        a and b.
-    covariance : ndarray, shape (2, 2)
-        Of both.
-    low, high : float
-        Smallest and largest size of the data; the curve says nothing beyond.
-    """
+    intercept: float  # a and b
+    slope: float  # a and b
+    covariance: np.ndarray  # (2, 2) Of both
+    low: float  # Smallest and largest size of the data; the curve says nothing beyond
+    high: float  # Smallest and largest size of the data; the curve says nothing beyond
 
-    intercept: float
-    slope: float
-    covariance: np.ndarray
-    low: float
-    high: float
-
-    def probability(self, size):
+    def probability(self, size: Any) -> Any:
         """Probability of detection at a size; any shape."""
         value = self.intercept + self.slope * np.log(size)
         return 1.0 / (1.0 + np.exp(-np.clip(value, -500.0, 500.0)))
@@ -41,17 +31,9 @@ class DetectionCurve:
     def size(self, probability: float) -> dict[str, Any]:
         """Size at which a probability is reached.
 
-        Parameters
-        ----------
-        probability : float
-            Between 0 and 1.
-
-        Returns
-        -------
-        dict
-            ``size``, and ``bound``: its upper confidence bound (95 %, delta method). None where it
-            lies above all sizes of the data; the smallest size without a bound, with ``below``
-            true, where all sizes of the data reach the probability.
+        Returns ``size``, and ``bound``: its upper confidence bound (95 %, delta method).
+        None where it lies above all sizes of the data; the smallest size without a bound,
+        with ``below`` true, where all sizes of the data reach the probability.
         """
         nothing = {'size': None, 'bound': None, 'below': False}
         if min(self.probability(self.low), self.probability(self.high)) >= probability:
@@ -109,7 +91,7 @@ def detection_curve(sizes: np.ndarray, found: np.ndarray) -> DetectionCurve | No
     )
 
 
-def _fit(design, found):
+def _fit(design: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     beta = np.zeros(2)
     for _ in range(_STEPS):
         chance = 1.0 / (1.0 + np.exp(-np.clip(design @ beta, -500.0, 500.0)))

@@ -2,10 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from lpv_campaign.execution.run_metrics import BINS
+from lpv_campaign.plan.campaign import Campaign
 from lpv_campaign.plan.factors import ByKind, Choice, Range
 from lpv_campaign.plan.spec import BOTH, NO_FAULT, NUMBERS
 from lpv_core.simulation.faults import KINDS
@@ -13,19 +16,11 @@ from lpv_core.simulation.faults import KINDS
 
 @dataclass(frozen=True)
 class Dose:
-    """What is called the size of a kind of fault.
+    """What is called the size of a kind of fault."""
 
-    Attributes
-    ----------
-    column : str
-        Factor that holds it; empty for kinds that have no size.
-    name, unit : str
-        For axes and tables.
-    """
-
-    column: str
-    name: str
-    unit: str
+    column: str  # Factor that holds it; empty for kinds that have no size
+    name: str  # For axes and tables
+    unit: str  # For axes and tables
 
 
 _DOSES = {
@@ -40,18 +35,7 @@ _NO_DOSE = Dose('', '', '')
 
 
 def dose_of(kind: str) -> Dose:
-    """What is called the size of a kind of fault.
-
-    Parameters
-    ----------
-    kind : str
-        Kind.
-
-    Returns
-    -------
-    Dose
-        Where it is found; without a column for kinds that have none.
-    """
+    """What is called the size of a kind of fault."""
     return _DOSES.get(kind, _NO_DOSE)
 
 
@@ -79,18 +63,18 @@ class Results:
         Whether there was any.
     """
 
-    def __init__(self, campaign, table) -> None:
+    def __init__(self, campaign: Campaign, table: pa.Table) -> None:
         self.campaign, self._table = campaign, table
         self.count, self.sensors = table.num_rows, campaign.arm.sensor_names
         self.kind, self.sensor = self.text('kind', NO_FAULT), self.text('sensor', NO_FAULT)
         self.faulty = self.kind != NO_FAULT
 
     @property
-    def columns(self):
+    def columns(self) -> list[str]:
         """Names of the columns that are there."""
         return self._table.column_names
 
-    def number(self, name):
+    def number(self, name: str) -> np.ndarray:
         """A column of numbers, NaN where there is none; shape (count,)."""
         if name not in self.columns:
             return np.full(self.count, math.nan)
@@ -101,18 +85,18 @@ class Results:
             else np.array([math.nan if v is None else v for v in column.to_pylist()], float)
         )
 
-    def text(self, name, empty: str = ''):
+    def text(self, name: str, empty: str = '') -> np.ndarray:
         """A column of texts, ``empty`` where there is none; shape (count,)."""
         if name not in self.columns:
             return np.full(self.count, empty, object)
         values = [empty if v is None else str(v) for v in self._table[name].to_pylist()]
         return np.array(values, object)
 
-    def flag(self, name):
+    def flag(self, name: str) -> np.ndarray:
         """A column of truths, False where there is none; shape (count,)."""
         return np.nan_to_num(self.number(name)) > 0.0
 
-    def lists(self, name):
+    def lists(self, name: str) -> np.ndarray:
         """A column of one number a class of `BINS`; shape (count, classes), 0 where missing."""
         result = np.zeros((self.count, len(BINS) - 1))
         if name in self.columns:
@@ -122,16 +106,16 @@ class Results:
         return np.where(np.isfinite(result), result, 0.0)
 
     @property
-    def kinds(self):
+    def kinds(self) -> list[str]:
         """Kinds of faults that occur, in the order in which they are documented."""
         present = set(self.kind)
         return [kind for kind in KINDS if kind in present]
 
-    def of_sensor(self, index):
+    def of_sensor(self, index: int) -> np.ndarray:
         """Runs in which a sensor is faulty, alone or with the other; shape (count,)."""
         return np.isin(self.sensor, (self.sensors[index], BOTH)) & self.faulty
 
-    def dose(self, kind):
+    def dose(self, kind: str) -> np.ndarray:
         """Size of the faults of a kind, without sign; NaN elsewhere and where it is not known."""
         column = dose_of(kind).column
         # Faults of the scenario leave the factors at what they are without one.
@@ -142,54 +126,43 @@ class Results:
         return np.where(mine & (values > 0.0), values, math.nan)
 
     @property
-    def duration(self):
+    def duration(self) -> float:
         """Length of each run [s]."""
         spec = self.campaign.spec
         return spec.duration or self.campaign.scenario(spec.scenario).duration
 
     @property
-    def faulty_time(self):
+    def faulty_time(self) -> np.ndarray:
         """Time from first onset to last end of the faults of each run [s]; shape (count,)."""
         begin, end = self._interval()
         return np.clip(end, 0.0, self.duration) - np.clip(begin, 0.0, self.duration)
 
     @property
-    def healthy_hours(self):
+    def healthy_hours(self) -> np.ndarray:
         """Time without a fault, of each run [h]; shape (count,)."""
         return (self.duration - self.faulty_time) / 3600.0
 
     @property
-    def early_hours(self):
+    def early_hours(self) -> np.ndarray:
         """Time before the first fault, of each run [h]; shape (count,)."""
         return np.clip(self._interval()[0], 0.0, self.duration) / 3600.0
 
-    def _interval(self):
+    def _interval(self) -> tuple[np.ndarray, np.ndarray]:
         spec = self.campaign.spec
         if 'fault.kind' in spec.factors:
             begin, length = self.number('fault.onset'), self.number('fault.duration')
             begin = np.where(self.faulty, np.nan_to_num(begin), math.inf)
             return begin, np.where(length > 0.0, begin + length, math.inf)
         faults = self.campaign.scenario(spec.scenario).faults
-        begin = min((f.onset for f in faults), default=math.inf)
-        end = max(
+        first = min((f.onset for f in faults), default=math.inf)
+        last = max(
             (f.onset + f.duration if f.duration > 0.0 else math.inf for f in faults),
             default=math.inf,
         )
-        return np.full(self.count, begin), np.full(self.count, end)
+        return np.full(self.count, first), np.full(self.count, last)
 
     def varied(self, numeric: bool) -> list[str]:
-        """Factors that differ between rows.
-
-        Parameters
-        ----------
-        numeric : bool
-            Those that are numbers, or those that are texts.
-
-        Returns
-        -------
-        list of str
-            In the order of the campaign file; none that depends on the kind of fault.
-        """
+        """Factors that differ between rows."""
         found = []
         for name, factor in self.campaign.spec.factors.items():
             is_number = name in NUMBERS or name.startswith('diagnosis.')
@@ -199,5 +172,5 @@ class Results:
         return found
 
 
-def _varies(factor):
+def _varies(factor: Any) -> bool:
     return isinstance(factor, Range) or isinstance(factor, Choice) and len(factor.values) > 1

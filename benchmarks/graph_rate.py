@@ -1,0 +1,418 @@
+"""The node graph beside an empty one: lockstep rate, latency, missed samples, CPU share.
+
+The empty graph has the same three nodes, topics, types, QoS and executor, and does nothing but
+publish.  Lockstep: samples a second with all nodes in one process and with one process for each;
+goals are 60 % and 70 % of the empty graph.  Real time, at 500 Hz and 1 kHz: from the time of a
+sample to its torque, as a fourth process sees it, samples without a torque, and the CPU share of
+each node, without and with recorder and live view.  Load of the machine is printed with each
+figure: ratios of one run are worth more than rates.
+"""
+
+import argparse
+import os
+import queue
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+import yaml
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from lpv_cli.processes import Graph
+from lpv_core.support.resources import bringup_file, executable
+from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
+from lpv_node.discovery import announce_often, stay_local
+from lpv_node.managed import ManagedNode
+from lpv_node.qos import stream
+from lpv_node.stamps import set_stamp, to_nanoseconds
+
+NAMESPACE = '/lpv'
+ROUNDS = 3
+SAMPLES = 3000
+"""Of one lockstep run, after the first second of the scenario."""
+RATE = 500
+"""Of the shipped arm [Hz]."""
+WINDOW = 10.0
+"""Of one real-time run [s]."""
+WARM_UP = 4.0
+"""Before that, so that the arm is on its path [s]."""
+DOMAIN = 83
+PROGRAMS = {
+    'arm_sim': ('lpv_arm_sim', 'simulator'),
+    'uio': ('lpv_uio', 'uio'),
+    'tracker': ('lpv_tracker', 'tracker'),
+    'recorder': ('lpv_bag', 'recorder'),
+    'view': ('lpv_view', 'view'),
+}
+
+
+# ---------------------------------------------------------------- the empty graph
+
+
+class Source(Node):
+    """Publishes what the simulator does, once for each command; counts and times the answers."""
+
+    def __init__(self) -> None:
+        super().__init__('arm_sim')
+        qos = stream(True)
+        self._clock = self.create_publisher(Clock, '/clock', qos)
+        self._truth = self.create_publisher(GroundTruth, 'ground_truth', qos)
+        self._states = self.create_publisher(JointState, 'joint_states', qos)
+        self.create_subscription(TorqueCommand, 'torque_command', self._next, qos)
+        self._message = JointState(
+            name=['a', 'b'], position=[0.0] * 2, velocity=[0.0] * 2, effort=[0.0] * 2
+        )
+        self.count, self._start = 0, 0.0
+        self.rate: float | None = None
+
+    def begin(self) -> bool:
+        """Send the first sample if the others are there."""
+        if self._states.get_subscription_count() and self.count_publishers('torque_command'):
+            self._publish()
+            return True
+        return False
+
+    def _next(self, _message: TorqueCommand) -> None:
+        self.count += 1
+        if self.count == RATE:
+            self._start = time.perf_counter()
+            print('begin', flush=True)
+        if self.count == RATE + SAMPLES:
+            self.rate = SAMPLES / (time.perf_counter() - self._start)
+        else:
+            self._publish()
+
+    def _publish(self) -> None:
+        stamp = self.count * 10**9 // RATE
+        clock, truth = Clock(), GroundTruth()
+        set_stamp(clock.clock, stamp)
+        set_stamp(truth.header.stamp, stamp)
+        set_stamp(self._message.header.stamp, stamp)
+        self._clock.publish(clock)
+        self._truth.publish(truth)
+        self._states.publish(self._message)
+
+
+class Relay(Node):
+    """Answers each message of one topic with messages on others."""
+
+    def __init__(self, name: str, source: tuple[type, str], outputs: dict[str, type]) -> None:
+        super().__init__(name)
+        qos = stream(True)
+        self._outputs = [
+            (self.create_publisher(kind, topic, qos), kind()) for topic, kind in outputs.items()
+        ]
+        self.create_subscription(*source, self._answer, qos)
+
+    def _answer(self, message: Any) -> None:
+        for publisher, answer in self._outputs:
+            answer.header.stamp = message.header.stamp
+            publisher.publish(answer)
+
+
+EMPTY: dict[str, Callable[[], Node]] = {
+    'arm_sim': Source,
+    'uio': lambda: Relay(
+        'uio',
+        (JointState, 'joint_states'),
+        {'state_estimate': StateEstimate, 'fault_estimate': FaultEstimate},
+    ),
+    'tracker': lambda: Relay(
+        'tracker',
+        (StateEstimate, 'state_estimate'),
+        {'torque_command': TorqueCommand, 'reference': JointReference},
+    ),
+}
+
+
+def node_classes() -> dict[str, Callable[[], ManagedNode]]:
+    """The real nodes."""
+    from lpv_arm_sim.node import SimulatorNode
+    from lpv_tracker.node import TrackerNode
+    from lpv_uio.node import UioNode
+
+    return {'arm_sim': SimulatorNode, 'uio': UioNode, 'tracker': TrackerNode}
+
+
+def make_executor() -> Executor:
+    """The executor of the nodes."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # older distributions
+        return rclpy.executors.SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run_empty(names: list[str]) -> None:
+    """Role of a process: some nodes of the empty graph, until all samples are answered."""
+    nodes = {name: EMPTY[name]() for name in names}
+    executor = make_executor()
+    for node in nodes.values():
+        executor.add_node(node)
+    source = nodes.get('arm_sim')
+    begun = source is None
+    while source is None or source.rate is None:
+        begun = begun or source.begin()
+        executor.spin_once(timeout_sec=0.2)
+    print(f'rate {source.rate:.1f}', flush=True)
+    time.sleep(60.0)  # until stopped: the CPU time is read first
+
+
+def run_ours() -> None:
+    """Role of a process: all real nodes on one executor, until the scenario is over."""
+    nodes = [node() for node in node_classes().values()]
+    executor = make_executor()
+    for node in nodes:
+        node.trigger_configure()
+        node.trigger_activate()
+        executor.add_node(node)
+    while not nodes[0].finished:
+        executor.spin_once(timeout_sec=0.2)
+
+
+# ---------------------------------------------------------------- runs
+
+
+def environment() -> dict[str, str]:
+    """Of processes that find each other on this machine only."""
+    values = dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), PYTHONUNBUFFERED='1')
+    stay_local(values)
+    return values
+
+
+def role(*words: str) -> list[str]:
+    """Command line of this program in a role."""
+    return [sys.executable, __file__, *words, '--ros-args', '-r', f'__ns:={NAMESPACE}']
+
+
+def parameters(folder: Path, rate: int, lockstep: bool, recorders: int) -> Path:
+    """Parameter file of the whole graph; gains of an arm that is sampled faster are designed."""
+    arm = yaml.safe_load(Path(bringup_file('arms', 'paper')).read_text())
+    arm['sample_time'] = 1.0 / rate
+    arm_file, gains_file = folder / f'arm_{rate}.yaml', folder / f'gains_{rate}.yaml'
+    arm_file.write_text(yaml.safe_dump(arm))
+    if rate == RATE:
+        gains_file = Path(bringup_file('gains', 'paper'))
+    elif not gains_file.exists():
+        words = ['--arm', str(arm_file), '--requirement', 'paper', '--out', str(gains_file)]
+        subprocess.run(['lpv', 'design', *words], check=True, stdout=subprocess.DEVNULL)
+    scenario = yaml.safe_load(Path(bringup_file('scenarios', 'two_faults')).read_text())
+    scenario['duration'] = 1.0 + SAMPLES / RATE + 0.5 if lockstep else 3600.0
+    (folder / 'scenario.yaml').write_text(yaml.safe_dump(scenario))
+    common = {
+        'lockstep': lockstep,
+        'arm_file': str(arm_file),
+        'scenario_file': str(folder / 'scenario.yaml'),
+        'await_recorders': recorders,
+    }
+    gains = yaml.safe_load(gains_file.read_text())
+    (section,) = gains.values()
+    section['ros__parameters'].update(common)
+    path = folder / 'parameters.yaml'
+    path.write_text(yaml.safe_dump({'/**': section}))
+    return path
+
+
+@contextmanager
+def processes(commands: dict[str, list[str]]) -> Iterator[Graph]:
+    """Nodes as processes."""
+    with tempfile.TemporaryDirectory() as folder, Graph(Path(folder), DOMAIN) as graph:
+        for name, command in commands.items():
+            graph.start(name, command)
+        yield graph
+
+
+def program(name: str, file: Path, *settings: str) -> list[str]:
+    """Command line of a real node."""
+    words = [word for setting in settings for word in ('-p', setting)]
+    remap = ['-r', f'__ns:={NAMESPACE}', '-r', f'__node:={name}']
+    path = executable(*PROGRAMS[name])
+    return [str(path), '--ros-args', *remap, '--params-file', str(file), *words]
+
+
+def scenario_rate(lines: list[str]) -> float:
+    """Samples a second from the simulator's remarks, each after one second of the scenario."""
+    marks = [
+        (float(found[1]), float(found[2]))
+        for line in lines
+        if (found := re.search(r'\[(\d+\.\d+)\].*scenario time (\d+\.\d)', line))
+    ]
+    (first, begin), (last, end) = marks[0], marks[-1]
+    return RATE * (end - begin) / (last - first)
+
+
+def empty_rate(split: bool) -> tuple[float, float]:
+    """Lockstep rate of the empty graph [samples/s], and its CPU time [s/sample]."""
+    groups = [[name] for name in EMPTY] if split else [list(EMPTY)]
+    with processes({'_'.join(names): role('empty', *names) for names in groups}) as graph:
+        wait_for(graph, 'begin')
+        before = total_cpu_time(graph)
+        rate = float(wait_for(graph, r'rate ([\d.]+)')[1])
+        return rate, (total_cpu_time(graph) - before) / SAMPLES
+
+
+def our_rate(split: bool, folder: Path) -> tuple[float, float]:
+    """Lockstep rate of the real graph [samples/s], and its CPU time [s/sample]."""
+    file = parameters(folder, RATE, True, 0)
+    if split:
+        commands = {name: program(name, file) for name in ('tracker', 'uio', 'arm_sim')}
+    else:
+        commands = {'graph': [*role('ours'), '--params-file', str(file)]}
+    with processes(commands) as graph:
+        lines, before = [], 0.0
+        last = f'scenario time {1 + SAMPLES // RATE}.0 '
+        while not lines or last not in lines[-1]:
+            lines.append(next_line(graph))
+            if 'scenario time 1.0 ' in lines[-1]:
+                before, lines = total_cpu_time(graph), lines[-1:]
+        return scenario_rate(lines), (total_cpu_time(graph) - before) / SAMPLES
+
+
+def next_line(graph: Graph, timeout: float = 300.0) -> str:
+    """Next line that a node prints; an error if one has died."""
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        graph.check()
+        try:
+            return graph.lines.get(timeout=0.5)[1]
+        except queue.Empty:
+            continue
+    raise TimeoutError('the nodes say nothing')
+
+
+def wait_for(graph: Graph, pattern: str) -> re.Match[str]:
+    """First line that matches."""
+    while True:
+        found = re.search(pattern, next_line(graph))
+        if found:
+            return found
+
+
+def cpu_time(pid: int) -> float:
+    """CPU time that a process has used [s]."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
+def total_cpu_time(graph: Graph) -> float:
+    """CPU time that all nodes have used [s]."""
+    return sum(cpu_time(node.process.pid) for node in graph.nodes)
+
+
+class Listener(Node):
+    """Notes when torques come, and for which samples."""
+
+    def __init__(self) -> None:
+        super().__init__('_listener', namespace=NAMESPACE)
+        self.delays: dict[int, float] = {}
+        self.create_subscription(TorqueCommand, 'torque_command', self._note, stream(False))
+
+    def _note(self, message: TorqueCommand) -> None:
+        stamp = to_nanoseconds(message.header.stamp)
+        self.delays[stamp] = (time.time_ns() - stamp) * 1e-6
+
+    def listen(self, seconds: float) -> None:
+        """Receive for a while."""
+        executor = make_executor()
+        executor.add_node(self)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.1)
+        executor.remove_node(self)
+
+
+def real_time(rate: int, extras: bool, folder: Path) -> str:
+    """One line about a real-time run."""
+    file = parameters(folder, rate, False, int(extras))
+    commands = {}
+    if extras:
+        bag = folder / f'bag_{rate}'
+        commands['recorder'] = program('recorder', file, f'output:={bag}')
+        commands['view'] = program('view', file, 'port:=0', 'foxglove_port:=0')
+    commands |= {name: program(name, file) for name in ('tracker', 'uio', 'arm_sim')}
+    with processes(commands) as graph:
+        wait_for(graph, 'brakes released')
+        listener = Listener()
+        listener.listen(WARM_UP)
+        listener.delays.clear()
+        before = {node.name: cpu_time(node.process.pid) for node in graph.nodes}
+        start = time.monotonic()
+        listener.listen(WINDOW)
+        span = time.monotonic() - start
+        shares = {
+            node.name: (cpu_time(node.process.pid) - before[node.name]) / span
+            for node in graph.nodes
+        }
+        graph.check()
+        listener.destroy_node()
+    delays = np.array([listener.delays[stamp] for stamp in sorted(listener.delays)])
+    stamps = sorted(listener.delays)
+    expected = round((stamps[-1] - stamps[0]) * 1e-9 * rate) + 1
+    share = ', '.join(f'{name} {100 * value:.0f} %' for name, value in shares.items())
+    return (
+        f'{rate} Hz{", recorder and view" if extras else ""}: sample to torque '
+        f'{np.median(delays):.2f} ms (median), {np.percentile(delays, 99):.2f} ms (99 %), '
+        f'{delays.max():.1f} ms (longest); {expected - len(stamps)} of {expected} without; '
+        f'CPU: {share}'
+    )
+
+
+def load() -> str:
+    """Load of the machine in the last minute."""
+    return f'load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores'
+
+
+def measure() -> None:
+    """Measure, and print one line for each figure."""
+    os.environ.update(environment())
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for split, where, goal in ((False, 'one process', 60), (True, 'three processes', 70)):
+            # By round; ours and empty; samples a second and CPU time for each.
+            found = np.array([(our_rate(split, folder), empty_rate(split)) for _ in range(ROUNDS)])
+            ratio, cpu_ratio = np.median(found[:, 0] / found[:, 1], axis=0)
+            (ours, our_cpu), (empty, empty_cpu) = np.median(found, axis=0)
+            print(
+                f'lockstep, {where}: {ours:.0f} samples/s, empty graph {empty:.0f}: '
+                f'{100 * ratio:.0f} % (goal {goal} %); CPU time {1e6 * our_cpu:.0f} and '
+                f'{1e6 * empty_cpu:.0f} us per sample: {cpu_ratio:.2f} (median of {ROUNDS} rounds; '
+                f'{load()})',
+                flush=True,
+            )
+        rclpy.init(args=[])
+        for rate in (RATE, 2 * RATE):
+            for extras in (False, True):
+                print(f'{real_time(rate, extras, folder)} ({load()})', flush=True)
+        rclpy.shutdown()
+
+
+def main() -> None:
+    """Measure, or be a process of a graph."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('role', nargs='?', choices=('empty', 'ours'), help=argparse.SUPPRESS)
+    parser.add_argument('nodes', nargs='*', help=argparse.SUPPRESS)
+    arguments, _ = parser.parse_known_args()
+    if arguments.role is None:
+        measure()
+        return
+    announce_often()
+    rclpy.init(args=sys.argv)
+    if arguments.role == 'empty':
+        run_empty(arguments.nodes)
+    else:
+        run_ours()
+
+
+if __name__ == '__main__':
+    main()

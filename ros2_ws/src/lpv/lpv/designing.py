@@ -1,0 +1,38 @@
+"""Gain design by linear matrix inequalities."""
+
+from pathlib import Path
+
+from lpv_core.certificate.gains import Gains
+from lpv_core.model.arm import ArmParameters
+
+
+def design(arm: ArmParameters, requirement: str | Path | None = None) -> Gains:
+    """Design observer and controller of an arm.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    requirement : str or pathlib.Path, optional
+        Requirement file, see docs/arm-file.md, or name of a shipped one; by default the shipped
+        one of the arm's name.
+
+    Returns
+    -------
+    Gains
+        With their certificate: every inequality was rebuilt from these numbers, and holds.
+
+    Raises
+    ------
+    NotDetectableError
+        If a fault cannot be diagnosed in part of the region.
+    InfeasibleError
+        If the inequalities do not hold.
+    ConfigError
+        If there is no such requirement, or a field of it is wrong.
+    """
+    # Only here: the solver takes a second to be imported, and most scripts need none.
+    from lpv_design.design_flow import design
+    from lpv_design.requirement import load_requirement
+
+    return design(arm, load_requirement(requirement or arm.name)).gains

@@ -1,0 +1,90 @@
+"""Arms, gains and scenarios from files, or by the names of shipped ones."""
+
+from pathlib import Path
+
+import lpv_core.certificate.gains
+import lpv_core.model.arm
+import lpv_core.simulation.scenario
+from lpv_core.certificate.gains import Gains
+from lpv_core.model.arm import ArmParameters
+from lpv_core.simulation.scenario import Scenario
+from lpv_core.support.resources import bringup_file
+
+
+def load_arm(name: str | Path) -> ArmParameters:
+    """Read an arm file.
+
+    Parameters
+    ----------
+    name : str or pathlib.Path
+        YAML file, see docs/arm-file.md, or name of a shipped arm (``paper``, ``real_arm``).
+
+    Returns
+    -------
+    ArmParameters
+        Validated, in SI units.
+
+    Raises
+    ------
+    ConfigError
+        Naming the field that is wrong, or the arms that are shipped.
+    """
+    return lpv_core.model.arm.load_arm(bringup_file('arms', str(name)))
+
+
+def load_gains(name: str | Path) -> Gains:
+    """Read the gains that `design` or ``lpv design`` has found.
+
+    Parameters
+    ----------
+    name : str or pathlib.Path
+        Gains file, or name of a shipped arm, whose certified gains are shipped, too.
+
+    Returns
+    -------
+    Gains
+        Not verified yet: `Monitor` and `simulate` refuse those of another arm, ``lpv verify``
+        rebuilds every inequality of their certificate.
+
+    Raises
+    ------
+    ConfigError
+        Naming the field that is wrong.
+    """
+    return lpv_core.certificate.gains.load_gains(bringup_file('gains', str(name)))
+
+
+def save_gains(gains: Gains, path: str | Path, comment: str = 'Designed in Python.') -> None:
+    """Write gains to a file that nodes and commands read.
+
+    Parameters
+    ----------
+    gains : Gains
+        Of `design`.
+    path : str or pathlib.Path
+        YAML file to write.
+    comment : str, optional
+        First lines of the file.
+    """
+    lpv_core.certificate.gains.save_gains(gains, path, comment)
+
+
+def load_scenario(name: str | Path) -> Scenario:
+    """Read a scenario file: path, plant, noise, disturbance and faults of a simulation.
+
+    Parameters
+    ----------
+    name : str or pathlib.Path
+        YAML file, see docs/scenario-file.md, or name of a shipped one (``two_faults``).
+
+    Returns
+    -------
+    Scenario
+        Validated; ``dataclasses.replace`` changes single fields.
+
+    Raises
+    ------
+    ConfigError
+        Naming the field that is wrong, or the scenarios that are shipped.
+    """
+    return lpv_core.simulation.scenario.load_scenario(bringup_file('scenarios', str(name)))

@@ -1,0 +1,166 @@
+"""Diagnosis of a stream of measurements, and of a whole bag: the very code of the node."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from lpv.recordings import recorded
+from lpv_core.certificate.conditions import require
+from lpv_core.certificate.gains import Gains
+from lpv_core.decision.diagnosis import Alarm, DiagnosisParameters, SensorState
+from lpv_core.model.arm import ArmParameters
+from lpv_core.monitoring.monitor import SensorMonitor
+
+_NAME = '/uio'
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one measurement tells of joints and sensors."""
+
+    stamp: int  # of the measurement [ns]
+    position: np.ndarray  # (joints,) estimated joint positions, free of sensor faults [rad]
+    velocity: np.ndarray  # (joints,) estimated joint rates [rad/s]
+    fault: np.ndarray  # (sensors,) estimated faults of the position sensors [rad]
+    bound: np.ndarray  # (sensors,) on the errors of these estimates [rad]
+    threshold: np.ndarray  # (sensors,) above which a fault estimate raises an alarm [rad]
+    states: tuple[SensorState, ...]  # of each sensor
+    alarms: tuple[Alarm, ...]  # events of this measurement: raised, updated, cleared
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a recording tells of the sensors; one row per measurement that has an estimate."""
+
+    stamp: np.ndarray  # (n,) [ns]
+    position: np.ndarray  # (n, joints) estimated joint positions, free of sensor faults [rad]
+    fault: np.ndarray  # (n, sensors) estimated faults [rad]
+    bound: np.ndarray  # (n, sensors) on their errors [rad]
+    threshold: np.ndarray  # (n, sensors) [rad]
+    alarms: list[Alarm]  # events in their order
+
+
+class Monitor:
+    """Diagnosis of the position sensors of one arm, one measurement after the other.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Its gains.
+    parameters : DiagnosisParameters, optional
+        Tuning of the diagnosis.
+
+    Raises
+    ------
+    ConfigError
+        If gains and arm do not belong together, or the certificate of the gains does not hold.
+
+    Examples
+    --------
+    >>> monitor = lpv.Monitor(arm, gains)
+    >>> for sample in lpv.read_bag('my_bag', arm):
+    ...     update = monitor.update(sample.stamp, sample.position, sample.velocity, sample.effort)
+    """
+
+    def __init__(
+        self, arm: ArmParameters, gains: Gains, parameters: DiagnosisParameters | None = None
+    ) -> None:
+        require(arm, gains, 'gains')
+        self._names = arm.joint_names
+        self._monitor = SensorMonitor(_NAME, arm, gains, parameters)
+
+    def update(
+        self,
+        stamp: int,
+        position: Sequence[float],
+        velocity: Sequence[float],
+        effort: Sequence[float],
+    ) -> Update | None:
+        """Use one measurement.
+
+        Parameters
+        ----------
+        stamp : int
+            Time of the measurement [ns], increasing.
+        position, velocity, effort : sequence of float, shape (joints,)
+            Of the joints, in the order of the arm file [rad], [rad/s], [N m]; NaN where there is
+            none.
+
+        Returns
+        -------
+        Update or None
+            None for a measurement that gives no estimate: its stamp is not newer than the last
+            one, or nothing usable was measured yet.
+
+        Raises
+        ------
+        SampleError
+            If sizes are wrong.
+        """
+        message = SimpleNamespace(
+            name=list(self._names), position=position, velocity=velocity, effort=effort
+        )
+        answer = self._monitor.take(stamp, message)
+        if answer is None or answer.fault is None:
+            return None
+        return Update(
+            stamp,
+            answer.state['position'],
+            answer.state['velocity'],
+            answer.fault['estimate'],
+            answer.fault['bound'],
+            answer.fault['threshold'],
+            tuple(SensorState(state) for state in answer.fault['state']),
+            tuple(answer.events),
+        )
+
+    def reset(self) -> None:
+        """Forget estimates and alarms, as after a restart of the arm."""
+        self._monitor.reset()
+
+
+def diagnose(
+    arm: ArmParameters, gains: Gains, bag: str | Path, parameters: DiagnosisParameters | None = None
+) -> Diagnosis:
+    """Diagnose a whole recording at once.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm.
+    gains : Gains
+        Its gains.
+    bag : str or pathlib.Path
+        As in `lpv.read_bag`.
+    parameters : DiagnosisParameters, optional
+        Tuning of the diagnosis.
+
+    Returns
+    -------
+    Diagnosis
+        Estimates and alarms, the same as of `Monitor` one by one.
+
+    Raises
+    ------
+    LpvError
+        If the bag cannot be read, or arm and gains do not belong together.
+    """
+    require(arm, gains, 'gains')
+    stamps, position, velocity, effort = recorded(bag, arm)
+    answers = SensorMonitor(_NAME, arm, gains, parameters).take_many(
+        stamps, position, velocity, effort
+    )
+    known = answers.answered & answers.has_fault
+    return Diagnosis(
+        stamps[known],
+        answers.state.position[known],
+        answers.fault.estimate[known],
+        answers.fault.bound[known],
+        answers.fault.threshold[known],
+        [event for _, event in answers.events],
+    )

@@ -1,0 +1,47 @@
+"""Services that inject and clear faults, on an injector without a graph."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from lpv_arm_sim.services import FaultServices  # noqa: E402
+from lpv_core.simulation.faults import FaultInjector  # noqa: E402
+from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
+
+
+@pytest.fixture
+def services():
+    """Services of a simulator that is at 2 s."""
+    injector = FaultInjector(('a', 'b'), [], np.random.default_rng(0))
+    logger = SimpleNamespace(info=lambda text: None)
+    node = SimpleNamespace(create_service=lambda *_: None, get_logger=lambda: logger)
+    return FaultServices(node, SimpleNamespace(time=2.0, injector=injector))
+
+
+def inject(services, **fields):
+    request = InjectFault.Request(**{'sensor': 'a', 'kind': 'bias', 'size': 0.3, **fields})
+    return services.inject(request, InjectFault.Response())
+
+
+def test_given_a_fault_when_injected_then_it_starts_now(services):
+    response = inject(services)
+    assert response.success
+    assert response.message == 'bias on a from 2.000 s on'
+
+
+@pytest.mark.parametrize('fields', [{'sensor': 'c'}, {'kind': 'nix'}, {'size': float('nan')}])
+def test_given_a_fault_that_makes_no_sense_when_injected_then_the_reason_is_told(services, fields):
+    response = inject(services, **fields)
+    assert not response.success
+    assert response.message
+
+
+def test_given_faults_of_two_sensors_when_one_is_cleared_then_the_other_stays(services):
+    inject(services)
+    inject(services, sensor='b')
+    assert services.clear(ClearFaults.Request(sensor='a'), ClearFaults.Response()).cleared == 1
+    assert services.clear(ClearFaults.Request(), ClearFaults.Response()).cleared == 1
+    assert services.clear(ClearFaults.Request(), ClearFaults.Response()).cleared == 0

@@ -1,0 +1,1 @@
+"""Messages of a bag in blocks of some megabytes, thousands at once."""

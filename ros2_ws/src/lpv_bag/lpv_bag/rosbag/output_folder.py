@@ -1,0 +1,50 @@
+"""Output folder of a recorder, and the files that accompany the recording."""
+
+import os
+from itertools import count
+from pathlib import Path
+
+from lpv_core.certificate.gains import load_gains
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.errors import ConfigError
+
+GAINS_NAME = 'gains.yaml'
+"""Of the copy of the gains that a run was answered with."""
+SCENARIO_NAME = 'scenario.yaml'
+"""Of the copy of the scenario that a run followed."""
+
+
+def free_path(path: str | Path) -> Path:
+    """The path itself, or the first of ``path_1``, ``path_2``, ... that does not exist."""
+    path = Path(path)
+    if not os.path.lexists(path):
+        return path
+    names = (path.with_name(f'{path.resolve().name}_{number}') for number in count(1))
+    return next(name for name in names if not os.path.lexists(name))
+
+
+def read_gains_file(path: str | Path) -> bytes:
+    """Text of a gains file, for `copy_file`."""
+    load_gains(path)
+    return _content(path)
+
+
+def _content(path: str | Path) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
+
+
+def read_scenario_file(path: str | Path) -> bytes:
+    """Text of a scenario file, for `copy_file`."""
+    load_scenario(path)
+    return _content(path)
+
+
+def copy_file(data: bytes, folder: Path, name: str) -> None:
+    """Write a file that accompanies a recording into the folder of its bag."""
+    try:
+        (folder / name).write_bytes(data)
+    except OSError as error:
+        raise ConfigError(name, f'cannot be copied: {error}', str(folder)) from error

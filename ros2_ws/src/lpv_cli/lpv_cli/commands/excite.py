@@ -1,0 +1,138 @@
+"""``lpv excite``: a motion that identifies an arm well, as files and as a played reference."""
+
+import argparse
+from pathlib import Path
+
+from lpv_core.support.errors import ConfigError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    arm = parser.add_mutually_exclusive_group(required=True)
+    arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
+    arm.add_argument('--arm', help='arm file, of n joints or of two links')
+    parser.add_argument(
+        '--joints',
+        nargs='+',
+        metavar='JOINT',
+        help='joints of the arm; all others of the URDF are locked',
+    )
+    parser.add_argument(
+        '--out',
+        required=True,
+        help='folder to create: trajectory.csv, trajectory.yaml, reference bag',
+    )
+    parser.add_argument('--duration', type=float, default=30.0, help='in seconds (30)')
+    parser.add_argument('--rate', type=float, default=100.0, help='samples per second (100)')
+    parser.add_argument(
+        '--center',
+        nargs='+',
+        type=float,
+        metavar='ANGLE',
+        help="middle of the motion (that of the joints' ranges) [rad]",
+    )
+    parser.add_argument(
+        '--reach',
+        type=float,
+        default=1.5,
+        help='largest way of a joint from the middle (1.5) [rad]',
+    )
+    parser.add_argument(
+        '--speed-share',
+        type=float,
+        default=0.6,
+        help='share of the velocity limits that is used (0.6)',
+    )
+    parser.add_argument(
+        '--torque-share',
+        type=float,
+        default=0.8,
+        help='share of the torque limits that is used (0.8)',
+    )
+    parser.add_argument(
+        '--lowest', type=float, help='height above the base that joints and tip keep [m]'
+    )
+    parser.add_argument(
+        '--radius',
+        type=float,
+        help="distance from the base's vertical axis that they keep within [m]",
+    )
+    parser.add_argument('--trials', type=int, default=300, help='motions that are tried (300)')
+    parser.add_argument('--seed', type=int, default=1, help='of the search (1)')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Plan and write.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0; bad input is an error.
+    """
+    _check(arguments)
+    import numpy as np
+
+    from lpv_core.serial_arm.urdf_chain import read_urdf_chain
+    from lpv_identify.excitation import Bounds, plan_excitation
+    from lpv_identify.reference import write_reference
+    from lpv_identify.starting_arm import load_any_arm
+
+    arm = (
+        read_urdf_chain(arguments.urdf, None, arguments.joints)
+        if arguments.urdf
+        else load_any_arm(arguments.arm)
+    )
+    center = None if arguments.center is None else np.array(arguments.center)
+    if center is not None and len(center) != len(arm.joints):
+        raise ConfigError('--center', f'needs {len(arm.joints)} angles')
+    bounds = Bounds(
+        arguments.speed_share,
+        arguments.torque_share,
+        reach=arguments.reach,
+        lowest=-np.inf if arguments.lowest is None else arguments.lowest,
+        radius=np.inf if arguments.radius is None else arguments.radius,
+    )
+    plan = plan_excitation(
+        arm, arguments.duration, bounds, center, arguments.trials, arguments.seed
+    )
+    files = write_reference(arm, plan.trajectory, arguments.rate, Path(arguments.out))
+    print(
+        f'condition number {plan.condition:.0f}, log information per parameter '
+        f'{plan.information:.2f}'
+    )
+    for name, torque in zip(arm.joint_names, plan.torque):
+        print(f'  {name}: largest torque {torque:.1f} N m')
+    for file in files:
+        print(file)
+    print(
+        f'move there first: {", ".join(f"{a:.3f}" for a in plan.trajectory.center)} rad; check '
+        'the way for collisions'
+    )
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    ranges = {
+        'duration': (5.0, 600.0),
+        'rate': (10.0, 2000.0),
+        'reach': (0.05, 3.2),
+        'speed_share': (0.01, 1.0),
+        'torque_share': (0.01, 1.0),
+        'trials': (1, 100_000),
+    }
+    for name, (low, high) in ranges.items():
+        if not low <= getattr(arguments, name) <= high:
+            raise ConfigError('--' + name.replace('_', '-'), f'must lie within [{low}, {high}]')
+    if Path(arguments.out).exists():
+        raise ConfigError('--out', f'{arguments.out} exists already')

@@ -1,0 +1,252 @@
+"""``lpv identify``: from recordings to an arm file."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lpv_core.support.errors import ConfigError
+
+if TYPE_CHECKING:
+    from lpv_core.serial_arm.description import SerialArm
+    from lpv_identify.identification import Identification
+    from lpv_identify.recording import Recording
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Receives them.
+    """
+    parser.add_argument(
+        'recordings',
+        nargs='+',
+        metavar='BAG|CSV',
+        help='recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv',
+    )
+    arm = parser.add_mutually_exclusive_group(required=True)
+    arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
+    arm.add_argument('--arm', help='arm file to start from, of n joints or of two links')
+    parser.add_argument('--out', help='arm file to write')
+    parser.add_argument('--report', metavar='DIR', help='folder for the report with pictures')
+    _add_arm_arguments(parser)
+    _add_recording_arguments(parser)
+    parser.add_argument(
+        '--train-share',
+        type=float,
+        default=0.6,
+        help='share of each recording that is fitted, the rest is held back (0.6)',
+    )
+    parser.add_argument(
+        '--refit',
+        action='store_true',
+        help='write the parameters of a fit to all samples, after the test',
+    )
+    parser.add_argument(
+        '--test',
+        action='append',
+        default=[],
+        metavar='BAG|CSV',
+        help='recording to test on, instead of the part held back',
+    )
+    parser.add_argument(
+        '--payload',
+        action='store_true',
+        help='the arm of --arm is known: find mass and centre of its tool only',
+    )
+    parser.add_argument(
+        '--known-mass',
+        type=float,
+        metavar='KG',
+        help='with --payload: mass of the tool, by which the scale of the arm is corrected',
+    )
+
+
+def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--name', help="name of the arm (the URDF's)")
+    parser.add_argument(
+        '--joints',
+        nargs='+',
+        metavar='JOINT',
+        help='joints of the arm; all others of the URDF are locked',
+    )
+    parser.add_argument(
+        '--lock',
+        action='append',
+        default=[],
+        metavar='JOINT[=ANGLE]',
+        help="hold a joint of the URDF, as a gripper's (angle 0)",
+    )
+    parser.add_argument(
+        '--base-rpy',
+        nargs=3,
+        type=float,
+        metavar=('ROLL', 'PITCH', 'YAW'),
+        help='how the base is mounted, z up if not given [rad]',
+    )
+    parser.add_argument(
+        '--effort-unit',
+        choices=('Nm', 'A'),
+        help='unit of the efforts; A: gains are estimated (Nm)',
+    )
+    parser.add_argument(
+        '--gain',
+        nargs='+',
+        type=float,
+        metavar='K',
+        help='joint torque per unit of effort, one for all joints or one each',
+    )
+    parser.add_argument(
+        '--without-gravity',
+        action='store_true',
+        help='efforts do not contain the torque that holds the weight',
+    )
+
+
+def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--topic', help='topic of the joint states, if there are several')
+    parser.add_argument('--columns', help='column map of CSV files (a YAML file or a shipped one)')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Identify.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add_arguments`.
+
+    Returns
+    -------
+    int
+        0; bad input is an error.
+    """
+    if not 0.2 <= arguments.train_share <= 0.9:
+        raise ConfigError('--train-share', 'must lie within [0.2, 0.9]')
+    from lpv_identify.recording import read_recording
+
+    arm = _arm(arguments)
+    columns = _columns(arguments)
+
+    def read(path: str) -> 'Recording':
+        return read_recording(path, arm.joint_names, arguments.topic, columns)
+
+    recordings = [read(path) for path in arguments.recordings]
+    if arguments.payload:
+        return _payload(arguments, arm, recordings)
+    from lpv_identify.identification import Options, identify
+
+    result = identify(
+        arm,
+        recordings,
+        Options(arguments.train_share, arguments.refit),
+        [read(path) for path in arguments.test],
+    )
+    _print(result)
+    _write(arguments, result)
+    return 0
+
+
+def _arm(arguments: argparse.Namespace) -> 'SerialArm':
+    """The arm that the fit starts from."""
+    from dataclasses import replace
+
+    from lpv_core.serial_arm.urdf_chain import read_urdf_chain
+    from lpv_identify.starting_arm import load_any_arm
+
+    if arguments.urdf:
+        locked = dict(_locked(text) for text in arguments.lock)
+        arm = read_urdf_chain(arguments.urdf, locked, arguments.joints)
+    else:
+        arm = load_any_arm(arguments.arm)
+    if arguments.name:
+        arm = replace(arm, name=arguments.name)
+    if arguments.base_rpy:
+        arm = replace(arm, base_orientation=tuple(arguments.base_rpy))
+    if arguments.without_gravity:
+        arm = replace(arm, effort_includes_gravity=False)
+    if arguments.gain:
+        arm = _with_gains(arm, arguments.gain)
+    if arguments.effort_unit == 'A':
+        arm = replace(arm, effort_unit='A')
+    return arm
+
+
+def _locked(text: str) -> tuple[str, float]:
+    name, _, angle = text.partition('=')
+    try:
+        return name, float(angle) if angle else 0.0
+    except ValueError:
+        raise ConfigError('--lock', f'{angle!r} is not an angle') from None
+
+
+def _with_gains(arm: 'SerialArm', gains: list[float]) -> 'SerialArm':
+    from dataclasses import replace
+
+    if len(gains) not in (1, len(arm.joints)) or 0.0 in gains:
+        raise ConfigError('--gain', f'needs 1 or {len(arm.joints)} numbers other than 0')
+    gains = gains * len(arm.joints) if len(gains) == 1 else gains
+    joints = [replace(joint, torque_gain=gain) for joint, gain in zip(arm.joints, gains)]
+    return replace(arm, joints=tuple(joints))
+
+
+def _columns(arguments: argparse.Namespace) -> Any:
+    if not arguments.columns:
+        return None
+    from lpv_bag.run.csv_import import load_column_map
+    from lpv_core.support.resources import bringup_file
+
+    return load_column_map(bringup_file('columns', arguments.columns))
+
+
+def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']) -> int:
+    from lpv_identify.payload import identify_payload, with_payload
+
+    found = identify_payload(arm, recordings)
+    x, y, z = found.center
+    print(f'mass    {found.mass:8.3f} kg    +- {2 * found.mass_sigma:.3f}')
+    print(
+        f'centre  {x:8.4f} {y:.4f} {z:.4f} m +- '
+        + ' '.join(f'{2 * s:.4f}' for s in found.center_sigma)
+        + f'    in the frame of {arm.joint_names[-1]}'
+    )
+    print(f'torque residual {found.rms_before:.3f} -> {found.rms_after:.3f} N m RMS')
+    for text in found.warnings:
+        print(f'warning: {text}', file=sys.stderr)
+    result, what = with_payload(arm, found), 'arm with its tool'
+    if arguments.known_mass is not None:
+        if not arguments.known_mass > 0.0:
+            raise ConfigError('--known-mass', 'must be greater than 0')
+        from lpv_identify.gains import rescaled
+
+        factor = arguments.known_mass / found.mass
+        result, what = rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
+    if arguments.out:
+        from lpv_core.serial_arm.arm_file import save_serial_arm
+
+        save_serial_arm(result, arguments.out)
+        print(f'{what} written to {arguments.out}')
+    return 0
+
+
+def _print(result: 'Identification') -> None:
+    from lpv_identify.summary import table
+
+    print(table(result))
+    for text in result.warnings:
+        print(f'warning: {text}', file=sys.stderr)
+
+
+def _write(arguments: argparse.Namespace, result: 'Identification') -> None:
+    if arguments.out:
+        from lpv_identify.starting_arm import save_like
+
+        save_like(arguments.arm, result, Path(arguments.out))
+        print(f'arm file: {arguments.out}')
+    if arguments.report:
+        from lpv_identify.report import write_report
+
+        print(f'report: {write_report(result, Path(arguments.report))}')

@@ -1,0 +1,57 @@
+"""What a command needs that is not installed, and how it is installed."""
+
+import importlib.util
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+from lpv_core.support.errors import ConfigError
+
+DISTRIBUTION = 'lpv-arm-fdi'
+_EXTRAS = {
+    'pyarrow': 'campaign',
+    'distributed': 'campaign',
+    'filterpy': 'campaign',
+    'optuna': 'tune',
+    'sqlalchemy': 'tune',
+    'mujoco': 'mujoco',
+}
+_ROS = (
+    'ROS 2 is needed and not installed here: run "make setup" in a checkout of lpv-arm-fdi, or '
+    'build its packages with colcon in your ROS 2 workspace and source it'
+)
+
+
+def require_ros() -> None:
+    """Refuse to start nodes where there is no ROS 2, or no messages of this software."""
+    for module in ('rclpy', 'lpv_msgs.msg'):
+        try:
+            found = importlib.util.find_spec(module)
+        except ModuleNotFoundError:
+            found = None
+        if found is None:
+            raise ConfigError(module, _ROS)
+
+
+def remedy(module: str | None) -> str:
+    """One sentence for a module that cannot be imported."""
+    name = (module or '').split('.')[0]
+    if name in _EXTRAS:
+        return f"{name} is not installed: pip install '{DISTRIBUTION}[{_EXTRAS[name]}]'"
+    if name.endswith('_msgs') or name.startswith(('rcl', 'ros', 'lpv_')):
+        return f'{name}: {_ROS}'
+    return f'{name} is not installed: pip install {name}'
+
+
+def versions() -> str:
+    """Version of this software and of what its figures depend on."""
+    parts = [f'Python {platform.python_version()}']
+    parts += [f'{name} {_version(name)}' for name in ('numpy', 'numba')]
+    own = _version(DISTRIBUTION)
+    return f'lpv {_version("lpv_cli") if own == "-" else own} ({", ".join(parts)})'
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return '-'

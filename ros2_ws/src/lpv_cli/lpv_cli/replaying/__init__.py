@@ -1,0 +1,1 @@
+"""``lpv replay``, and the arguments that it shares with other commands."""

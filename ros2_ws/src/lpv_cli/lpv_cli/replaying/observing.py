@@ -1,0 +1,118 @@
+"""What observes, and what of a bag is read: arguments that several commands share."""
+
+import argparse
+from typing import Any
+
+from rich.console import Console
+
+from lpv_bag.replay.replay import ReplayOptions
+from lpv_core.certificate.gains import Gains, load_gains
+from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.support.config import read_yaml
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
+
+
+def add_diagnosis(parser: argparse._ActionsContainer) -> None:
+    """Declare the arguments that say what observes."""
+    parser.add_argument(
+        '--arm',
+        help='arm file, or name of a shipped arm; the one that the gains '
+        'were designed for if not given',
+    )
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument('--gains', help='gains file of this arm')
+    source.add_argument(
+        '--requirement',
+        help='requirement to design gains for, a file or a '
+        "shipped one; without both, the shipped one of the arm's name",
+    )
+    parser.add_argument(
+        '--parameters',
+        help='parameter file of the node, for its diagnosis, initial_samples and max_gap',
+    )
+
+
+def add_reading(parser: argparse._ActionsContainer) -> None:
+    """Declare the arguments that say what of a bag is read."""
+    parser.add_argument(
+        '--from',
+        dest='start',
+        type=float,
+        metavar='S',
+        help='leave out what is before this time, counted from the first message of the bag [s]',
+    )
+    parser.add_argument(
+        '--to',
+        dest='end',
+        type=float,
+        metavar='S',
+        help='leave out what is at this time or later [s]',
+    )
+    parser.add_argument('--topic', help='topic of the measurements, where there are several')
+    parser.add_argument(
+        '--effort-topic',
+        help='topic of torques to use in place of the measured '
+        'efforts: TorqueCommand, JointState, Float64MultiArray, JointTrajectory',
+    )
+    parser.add_argument(
+        '--torque-source',
+        choices=('effort', 'command'),
+        default='effort',
+        help='torques as measured, or the recorded commands (effort)',
+    )
+
+
+def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptions:
+    """What `add_reading` declares, as the replay takes it."""
+    return ReplayOptions(
+        topic=arguments.topic,
+        effort_topic=arguments.effort_topic,
+        start=arguments.start,
+        end=arguments.end,
+        torque_from_command=arguments.torque_source == 'command',
+        **others,
+    )
+
+
+def arm_and_gains(arguments: argparse.Namespace, console: Console) -> tuple[ArmParameters, Gains]:
+    """Arm and gains as arguments say."""
+    gains = load_gains(arguments.gains) if arguments.gains else None
+    name = arguments.arm or (gains and gains.arm_name)
+    if not name:
+        raise ConfigError('--arm', 'is needed where no gains are given')
+    arm = load_arm(bringup_file('arms', name))
+    return arm, gains or _design(arguments, arm, console)
+
+
+def _design(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains:
+    # The solver is imported only where it is needed.
+    from lpv_design.design_flow import design
+    from lpv_design.requirement import load_requirement
+
+    requirement = load_requirement(arguments.requirement or arm.name)
+    console.print(f'designing gains for arm {arm.name!r} ...')
+    return design(arm, requirement).gains
+
+
+def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[str, Any]]:
+    """Tuning of the diagnosis in a parameter file of the node.
+
+    Returns `DiagnosisParameters`, and a dict with what is given of ``max_gap`` and
+    ``initial_samples``.
+    """
+    if not path:
+        return DiagnosisParameters(), {}
+    try:
+        values = dict(read_yaml(path)['/**']['ros__parameters'])
+        diagnosis = DiagnosisParameters(**values.get('diagnosis') or {})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            '/**.ros__parameters', f'is not a set of parameters ({error})', path
+        ) from error
+    chosen = {name: values[name] for name in ('max_gap', 'initial_samples') if name in values}
+    for name, value in (*vars(diagnosis).items(), *chosen.items()):
+        if not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
+            raise ConfigError(name, f'must be a number from 0, got {value!r}', path)
+    return diagnosis, chosen

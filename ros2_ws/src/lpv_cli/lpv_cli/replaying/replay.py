@@ -1,0 +1,184 @@
+"""``lpv replay``: observer and diagnosis offline on a bag, or the bag into a live graph."""
+
+import argparse
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from lpv_bag.mcap.writer import PRESETS
+from lpv_bag.replay.injected_faults import InjectedFault, judge
+from lpv_bag.replay.replay import Replay, ReplayResult
+from lpv_bag.replay.writer import MARK
+from lpv_bag.rosbag.output_folder import GAINS_NAME
+from lpv_bag.run.streams import RecordedAlarm
+from lpv_cli.replaying.observing import (
+    add_diagnosis,
+    add_reading,
+    arm_and_gains,
+    diagnosis_parameters,
+    reading_options,
+)
+from lpv_cli.replaying.publish import add_publishing, publish
+from lpv_core.certificate.gains import save_gains
+from lpv_core.model.arm import ArmParameters
+from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.simulation.faults import Fault, FaultInjector
+from lpv_core.simulation.scenario import parse_faults
+from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.errors import ConfigError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument('bag', help='rosbag2 directory, MCAP or sqlite3 file')
+    add_diagnosis(parser)
+    parser.add_argument(
+        '--out',
+        default='out/replay',
+        help='bag to write (out/replay); an earlier result of this command is replaced',
+    )
+    parser.add_argument('--report', help='folder for a report of the new bag')
+    add_reading(parser)
+    parser.add_argument(
+        '--inject',
+        '--faults',
+        metavar='FAULTS',
+        help='YAML file whose list of '
+        'faults is added to the measurements: shows what would be found',
+    )
+    parser.add_argument(
+        '--estimates-only',
+        action='store_true',
+        help='write estimates, alarms and diagnostics alone; otherwise all topics are copied, too',
+    )
+    parser.add_argument(
+        '--compression',
+        choices=tuple(PRESETS),
+        default='zstd_fast',
+        help='of the new bag (zstd_fast)',
+    )
+    add_publishing(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay, report, show what was found.
+
+    Exit code: 0; 1 if the design is infeasible.
+    """
+    console = Console(soft_wrap=True, highlight=False)
+    if arguments.publish:
+        return publish(arguments, console)
+    out = Path(arguments.out).resolve()
+    _check_out(out, Path(arguments.bag).resolve())
+    arm, gains = arm_and_gains(arguments, console)
+    diagnosis, others = diagnosis_parameters(arguments.parameters)
+    monitor = SensorMonitor('/uio', arm, gains, diagnosis, **others)
+    faults = _faults(arguments.inject)
+    injector = _injector(faults, arm)
+    _remove(out)
+    begin = time.perf_counter()
+    result = Replay(
+        monitor,
+        reading_options(
+            arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
+        ),
+        injector,
+        lambda event: console.print(_alarm_line(event)),
+    ).run(arguments.bag, out)
+    save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
+    _summary(result, monitor, time.perf_counter() - begin, console)
+    if faults is not None:
+        show_injected(judge(faults, result), console)
+    console.print(f'bag     {out}')
+    if arguments.report:
+        _report(arguments, arm, out, console)
+    return 0
+
+
+def _check_out(out: Path, bag: Path) -> None:
+    if bag == out or bag.is_relative_to(out):
+        raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
+    if out.is_relative_to(bag):
+        raise ConfigError('--out', 'is inside the bag that is to be replayed')
+    if out.exists() and not _is_ours(out):
+        raise ConfigError('--out', f'{out} exists already and was not written by this command')
+
+
+def _is_ours(out: Path) -> bool:
+    try:
+        information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
+        return MARK in (information.get('custom_data') or ())
+    except (ConfigError, TypeError, KeyError, AttributeError):
+        return False
+
+
+def _remove(out: Path) -> None:
+    if out.exists():
+        shutil.rmtree(out)
+
+
+def _faults(path: str | None) -> Sequence[Fault] | None:
+    if path is None:
+        return None
+    top = Section(read_yaml(path), path)
+    faults = parse_faults(top)
+    top.finish()
+    return faults
+
+
+def _injector(faults: Sequence[Fault] | None, arm: ArmParameters) -> FaultInjector | None:
+    if faults is None:
+        return None
+    return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+
+
+def _alarm_line(event: RecordedAlarm) -> str:
+    """One alarm event with its three times: of the event, of the onset, of the confirmation."""
+    now, onset, confirmed = (s / 1e9 for s in (event.stamp, event.onset, event.detected))
+    return f'  {now:.3f} s: {describe(event)}; onset {onset:.3f} s, confirmed {confirmed:.3f} s'
+
+
+def show_injected(found: list[InjectedFault], console: Console) -> None:
+    """Show what was found of the injected faults."""
+    right = sum(one.found for one in found)
+    console.print(f'{right} of {len(found)} injected faults found on the right sensor')
+    for one in found:
+        fault = one.fault
+        text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
+        if one.found:
+            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} rad'
+            text += f' within {one.bound:.3f} rad'
+        if one.error is not None:
+            text += f', size error {one.error:+.3f} rad'
+        console.print(text)
+
+
+def _summary(
+    result: ReplayResult, monitor: SensorMonitor, seconds: float, console: Console
+) -> None:
+    console.print(
+        f'{result.measurements} measurements, {len(result.events)} alarm events, {seconds:.2f} s'
+    )
+    for name, count in vars(monitor.counters).items():
+        if count:
+            console.print(f'  {name.replace("_", " ")}: {count}')
+    for text, count in result.rejected.items():
+        console.print(f'  rejected {count} times: {text}')
+
+
+def _report(arguments: argparse.Namespace, arm: ArmParameters, out: Path, console: Console) -> None:
+    from lpv_report.run import print_table, write_report
+
+    folder = Path(arguments.report).resolve()
+    if folder == out:
+        raise ConfigError('--report', 'must be another folder than the bag')
+    report = write_report(
+        out, folder, arm, title=f'Replay of {Path(arguments.bag).name} on arm {arm.name}'
+    )
+    if report.table:
+        print_table(report.table, console)
+    console.print(f'report  {report.html}')

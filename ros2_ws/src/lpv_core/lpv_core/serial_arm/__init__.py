@@ -1,0 +1,1 @@
+"""Serial arms of n revolute joints: description, kinematics, dynamics."""

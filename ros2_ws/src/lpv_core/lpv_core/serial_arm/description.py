@@ -1,0 +1,302 @@
+"""Description of a serial arm of n revolute joints: what its file says."""
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from lpv_core.support.config import sha256_of
+
+N_INERTIAL = 10
+"""Inertial parameters of a link: mass, 3 first moments, 6 entries of its inertia."""
+
+RATE_SOURCES = ('independent', 'derived', 'none')
+"""Where measured rates come from: a sensor of their own, differences of positions, nowhere."""
+
+
+@dataclass(frozen=True)
+class LinkInertia:
+    """Inertial parameters of a link and of all that is fixed to it.
+
+    All refer to the URDF frame of the joint that moves the link (origin on its axis).
+
+    Attributes
+    ----------
+    mass : float
+        m [kg].
+    first_moment : tuple of float
+        m times the centre of mass, (x, y, z) [kg m].
+    inertia : tuple of float
+        (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about the joint frame's origin [kg m2], the order that
+        Pinocchio uses.
+    """
+
+    mass: float
+    first_moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
+
+    def to_vector(self) -> np.ndarray:
+        """Standard inertial parameters, shape (10,): mass, first moments, inertia."""
+        return np.array([self.mass, *self.first_moment, *self.inertia])
+
+    @staticmethod
+    def from_vector(values: np.ndarray) -> 'LinkInertia':
+        """Inertial parameters from a vector of shape (10,), as `to_vector` gives it."""
+        mass, x, y, z, xx, xy, yy, xz, yz, zz = (float(v) for v in values)
+        return LinkInertia(mass, (x, y, z), (xx, xy, yy, xz, yz, zz))
+
+    def rotational_inertia(self) -> np.ndarray:
+        """Inertia about the joint frame's origin, shape (3, 3) [kg m2]."""
+        xx, xy, yy, xz, yz, zz = self.inertia
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+    def pseudo_inertia(self) -> np.ndarray:
+        """Second moments of the mass distribution, shape (4, 4).
+
+        Positive semidefinite exactly where some distribution of positive mass has these
+        parameters (Wensing, Kim, Slotine 2018, eq. (12)).
+        """
+        inertia = self.rotational_inertia()
+        result = np.empty((4, 4))
+        result[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        result[:3, 3] = result[3, :3] = self.first_moment
+        result[3, 3] = self.mass
+        return result
+
+    def is_physical(self, tolerance: float = 1e-9) -> bool:
+        """Whether some distribution of positive mass has these parameters."""
+        matrix = self.pseudo_inertia()
+        scale = max(float(np.trace(matrix)), 1e-300)
+        return bool(np.linalg.eigvalsh(matrix)[0] >= -tolerance * scale)
+
+
+@dataclass(frozen=True)
+class JointFriction:
+    """Torque that friction takes at joint rate v.
+
+    tau_f = offset + viscous*v + (coulomb + load*abs(tau_rigid))*(2/pi)*atan(coulomb_slope*v), with
+    the rigid-body torque tau_rigid of the joint (inertial, Coriolis and gravity torques); where
+    that is not known, the measured torque may stand for it.  Where friction falls with speed
+    (Stribeck's effect), ``viscous`` is negative; within the velocity limit friction never drives.
+    """
+
+    offset: float = 0.0  # [N m]
+    viscous: float = 0.0  # [N m s/rad]
+    coulomb: float = 0.0  # [N m]
+    coulomb_slope: float = 100.0  # [s/rad]
+    load: float = 0.0  # [N m per N m]
+
+    def is_dissipative(self, velocity_limit: float) -> bool:
+        """Whether friction brakes at every speed up to the limit [rad/s], the offset apart."""
+        speed = np.linspace(0.0, velocity_limit, 65)[1:]
+        way = (2.0 / math.pi) * np.arctan(self.coulomb_slope * speed)
+        slack = 0.05 * self.coulomb + 1e-9
+        return bool(np.all(self.viscous * speed + self.coulomb * way >= -slack))
+
+    def torque(self, velocity: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
+        """Friction torque [N m] at joint rates [rad/s] and rigid-body torques [N m]."""
+        direction = (2.0 / math.pi) * np.arctan(self.coulomb_slope * velocity)
+        amplitude = self.coulomb + self.load * np.abs(rigid_torque)
+        return self.offset + self.viscous * velocity + amplitude * direction
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What the joint may do."""
+
+    lower: float = -math.inf  # [rad]
+    upper: float = math.inf  # [rad]
+    velocity: float = 100.0  # [rad/s]
+    torque: float = 1e9  # [N m]
+
+
+@dataclass(frozen=True)
+class TorqueTolerance:
+    """Torque that a healthy arm's model may miss, as a function of the joint's speed.
+
+    Piecewise linear over abs(v), constant beyond both ends.
+    """
+
+    speed: tuple[float, ...] = (0.0,)  # increasing [rad/s]
+    torque: tuple[float, ...] = (0.0,)  # [N m]
+
+    def at(self, speed: float) -> float:
+        """Tolerance [N m] at abs(v) [rad/s]."""
+        return float(np.interp(abs(speed), self.speed, self.torque))
+
+
+@dataclass(frozen=True)
+class SecondEncoder:
+    """Another position sensor of the same joint, as the link-side one of an elastic gear."""
+
+    name: str  # name of the sensor; faults carry it
+    position_noise: float = 1e-4  # standard deviation per sample [rad]
+    quantization: float = 0.0  # step of the readings, 0 if none is known [rad]
+
+
+@dataclass(frozen=True)
+class JointSensors:
+    """Sensors of one joint."""
+
+    name: str  # name of the position sensor; faults carry it
+    position_noise: float = 1e-4  # standard deviation per sample, without quantization [rad]
+    quantization: float = 0.0  # step of the positions, 0 if none is known [rad]
+    rates: str = 'derived'  # one of RATE_SOURCES
+    velocity_noise: float = 1e-2  # standard deviation per sample [rad/s]
+    second_encoder: SecondEncoder | None = None
+
+
+@dataclass(frozen=True)
+class SerialJoint:
+    """A revolute joint, the link that it moves, its drive and its sensors.
+
+    At q = 0 the joint's frame stands at ``position`` and ``orientation`` in the frame of the joint
+    before it (of the base, for the first one); the joint turns it about ``axis``.
+    """
+
+    name: str  # as in sensor_msgs/JointState
+    position: tuple[float, float, float]  # of the joint's frame in the one before [m]
+    orientation: tuple[float, float, float]  # roll, pitch, yaw, as in URDF [rad]
+    axis: tuple[float, float, float]  # unit vector in the joint's frame
+    link: LinkInertia
+    friction: JointFriction = JointFriction()
+    rotor_inertia: float = 0.0  # reflected to the joint [kg m2]
+    torque_gain: float = 1.0  # joint torque per unit of the reported effort [N m/unit]
+    effort_delay: float = 0.0  # of reported efforts behind the motion [s]
+    limits: JointLimits = JointLimits()
+    torque_tolerance: TorqueTolerance = TorqueTolerance()
+    sensors: JointSensors = JointSensors('encoder')
+
+
+@dataclass(frozen=True)
+class ParameterCovariance:
+    """Uncertainty of the identified parameters.
+
+    The vector is that of `SerialArm.parameter_vector`.  Combinations that the data do not
+    determine carry the width of the prior that held them.
+    """
+
+    factor: tuple[tuple[float, ...], ...]  # rows F: the covariance is F^T F
+    determined: int  # number of base and drive parameters that the data determine
+
+    def matrix(self) -> np.ndarray:
+        """Covariance, shape (15 n, 15 n)."""
+        factor = np.array(self.factor)
+        return factor.T @ factor
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What may differ from the description while the arm is healthy."""
+
+    payload: float = 0.0  # largest unknown mass at the tip [kg]
+    friction: float = 0.0  # relative change of all friction, as with temperature [-]
+
+
+@dataclass(frozen=True)
+class SerialArm:
+    """A serial arm of n revolute joints, its sensors and what may vary.
+
+    Attributes
+    ----------
+    name : str
+        Name of the arm.
+    joints : tuple of SerialJoint
+        From the base to the tip.
+    base_orientation : tuple of float
+        Roll, pitch, yaw of the base in a frame whose z-axis points up [rad].
+    gravity : float
+        g [m/s2].
+    tip : tuple of float
+        Reference point of a payload in the last joint's frame [m].
+    urdf : str
+        Path of the URDF that kinematics came from, or ''.
+    locked : tuple of (str, float)
+        Joints of the URDF that are held at an angle [rad] (a gripper's).
+    effort_includes_gravity : bool
+        Whether the reported efforts contain the torque that holds the arm's weight.
+    effort_unit : str
+        Unit of the reported efforts, ``torque_gain`` leads from it to N m.
+    uncertainty : Uncertainty
+        What may vary.
+    covariance : ParameterCovariance or None
+        Of the identified parameters.
+    effort_bandwidth : float
+        Above this frequency the reported efforts carry nothing [Hz]; inf if none is known.
+    sample_time : float
+        Ts [s].
+    """
+
+    name: str
+    joints: tuple[SerialJoint, ...]
+    base_orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: float = 9.81
+    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    urdf: str = ''
+    locked: tuple[tuple[str, float], ...] = ()
+    effort_includes_gravity: bool = True
+    effort_unit: str = 'N m'
+    effort_bandwidth: float = math.inf
+    uncertainty: Uncertainty = Uncertainty()
+    covariance: ParameterCovariance | None = None
+    sample_time: float = 0.002
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, from the base to the tip."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the position sensors, one for each joint."""
+        return tuple(joint.sensors.name for joint in self.joints)
+
+    def gravity_vector(self) -> np.ndarray:
+        """Acceleration of gravity in the base's frame, shape (3,) [m/s2]."""
+        return -self.gravity * rotation_from_rpy(self.base_orientation)[2]
+
+    def inertial_parameters(self) -> np.ndarray:
+        """Standard inertial parameters of all links, shape (10 n,)."""
+        return np.concatenate([joint.link.to_vector() for joint in self.joints])
+
+    def parameter_vector(self) -> np.ndarray:
+        """All parameters that torques are linear in, shape (15 n,).
+
+        10 inertial parameters of each link, then for all joints each: rotor inertia, viscous
+        friction, Coulomb friction, load-dependent friction, offset.
+        """
+        drive = [
+            [j.rotor_inertia for j in self.joints],
+            [j.friction.viscous for j in self.joints],
+            [j.friction.coulomb for j in self.joints],
+            [j.friction.load for j in self.joints],
+            [j.friction.offset for j in self.joints],
+        ]
+        return np.concatenate([self.inertial_parameters(), *drive])
+
+    def sha256(self) -> str:
+        """Hash of every parameter: what is designed for this arm carries it."""
+        return sha256_of(asdict(self))
+
+
+def rotation_from_rpy(angles: tuple[float, float, float]) -> np.ndarray:
+    """Rotation of URDF's roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    Parameters
+    ----------
+    angles : tuple of float
+        Roll, pitch, yaw [rad].
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Columns are the turned axes.
+    """
+    (sr, cr), (sp, cp), (sy, cy) = [(math.sin(a), math.cos(a)) for a in angles]
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

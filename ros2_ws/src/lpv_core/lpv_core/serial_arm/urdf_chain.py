@@ -1,0 +1,216 @@
+"""From a URDF to the description of a serial arm; Pinocchio reads the URDF."""
+
+import contextlib
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from lpv_core.serial_arm.description import (
+    JointLimits,
+    JointSensors,
+    LinkInertia,
+    SerialArm,
+    SerialJoint,
+)
+from lpv_core.support.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pinocchio
+
+MAX_BYTES = 16 << 20
+"""Largest URDF that is read [bytes]."""
+_ENDLESS = 1e6  # limits of continuous joints, which the parser wants [rad]
+MAX_JOINTS = 32
+"""Largest number of moving joints of an arm."""
+
+
+def read_urdf_chain(
+    path: str | Path, locked: Mapping[str, float] | None = None, joints: Sequence[str] | None = None
+) -> SerialArm:
+    """Kinematics, inertias and limits of an arm from its URDF.
+
+    Fixed joints are merged into the links before them, and so are locked ones.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        URDF file (xacro must be expanded).
+    locked : mapping of str to float, optional
+        Joints that are held, and their angles [rad] (or positions [m]).
+    joints : sequence of str, optional
+        The joints of the arm; all others are locked at 0 if they are not in ``locked``.
+
+    Returns
+    -------
+    SerialArm
+        Without friction; sensors are named after the joints.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or the joints that move are no chain of revolute ones.
+    """
+    model, held = read_urdf_model(path, locked, joints)
+    if not 1 <= model.njoints - 1 <= MAX_JOINTS:
+        raise ConfigError(
+            'urdf',
+            f'must have 1 to {MAX_JOINTS} joints that move, has {model.njoints - 1}',
+            str(path),
+        )
+    described = tuple(_joint(model, i, str(path)) for i in range(1, model.njoints))
+    return SerialArm(
+        name=model.name or 'arm',
+        joints=described,
+        tip=_tip(model),
+        urdf=str(path),
+        locked=tuple(sorted(held.items())),
+    )
+
+
+def read_urdf_model(
+    path: str | Path, locked: Mapping[str, float] | None = None, joints: Sequence[str] | None = None
+) -> 'tuple[pinocchio.Model, dict[str, float]]':
+    """Pinocchio's model of a URDF, with joints locked, and the angles of the locked ones."""
+    import pinocchio
+
+    held = dict(locked or {})
+    text = _read(Path(path))
+    try:
+        with _quiet():
+            model = pinocchio.buildModelFromXML(text)
+    except (ValueError, RuntimeError, IndexError) as error:
+        reason = ' '.join(str(error).split())[:300]
+        raise ConfigError('urdf', f'is not a model ({reason})', str(path)) from error
+    names = list(model.names)[1:]
+    for name in (*held, *(joints or ())):
+        if name not in names:
+            raise ConfigError(
+                'urdf',
+                f'has no moving joint {name!r}; it has ' + (', '.join(names) or 'none'),
+                str(path),
+            )
+    if joints is not None:
+        held.update({name: 0.0 for name in names if name not in joints and name not in held})
+    if held:
+        reference = pinocchio.neutral(model)
+        for name, angle in held.items():
+            reference[model.joints[model.getJointId(name)].idx_q] = angle
+        model = pinocchio.buildReducedModel(
+            model, [model.getJointId(name) for name in held], reference
+        )
+    return model, held
+
+
+def _read(path: Path) -> str:
+    """Text of a URDF whose continuous joints are revolute ones without limits."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError('urdf', f'is larger than {MAX_BYTES} bytes', str(path))
+        root = ElementTree.fromstring(path.read_bytes())
+    except OSError as error:
+        raise ConfigError('urdf', f'cannot be read ({error.strerror})', str(path)) from error
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ConfigError('urdf', f'is not XML ({error})', str(path)) from error
+    if root.tag != 'robot':
+        raise ConfigError('urdf', f'must have the root element robot, has {root.tag!r}', str(path))
+    for joint in root.iter('joint'):
+        if joint.get('type') == 'continuous':
+            # Pinocchio gives a continuous joint two coordinates, cosine and sine.
+            joint.set('type', 'revolute')
+            limit = joint.find('limit')
+            if limit is None:
+                limit = ElementTree.SubElement(joint, 'limit', effort='1e9', velocity='100')
+            limit.set('lower', f'{-_ENDLESS}')
+            limit.set('upper', f'{_ENDLESS}')
+        if joint.get('type') in ('revolute', 'prismatic'):
+            _check_limit(joint, path)
+        for mimic in joint.findall('mimic'):
+            joint.remove(mimic)
+    for link in root.iter('link'):
+        for part in ('visual', 'collision'):
+            for element in link.findall(part):
+                link.remove(element)
+    return ElementTree.tostring(root, encoding='unicode')
+
+
+def _check_limit(joint: ElementTree.Element, path: Path) -> None:
+    if joint.find('limit') is None:
+        raise ConfigError('urdf', f'joint {joint.get("name")!r} has no limit', str(path))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """The URDF parser writes its complaints to the process's standard error."""
+    with tempfile.TemporaryFile() as sink:
+        kept = os.dup(2)
+        os.dup2(sink.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+
+def _joint(model: 'pinocchio.Model', index: int, source: str) -> SerialJoint:
+    import pinocchio
+
+    name = model.names[index]
+    joint = model.joints[index]
+    if joint.nq != 1 or not joint.shortname().startswith('JointModelR'):
+        raise ConfigError(
+            'urdf', f'joint {name!r} is not revolute; lock it or name the joints of the arm', source
+        )
+    if model.parents[index] != index - 1:
+        raise ConfigError(
+            'urdf',
+            f'joint {name!r} branches off {model.names[model.parents[index]]!r}: '
+            'the arm is not a chain; lock joints or name those of the arm',
+            source,
+        )
+    placement = model.jointPlacements[index]
+    inertia = model.inertias[index].toDynamicParameters()
+    limits = JointLimits(
+        _endless(model.lowerPositionLimit[index - 1]),
+        _endless(model.upperPositionLimit[index - 1]),
+        _positive(model.velocityLimit[index - 1], 100.0),
+        _positive(model.upperEffortLimit[index - 1], 1e9),
+    )
+    data = model.createData()
+    pinocchio.computeJointJacobians(model, data, np.zeros(model.nq))
+    jacobian = pinocchio.getJointJacobian(model, data, index, pinocchio.LOCAL)
+    axis = np.reshape(jacobian, (6, -1))[3:, index - 1]
+    return SerialJoint(
+        name=name,
+        position=_triple(placement.translation),
+        orientation=_triple(pinocchio.rpy.matrixToRpy(placement.rotation)),
+        axis=_triple(axis),
+        link=LinkInertia.from_vector(inertia),
+        limits=limits,
+        sensors=JointSensors(f'{name}_encoder'),
+    )
+
+
+def _endless(value: float) -> float:
+    return float(value) if abs(value) < _ENDLESS else math.copysign(math.inf, value)
+
+
+def _positive(value: Any, default: float) -> float:
+    return float(value) if 0.0 < value < math.inf else default
+
+
+def _tip(model: 'pinocchio.Model') -> tuple[float, float, float]:
+    """The frame that is farthest down the chain of fixed frames behind the last joint."""
+    last = model.njoints - 1
+    frames = [frame for frame in model.frames if frame.parentJoint == last]
+    return _triple(frames[-1].placement.translation) if frames else (0.0, 0.0, 0.0)
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

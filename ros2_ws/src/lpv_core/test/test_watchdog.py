@@ -1,0 +1,182 @@
+"""Watchdogs of tracker and drives: each reason to stop, in time; the arm never runs away."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpv_core.control.latency import tolerated_latency
+from lpv_core.control.watchdog import (
+    BrakeReason,
+    DriveLimits,
+    StopReason,
+    TrackerLimits,
+    check_drive,
+    check_estimate,
+    check_motion,
+    drive_watchdog,
+    note_stop,
+    tracker_watchdog,
+)
+from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.observer.sampled_observer import Mode
+from lpv_core.simulation.closed_loop import PARTS, Stall, Transport, run_closed_loop
+from lpv_core.support.errors import ConfigError
+
+MS = 1_000_000
+STEP = 2 * MS
+STILL = np.zeros(2)
+OBSERVING, STALE = int(Mode.OBSERVING), int(Mode.STALE)
+
+
+@pytest.fixture
+def tracker(paper_arm):
+    return tracker_watchdog(paper_arm, TrackerLimits())
+
+
+@pytest.fixture
+def drives(paper_arm):
+    return drive_watchdog(paper_arm, DriveLimits())
+
+
+def first(reasons, wanted):
+    """Index of the first reason."""
+    return next(k for k, reason in enumerate(reasons) if reason == wanted)
+
+
+def test_given_usable_estimates_when_judged_then_nothing_stops_the_arm(tracker):
+    reasons = [check_estimate(tracker, k * STEP, 0, OBSERVING, True, STILL) for k in range(100)]
+    assert set(reasons) == {StopReason.NONE}
+
+
+def test_given_unusable_measurements_when_they_last_then_the_arm_stops_in_the_stated_time(tracker):
+    check_estimate(tracker, 0, 0, OBSERVING, True, STILL)
+    reasons = [check_estimate(tracker, k * STEP, 0, STALE, True, STILL) for k in range(1, 50)]
+    assert first(reasons, StopReason.UNUSABLE) * 0.002 == pytest.approx(0.05, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ('latency', 'trustworthy', 'expected'),
+    [
+        (70 * MS, True, StopReason.LATENCY),
+        (0, False, StopReason.NOT_TRUSTWORTHY),
+        (50 * MS, True, StopReason.NONE),
+    ],
+)
+def test_given_an_estimate_when_late_or_not_trustworthy_then_the_arm_stops_at_once(
+    tracker, latency, trustworthy, expected
+):
+    assert check_estimate(tracker, STEP, latency, OBSERVING, trustworthy, STILL) == expected
+
+
+@pytest.mark.parametrize('fast', [np.array([0.0, 20.1]), np.array([np.nan, 0.0])])
+def test_given_a_joint_above_its_limit_when_it_lasts_then_both_sides_stop_until_reset(
+    tracker, drives, fast
+):
+    check_estimate(tracker, 0, 0, OBSERVING, True, STILL)
+    check_drive(drives, 0, 0, False, STILL)
+    stops = [check_estimate(tracker, k * STEP, 0, OBSERVING, True, fast) for k in range(1, 20)]
+    brakes = [check_drive(drives, k * STEP, 0, False, fast) for k in range(1, 20)]
+    assert first(stops, StopReason.OVERSPEED) == first(brakes, BrakeReason.OVERSPEED) == 10
+    assert check_estimate(tracker, 30 * STEP, 0, OBSERVING, True, STILL) == StopReason.OVERSPEED
+    assert check_drive(drives, 30 * STEP, 0, False, STILL) == BrakeReason.OVERSPEED
+    tracker.latched = drives.latched = 0
+    assert check_estimate(tracker, 31 * STEP, 0, OBSERVING, True, STILL) == StopReason.NONE
+    assert check_drive(drives, 31 * STEP, 0, False, STILL) == BrakeReason.NONE
+
+
+def test_given_an_arm_off_its_reference_when_it_stays_there_then_it_stops_until_reset(tracker):
+    reference, position = np.array([0.6, 0.0]), np.zeros(2)
+    check_motion(tracker, 0, position, position)
+    reasons = []
+    for k in range(1, 40):
+        position = position + np.array([0.0, 0.02])  # it moves, but not as it should
+        reasons.append(check_motion(tracker, k * STEP, reference, position))
+    assert first(reasons, StopReason.TRACKING_ERROR) * 0.002 == pytest.approx(0.05, abs=0.003)
+    assert check_estimate(tracker, STEP, 0, OBSERVING, True, STILL) == StopReason.TRACKING_ERROR
+
+
+def test_given_an_arm_that_stands_still_when_its_reference_leaves_then_it_is_not_following(tracker):
+    position = np.zeros(2)
+    reasons = [
+        check_motion(tracker, k * STEP, np.array([0.001 * k, 0.0]), position) for k in range(50)
+    ]
+    assert first(reasons, StopReason.NOT_FOLLOWING) == 21
+    note_stop(tracker)
+    assert check_motion(tracker, 60 * STEP, np.array([0.1, 0.0]), position) == StopReason.NONE
+
+
+def test_given_an_arm_that_follows_slowly_when_judged_then_it_follows(tracker):
+    for k in range(2000):
+        reference = np.array([0.001 * k, 0.0])
+        assert check_motion(tracker, k * STEP, reference, 0.97 * reference) == StopReason.NONE
+
+
+def test_given_commands_when_old_or_late_on_average_then_the_drives_brake(drives):
+    outage = [check_drive(drives, k * STEP, k * STEP, False, STILL) for k in range(60)]
+    assert first(outage, BrakeReason.LATENCY) * 0.002 < 0.06
+    assert outage[31] == BrakeReason.LATE
+    back = [check_drive(drives, k * STEP, STEP, False, STILL) for k in range(60, 260)]
+    assert 0.2 < first(back, BrakeReason.NONE) * 0.002 < 0.45
+    lag = [check_drive(drives, k * STEP, 16 * MS, False, STILL) for k in range(300, 500)]
+    assert lag[-1] == BrakeReason.LATENCY
+
+
+def test_given_the_shipped_arms_when_asked_then_drives_brake_before_the_loop_is_unstable(
+    paper_arm, paper_gains, real_arm, real_gains
+):
+    for arm, gains in ((paper_arm, paper_gains), (real_arm, real_gains)):
+        assert DriveLimits().mean_latency < tolerated_latency(arm, gains) < 0.1
+
+
+def test_given_a_tolerated_latency_when_simulated_then_the_arm_follows_and_beyond_it_is_braked(
+    paper_arm, paper_gains, two_faults
+):
+    part = replace(two_faults, duration=3.0)
+    run = run_closed_loop(paper_arm, paper_gains, part, transport=Transport(delay=5))
+    assert np.abs(run.velocity).max() < 0.5 and not run.braked[10:].any()
+    late = run_closed_loop(paper_arm, paper_gains, part, transport=Transport(delay=20))
+    assert np.abs(late.velocity).max() < 1.0
+    assert set(late.brake_reason[200:]) & {BrakeReason.LATENCY, BrakeReason.SAFE_STOP}
+
+
+def test_given_a_path_that_is_too_fast_for_the_arm_when_asked_for_then_it_is_refused(
+    paper_arm, two_faults
+):
+    slow = replace(paper_arm, velocity_limit=(0.2, 0.2))
+    with pytest.raises(ConfigError, match='needs 0.2.* rad/s of joint1, whose velocity_limit'):
+        two_faults.path(slow)
+
+
+def random_stalls(rng, count):
+    """Stalls of any part at any time, 0.02 to 1 s long."""
+    return tuple(
+        Stall(PARTS[rng.integers(len(PARTS))], rng.uniform(0.1, 19.0), 0.02 * 50 ** rng.random())
+        for _ in range(count)
+    )
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_given_random_stalls_when_run_then_no_joint_is_ever_above_its_speed_limit(
+    paper_arm, paper_gains, two_faults, seed
+):
+    rng = np.random.default_rng(seed)
+    transport = Transport(int(rng.integers(0, 4)), stalls=random_stalls(rng, 10))
+    run = run_closed_loop(
+        paper_arm, paper_gains, replace(two_faults, seed=seed), transport=transport
+    )
+    assert np.abs(run.velocity).max() < 2.0  # of 20 rad/s
+    assert run.place[-1] > 1000, 'the arm goes on'
+
+
+def test_given_measurements_that_cannot_be_used_when_they_last_then_the_estimate_is_not_trustworthy(
+    paper_arm, paper_gains
+):
+    monitor = SensorMonitor('test', paper_arm, paper_gains)
+    stamps = 1 + STEP * np.arange(60)
+    velocity = np.zeros((60, 2))
+    velocity[10:] = 1300.0
+    held = np.tile([0.1, 0.2], (60, 1))
+    state = monitor.take_many(stamps, held, velocity, np.zeros((60, 2))).state
+    assert state.trustworthy[:35].all() and not state.trustworthy[35:].any()
+    assert set(state.mode[10:]) == {STALE}

@@ -1,0 +1,40 @@
+"""Regressors of friction, and the fit of the slope of its Coulomb term."""
+
+import numpy as np
+
+TERMS = ('viscous', 'coulomb', 'load', 'offset')
+"""Friction parameters of a joint, in the order of their columns."""
+SLOPES = np.geomspace(3.0, 1000.0, 16)
+"""Slopes of the Coulomb term that are tried [s/rad]."""
+
+
+def direction(velocity: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Direction of Coulomb friction, (2/pi) atan(k v), of shape ``velocity.shape``."""
+    return (2.0 / np.pi) * np.arctan(slope * velocity)
+
+
+def direction_slope(velocity: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Derivative of `direction` with respect to log(k)."""
+    turned = slope * velocity
+    return (2.0 / np.pi) * turned / (1.0 + turned**2)
+
+
+def friction_columns(velocity: np.ndarray, slope: np.ndarray, load: np.ndarray) -> np.ndarray:
+    """Regressor of the friction of every joint.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (samples, n)
+        [rad/s].
+    slope : ndarray, shape (n,)
+        k of every joint [s/rad].
+    load : ndarray, shape (samples, n)
+        Rigid-body torque that the joint carries [N m].
+
+    Returns
+    -------
+    ndarray, shape (samples, n, 4)
+        Columns of each joint's own parameters, in the order of `TERMS`.
+    """
+    way = direction(velocity, slope)
+    return np.stack([velocity, way, np.abs(load) * way, np.ones_like(velocity)], axis=2)

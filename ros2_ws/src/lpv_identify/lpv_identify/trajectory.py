@@ -1,0 +1,98 @@
+"""Fourier trajectories of an arm that start and end at rest."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+HARMONICS = 5
+RAMP = 1.5
+"""Time in which the motion fades in and out [s]."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Joint motion q(t) = centre + e(t) * sum_k (a_k sin(k w t) + b_k cos(k w t)).
+
+    The envelope e rises from 0 to 1 and falls back with continuous acceleration.
+    """
+
+    duration: float  # [s]
+    center: np.ndarray  # shape (n,) [rad]
+    sine: np.ndarray  # a, shape (harmonics, n) [rad]
+    cosine: np.ndarray  # b, shape (harmonics, n) [rad]
+    period: float  # 2 pi / w [s]
+
+    def sample(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, rates and accelerations, each of shape (samples, n)."""
+        k = np.arange(1, len(self.sine) + 1)
+        omega = 2.0 * np.pi * k / self.period
+        s, c = np.sin(np.outer(time, omega)), np.cos(np.outer(time, omega))
+        wave = s @ self.sine + c @ self.cosine
+        rate = (c * omega) @ self.sine - (s * omega) @ self.cosine
+        acceleration = -(s * omega**2) @ self.sine - (c * omega**2) @ self.cosine
+        e, de, dde = (x[:, None] for x in self._envelope(time))
+        return (
+            self.center + e * wave,
+            de * wave + e * rate,
+            dde * wave + 2.0 * de * rate + e * acceleration,
+        )
+
+    def _envelope(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        ramp = min(RAMP, 0.25 * self.duration)
+        up, down = np.clip(time / ramp, 0, 1), np.clip((self.duration - time) / ramp, 0, 1)
+        x = np.minimum(up, down)
+        sign = np.where(up <= down, 1.0, -1.0)
+        value = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        slope = 30.0 * x**2 * (1.0 - x) ** 2 * sign / ramp
+        curve = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / ramp**2
+        return value, slope, curve
+
+
+def random_trajectory(
+    rng: np.random.Generator,
+    center: np.ndarray,
+    reach: np.ndarray,
+    speed: np.ndarray,
+    duration: float,
+) -> Trajectory:
+    """Random trajectory, scaled so that each joint stays within its reach and speed.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of the coefficients.
+    center, reach : ndarray, shape (n,)
+        Middle of the motion and largest way from it [rad].
+    speed : ndarray, shape (n,)
+        Largest rate [rad/s].
+    duration : float
+        [s]
+
+    Returns
+    -------
+    Trajectory
+        At one of its limits in each joint.
+    """
+    n = len(center)
+    shape = (HARMONICS, n)
+    k = np.arange(1, HARMONICS + 1)[:, None]
+    period = duration / max(1, round(duration / 10.0))
+    sine, cosine = rng.normal(size=shape) / k, rng.normal(size=shape) / k
+    return fit_to_limits(Trajectory(duration, center, sine, cosine, period), reach, speed)
+
+
+def fit_to_limits(trajectory: Trajectory, reach: np.ndarray, speed: np.ndarray) -> Trajectory:
+    """Scale each joint's motion so that it reaches a limit of position or speed."""
+    time = np.arange(0.0, trajectory.duration, 0.02)
+    position, rate, _ = trajectory.sample(time)
+    way = np.max(np.abs(position - trajectory.center), axis=0)
+    scale = np.minimum(
+        reach / np.maximum(way, 1e-9), speed / np.maximum(np.max(np.abs(rate), axis=0), 1e-9)
+    )
+    return Trajectory(
+        trajectory.duration,
+        trajectory.center,
+        trajectory.sine * scale,
+        trajectory.cosine * scale,
+        trajectory.period,
+    )

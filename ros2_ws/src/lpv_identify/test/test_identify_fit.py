@@ -1,0 +1,145 @@
+"""Identification of arms whose parameters are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpv_core.serial_arm.description import JointFriction
+from lpv_identify.assembly import parameter_map
+from lpv_identify.gains import rescaled
+from lpv_identify.identification import Options, identify
+from lpv_identify.payload import Payload, identify_payload, with_payload
+from lpv_identify.recording import Recording
+from lpv_identify.simulation import SensorNoise, joint_torques, simulate
+from lpv_identify.workshop import Workshop
+
+
+def test_given_a_noisy_recording_when_identified_then_torques_are_predicted_to_the_noise(
+    result, recording
+):
+    noise = 0.02 * np.max(np.abs(recording.effort), axis=0)
+    assert np.all(result.figures.rms < 1.1 * noise)
+    assert np.all(result.figures.rms_band < 0.4 * noise)
+    assert np.all(result.prior_figures.rms > 3.0 * noise)
+
+
+def test_given_a_noisy_recording_when_identified_then_links_are_physical(result):
+    assert all(joint.link.is_physical() for joint in result.arm.joints)
+    assert all(joint.rotor_inertia >= 0.0 for joint in result.arm.joints)
+
+
+def test_given_another_motion_when_predicted_from_the_file_alone_then_torques_fit(arm, result):
+    rng = np.random.default_rng(9)
+    q, v, a = 0.7 * rng.normal(size=(3, 200, 3))
+    expected = joint_torques(arm, q, v, a)
+    error = joint_torques(result.arm, q, v, a) - expected
+    assert np.all(np.std(error, axis=0) < 0.04 * np.std(expected, axis=0))
+
+
+def test_given_friction_when_identified_then_its_slope_is_found(arm, result):
+    for joint in result.arm.joints:
+        assert joint.friction.coulomb == pytest.approx(1.5, rel=0.15)
+        assert 20.0 < joint.friction.coulomb_slope < 80.0
+
+
+def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, motion):
+    inside = []
+    for seed in range(12):
+        noisy = simulate(arm, motion, 60.0, SensorNoise(), np.random.default_rng(seed))
+        workshop = Workshop(arm, [noisy])
+        fit = workshop.free_fit(1.0, None)
+        truth = parameter_map(workshop.base, 3) @ arm.parameter_vector()
+        used = np.diag(fit.covariance) > 0.0
+        inside.append(np.abs(fit.parameters - truth)[used] < fit.interval()[used])
+    assert 0.90 < np.mean(inside) < 0.99
+
+
+def test_given_a_contact_when_fitted_then_parameters_hardly_move(arm, recording, result):
+    effort = recording.effort.copy()
+    effort[400:430] += 60.0
+    touched = identify(arm, [replace(recording, effort=effort)])
+    for before, after in zip(result.arm.joints, touched.arm.joints):
+        assert after.friction.coulomb == pytest.approx(before.friction.coulomb, rel=0.1)
+    assert np.all(touched.figures.rms < 1.1 * result.figures.rms)
+
+
+def test_given_no_rates_when_identified_then_they_come_from_positions(arm, recording, result):
+    blind = identify(arm, [replace(recording, velocity=None)])
+    assert not blind.used_rates
+    assert {joint.sensors.rates for joint in blind.arm.joints} == {'none'}
+    assert np.all(blind.figures.rms < 1.1 * result.figures.rms)
+
+
+def test_given_efforts_without_gravity_when_said_so_then_they_are_predicted(arm, motion):
+    floating = replace(arm, gravity=0.0)
+    recording = simulate(floating, motion, 100.0, SensorNoise(), np.random.default_rng(2))
+    found = identify(replace(arm, effort_includes_gravity=False), [recording])
+    assert np.all(found.figures.r2 > 0.98)
+
+
+def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm, motion):
+    gains = (8.0, -5.0, 3.0)
+    driven = replace(
+        arm,
+        joints=tuple(replace(joint, torque_gain=gain) for joint, gain in zip(arm.joints, gains)),
+    )
+    recording = simulate(driven, motion, 100.0, SensorNoise(), np.random.default_rng(3))
+    found = identify(replace(arm, effort_unit='A'), [recording]).arm
+    ratio = np.array([joint.torque_gain for joint in found.joints]) / gains
+    assert ratio == pytest.approx(np.full(3, ratio.mean()), rel=0.1)
+    assert ratio.mean() == pytest.approx(1.0, abs=0.25)
+
+
+def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(arm, motion):
+    tool = Payload(0.8, (0.25, 0.0, 0.05), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+    recording = simulate(
+        with_payload(arm, tool), motion, 100.0, SensorNoise(), np.random.default_rng(4)
+    )
+    found = identify_payload(arm, [recording])
+    assert found.mass == pytest.approx(0.8, abs=4 * found.mass_sigma)
+    assert found.center[0] == pytest.approx(0.25, abs=0.02)
+    assert found.rms_after < 0.5 * found.rms_before
+
+
+def test_given_a_factor_when_an_arm_is_rescaled_then_torques_scale(arm):
+    q, v, a = np.random.default_rng(5).normal(size=(3, 20, 3))
+    assert joint_torques(rescaled(arm, 1.3), q, v, a) == pytest.approx(
+        1.3 * joint_torques(arm, q, v, a)
+    )
+
+
+def test_given_filtered_efforts_when_identified_then_their_bandwidth_is_found(arm, motion):
+    from lpv_identify.filters import low_pass
+
+    raw = simulate(arm, motion, 100.0, SensorNoise(torque=1e-4), np.random.default_rng(6))
+    found = identify(arm, [replace(raw, effort=low_pass(raw.effort, 2.0, 0.01))], Options())
+    assert found.arm.effort_bandwidth == 2.0
+
+
+def test_given_friction_that_grows_with_load_when_identified_then_it_is_chosen(arm, motion):
+    loaded = replace(
+        arm,
+        joints=tuple(
+            replace(joint, friction=JointFriction(0.1, 0.5, 0.5, 60.0, load))
+            for joint, load in zip(arm.joints, (0.0, 0.2, 0.0))
+        ),
+    )
+    recording = simulate(loaded, motion, 100.0, SensorNoise(torque=0.005), np.random.default_rng(7))
+    found = identify(arm, [recording]).arm
+    assert found.joints[1].friction.load == pytest.approx(0.2, abs=0.03)
+
+
+def test_given_two_recordings_when_identified_then_both_count(arm, recording):
+    halves = [
+        Recording(
+            'a',
+            recording.time[part],
+            recording.position[part],
+            recording.velocity[part],
+            recording.effort[part],
+        )
+        for part in (slice(0, 1000), slice(1000, None))
+    ]
+    found = identify(arm, halves)
+    assert len(found.predictions) == 2

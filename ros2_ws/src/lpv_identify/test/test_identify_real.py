@@ -1,0 +1,52 @@
+"""Recordings of real arms."""
+
+import numpy as np
+import pytest
+
+from conftest import DATA
+from lpv_bag.run.csv_import import load_column_map
+from lpv_core.serial_arm.urdf_chain import read_urdf_chain
+from lpv_core.support.resources import bringup_file
+from lpv_identify.identification import identify
+from lpv_identify.recording import read_recording
+from lpv_identify.starting_arm import load_any_arm, save_like
+
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason='the recordings are not part of the repository'
+)
+
+
+def identified(folder, urdf):
+    arm = read_urdf_chain(DATA / folder / urdf)
+    return identify(arm, [read_recording(DATA / folder / 'exciting.db3', arm.joint_names)])
+
+
+def test_given_a_ur10_when_identified_then_torques_held_back_are_predicted():
+    result = identified('ur10', 'ur10.urdf')
+    assert np.all(result.figures.rms <= [1.3, 1.25, 1.3, 0.4, 0.4, 2.4])
+    assert all(joint.link.is_physical() for joint in result.arm.joints)
+
+
+def test_given_a_panda_when_identified_then_torques_held_back_are_predicted():
+    result = identified('panda', 'fer.urdf')
+    assert np.all(result.figures.rms_band <= [0.41, 0.46, 0.62, 0.14, 0.11, 0.08, 0.06])
+
+
+RUNS = ('run_143601.csv', 'run_144115.csv')
+
+
+@pytest.mark.parametrize('train, test', [RUNS, RUNS[::-1]])
+def test_given_a_two_link_arm_when_identified_then_it_beats_the_published_parameters(
+    train, test, tmp_path
+):
+    arm = load_any_arm('real_arm')
+    columns = load_column_map(bringup_file('columns', 'real_arm'))
+    one, other = (
+        read_recording(DATA / 'real_arm' / name, arm.joint_names, None, columns)
+        for name in (train, test)
+    )
+    result = identify(arm, [one], tests=[other])
+    assert np.all(result.figures.rms <= result.prior_figures.rms)
+    assert {joint.sensors.rates for joint in result.arm.joints} == {'derived'}
+    save_like('real_arm', result, tmp_path / 'arm.yaml')
+    assert load_any_arm(str(tmp_path / 'arm.yaml')).name == 'real_arm'

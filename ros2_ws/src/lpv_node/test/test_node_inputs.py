@@ -1,0 +1,105 @@
+"""What nodes refuse, what they declare, and how they stop."""
+
+import os
+import signal
+
+import pytest
+
+from lpv_node.signals import StopRequest, handled_signals
+
+rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from builtin_interfaces.msg import Time  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+
+from lpv_core.support.errors import ConfigError  # noqa: E402
+from lpv_core.support.resources import bringup_file  # noqa: E402
+from lpv_node.input_check import StampGuard, all_finite  # noqa: E402
+from lpv_node.parameters import declare_gains, read_gains  # noqa: E402
+from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
+
+STEP = 2_000_000
+FUTURE = 2**31 * 10**9 - 1
+
+
+@pytest.fixture
+def make_node():
+    """A function that makes nodes with parameter files."""
+    context, nodes = rclpy.Context(), []
+    rclpy.init(context=context)
+
+    def make(*arguments):
+        nodes.append(rclpy.create_node('probe', context=context, cli_args=list(arguments)))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def values_of(node):
+    """All parameters at once, as `ros2 param dump` asks for them."""
+    names = [n for n in node._parameters if n.startswith('gains.')]  # noqa: SLF001
+    return {p.name: p for p in node.get_parameters(names)}
+
+
+def test_given_a_gains_file_when_declared_then_every_parameter_has_a_value(make_node, paper_arm):
+    node = make_node('--ros-args', '--params-file', str(bringup_file('gains', 'paper')))
+    unset = declare_gains(node)
+    assert 'observer.t1' in unset and 'observer.kappa' not in unset
+    values = values_of(node)
+    assert len(values) > 20
+    assert all(p.type_ is not Parameter.Type.NOT_SET for p in values.values())
+    assert read_gains(node, paper_arm, unset).observer.method == 'exact'
+    changed = node.set_parameters([Parameter('gains.arm_name', value='other')])
+    assert not changed[0].successful, 'gains are read-only'
+
+
+def test_given_no_gains_file_when_read_then_it_says_how_to_get_one(make_node, paper_arm):
+    node = make_node()
+    unset = declare_gains(node)
+    assert all(p.type_ is not Parameter.Type.NOT_SET for p in values_of(node).values())
+    with pytest.raises(ConfigError, match='is not set: start the node with --params-file'):
+        read_gains(node, paper_arm, unset)
+
+
+@pytest.mark.parametrize('odd', [0, -1, FUTURE])
+def test_given_odd_stamps_in_a_stream_when_guarded_then_they_alone_are_refused(odd):
+    guard = StampGuard()
+    start = 1_700_000_000 * 10**9
+    for k in range(200):
+        assert guard.accept(start + k * STEP)
+        assert not guard.accept(odd)
+
+
+def test_given_time_that_restarts_when_guarded_then_the_third_stamp_is_believed():
+    guard = StampGuard()
+    assert guard.accept(10**18)
+    assert [guard.accept(10**9 + k * STEP) for k in range(5)] == [False, False, True, True, True]
+
+
+@pytest.mark.parametrize('value', [float('nan'), float('inf'), -float('inf')])
+def test_given_a_value_that_is_not_finite_when_checked_then_it_is_found(value):
+    assert all_finite([0.0, 1e300], [])
+    assert not all_finite([0.0], [1.0, value])
+
+
+def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp():
+    stamp = Time()
+    set_stamp(stamp, to_nanoseconds(Time(sec=2**31 - 1, nanosec=2**32 - 1)))
+    assert (stamp.sec, stamp.nanosec) == (2**31 - 1, 999_999_999)
+
+
+def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
+    def ignore(*_):
+        return None
+
+    with handled_signals(ignore, signal.SIGINT, signal.SIGTERM):
+        with pytest.raises(SystemExit):
+            StopRequest()
+            os.kill(os.getpid(), signal.SIGTERM)
+        stop = StopRequest()
+        stop.defer()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.is_set

@@ -1,0 +1,105 @@
+"""How the arm moved: above its speed limits, without commands, away from its path."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv_bag.run.streams import RunRecord
+from lpv_core.model.arm import ArmParameters
+from lpv_core.model.kinematics import forward
+from lpv_report.history.episodes import intervals
+from lpv_report.history.phases import NO_COMMAND, TOO_FAST, Phase
+
+_SILENCE = 0.1
+"""Measurements without a command for this long are an interval without commands [s]."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Extremes of a run; None where they are not known."""
+
+    source: str  # whose rates they are: true or measured
+    fastest: float  # largest joint rate, as a share of the joint's limit; infinite if not finite
+    speed: float  # that rate [rad/s]
+    limit: float  # its limit [rad/s]
+    joint: str  # the joint
+    path_error: float | None  # largest distance of the true tip from the reference [m]
+
+
+def motion(record: RunRecord, arm: ArmParameters) -> Motion:
+    """Extremes of the motion: of the true arm where it is recorded, else as measured.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run, with the joints of the arm.
+    arm : ArmParameters
+        Its arm.
+
+    Returns
+    -------
+    Motion
+        What the arm did.
+    """
+    source, _, rates = _rates(record)
+    limits = np.asarray(arm.velocity_limit)
+    # A missing rate (NaN) is a matter of the sensor, an infinite one is not.
+    shares = np.where(np.isnan(rates), 0.0, np.abs(rates)) / limits
+    row, joint = np.unravel_index(int(np.argmax(shares)), shares.shape)
+    return Motion(
+        source,
+        float(shares[row, joint]),
+        float(abs(rates[row, joint])),
+        float(limits[joint]),
+        arm.joint_names[joint],
+        _path_error(record, arm),
+    )
+
+
+def _rates(record: RunRecord) -> tuple[str, np.ndarray, np.ndarray]:
+    """Whose rates, their times [s], and the rates [rad/s]."""
+    stream = 'ground_truth' if 'ground_truth' in record.streams else 'joint_states'
+    source = 'true' if stream == 'ground_truth' else 'measured'
+    time = np.asarray(record.seconds(record.stamps[stream]))
+    return source, time, record.streams[stream]['velocity']
+
+
+def _path_error(record: RunRecord, arm: ArmParameters) -> float | None:
+    truth = record.aligned('ground_truth', 'position')
+    reference = record.aligned('reference', 'tip_position')
+    if truth is None or reference is None:
+        return None
+    tip = forward(truth + np.array([arm.zero_angle + np.pi / 2, 0.0]), arm.lengths)
+    error = np.hypot(*(tip - reference).T)
+    return float(np.nanmax(error)) if np.isfinite(error).any() else None
+
+
+def motion_phases(record: RunRecord, arm: ArmParameters) -> list[Phase]:
+    """Intervals in which a joint was above its speed limit, or the drives had no command.
+
+    Parameters
+    ----------
+    record : RunRecord
+        The run, with the joints of the arm.
+    arm : ArmParameters
+        Its arm.
+
+    Returns
+    -------
+    list of Phase
+        In the order of time, by kind.
+    """
+    _, time, rates = _rates(record)
+    fast = (np.abs(rates) > np.asarray(arm.velocity_limit)).any(axis=1)
+    found = [Phase(TOO_FAST, '', part.start, part.end) for part in intervals(fast, time)]
+    return found + _without_commands(record)
+
+
+def _without_commands(record: RunRecord) -> list[Phase]:
+    stamps = record.stamps.get('torque_command')
+    if stamps is None:
+        return []
+    measured = record.stamps['joint_states']
+    times = np.asarray(record.seconds(np.append(stamps, max(stamps[-1], measured[-1]))))
+    silent = np.flatnonzero(np.diff(times) > _SILENCE)
+    return [Phase(NO_COMMAND, '', float(times[k]), float(times[k + 1])) for k in silent]

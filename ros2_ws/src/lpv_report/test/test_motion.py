@@ -1,0 +1,164 @@
+"""What the report says of the arm's motion: a run that ran away is never called good."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpv_bag.run.node_reports import NodeReport
+from lpv_bag.run.streams import RecordedAlarm, RunRecord
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_report.guarantees.gains_source import UNKNOWN
+from lpv_report.history.episodes import episodes
+from lpv_report.history.motion import motion, motion_phases
+from lpv_report.history.phases import BRAKED, INCONSISTENT, NO_COMMAND, SAFE_STOP, TOO_FAST, phases
+from lpv_report.run.content import Findings, content
+from lpv_report.run.table import is_paper_arm, make_table
+
+STEP = 2_000_000
+COUNT = 500
+
+
+def run(rates=None, **streams):
+    """A second of an arm at rest; rates [rad/s] may be given by row."""
+    stamps = STEP * np.arange(COUNT)
+    velocity = np.zeros((COUNT, 2))
+    for row, rate in (rates or {}).items():
+        velocity[row] = rate
+    zeros = np.zeros((COUNT, 2))
+    record = RunRecord(sensor_names=('one', 'two'))
+    record.streams['joint_states'] = {'position': zeros, 'velocity': velocity, 'effort': zeros}
+    record.streams.update(streams)
+    record.stamps = {name: stamps for name in record.streams}
+    return record
+
+
+def page(record, arm):
+    found = [*motion_phases(record, arm), *phases(record, 'nowhere', arm.sensor_names)]
+    moved = motion(record, arm)
+    return content(Findings(record, arm, '', [], UNKNOWN, None, None, None, found, moved))
+
+
+def tile(values, name):
+    return next(t for t in values['tiles'] if t.name == name)
+
+
+def test_given_a_slow_arm_when_reported_then_its_fastest_joint_is_told(paper_arm):
+    values = page(run({100: (1.5, -3.0)}), paper_arm)
+    assert not values['ran_away'] and 'exceeded' not in values['verdict']
+    assert tile(values, 'fastest joint')[1:] == ('3 rad/s', 'limit 20, joint2, measured', '')
+
+
+def test_given_an_arm_above_its_limit_when_reported_then_the_verdict_begins_with_it(paper_arm):
+    fast = {k: (25.0, 0.0) for k in range(100, 200)}
+    values = page(run(fast), paper_arm)
+    assert values['verdict'].startswith('The arm exceeded its speed limit for 0.200 s (joint1: 25')
+    assert tile(values, 'fastest joint').look == 'bad'
+    assert [(p.what, p.start, p.end) for p in values['phases']] == [(TOO_FAST, 0.2, 0.4)]
+
+
+def test_given_the_truth_when_it_is_faster_than_measured_then_the_truth_counts(paper_arm):
+    truth = {'position': np.zeros((COUNT, 2)), 'velocity': np.full((COUNT, 2), 30.0)}
+    values = page(run(ground_truth={**truth, 'fault': np.zeros((COUNT, 2))}), paper_arm)
+    assert values['ran_away'] and '30 rad/s true' in values['verdict']
+
+
+@pytest.mark.parametrize(('rate', 'away'), [(np.inf, True), (np.nan, False)])
+def test_given_rates_that_are_no_numbers_when_reported_then_infinite_ones_are_too_fast(
+    rate, away, paper_arm
+):
+    assert page(run({100: (rate, 0.0)}), paper_arm)['ran_away'] is away
+
+
+def test_given_commands_that_stay_away_when_reported_then_the_silence_is_told(paper_arm):
+    record = run(torque_command={'torque': np.zeros((COUNT, 2)), 'safe_stop': np.zeros(COUNT)})
+    kept = np.r_[0:100, 200:400]
+    record.stamps['torque_command'] = record.stamps['torque_command'][kept]
+    record.streams['torque_command'] = {
+        name: values[kept] for name, values in record.streams['torque_command'].items()
+    }
+    found = [(p.what, p.start, p.end) for p in motion_phases(record, paper_arm)]
+    assert found == [(NO_COMMAND, 0.198, 0.4), (NO_COMMAND, 0.798, 0.998)]
+
+
+def alarm(time, event=AlarmEvent.UPDATED, kind=INCONSISTENT, size=0.1, sensor=0):
+    stamp = round(time * 1e9)
+    return RecordedAlarm(event, sensor, 'one', stamp, stamp, size, 0.05, kind, 1.0, stamp)
+
+
+def test_given_an_inconsistent_alarm_when_reported_then_the_phases_have_it(paper_arm):
+    record = run()
+    record.alarms = [alarm(0.2, AlarmEvent.RAISED), alarm(0.3), alarm(0.4, kind='drift')]
+    values = page(record, paper_arm)
+    assert '1 inconsistent phase.' in values['verdict']
+    assert [(p.start, p.end) for p in values['phases']] == [(0.2, 0.4)]
+
+
+def test_given_inconsistent_alarms_of_both_sensors_when_they_overlap_then_they_are_one_phase(
+    paper_arm,
+):
+    record = run()
+    record.alarms = [
+        alarm(0.2, AlarmEvent.RAISED),
+        alarm(0.3, AlarmEvent.RAISED, sensor=1),
+        alarm(0.4, AlarmEvent.CLEARED),
+    ]
+    (phase,) = phases(record, 'nowhere', paper_arm.sensor_names)
+    assert (phase.start, phase.end) == (0.2, record.time[-1])
+
+
+def test_given_updates_when_listed_then_kind_and_size_are_of_the_same_event():
+    record = run()
+    record.alarms = [
+        alarm(0.2, AlarmEvent.RAISED, 'unclassified', 0.1),
+        alarm(0.3, kind='bias', size=0.3),
+        alarm(0.5, AlarmEvent.CLEARED, 'bias', 0.0),
+    ]
+    (episode,) = episodes(record)
+    assert (episode.kind, episode.size, episode.cleared) == ('bias', 0.3, 0.5)
+
+
+def test_given_another_arm_when_tabulated_then_the_paper_has_no_column(paper_arm, real_arm):
+    assert is_paper_arm(paper_arm) and is_paper_arm(replace(paper_arm, name='mine'))
+    heavier = replace(paper_arm.links[0], mass=10.5)
+    other = replace(paper_arm, links=(heavier, paper_arm.links[1]))
+    assert not is_paper_arm(other) and not is_paper_arm(real_arm)
+    zeros = np.zeros((COUNT, 2))
+    streams = {name: {'position': zeros, 'velocity': zeros} for name in ('state_estimate',)}
+    record = run(ground_truth={'position': zeros, 'velocity': zeros, 'fault': zeros}, **streams)
+    assert [row.paper for row in make_table(record, other)] == [None] * 4
+    assert all(row.paper for row in make_table(record, paper_arm))
+
+
+def test_given_any_report_when_read_then_its_terms_are_explained(paper_arm):
+    names = ' '.join(name for name, _ in page(run(), paper_arm)['terms'])
+    for word in ('MISE', 'e_t', 'margin', 'level', 'lockstep', 'slipped', 'late', 'inconsistent'):
+        assert word in names
+
+
+def test_given_what_drives_and_tracker_report_when_reported_then_stops_have_their_reasons(
+    paper_arm, monkeypatch
+):
+    second = 1_000_000_000
+    reports = {
+        'drives': [
+            NodeReport(0, 1, 'braked: no command yet'),
+            NodeReport(second // 10, 0, 'driven'),
+            NodeReport(second // 5, 2, 'braked: safe stop'),
+            NodeReport(second // 2, 2, 'braked: a joint is faster than its velocity limit'),
+            NodeReport(6 * second // 10, 2, 'braked: a joint is faster than its velocity limit'),
+        ],
+        'tracking': [NodeReport(second // 4, 2, 'safe stop: the observer is silent')],
+    }
+    monkeypatch.setattr('lpv_report.history.phases.node_reports', lambda *_: reports)
+    stops = np.zeros(COUNT)
+    stops[100:250] = 1.0
+    record = run(torque_command={'torque': np.zeros((COUNT, 2)), 'safe_stop': stops})
+    record.topics['torque_command'] = '/lpv/torque_command'
+    values = page(record, paper_arm)
+    assert [(p.what, p.start, p.end, p.note) for p in values['phases']] == [
+        (BRAKED, 0.2, 0.5, 'safe stop'),
+        (SAFE_STOP, 0.2, 0.5, 'the observer is silent'),
+        (BRAKED, 0.5, 0.998, 'a joint is faster than its velocity limit'),
+    ]
+    assert 'the drives braked 2 times (safe stop, a joint is faster' in values['verdict']

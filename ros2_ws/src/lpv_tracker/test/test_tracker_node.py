@@ -1,0 +1,68 @@
+"""Answers of the tracker node to single estimates, without a graph."""
+
+import pytest
+from places import BRINGUP
+
+rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+import ros  # noqa: E402
+
+from lpv_msgs.msg import StateEstimate  # noqa: E402
+from lpv_tracker.node import TrackerNode  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+
+class Publisher:
+    """Keeps what is published."""
+
+    def __init__(self):
+        self.safe_stops = []
+
+    def publish(self, message):
+        self.safe_stops.append(getattr(message, 'safe_stop', None))
+
+
+@pytest.fixture
+def node():
+    """A configured tracker in lockstep; its commands are in ``node.sent``."""
+    files = {
+        'arm_file': BRINGUP / 'arms' / 'paper.yaml',
+        'scenario_file': BRINGUP / 'scenarios' / 'two_faults.yaml',
+        'lockstep': 'true',
+    }
+    words = [word for name, value in files.items() for word in ('-p', f'{name}:={value}')]
+    words += ['--params-file', str(BRINGUP / 'gains' / 'paper.yaml')]
+    rclpy.init(args=['--ros-args', *words], domain_id=ros.next_domain())
+    tracker = TrackerNode()
+    tracker.setup()
+    tracker.sent = tracker._command_out = Publisher()
+    tracker._reference_out = Publisher()
+    yield tracker
+    tracker.destroy_node()
+    rclpy.shutdown()
+
+
+def estimate(number, trustworthy=True):
+    message = StateEstimate(trustworthy=trustworthy, position=[0.1, 0.2])
+    message.header.stamp.sec, message.header.stamp.nanosec = 1, number * 2_000_000
+    return message
+
+
+def test_given_estimates_when_trustworthy_then_each_is_answered_by_a_torque(node):
+    for number in (1, 2, 3):
+        node._on_estimate(estimate(number))
+    assert node.sent.safe_stops == [False, False, False]
+
+
+def test_given_an_estimate_that_is_not_trustworthy_when_it_comes_then_the_arm_stops(node):
+    node._on_estimate(estimate(1))
+    node._on_estimate(estimate(2, trustworthy=False))
+    node._on_estimate(estimate(3))
+    assert node.sent.safe_stops == [False, True, False]
+
+
+def test_given_the_same_estimate_again_when_in_lockstep_then_the_answer_is_repeated(node):
+    node._on_estimate(estimate(1))
+    node._on_estimate(estimate(1))
+    assert node.sent.safe_stops == [False, False]

@@ -1,0 +1,224 @@
+"""Mutations of files, and what became of reading them: the machinery of all fuzzers of files.
+
+Every mutation depends on its seed alone, so that a failure is repeated by its number.
+"""
+
+import math
+import os
+import random
+import re
+import resource
+import time
+import traceback
+from collections import Counter
+from dataclasses import dataclass, field, fields, is_dataclass
+
+import numpy as np
+
+from lpv_core.support.errors import LpvError
+
+SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', 0))
+"""How long each fuzzer runs; 0 for the fixed number of cases of a test run [s]."""
+
+SCALARS = (
+    '1e400', '-1e400', '.inf', '-.inf', '.nan', '1e308', '-1e-320', '9' * 400, '-' + '9' * 400,
+    '9' * 5000, '0x' + 'f' * 5000, '0b2', '0o9', '1:60:60', '1_0', '0', '-0.0', '1', '-1', 'true',
+    'null', '~', '""', '[]', '{}', '[[]]', '[1, 2, 3]', '{1: 2}', '=', '<<', '!!int x', '!!int ""',
+    '!!float x', '!!bool x', '!!bool 1', '!!timestamp x', '2001-99-99', '2001-01-01', '!!binary x',
+    '!!set {a}', '!!omap [a]', '!!pairs [a]', '!!python/name:os.system', '!!python/object:os.x {}',
+    '*x', '&x [*x]', '&y 1', '!x 1', '"\\x00"', '"\\ud800"', '"\\U0010ffff"', 'a: b: c', '|', '>',
+    '%', '@', '`', 'é', '😀', 'x' * 3000, '[' * 300, '{a: ' * 300, '- ' * 300, '? [a]', '? {a: 1}',
+)  # fmt: skip
+"""Values with which parsers have trouble: beyond floats, beyond integers, tags, deep nesting."""
+
+
+def mutate_text(text: str, seed: int) -> bytes:
+    """A YAML or CSV file with one to four mutations, as bytes."""
+    rng = random.Random(seed)
+    lines = text.split('\n')
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        if not lines:
+            break
+        _MUTATIONS[rng.randrange(len(_MUTATIONS))](lines, rng)
+    data = '\n'.join(lines).encode('utf-8', 'surrogatepass')
+    return mutate_bytes(data, rng.randrange(1 << 30)) if rng.random() < 0.15 else data
+
+
+def _set_value(lines, rng):
+    chosen = [i for i, line in enumerate(lines) if re.search(r'[:,\-\[]\s*\S', line)]
+    if chosen:
+        i = rng.choice(chosen)
+        places = list(re.finditer(r'(?<=[:,\-\[])\s*([^\s,\[\]{}:#][^,\[\]{}#]*)', lines[i]))
+        if places:
+            a, b = rng.choice(places).span(1)
+            lines[i] = lines[i][:a] + rng.choice(SCALARS) + lines[i][b:]
+
+
+def _set_key(lines, rng):
+    chosen = [i for i, line in enumerate(lines) if ':' in line]
+    if chosen:
+        i = rng.choice(chosen)
+        head, _, tail = lines[i].partition(':')
+        indent = head[: len(head) - len(head.lstrip(' -'))]
+        lines[i] = f'{indent}{rng.choice(SCALARS)}:{tail}'
+
+
+def _scale_number(lines, rng):
+    chosen = [i for i, line in enumerate(lines) if re.search(r'\d', line)]
+    if chosen:
+        i = rng.choice(chosen)
+        place = rng.choice(list(re.finditer(r'[-+]?\d+(\.\d*)?([eE][-+]?\d+)?', lines[i])))
+        factor = rng.choice((-1, 0, 1e-300, 1e-9, 0.5, 2, 1e9, 1e300))
+        try:
+            value = repr(float(place.group()) * factor)
+        except (ValueError, OverflowError):
+            value = '0'
+        lines[i] = lines[i][: place.start()] + value + lines[i][place.end() :]
+
+
+def _drop_line(lines, rng):
+    del lines[rng.randrange(len(lines))]
+
+
+def _repeat_line(lines, rng):
+    i = rng.randrange(len(lines))
+    lines.insert(i, lines[i])
+
+
+def _swap_lines(lines, rng):
+    i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+    lines[i], lines[j] = lines[j], lines[i]
+
+
+def _indent_line(lines, rng):
+    i = rng.randrange(len(lines))
+    lines[i] = ' ' * rng.choice((1, 2, 7)) + lines[i] if rng.random() < 0.5 else lines[i].lstrip()
+
+
+def _insert_line(lines, rng):
+    key = rng.choice(('x', '1', 'name', '<<', '? [a]', 'null', '2001-01-01', 'true', '.nan'))
+    lines.insert(rng.randrange(len(lines) + 1), f'{key}: {rng.choice(SCALARS)}')
+
+
+def _cut_line(lines, rng):
+    i = rng.randrange(len(lines))
+    lines[i] = lines[i][: rng.randrange(len(lines[i]) + 1)]
+
+
+def _insert_characters(lines, rng):
+    i = rng.randrange(len(lines))
+    at = rng.randrange(len(lines[i]) + 1)
+    lines[i] = lines[i][:at] + rng.choice('\t\0\x85\u2028:{}[]&*!|>%@`"\'#,;=-?\\') + lines[i][at:]
+
+
+_MUTATIONS = (
+    _set_value, _set_value, _set_value, _set_key, _scale_number, _scale_number, _drop_line,
+    _repeat_line, _swap_lines, _indent_line, _insert_line, _cut_line, _insert_characters,
+)  # fmt: skip
+
+
+def mutate_bytes(data: bytes, seed: int) -> bytes:
+    """A binary file with one to four mutations: bits, numbers, pieces missing, doubled or moved."""
+    rng = random.Random(seed)
+    found = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        if not found:
+            break
+        at = rng.randrange(len(found))
+        size = min(rng.choice((1, 2, 4, 8, 40, 1000)), len(found) - at)
+        kind = rng.randrange(6)
+        if kind == 0:
+            found[at] ^= 1 << rng.randrange(8)
+        elif kind == 1:
+            found[at : at + size] = rng.randbytes(size)
+        elif kind == 2:
+            found[at : at + size] = rng.choice((b'\0', b'\xff', b'\x7f', b'\x80')) * size
+        elif kind == 3:
+            del found[at : at + size]
+        elif kind == 4:
+            found[at:at] = found[at : at + size]
+        else:
+            del found[rng.choice((at, len(found) - size)) :]
+    return bytes(found)
+
+
+@dataclass
+class Tally:
+    """What became of the cases of one fuzzer."""
+
+    tried: int = 0
+    refused: int = 0  # with a clear message
+    accepted: int = 0
+    failed: list = field(default_factory=list)  # seed and what went wrong
+    messages: Counter = field(default_factory=Counter)  # beginnings of the refusals
+    unbounded: tuple = ()  # prefixes of numbers that may be infinite: there, it means without bound
+
+    def run(self, seed, read, *arguments) -> None:
+        """Read one file; anything but a result of finite numbers or an LpvError is a failure."""
+        self.tried += 1
+        begin = time.monotonic()
+        try:
+            result = read(*arguments)
+            bad = sorted(name for name in not_finite(result) if not self._may_be(name))
+            wrong = ', '.join(bad)[:200]
+            self.accepted += not wrong
+        except LpvError as error:
+            wrong = _unclear(str(error))
+            self.refused += not wrong
+            self.messages[str(error)[:60]] += 1
+        except Exception as error:  # whatever else is a traceback for the user
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            wrong = f'{type(error).__name__}: {str(error)[:80]} ({place.name}:{place.lineno})'
+        seconds = time.monotonic() - begin
+        if not wrong and seconds > 10.0:
+            wrong = f'took {seconds:.1f} s'
+        if wrong:
+            self.failed.append((seed, wrong))
+
+    def _may_be(self, name: str) -> bool:
+        return name.startswith(self.unbounded) and 'nan' not in name
+
+    def __str__(self) -> str:
+        return (
+            f'{self.tried} tried, {self.refused} refused, {self.accepted} accepted, '
+            f'{len(self.failed)} failed'
+        )
+
+
+def _unclear(text: str) -> str:
+    """What is wrong with a message for the user; '' if nothing."""
+    if not text or len(text) > 2000:
+        return f'message of {len(text)} characters'
+    return 'message of more than one line' if '\n' in text else ''
+
+
+def not_finite(value: object, name: str = '') -> set[str]:
+    """Where a record holds numbers that are not finite."""
+    if isinstance(value, (int, float, np.floating)):
+        return set() if math.isfinite(value) else {f'{name} {value}'}
+    if isinstance(value, np.ndarray):
+        good = value.dtype.kind not in 'fc' or bool(np.isfinite(value).all())
+        return set() if good else {f'{name} array'}
+    if is_dataclass(value):
+        items = [(one.name, getattr(value, one.name)) for one in fields(value)]
+    elif isinstance(value, dict):
+        items = list(value.items())
+    elif isinstance(value, (list, tuple)):
+        items = list(enumerate(value))
+    else:
+        return set()
+    return set().union(*(not_finite(item, f'{name}.{key}') for key, item in items))
+
+
+def cases(count: int, first: int = 0):
+    """Seeds of a fuzzer: a fixed number, or as many as fit into `SECONDS`."""
+    end = time.monotonic() + SECONDS
+    seed = first
+    while seed < first + count or time.monotonic() < end:
+        yield seed
+        seed += 1
+
+
+def peak_memory() -> int:
+    """Largest memory that this process had [bytes]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

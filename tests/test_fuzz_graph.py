@@ -1,0 +1,223 @@
+"""Hostile messages, parameters, services and sockets on a running graph.
+
+The rule: no process ends, no output is NaN or infinite, no traceback is logged, memory stays
+bounded, what is refused is said on /diagnostics, and a second after the last bad input the arm is
+driven again.  LPV_FUZZ_SECONDS makes it long, LPV_FUZZ_SEED another one.
+"""
+
+import asyncio
+import json
+import math
+import os
+import re
+import time
+
+import aiohttp
+import numpy as np
+import psutil
+import pytest
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from test_restart import files, rig_on  # noqa: E402, F401
+
+from lpv_msgs.msg import (  # noqa: E402
+    FaultAlarm,
+    FaultEstimate,
+    GroundTruth,
+    JointReference,
+    StateEstimate,
+    TorqueCommand,
+)
+from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
+
+pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
+
+SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '6'))
+SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+NODES = ('uio', 'tracker', 'simulator', 'view')
+FLOATS = (0.0, -1.0, 1e300, -1e300, 5e-324, math.nan, math.inf, -math.inf)
+STAMPS = (
+    (0, 0),
+    (-(2**31), 0),
+    (-1, 999_999_999),
+    (2**31 - 1, 0),
+    (5, 2**32 - 1),
+    (2**31 - 1, 2**32 - 1),
+)
+TEXTS = ('', 'x', 'link1_angle', 'joint1', '\u2603' * 50, '<script>', 'a' * 10_000, '%s%n')
+INPUTS = {
+    'joint_states': JointState,
+    'state_estimate': StateEstimate,
+    'torque_command': TorqueCommand,
+    'fault_estimate': FaultEstimate,
+    'fault_alarm': FaultAlarm,
+    'reference': JointReference,
+    'ground_truth': GroundTruth,
+    '/diagnostics': DiagnosticArray,
+}
+NUMBERS = {
+    'state_estimate': (StateEstimate, ('position', 'velocity', 'compensated_position')),
+    'fault_estimate': (FaultEstimate, ('estimate', 'bound', 'threshold')),
+    'torque_command': (TorqueCommand, ('torque',)),
+    'reference': (JointReference, ('position', 'velocity', 'acceleration')),
+}
+MEMORY = 150e6
+"""Most that a process may grow [byte]."""
+
+
+def fill(rng, message):
+    """Put anything into the fields of a message that its types allow."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if name == 'stamp':
+            value.sec, value.nanosec = STAMPS[rng.integers(len(STAMPS))]
+        elif hasattr(value, 'get_fields_and_field_types'):
+            fill(rng, value)
+        elif kind in ('double', 'float'):
+            setattr(message, name, float(rng.choice(FLOATS)))
+        elif kind.startswith('double['):
+            setattr(message, name, rng.choice(FLOATS, len(value)))
+        elif kind == 'sequence<double>':
+            setattr(message, name, rng.choice(FLOATS, rng.integers(0, 5)).tolist())
+        elif kind == 'string':
+            setattr(message, name, TEXTS[rng.integers(len(TEXTS))])
+        elif kind == 'sequence<string>':
+            count = rng.integers(0, 5)
+            setattr(message, name, [TEXTS[rng.integers(len(TEXTS))] for _ in range(count)])
+        elif kind == 'sequence<diagnostic_msgs/DiagnosticStatus>':
+            setattr(message, name, [fill(rng, DiagnosticStatus()) for _ in range(3)])
+        elif kind == 'boolean':
+            setattr(message, name, bool(rng.integers(2)))
+        elif kind == 'uint8':
+            setattr(message, name, int(rng.integers(256)))
+        elif kind == 'octet':
+            setattr(message, name, bytes([rng.integers(256)]))
+    return message
+
+
+def parameter(rng):
+    """A parameter that no node should take."""
+    name = rng.choice(['diagnosis.minimum_threshold', 'compensation', 'arm_file', 'lockstep', 'x'])
+    value = ParameterValue(type=int(rng.integers(0, 12)), string_value=TEXTS[rng.integers(6)])
+    value.double_value = float(rng.choice(FLOATS[2:]))
+    return Parameter(name=str(name), value=value)
+
+
+class Fuzzer:
+    """Sends hostile input of all kinds into a graph."""
+
+    def __init__(self, rig, rng):
+        self._rng, self._rig, self.sent = rng, rig, 0
+        node = rig.client.node
+        self._publishers = [
+            (node.create_publisher(kind, topic, BEST_EFFORT), kind)
+            for topic, kind in INPUTS.items()
+        ]
+        self._setters = [
+            node.create_client(SetParameters, f'{name}/set_parameters')
+            for name in ('uio', 'tracker', 'arm_sim', 'view')
+        ]
+        self._services = [
+            (node.create_client(InjectFault, 'arm_sim/inject_fault'), InjectFault.Request),
+            (node.create_client(ClearFaults, 'arm_sim/clear_faults'), ClearFaults.Request),
+        ]
+
+    def messages(self, count):
+        """Some messages on each topic; what fits its type and is wrong."""
+        for publisher, kind in self._publishers:
+            for _ in range(count):
+                publisher.publish(fill(self._rng, kind()))
+                self.sent += 1
+
+    def requests(self):
+        """A parameter for each node, and a fault that cannot be injected."""
+        for setter in self._setters:
+            setter.call_async(SetParameters.Request(parameters=[parameter(self._rng)]))
+        for client, request in self._services:
+            hostile = fill(self._rng, request())
+            hostile.sensor = 'no such sensor'
+            client.call_async(hostile)
+        self.sent += len(self._setters) + len(self._services)
+
+
+async def attack_sockets(rng, ports):
+    """Garbage for the page and the Foxglove port; returns what was sent."""
+    sent = 0
+    garbage = ['', '{', '[]', '{"type": "inject"}', '{"type": NaN}', '[' * 3000, 'x' * 5000]
+    garbage += [json.dumps({'type': t, 'id': i}) for t in ('clear', 7) for i in (-1, 1e99, None)]
+    async with aiohttp.ClientSession() as session:
+        for port, path, protocols in ((ports[0], '/ws', ()), (ports[1], '/', ('foxglove.sdk.v1',))):
+            for _ in range(3):
+                try:
+                    async with session.ws_connect(
+                        f'http://127.0.0.1:{port}{path}', protocols=protocols
+                    ) as socket:
+                        for text in rng.permutation(garbage)[:6]:
+                            await socket.send_str(str(text))
+                            await socket.send_bytes(rng.bytes(200))
+                            sent += 2
+                except (TimeoutError, aiohttp.ClientError, ConnectionError):
+                    continue  # the server has let us go
+    return sent
+
+
+def assert_finite(heard, hostile):
+    """Numbers of outputs; messages of the fuzzer itself carry no frame of the arm."""
+    for topic, (_, fields) in NUMBERS.items():
+        for message in heard[topic]:
+            if message.header.frame_id == 'paper':
+                for name in fields:
+                    assert np.isfinite(getattr(message, name)).all(), (topic, message)
+    assert hostile > 100
+
+
+def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_path, files):  # noqa: F811
+    rng = np.random.default_rng(SEED)
+    with rig_on(tmp_path, files) as rig:
+        heard = {
+            topic: rig.client.listen(kind, topic, BEST_EFFORT)
+            for topic, (kind, _) in NUMBERS.items()
+        }
+        reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=1000))
+        for name in NODES:
+            own = {
+                'simulator': ['command_timeout:=1.0', 'max_mean_latency:=1.0'],
+                'tracker': ['estimate_timeout:=1.0', 'max_latency:=1.0'],
+                'view': [f'arm_file:={files["arm"]}', 'port:=0', 'foxglove_port:=0'],
+            }
+            rig.start(name, *own.get(name, []))
+        rig.logged('simulator', 'brakes released', 0)
+        rig.drive()
+        before = {name: memory(rig, name) for name in NODES}
+        fuzzer = Fuzzer(rig, rng)
+        page = int(re.search(r'page: http://127.0.0.1:(\d+)', rig.log('view'))[1])
+        deadline = time.monotonic() + SECONDS
+        while time.monotonic() < deadline:
+            fuzzer.messages(5)
+            fuzzer.requests()
+            rig.spin(0.05)
+            fuzzer.sent += asyncio.run(attack_sockets(rng, (page, page)))
+        over = time.time_ns()
+        assert rig.client.wait(lambda: not rig.is_braked(), 30.0), 'the arm is never driven again'
+        rig.drive()
+        grown = {name: memory(rig, name) - before[name] for name in NODES}
+        assert max(grown.values()) < MEMORY, grown
+        assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
+    assert_finite(heard, fuzzer.sent)
+    texts = [f'{v.key}' for m in reports for s in m.status for v in s.values]
+    assert any('not finite' in text for text in texts), 'what is refused is not said'
+    for name in NODES:
+        assert 'Traceback' not in rig.log(name), rig.log(name)[-3000:]
+    print(f'{fuzzer.sent} hostile inputs; grown by {max(grown.values()) / 1e6:.0f} MB; {over}')
+
+
+def memory(rig, name):
+    """Resident memory of a process [byte]."""
+    return psutil.Process(rig.nodes[name].process.pid).memory_info().rss

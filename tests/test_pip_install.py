@@ -1,0 +1,110 @@
+"""``pip install .`` in an empty environment: no ROS, no compiler, and the commands work."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+from places import ROOT
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+CAMPAIGN = """
+name: small
+plan: {method: random, runs: 2}
+duration: 3.0
+factors: {fault.kind: bias, fault.size: 0.3, fault.onset: 1.0}
+"""
+COLUMNS = """
+time: {column: t, unit: s}
+angle_unit: rad
+joints:
+  joint1: {position: q1, velocity: v1, effort: e1}
+  joint2: {position: q2, velocity: v2, effort: e2}
+"""
+
+
+@pytest.fixture(scope='module')
+def lpv(tmp_path_factory):
+    """Runs ``lpv`` of a new environment in a folder of its own, with nothing else on the PATH."""
+    folder = tmp_path_factory.mktemp('pip')
+    subprocess.run([sys.executable, '-m', 'venv', folder / 'env'], check=True)
+    # A copy, because building leaves folders behind.
+    source = shutil.copytree(
+        ROOT,
+        folder / 'source',
+        ignore=shutil.ignore_patterns('.*', 'out', 'build', 'test', 'tests'),
+    )
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(('PYTHON', 'ROS', 'AMENT'))}
+    pip = [folder / 'env/bin/python', '-m', 'pip', 'install', '--quiet', f'{source}[campaign]']
+    subprocess.run(pip, check=True, env=clean, cwd=folder)
+    environment = {'PATH': str(folder / 'env/bin'), 'HOME': str(folder), 'LANG': 'C.UTF-8'}
+
+    def run(*arguments, code=0):
+        done = subprocess.run(
+            [folder / 'env/bin/lpv', *map(str, arguments)],
+            cwd=folder,
+            env=environment,
+            text=True,
+            capture_output=True,
+        )
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout + done.stderr
+
+    run.folder = folder
+    return run
+
+
+@pytest.fixture(scope='module')
+def bag(lpv):
+    """A designed arm, a campaign, and one of its runs as a bag."""
+    lpv('design', '--arm', 'paper', '--requirement', 'paper', '--out', 'gains.yaml')
+    (lpv.folder / 'small.yaml').write_text(CAMPAIGN)
+    lpv('campaign', 'small.yaml', '--workers', '0', '--out', 'results')
+    lpv('campaign', 'results', '--run', '1', '--bag', 'bag')
+    return 'bag'
+
+
+def test_given_no_compiler_when_looked_for_then_there_is_none(lpv):
+    environment = {'PATH': str(lpv.folder / 'env/bin')}
+    assert all(
+        shutil.which(name, path=environment['PATH']) is None for name in ('g++', 'cc', 'ros2')
+    )
+
+
+def test_given_gains_when_verified_then_the_certificate_holds(lpv, bag):
+    assert 'the certificate holds' in lpv('verify', 'gains.yaml')
+
+
+def test_given_a_campaign_when_run_then_its_report_is_there(lpv, bag):
+    assert (lpv.folder / 'results' / 'report.html').stat().st_size > 10_000
+
+
+def test_given_a_bag_when_replayed_and_compared_then_the_answers_are_the_same(lpv, bag):
+    lpv('replay', bag, '--gains', 'bag/gains.yaml', '--arm', 'bag/arm.yaml', '--out', 'again')
+    assert lpv('compare', bag, 'again', '--exact').endswith('same\n')
+
+
+def test_given_a_bag_when_reported_and_recovered_then_it_is_whole(lpv, bag):
+    assert 'the certificate holds' in lpv('report', bag, '--out', 'report')
+    assert 'the bag is whole' in lpv('recover', bag)
+
+
+def test_given_a_csv_when_imported_then_it_is_a_bag(lpv):
+    (lpv.folder / 'columns.yaml').write_text(COLUMNS)
+    rows = ''.join(f'{k / 500},0,0,0,0,0,0\n' for k in range(9))
+    (lpv.folder / 'x.csv').write_text('t,q1,q2,v1,v2,e1,e2\n' + rows)
+    assert '9 samples' in lpv('import-csv', 'x.csv', '--columns', 'columns.yaml', '--out', 'csv')
+
+
+@pytest.mark.parametrize(
+    'command', [['demo'], ['view'], ['run', 'a', 'b'], ['replay', 'b', '--publish']]
+)
+def test_given_a_command_of_nodes_when_called_then_one_sentence_says_what_to_install(lpv, command):
+    text = lpv(*command, code=2)
+    assert 'ROS 2 is needed' in text and 'colcon' in text
+    assert text.count('\n') == 1
+
+
+def test_given_a_missing_extra_when_needed_then_the_command_that_installs_it_is_named(lpv):
+    assert "pip install 'lpv-arm-fdi[tune]'" in lpv('tune', 'study.yaml', code=2)
