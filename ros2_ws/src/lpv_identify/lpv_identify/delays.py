@@ -8,7 +8,7 @@ from lpv_identify.filters import derivative, low_pass
 from lpv_identify.motion import Bandwidths, Segment
 from lpv_identify.regression import Filters, Fit, Rows, model_torque
 
-MAX_DELAY = 0.2
+MAX_DELAY = 0.1
 """Largest delay that is looked for [s]."""
 
 
@@ -50,7 +50,7 @@ def _delays(pairs: Sequence[tuple[np.ndarray, np.ndarray, float]]) -> np.ndarray
         if np.ptp(x) < 1e-9:
             continue
         solution = _robust(columns, y)
-        if solution[0] > 0.1:
+        if 0.6 < solution[0] < 1.6:  # otherwise the one does not follow from the other
             result[j] = np.clip(solution[1] / solution[0], -MAX_DELAY, MAX_DELAY)
     return result
 

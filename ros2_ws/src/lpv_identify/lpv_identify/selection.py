@@ -16,6 +16,7 @@ STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2)
 EFFORT_BANDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
 """Bandwidths of the effort sensor that are tried [Hz]."""
 _GAIN = 0.9  # ratio of mean squares below which the richer model is taken
+_NOTHING = 1e-5  # share of an effort's power that counts for nothing
 _EQUAL = 0.02  # difference of their logarithms that counts for nothing
 
 
@@ -90,7 +91,7 @@ def choose_effort_band(
     """
     step = rows[0].step
     errors: dict[float, np.ndarray] = {}
-    for band in (np.inf, *[b for b in EFFORT_BANDS[::-1] if b < 0.25 / step]):
+    for band in (np.inf, *[b for b in EFFORT_BANDS[::-1] if b < 0.15 / step and _ends(rows, b)]):
         trial = replace(filters, effort=band)
         fit = fit_parameters(rows, trial, use_load, prior, sweeps=3)
         errors[band] = _raw_error(rows, fit, trial)
@@ -100,6 +101,20 @@ def choose_effort_band(
     best = min(errors, key=lambda band: float(np.sum(np.log(errors[band]))))
     gain = np.exp(np.mean(np.log(errors[best] / errors[np.inf])))
     return best if gain < _GAIN else np.inf
+
+
+def _ends(rows: Sequence[Rows], band: float) -> bool:
+    """Whether efforts carry next to nothing beyond three times a bandwidth."""
+    beyond = total = 0.0
+    for one in rows:
+        effort = one.effort[one.part]
+        window = np.hanning(len(effort))[:, None]
+        power = np.abs(np.fft.rfft((effort - effort.mean(axis=0)) * window, axis=0)) ** 2
+        power = power / np.maximum(power.sum(axis=0), 1e-300)
+        high = np.fft.rfftfreq(len(effort), one.step) > 3.0 * band
+        beyond += float(power[high].sum(axis=0).max())
+        total += 1.0
+    return beyond < _NOTHING * total
 
 
 def _raw_error(rows: Sequence[Rows], fit: Fit, filters: Filters) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.assembly import consistent_parameters, fit_of, with_parameters
 from lpv_identify.base_parameters import BaseParameters, find_base_parameters
-from lpv_identify.delays import effort_delays, rate_delays
+from lpv_identify.delays import MAX_DELAY, effort_delays, rate_delays
 from lpv_identify.friction import TERMS
 from lpv_identify.gains import estimate_gains
 from lpv_identify.motion import Motion, Segment, check_motion, find_bandwidths, smooth, split
@@ -23,6 +23,9 @@ from lpv_identify.sensing import Sensing
 
 WEAK = 1e-3
 """Strength of the prior while the model is chosen."""
+_PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
+HELD = 1e4
+"""Strength of the prior where the data leave the scale open."""
 _BETTER = 0.95  # ratio of mean squares below which a correction is made
 
 
@@ -157,7 +160,8 @@ class Workshop:
         for _ in range(2):
             rows = self.train_rows(share)
             found = self.consistent_fit(rows, 1.0)
-            self.effort_delay = self.effort_delay + effort_delays(rows, found, self.filters)
+            late = self.effort_delay + effort_delays(rows, found, self.filters)
+            self.effort_delay = np.clip(late, -MAX_DELAY, MAX_DELAY)
             self._prepare()
         self.joint_delays = self.effort_delay
         if self._error(share) > before + np.log(_BETTER):
@@ -167,12 +171,30 @@ class Workshop:
     def fit(self, share: float) -> tuple[Fit, float]:
         """Fit with the prior of the strength that predicts best, and this strength."""
         rows = self.train_rows(share)
+        passive = self._passive_joints(rows)
+        if passive:
+            self.warnings.append(
+                f'{", ".join(passive)}: hardly driven, so all parameters might as well be smaller; '
+                'the masses given are kept'
+            )
+            held = Prior(self.prior.mean, HELD * self.prior.information)
+            return fit_parameters(rows, self.filters, self.use_load, held), HELD
         slope = self.consistent_fit(rows, 1.0).slope
         strength = choose_prior(
             rows, self.filters, lambda tried: lambda part: self.consistent_fit(part, tried, slope)
         )
         strong = Prior(self.prior.mean, strength * self.prior.information)
         return fit_parameters(rows, self.filters, self.use_load, strong), strength
+
+    def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
+        """Joints whose efforts are far below the torques that act on them: they swing freely.
+
+        The balance of such a joint holds for parameters of any scale, down to none at all.
+        """
+        beta = np.abs(self.prior.mean[: self.base.size])
+        acting = np.mean(np.concatenate([np.abs(r.base[r.part]) @ beta for r in rows]), axis=0)
+        driven = np.mean(np.concatenate([np.abs(r.effort[r.part]) for r in rows]), axis=0)
+        return [name for name, few in zip(self.arm.joint_names, driven < _PASSIVE * acting) if few]
 
     def free_fit(self, share: float, slope: np.ndarray | None) -> Fit:
         """Fit whose inertial parameters have no prior: its covariance is that of the data."""
