@@ -7,9 +7,9 @@ from conftest import DATA
 from lpv_bag.run.csv_import import load_column_map
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.resources import bringup_file
-from lpv_identify.identification import identify
-from lpv_identify.recording import read_recording
-from lpv_identify.starting_arm import load_any_arm, save_like
+from lpv_identify.estimation.identification import identify
+from lpv_identify.recordings.recording import read_recording
+from lpv_identify.results.starting_arm import load_any_arm, save_like
 
 pytestmark = pytest.mark.skipif(
     not DATA.is_dir(), reason='the recordings are not part of the repository'

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio
 from scipy.linalg import qr, solve_triangular
 
-from lpv_identify.rigid_body import torque_regressor
+from lpv_identify.model.rigid_body import torque_regressor
 
 _SAMPLES = 300
 _TOLERANCE = 1e-8

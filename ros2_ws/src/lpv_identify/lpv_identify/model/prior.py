@@ -3,7 +3,7 @@
 import numpy as np
 
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.rigid_body import build_model
+from lpv_identify.model.rigid_body import build_model
 
 _RELATIVE = 0.3  # of masses; of the lengths that first moments and inertias go with
 _SHARE = 0.02  # of the arm's mass: the least that a link is taken to weigh

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_core.serial_arm.description import N_INERTIAL, SerialArm
-from lpv_identify.base_parameters import BaseParameters
-from lpv_identify.friction import TERMS
-from lpv_identify.prior import structural_prior
-from lpv_identify.regression import Fit
+from lpv_identify.estimation.regression import Fit
+from lpv_identify.model.base_parameters import BaseParameters
+from lpv_identify.model.friction import TERMS
+from lpv_identify.model.prior import structural_prior
 
 _LINK = ('mass', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 

@@ -9,8 +9,8 @@ import yaml
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.simulation import joint_torques
-from lpv_identify.trajectory import Trajectory
+from lpv_identify.motions.simulation import joint_torques
+from lpv_identify.motions.trajectory import Trajectory
 
 TOPIC = '/lpv/excitation'
 """Topic of the reference in the bag, sensor_msgs/JointState."""

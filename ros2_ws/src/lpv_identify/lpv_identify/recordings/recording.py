@@ -84,7 +84,7 @@ def read_recording(
     """
     path = Path(path)
     if path.suffix.lower() == '.csv':
-        from lpv_identify.csv_recording import read_csv
+        from lpv_identify.recordings.csv_recording import read_csv
 
         stamps, position, velocity, effort = read_csv(path, joints, columns)
     else:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_identify.filters import causal_low_pass, low_pass
-from lpv_identify.regression import Filters, Fit, Rows, model_torque
+from lpv_identify.estimation.regression import Filters, Fit, Rows, model_torque
+from lpv_identify.recordings.filters import causal_low_pass, low_pass
 
 
 @dataclass(frozen=True)

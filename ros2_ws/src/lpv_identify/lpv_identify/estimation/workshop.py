@@ -6,20 +6,32 @@ from dataclasses import replace
 import numpy as np
 
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.assembly import consistent_parameters, fit_of, with_parameters
-from lpv_identify.base_parameters import BaseParameters, find_base_parameters
-from lpv_identify.delays import MAX_DELAY, effort_delays, rate_delays
-from lpv_identify.friction import TERMS
-from lpv_identify.gains import estimate_gains
-from lpv_identify.motion import Motion, Segment, check_motion, find_bandwidths, smooth, split
-from lpv_identify.noise import noise_deviation, quantization_step
-from lpv_identify.prior import LOAD_WIDTH, structural_prior
-from lpv_identify.rates import rate_sources
-from lpv_identify.recording import Recording
-from lpv_identify.regression import Filters, Fit, Prior, Rows, fit_parameters, make_rows
-from lpv_identify.rigid_body import build_model
-from lpv_identify.selection import choose_effort_band, choose_prior, divide, validation_error
-from lpv_identify.sensing import Sensing
+from lpv_identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
+from lpv_identify.estimation.delays import MAX_DELAY, effort_delays, rate_delays
+from lpv_identify.estimation.gains import estimate_gains
+from lpv_identify.estimation.regression import Filters, Fit, Prior, Rows, fit_parameters, make_rows
+from lpv_identify.estimation.selection import (
+    choose_effort_band,
+    choose_prior,
+    divide,
+    validation_error,
+)
+from lpv_identify.model.base_parameters import BaseParameters, find_base_parameters
+from lpv_identify.model.friction import TERMS
+from lpv_identify.model.prior import LOAD_WIDTH, structural_prior
+from lpv_identify.model.rigid_body import build_model
+from lpv_identify.recordings.motion import (
+    Motion,
+    Segment,
+    check_motion,
+    find_bandwidths,
+    smooth,
+    split,
+)
+from lpv_identify.recordings.recording import Recording
+from lpv_identify.sensors.noise import noise_deviation, quantization_step
+from lpv_identify.sensors.rates import rate_sources
+from lpv_identify.sensors.sensing import Sensing
 
 WEAK = 1e-3
 """Strength of the prior while the model is chosen."""

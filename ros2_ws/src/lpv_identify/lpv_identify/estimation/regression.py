@@ -13,12 +13,12 @@ from scipy.optimize import nnls
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
-from lpv_identify.autocorrelation import residual_autocovariances, score_covariance
-from lpv_identify.base_parameters import BaseParameters
-from lpv_identify.filters import derivative, low_pass
-from lpv_identify.friction import SLOPES, TERMS, direction, direction_slope, friction_columns
-from lpv_identify.motion import Motion
-from lpv_identify.rigid_body import momentum_regressor, motion_regressor
+from lpv_identify.estimation.autocorrelation import residual_autocovariances, score_covariance
+from lpv_identify.model.base_parameters import BaseParameters
+from lpv_identify.model.friction import SLOPES, TERMS, direction, direction_slope, friction_columns
+from lpv_identify.model.rigid_body import momentum_regressor, motion_regressor
+from lpv_identify.recordings.filters import derivative, low_pass
+from lpv_identify.recordings.motion import Motion
 
 HUBER = 3.0
 """Residuals beyond this many scales weigh less (contacts, outliers)."""
@@ -142,7 +142,7 @@ def make_rows(
     )[:, :, base.columns]
     rest = motion_regressor(model, position, velocity)
     if not with_gravity:
-        from lpv_identify.rigid_body import torque_regressor
+        from lpv_identify.model.rigid_body import torque_regressor
 
         rest -= torque_regressor(model, position, np.zeros(n), np.zeros(n))
     rest = np.concatenate([rest, np.zeros((len(position), n, n))], axis=2)[:, :, base.columns]

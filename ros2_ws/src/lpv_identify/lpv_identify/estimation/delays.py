@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpv_identify.filters import derivative, low_pass
-from lpv_identify.motion import Bandwidths, Segment
-from lpv_identify.regression import Filters, Fit, Rows, model_torque
+from lpv_identify.estimation.regression import Filters, Fit, Rows, model_torque
+from lpv_identify.recordings.filters import derivative, low_pass
+from lpv_identify.recordings.motion import Bandwidths, Segment
 
 MAX_DELAY = 0.1
 """Largest delay that is looked for [s]."""

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpv_core.serial_arm.description import JointSensors, SerialArm
-from lpv_identify.assembly import covariance_of_all, fit_of
-from lpv_identify.base_parameters import BaseParameters
-from lpv_identify.determination import Determination, determine
-from lpv_identify.evaluation import Figures, Prediction, figures, predict
-from lpv_identify.motion import Bandwidths
-from lpv_identify.recording import Recording
-from lpv_identify.regression import Filters, Fit
-from lpv_identify.sensing import Sensing
-from lpv_identify.tolerance import torque_tolerance
-from lpv_identify.workshop import Workshop
+from lpv_identify.estimation.assembly import covariance_of_all, fit_of
+from lpv_identify.estimation.determination import Determination, determine
+from lpv_identify.estimation.evaluation import Figures, Prediction, figures, predict
+from lpv_identify.estimation.regression import Filters, Fit
+from lpv_identify.estimation.tolerance import torque_tolerance
+from lpv_identify.estimation.workshop import Workshop
+from lpv_identify.model.base_parameters import BaseParameters
+from lpv_identify.recordings.motion import Bandwidths
+from lpv_identify.recordings.recording import Recording
+from lpv_identify.sensors.sensing import Sensing
 
 
 @dataclass(frozen=True)

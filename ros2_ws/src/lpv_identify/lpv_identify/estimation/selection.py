@@ -5,8 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpv_identify.filters import causal_low_pass, low_pass
-from lpv_identify.regression import Filters, Fit, Prior, Rows, fit_parameters, model_torque
+from lpv_identify.estimation.regression import (
+    Filters,
+    Fit,
+    Prior,
+    Rows,
+    fit_parameters,
+    model_torque,
+)
+from lpv_identify.recordings.filters import causal_low_pass, low_pass
 
 Estimator = Callable[[Sequence[Rows]], Fit]
 BLOCKS = 4

@@ -11,11 +11,11 @@ from lpv_core.serial_arm.description import (
     ParameterCovariance,
     SerialArm,
 )
-from lpv_identify.base_parameters import BaseParameters
-from lpv_identify.consistency import Quadratic, nearest_consistent
-from lpv_identify.friction import TERMS
-from lpv_identify.prior import LOAD_WIDTH, structural_prior
-from lpv_identify.regression import Fit
+from lpv_identify.estimation.regression import Fit
+from lpv_identify.model.base_parameters import BaseParameters
+from lpv_identify.model.consistency import Quadratic, nearest_consistent
+from lpv_identify.model.friction import TERMS
+from lpv_identify.model.prior import LOAD_WIDTH, structural_prior
 
 _DRIVE = ('rotor', *TERMS)
 

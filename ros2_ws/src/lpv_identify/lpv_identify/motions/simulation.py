@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio
 
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.recording import Recording
-from lpv_identify.rigid_body import build_model
-from lpv_identify.trajectory import Trajectory
+from lpv_identify.model.rigid_body import build_model
+from lpv_identify.motions.trajectory import Trajectory
+from lpv_identify.recordings.recording import Recording
 
 
 @dataclass(frozen=True)

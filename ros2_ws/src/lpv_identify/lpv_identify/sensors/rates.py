@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpv_identify.motion import Segment
+from lpv_identify.recordings.motion import Segment
 
 _TAPS = 4  # differences of positions before and after that a driver's filter may use
 _EXPLAINED = 0.5

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lpv_identify.identification import Identification
+from lpv_identify.estimation.identification import Identification
 from lpv_report.style import INK, SENSOR, SETTINGS, SOFT, thin
 
 _MOST_POINTS = 4000

@@ -7,10 +7,10 @@ import numpy as np
 
 from lpv_core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
 from lpv_identify.errors import IdentificationError
-from lpv_identify.filters import derivative, low_pass
-from lpv_identify.motion import Segment, find_bandwidths, smooth, split
-from lpv_identify.recording import Recording
-from lpv_identify.rigid_body import build_model, momentum_regressor, motion_regressor
+from lpv_identify.model.rigid_body import build_model, momentum_regressor, motion_regressor
+from lpv_identify.recordings.filters import derivative, low_pass
+from lpv_identify.recordings.motion import Segment, find_bandwidths, smooth, split
+from lpv_identify.recordings.recording import Recording
 
 _HUBER = 2.0
 

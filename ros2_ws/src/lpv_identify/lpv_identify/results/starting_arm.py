@@ -7,8 +7,8 @@ from lpv_core.serial_arm.arm_file import is_serial_arm, parse_serial_arm, save_s
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.config import read_yaml
 from lpv_core.support.resources import bringup_file
-from lpv_identify.identification import Identification
-from lpv_identify.planar import serial_from_planar, write_planar
+from lpv_identify.estimation.identification import Identification
+from lpv_identify.results.planar import serial_from_planar, write_planar
 
 
 def load_any_arm(path: str) -> SerialArm:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from lpv_identify.figures import residual_figure, torque_figure
-from lpv_identify.identification import Identification
-from lpv_identify.summary import remarks
+from lpv_identify.estimation.identification import Identification
+from lpv_identify.results.figures import residual_figure, torque_figure
+from lpv_identify.results.summary import remarks
 from lpv_report.page import embedded, environment
 from lpv_report.style import png
 

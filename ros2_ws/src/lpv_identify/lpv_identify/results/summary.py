@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lpv_identify.identification import Identification
+from lpv_identify.estimation.identification import Identification
 
 
 def table(result: Identification) -> str:

@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio
 
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.base_parameters import find_base_parameters
 from lpv_identify.errors import IdentificationError
-from lpv_identify.friction import friction_columns
-from lpv_identify.rigid_body import build_model, torque_regressor
-from lpv_identify.trajectory import Trajectory, fit_to_limits, random_trajectory
+from lpv_identify.model.base_parameters import find_base_parameters
+from lpv_identify.model.friction import friction_columns
+from lpv_identify.model.rigid_body import build_model, torque_regressor
+from lpv_identify.motions.trajectory import Trajectory, fit_to_limits, random_trajectory
 
 _STEP = 0.1  # between samples that are rated [s]
 _CHECK_STEP = 0.02  # between samples whose limits are checked [s]

@@ -7,8 +7,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import welch
 
 from lpv_identify.errors import IdentificationError
-from lpv_identify.filters import derivative, low_pass, shifted
-from lpv_identify.recording import Recording
+from lpv_identify.recordings.filters import derivative, low_pass, shifted
+from lpv_identify.recordings.recording import Recording
 
 MIN_DURATION = 5.0
 """Shortest recording that is used [s]."""

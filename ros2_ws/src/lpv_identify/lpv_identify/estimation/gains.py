@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.regression import (
+from lpv_identify.estimation.regression import (
     Filters,
     Prior,
     Problem,
