@@ -11,6 +11,7 @@ from lpv_core.support.errors import LpvError
 COMMANDS = {
     'design': ('lpv_cli.commands.design', 'design certified gains for an arm'),
     'verify': ('lpv_cli.commands.verify', 'check the certificate of a gains file'),
+    'falsify': ('lpv_cli.commands.falsify', 'search for healthy runs that cross a threshold'),
     'demo': ('lpv_cli.commands.demo', 'design, simulate with the real graph, record, report'),
     'doctor': ('lpv_cli.doctor', 'find the usual mistakes in files, environment and graph'),
     'campaign': ('lpv_cli.campaigns.campaign', 'run thousands of simulations, or replay many bags'),

@@ -2,14 +2,16 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from parts import Swing
 
-from lpv_core.decision.diagnosis import AlarmEvent
-from lpv_core.monitoring.message_fields import WARN
+from lpv_core.decision.diagnosis import AlarmEvent, SensorState
+from lpv_core.monitoring.message_fields import WARN, Findings, diagnostic_fields
 from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import load_scenario
@@ -98,6 +100,20 @@ def test_given_a_reading_that_becomes_noisy_when_it_is_a_fault_then_it_is_one(re
     recording.position[2500:, 1] += 0.02 * np.random.default_rng(1).standard_normal(2500)
     found = raised(recording.diagnose(real_arm, real_gains))
     assert found[0][1] == 1 and 5.0 < found[0][0] < 5.2
+
+
+def test_given_a_warning_when_the_level_is_small_then_its_message_names_the_contradiction(
+    paper_arm,
+):
+    state = SimpleNamespace(mode=Mode.OBSERVING, trustworthy=True)
+    fault = SimpleNamespace(
+        estimate=[0.01, 0.2], threshold=[0.1, 0.1], bound=[0.1, 0.1], state=[SensorState.WARN] * 2
+    )
+    findings = Findings(True, False, ({}, {}))
+    observer, one, two = diagnostic_fields('node', paper_arm, state, fault, findings, {})
+    assert observer['message'] == one['message']
+    assert one['message'].startswith('inconsistent, cause unknown')
+    assert two['message'] == 'above the threshold, not confirmed'
 
 
 # ------------------------------------------------------------------ steps of encoders

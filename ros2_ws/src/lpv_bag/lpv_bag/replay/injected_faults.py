@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from lpv_bag.replay.session import ReplayResult
 from lpv_bag.run.streams import RecordedAlarm
 from lpv_core.decision.diagnosis import AlarmEvent
-from lpv_core.observer.sampled_observer import NANOSECONDS
 from lpv_core.simulation.faults import Fault
+from lpv_core.support.timestamps import NANOSECONDS
 
 _GRACE = 1.0
 """An alarm that is confirmed within this time after the end of a fault belongs to it [s]."""

@@ -122,7 +122,7 @@ def true_arm(arm: ArmParameters, corner: dict[str, float]) -> ArmParameters:
 
 
 def structured_candidates(rng: np.random.Generator) -> list[np.ndarray]:
-    """Candidates that an engineer would try: corners of the model at rest, at the edge, in swing."""
+    """What an engineer would try: corners of the model at rest, at the edge, in swing."""
     found = []
     for heavy in (-1.0, 1.0):
         for pose in ((0.0, 0.0), (0.8, 0.0), (0.0, 0.9), (0.9, 0.9), (0.8, -0.9)):

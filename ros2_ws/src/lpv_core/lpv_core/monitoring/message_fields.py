@@ -147,8 +147,9 @@ def diagnostic_fields(
             level, message = WARN, _UNSUPPORTED
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     for i, sensor in enumerate(arm.sensor_names):
-        sensor_state, values = SensorState.STALE, {}
+        sensor_state, values, above = SensorState.STALE, {}, False
         if fault is not None:
+            above = abs(fault.estimate[i]) > fault.threshold[i]
             sensor_state = fault.state[i]
             values = {
                 'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
@@ -156,6 +157,8 @@ def diagnostic_fields(
                 'threshold [rad]': f'{fault.threshold[i]:.6f}',
             }
         level, message = _LEVELS[sensor_state]
+        if sensor_state == SensorState.WARN and not above:
+            message = _INCONSISTENT
         if findings.warnings[i]:
             level = max(level, WARN)
             message = '; '.join([message, *findings.warnings[i].values()])

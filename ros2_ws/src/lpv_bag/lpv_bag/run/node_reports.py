@@ -1,4 +1,4 @@
-"""The observer's own reports on /diagnostics."""
+"""What the nodes reported of themselves on /diagnostics."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,52 +9,50 @@ from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.run.record import stamp_of
 
 _TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
-_OBSERVER = ': observer'
 
 
 @dataclass(frozen=True)
-class ObserverReport:
-    """One report of an observer."""
+class NodeReport:
+    """One status of a node."""
 
     stamp: int  # [ns]
     level: int  # as in diagnostic_msgs/DiagnosticStatus
     message: str  # its text
 
 
-def observer_reports(path: str | Path, namespace: str) -> list[ObserverReport]:
-    """Reports of the observer in one namespace.
+def node_reports(path: str | Path, namespace: str) -> dict[str, list[NodeReport]]:
+    """Reports of the nodes in one namespace.
 
     Parameters
     ----------
     path : str or pathlib.Path
         Bag.
     namespace : str
-        Namespace of the observer's node, e.g. ``/lpv``.
+        Namespace of the nodes, e.g. ``/lpv``.
 
     Returns
     -------
-    list of ObserverReport
-        In the order of their stamps; empty where none were recorded.
+    dict of str to list of NodeReport
+        By what they are of (``observer``, ``tracking``, ``drives``), in the order of their stamps.
 
     Raises
     ------
     BagError
         If the bag cannot be read.
     """
-    found = []
+    found: dict[str, list[NodeReport]] = {}
     with open_bag(path) as reader:
         connections = [c for c in reader.connections if c.msgtype == _TYPE]
         for connection, _, data in reader.messages(connections) if connections else ():
             message = reader.deserialize(data, connection.msgtype)
+            stamp = stamp_of(message.header.stamp)
             for status in message.status:
                 parent, _, name = status.name.rpartition('/')
-                if parent == namespace.rstrip('/') and name.endswith(_OBSERVER):
-                    found.append(
-                        ObserverReport(
-                            stamp_of(message.header.stamp), _level(status.level), status.message
-                        )
-                    )
-    return sorted(found, key=lambda report: report.stamp)
+                _, colon, part = name.partition(': ')
+                if parent == namespace.rstrip('/') and colon:
+                    report = NodeReport(stamp, _level(status.level), status.message)
+                    found.setdefault(part, []).append(report)
+    return {part: sorted(reports, key=lambda r: r.stamp) for part, reports in found.items()}
 
 
 def _level(value: Any) -> int:
