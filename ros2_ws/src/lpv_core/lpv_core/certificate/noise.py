@@ -23,9 +23,13 @@ def exact_fault_sigma(arm: ArmParameters, lyapunov: np.ndarray) -> np.ndarray:
 
     P^-1 bounds the covariance of each link's error; sensors add those of their links.
     """
-    angle = np.array(
-        [link.unit * np.sqrt(np.linalg.inv(p)[0, 0]) for link, p in zip(link_errors(arm), lyapunov)]
-    )
+    with np.errstate(invalid='ignore'):  # of a P that is not positive: NaN fails every check
+        angle = np.array(
+            [
+                link.unit * np.sqrt(np.linalg.inv(p)[0, 0])
+                for link, p in zip(link_errors(arm), lyapunov)
+            ]
+        )
     spread = np.abs(JointMap(arm).sensor_matrix) @ angle
     return np.hypot(spread, arm.position_noise)
 
