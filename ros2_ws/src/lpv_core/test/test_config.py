@@ -223,7 +223,8 @@ def test_given_any_parameter_when_changed_then_the_hash_changes(paper_arm):
         'sample_time': 0.001,
         'links': (replace(paper_arm.links[0], mass=math.nextafter(10.0, 11.0)), paper_arm.links[1]),
     }
-    assert set(other) == {f.name for f in fields(paper_arm)}
+    # What rates are says nothing to the design.
+    assert set(other) == {f.name for f in fields(paper_arm)} - {'rates'}
     variants = [replace(paper_arm, **{name: value}) for name, value in other.items()]
     for i, link in enumerate(paper_arm.links):
         for f in fields(Link):

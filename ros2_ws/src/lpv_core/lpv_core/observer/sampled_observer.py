@@ -32,6 +32,8 @@ _AT_REST = 5.0
 """Rates below so many standard deviations of their noise are those of an arm at rest."""
 _SUPPORTED = 0.02
 """At rest, torques below that part of what gravity needs are not those that hold the arm."""
+_NEARLY_VERTICAL = 0.05
+"""A link within this angle of the vertical needs no torque [rad]."""
 _REST = 0.02
 """An arm is held by something that is not measured if it seems so for this long [s]."""
 _EFFORT_MARGIN = 10.0
@@ -202,7 +204,7 @@ def observe(
         _start(params, state)
     elif interval > params.max_gap:
         _bridge(params, state)
-    elif _is_unsupported(params, state):
+    elif _is_unsupported(params, state, missing):
         _hold(params, state, interval)
     else:
         _advance(params, state, interval)
@@ -319,21 +321,23 @@ def _bridge(params: np.record, state: np.record) -> None:
 
 
 @njit
-def _is_unsupported(params: np.record, state: np.record) -> bool:
+def _is_unsupported(params: np.record, state: np.record, missing: bool) -> bool:
     """Whether the arm rests although the measured torques do not hold it.
 
     The torque of brakes is often not measured.  Taken for what acts on the arm, zero torque at rest
-    would mean that both links are vertical.
+    would mean that both links are vertical.  Where a reading is missing, gravity alone says where
+    the arm is.
     """
     x, y, arm = state.recursion.x, state.y_new, params.recursion.arm
     needed = beyond = measured = 0.0
     for i in range(2):
         gravity = abs(arm.gravity[i] * math.sin(x[i]))
         needed = max(needed, gravity)
-        beyond = max(beyond, gravity - params.torque_tolerance[i])
+        tolerated = params.torque_tolerance[i] + _NEARLY_VERTICAL * arm.gravity[i]
+        beyond = max(beyond, gravity - tolerated)
         measured = max(measured, abs(state.torque[i]))
     at_rest = abs(y[2]) <= params.rest_rate and abs(y[3]) <= params.rest_rate
-    if at_rest and beyond > 0.0 and measured <= _SUPPORTED * needed:
+    if not missing and at_rest and beyond > 0.0 and measured <= _SUPPORTED * needed:
         state.unsupported += 1
     else:
         state.unsupported = 0

@@ -22,7 +22,7 @@ _WINDOW = 50
 """Samples of a window."""
 _WINDOWS = 20
 """Windows that the estimate is averaged over."""
-_LARGEST = 4.0
+_LARGEST = 3.0
 """More than so many times the stated noise is a fault, not noise that was stated too small."""
 _TOLERATED, _UNCERTAIN = 1.2, 0.5
 """Ratio from which noise counts as larger than stated; and what is added to it for n windows, over

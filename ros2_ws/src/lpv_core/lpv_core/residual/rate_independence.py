@@ -29,6 +29,8 @@ _SAMPLES = 200
 """Fewest samples for a decision."""
 _DERIVED, _INDEPENDENT = 0.5, 0.2
 """Explained share of the variance above which rates are derived, below which independent."""
+_ROUGH = 0.1
+"""Fourth over second differences of a rate with noise [1]; white noise has 3.4."""
 _MOVED = 1e-3
 """Rates that are zero all the time are none if the position moves by more [rad]."""
 
@@ -74,8 +76,9 @@ def rate_source_of(stamps: np.ndarray, position: np.ndarray, rate: np.ndarray) -
     trace = 0.0
     for i in range(_LAGS):
         trace += gram[i, i]
-    if power == 0.0 or trace == 0.0:
-        return UNDECIDED, math.nan  # nothing but rest
+    second = rate[2:] - 2.0 * rate[1:-1] + rate[:-2]
+    if trace == 0.0 or power <= _ROUGH * _ROUGH * np.sum(second * second):
+        return UNDECIDED, math.nan  # rest, or a motion without any noise
     for i in range(_LAGS):
         gram[i, i] += 1e-9 * trace
     explained = float(np.dot(cross, np.linalg.solve(gram, cross))) / power
