@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
@@ -36,11 +37,11 @@ def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
         writer.add_topic('/lpv/joint_states', 'sensor_msgs/msg/JointState')
         for k, row in enumerate(attacker.samples):
             stamp = _START + k * round(arm.sample_time * 1e9)
-            message = messages.joint_state(stamp, arm.joint_names, row[:2], row[2:4], row[4:6])
+            message = messages.joint_state(stamp, arm.joint_names, *row[:6].reshape(3, 2).tolist())
             writer.write('/lpv/joint_states', stamp, message)
 
 
-def read_attack(path: str | Path) -> tuple[object, float]:
+def read_attack(path: str | Path) -> tuple[np.record, float]:
     """Attack and duration [s] of a file that `write_worst` wrote.
 
     Raises

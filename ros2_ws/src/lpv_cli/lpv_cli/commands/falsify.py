@@ -9,7 +9,7 @@ from lpv_campaign.falsify.search import Attacker, Finding, search
 from lpv_cli.completion import shipped
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import load_arm
+from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
@@ -56,7 +56,7 @@ def _show(count: int, found: Finding) -> None:
     print(f'  run {count}: estimate at {found.ratio:.3f} of its threshold', file=sys.stderr)
 
 
-def _conclude(arm, worst: Finding, count: int) -> int:
+def _conclude(arm: ArmParameters, worst: Finding, count: int) -> int:
     crossed = worst.ratio >= 1.0
     outcome = 'CROSSED' if crossed else 'no crossing'
     print(
