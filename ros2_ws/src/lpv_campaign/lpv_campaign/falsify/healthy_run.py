@@ -140,7 +140,7 @@ def run_healthy(
 
 
 @njit
-def _judge(setup, work, stamp: int, row: np.ndarray) -> int:
+def _judge(setup: np.record, work: np.record, stamp: int, row: np.ndarray) -> int:
     judged = 0
     for i in range(2):
         bound = work.bound.bound[i]
@@ -160,7 +160,7 @@ def _judge(setup, work, stamp: int, row: np.ndarray) -> int:
 
 
 @njit
-def _sign(attack, time: float) -> float:
+def _sign(attack: np.record, time: float) -> float:
     """Sign of the bang-bang time profile."""
     if attack.disturbance_speed == 0.0:
         return 1.0
@@ -170,7 +170,7 @@ def _sign(attack, time: float) -> float:
 
 
 @njit
-def _follow(attack, time: float, goal: np.ndarray) -> None:
+def _follow(attack: np.record, time: float, goal: np.ndarray) -> None:
     """Angles, rates and accelerations of the motion."""
     for i in range(2):
         angle = attack.speed[i] * time + attack.phase[i]
@@ -191,7 +191,14 @@ def _stop(goal: np.ndarray, rested: np.ndarray, dt: float) -> None:
 
 
 @njit
-def _measure(setup, attack, x, time: float, noise, out: np.ndarray) -> None:
+def _measure(
+    setup: np.record,
+    attack: np.record,
+    x: np.ndarray,
+    time: float,
+    noise: np.random.Generator,
+    out: np.ndarray,
+) -> None:
     joints = setup.observer.recursion.joints
     sign = _sign(attack, time) if attack.rate_switch > 0.5 else 1.0
     reading_1 = (
@@ -211,7 +218,9 @@ def _measure(setup, attack, x, time: float, noise, out: np.ndarray) -> None:
 
 
 @njit
-def _drive(setup, attack, x, goal, torque) -> None:
+def _drive(
+    setup: np.record, attack: np.record, x: np.ndarray, goal: np.ndarray, torque: np.ndarray
+) -> None:
     """Computed torque of the nominal arm on the true state, within the limits."""
     w = setup.stiffness
     a_1 = goal[4] + 2.0 * w * (goal[2] - x[2]) + w * w * (goal[0] - x[0])
@@ -222,7 +231,14 @@ def _drive(setup, attack, x, goal, torque) -> None:
 
 
 @njit
-def _move(setup, attack, x, time: float, torque, noise) -> None:
+def _move(
+    setup: np.record,
+    attack: np.record,
+    x: np.ndarray,
+    time: float,
+    torque: np.ndarray,
+    noise: np.random.Generator,
+) -> None:
     d = attack.disturbance * _sign(attack, time) + setup.push_deviation * noise.standard_normal()
     dt = 0.5 * setup.sample_time
     for _ in range(2):

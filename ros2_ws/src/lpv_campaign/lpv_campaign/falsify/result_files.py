@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from lpv_bag.rosbag.chunk_writing import ChunkBagWriter
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_campaign.falsify.attack import attack_as_dict, attack_from_dict
 from lpv_campaign.falsify.search import Attacker, Finding
