@@ -44,7 +44,6 @@ PYPI = {
     'mcap': 'mcap',
     'optuna': 'optuna',
     'pinocchio': 'pin',
-    'pinocchio': 'pin',
     'pyarrow': 'pyarrow',
     'zstandard': 'zstandard',
 }

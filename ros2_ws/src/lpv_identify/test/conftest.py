@@ -14,9 +14,9 @@ from lpv_core.serial_arm.description import (
     SerialArm,
     SerialJoint,
 )
-from lpv_identify.recording import Recording
-from lpv_identify.simulation import SensorNoise, simulate
-from lpv_identify.trajectory import Trajectory, random_trajectory
+from lpv_identify.motions.simulation import SensorNoise, simulate
+from lpv_identify.motions.trajectory import Trajectory, random_trajectory
+from lpv_identify.recordings.recording import Recording
 
 DATA = Path(__file__).resolve().parents[5] / 'shared' / 'data'
 
@@ -86,6 +86,6 @@ def rough_arm(arm) -> SerialArm:
 
 @pytest.fixture(scope='session')
 def result(rough_arm, recording):
-    from lpv_identify.identification import identify
+    from lpv_identify.estimation.identification import identify
 
     return identify(rough_arm, [recording])
