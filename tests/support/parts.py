@@ -148,7 +148,7 @@ class ErrorBound:
 def classify(stamps, values, onset, baseline, noise):
     """Name of the kind of a time profile that fills a buffer."""
     buffer = sample_buffer.SampleBuffer(stamps, values, np.array([len(values)]))
-    limits = new_record(sensor_state.SENSOR_LIMITS, noise=noise)
+    limits = new_record(sensor_state.SENSOR_LIMITS, noise=noise, scatter=noise)
     return fault_kinds.KINDS[fault_classification.classify(limits, buffer, 0, onset, baseline)]
 
 

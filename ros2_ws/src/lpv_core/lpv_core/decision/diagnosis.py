@@ -241,6 +241,10 @@ def diagnosis_constants(
             changes=change_test(arm, p.false_alarm_hours, p.minimum_threshold),
             rates=rate_test(arm, gains),
             noise=arm.position_noise,
+            # Second differences of r have those of the rates over two samples, too.
+            scatter=math.hypot(
+                arm.position_noise, arm.velocity_noise * arm.sample_time / math.sqrt(12.0)
+            ),
             step=arm.velocity_noise * arm.sample_time,
         ),
         innovation_noise=arm.velocity_noise * innovation_gain(arm, gains),

@@ -110,7 +110,7 @@ def classify(
     if is_stuck(limits, buffer):
         return STUCK
     recent = values[max(first, end - 50) : end]
-    if count >= 25 and noise_level(recent, RESIDUAL) > 3.0 * limits.noise:
+    if count >= 25 and noise_level(recent, RESIDUAL) > 3.0 * limits.scatter:
         return NOISE
     if count < 10 or (stamps[end - 1] - onset) / NANOSECONDS < _SETTLED:
         return UNCLASSIFIED

@@ -313,7 +313,7 @@ def _check_noise_and_stuck(params: np.record, state: np.record, buffer: SampleBu
     if is_stuck(state.limits, buffer):
         first = standstill(state.limits, buffer)
         kind, row, onset = STUCK, first - 1, buffer.stamps[first]
-    elif scatter > _NOISE_RATIO * state.limits.noise:
+    elif scatter > _NOISE_RATIO * state.limits.scatter:
         kind, row, onset = NOISE, count - _NOISY, state.sample.stamp
     else:
         return NOTHING
@@ -459,7 +459,7 @@ def _has_settled(params: np.record, state: np.record, buffer: SampleBuffer) -> b
     limit = max(least_change(state.limits.changes), params.hysteresis * sample.threshold)
     if abs(alarm.amount) >= limit + growth(state):
         return False
-    return _scatter(buffer) < 2.0 * state.limits.noise and not is_stuck(state.limits, buffer)
+    return _scatter(buffer) < 2.0 * state.limits.scatter and not is_stuck(state.limits, buffer)
 
 
 @njit
@@ -504,10 +504,12 @@ def _latest_kind(params: np.record, state: np.record, buffer: SampleBuffer) -> i
             return STUCK
         enough = buffer.used[0] >= _RECENT
         return (
-            NOISE if enough and _scatter(buffer) > _NOISE_RATIO * state.limits.noise else alarm.kind
+            NOISE
+            if enough and _scatter(buffer) > _NOISE_RATIO * state.limits.scatter
+            else alarm.kind
         )
     if alarm.kind == SPIKE:
-        return NOISE if _scatter(buffer) > _NOISE_RATIO * state.limits.noise else SPIKE
+        return NOISE if _scatter(buffer) > _NOISE_RATIO * state.limits.scatter else SPIKE
     if alarm.kind not in TIME_PROFILES:
         return alarm.kind
     row, baseline = first_since(buffer, alarm.onset), state.before.residual

@@ -26,6 +26,7 @@ SENSOR_LIMITS = record_type(
     ('changes', CHANGE_TEST),  # limits of changes
     ('rates', RATE_TEST),  # test for faults of the rate sensor
     ('noise', 'f8'),  # standard deviation of readings [rad]
+    ('scatter', 'f8'),  # of r from sample to sample, with noise of the rates [rad]
     ('step', 'f8'),  # of what noise of the rates adds to r in one sample time [rad]
 )
 """What depends on the noise of a sensor."""
@@ -125,11 +126,12 @@ def update_limits(params: np.record, state: np.record, buffer: SampleBuffer) -> 
     """Limits grow with noise that is larger than stated; a noise fault does not count as such."""
     stated, limits, noise = params.stated, state.limits, state.noise
     if not (state.alarm.active and state.alarm.kind == NOISE):
-        update_noise(noise, buffer, stated.noise, params.innovation_noise)
+        update_noise(noise, buffer, stated.scatter, params.innovation_noise)
     reading, rate = excess(noise.reading, noise.windows), excess(noise.rate, noise.windows)
     scale_limits(stated.changes, reading, rate, limits.changes)
     scale_rate_test(stated.rates, reading, rate, limits.rates)
     limits.noise, limits.step = reading * stated.noise, rate * stated.step
+    limits.scatter = reading * stated.scatter
 
 
 @njit

@@ -84,7 +84,7 @@ def update_noise(
     buffer : SampleBuffer
         The sensor's past.
     reading_noise, rate_noise : float
-        Stated standard deviations, of the reading [rad] and of the innovation's noise [rad/s].
+        Stated standard deviations, of r from sample to sample [rad] and of the innovation [rad/s].
     """
     fresh = state.fresh + 1
     state.fresh = fresh
