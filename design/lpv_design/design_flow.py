@@ -25,7 +25,7 @@ from lpv_design.requirement import PaperRequirement, Requirement
 from lpv_design.solve import SOLVER, InfeasibleError
 
 SAMPLED_POLE_LIMIT = 0.5
-"""Largest |pole| * Ts that a sampled loop with one sample of delay is asked to carry."""
+"""Largest abs(pole) Ts that a sampled loop with one sample of delay is asked to carry."""
 _POLE_SHARE = 0.9
 """Part of that which requirements are limited to."""
 _FASTEST_SAMPLED = 0.9

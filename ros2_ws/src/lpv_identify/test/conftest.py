@@ -1,7 +1,6 @@
 """Arms, motions and recordings that the tests share."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +16,6 @@ from lpv_core.serial_arm.description import (
 from lpv_identify.motions.simulation import SensorNoise, simulate
 from lpv_identify.motions.trajectory import Trajectory, random_trajectory
 from lpv_identify.recordings.recording import Recording
-
-DATA = Path(__file__).resolve().parents[5] / 'shared' / 'data'
 
 
 def link(mass: float, center: tuple[float, float, float]) -> LinkInertia:

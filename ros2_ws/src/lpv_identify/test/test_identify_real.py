@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from places import RECORDINGS as DATA
 
-from conftest import DATA
 from lpv_bag.run.csv_import import load_column_map
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.resources import bringup_file

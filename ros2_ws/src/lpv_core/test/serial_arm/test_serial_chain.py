@@ -1,6 +1,5 @@
 """Compiled chains from described arms and from inline parameters."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[5]
-DATA = Path(os.environ.get('LPV_SHARED_DATA') or ROOT.parent / 'shared' / 'data')
+DATA = RECORDINGS
 
 URDF = """<robot name="small"><link name="base"/><link name="tool"/>
 <link name="one"><inertial><origin xyz="0.1 0.02 0" rpy="0.3 0 0.2"/><mass value="3"/>

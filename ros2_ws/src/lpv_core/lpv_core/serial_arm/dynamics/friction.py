@@ -1,6 +1,6 @@
 """Joint friction: viscous, Coulomb (constant and growing with load), and a torque offset.
 
-F_i(v) = viscous v + (coulomb + load |tau_i|) s(v) + offset, s(v) = (2/pi) atan(slope v).
+F_i(v) = viscous v + (coulomb + load abs(tau_i)) s(v) + offset, s(v) = (2/pi) atan(slope v).
 """
 
 import math
