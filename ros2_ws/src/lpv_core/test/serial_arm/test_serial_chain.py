@@ -1,11 +1,11 @@
 """Compiled chains from described arms and from inline parameters."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
+from places import RECORDINGS
 
 from lpv_core.serial_arm.chain import axis_frame, compile_chain, make_chain
 from lpv_core.serial_arm.dynamics.kinematics import forward_kinematics
@@ -13,7 +13,6 @@ from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.errors import ConfigError
 
-ROOT = Path(__file__).resolve().parents[5]
 DATA = RECORDINGS
 
 URDF = """<robot name="small"><link name="base"/><link name="tool"/>
