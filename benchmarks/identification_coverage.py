@@ -11,11 +11,11 @@ import numpy as np
 
 from lpv_core.serial_arm.description import JointFriction, SerialArm
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-from lpv_identify.assembly import parameter_map
-from lpv_identify.excitation import plan_excitation
-from lpv_identify.simulation import SensorNoise, simulate
-from lpv_identify.starting_arm import load_any_arm
-from lpv_identify.workshop import Workshop
+from lpv_identify.estimation.assembly import parameter_map
+from lpv_identify.estimation.workshop import Workshop
+from lpv_identify.motions.excitation import plan_excitation
+from lpv_identify.motions.simulation import SensorNoise, simulate
+from lpv_identify.results.starting_arm import load_any_arm
 
 DURATION, RATE = 30.0, 125.0
 

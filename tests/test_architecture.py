@@ -5,10 +5,10 @@ import pytest
 
 LAYERS = [
     {'lpv_core', 'lpv_bringup'},
-    {'lpv_design', 'lpv_node', 'lpv_identify'},
+    {'lpv_design', 'lpv_node'},
     {'lpv_bag', 'lpv_arm_sim', 'lpv_uio', 'lpv_tracker'},
     {'lpv_report', 'lpv_view', 'lpv_ros2cli'},
-    {'lpv_campaign'},
+    {'lpv_campaign', 'lpv_identify'},
     {'lpv', 'lpv_cli'},
 ]
 """Packages from the bottom up; a package imports lower layers, and its own for `lpv` alone."""

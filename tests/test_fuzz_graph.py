@@ -10,6 +10,7 @@ import json
 import math
 import os
 import re
+import socket
 import time
 
 import aiohttp
@@ -24,7 +25,9 @@ from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 from test_restart import files, rig_on  # noqa: E402, F401
+from test_stalls import assert_goes_on  # noqa: E402
 
 from lpv_msgs.msg import (  # noqa: E402
     FaultAlarm,
@@ -158,10 +161,10 @@ async def attack_sockets(rng, ports):
                 try:
                     async with session.ws_connect(
                         f'http://127.0.0.1:{port}{path}', protocols=protocols
-                    ) as socket:
+                    ) as link:
                         for text in rng.permutation(garbage)[:6]:
-                            await socket.send_str(str(text))
-                            await socket.send_bytes(rng.bytes(200))
+                            await link.send_str(str(text))
+                            await link.send_bytes(rng.bytes(200))
                             sent += 2
                 except (TimeoutError, aiohttp.ClientError, ConnectionError):
                     continue  # the server has let us go
@@ -179,7 +182,7 @@ def assert_finite(heard, hostile):
 
 
 def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_path, files):  # noqa: F811
-    rng = np.random.default_rng(SEED)
+    rng, foxglove = np.random.default_rng(SEED), free_port()
     with rig_on(tmp_path, files) as rig:
         heard = {
             topic: rig.client.listen(kind, topic, BEST_EFFORT)
@@ -187,26 +190,24 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
         }
         reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=1000))
         for name in NODES:
-            own = {
-                'simulator': ['command_timeout:=1.0', 'max_mean_latency:=1.0'],
-                'tracker': ['estimate_timeout:=1.0', 'max_latency:=1.0'],
-                'view': [f'arm_file:={files["arm"]}', 'port:=0', 'foxglove_port:=0'],
-            }
+            own = {'view': [f'arm_file:={files["arm"]}', 'port:=0', f'foxglove_port:={foxglove}']}
             rig.start(name, *own.get(name, []))
         rig.logged('simulator', 'brakes released', 0)
-        rig.drive()
+        assert_goes_on(rig)
         before = {name: memory(rig, name) for name in NODES}
         fuzzer = Fuzzer(rig, rng)
-        page = int(re.search(r'page: http://127.0.0.1:(\d+)', rig.log('view'))[1])
+        pattern = r'page: http://127.0.0.1:(\d+)'
+        assert rig.client.wait(lambda: re.search(pattern, rig.log('view')), 60.0), 'no page'
+        ports = int(re.search(pattern, rig.log('view'))[1]), foxglove
         deadline = time.monotonic() + SECONDS
         while time.monotonic() < deadline:
             fuzzer.messages(5)
             fuzzer.requests()
             rig.spin(0.05)
-            fuzzer.sent += asyncio.run(attack_sockets(rng, (page, page)))
-        over = time.time_ns()
-        assert rig.client.wait(lambda: not rig.is_braked(), 30.0), 'the arm is never driven again'
-        rig.drive()
+            fuzzer.sent += asyncio.run(attack_sockets(rng, ports))
+        rig.spin(1.0)
+        release(rig)
+        assert_goes_on(rig)
         grown = {name: memory(rig, name) - before[name] for name in NODES}
         assert max(grown.values()) < MEMORY, grown
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
@@ -215,7 +216,21 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
     assert any('not finite' in text for text in texts), 'what is refused is not said'
     for name in NODES:
         assert 'Traceback' not in rig.log(name), rig.log(name)[-3000:]
-    print(f'{fuzzer.sent} hostile inputs; grown by {max(grown.values()) / 1e6:.0f} MB; {over}')
+    print(f'{fuzzer.sent} hostile inputs; grown by {max(grown.values()) / 1e6:.0f} MB')
+
+
+def release(rig):
+    """What an operator does after a stop that is latched: overspeed or a tracking error."""
+    for service in ('tracker/resume', 'arm_sim/release_brakes'):
+        answer = rig.client.node.create_client(Trigger, service).call_async(Trigger.Request())
+        assert rig.client.wait(answer.done, 30.0), f'{service} does not answer'
+
+
+def free_port():
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return probe.getsockname()[1]
 
 
 def memory(rig, name):

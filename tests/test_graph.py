@@ -24,13 +24,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_bag.run.record import load_run  # noqa: E402
 from lpv_core.certificate.gains import save_gains  # noqa: E402
-from lpv_msgs.msg import (  # noqa: E402
-    FaultAlarm,
-    FaultEstimate,
-    GroundTruth,
-    StateEstimate,
-    TorqueCommand,
-)
+from lpv_msgs.msg import FaultAlarm, FaultEstimate, GroundTruth, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 from lpv_node.qos import latched, stream  # noqa: E402
 

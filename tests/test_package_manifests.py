@@ -37,6 +37,7 @@ KEYS = {
 TEST_KEYS = {'python3-pytest', 'python3-pytest-timeout'}
 # Libraries that no key of rosdep stands for.
 PYPI = {
+    'cmaes': 'cmaes',
     'distributed': 'distributed',
     'foxglove': 'foxglove-sdk',
     'lz4': 'lz4',

@@ -1,5 +1,6 @@
 """Integral tracking: LMI (67) on the paper's box, and on the exact polytope with a cost bound."""
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -91,18 +92,23 @@ class LoopProblem:
         Number of vertices.
     requirement : ControllerRequirement
         Decay, pole and cost requirements.
+    rate : float
+        Inverse of the unit of time in which the solver works [1/s].
     """
 
-    def __init__(self, vertices: int, requirement: ControllerRequirement) -> None:
+    def __init__(self, vertices: int, requirement: ControllerRequirement, rate: float) -> None:
+        self._rate = rate
+        # Rates count in units of it, integrals in its inverse; time runs in its inverse.
+        scale = self._scale = np.repeat([1.0, 1.0 / rate, rate], 2)
         self._gravity = [cp.Parameter((2, 2)) for _ in range(vertices)]
         self._inverse = [cp.Parameter((2, 2)) for _ in range(vertices)]
         q = self._q = cp.Variable((6, 6), symmetric=True)
         x = self._x = cp.Variable((2, 6))
         w = cp.Variable((6, 6), symmetric=True)
-        root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
-        effort = np.sqrt(requirement.torque_weight)
-        slowest = (1.0 + _RESERVE) * requirement.alpha
-        fastest = (1.0 - _RESERVE) * requirement.fastest
+        root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2) / rate) / scale)
+        effort = np.sqrt(requirement.torque_weight / rate)
+        slowest = (1.0 + _RESERVE) * requirement.alpha / rate
+        fastest = (1.0 - _RESERVE) * requirement.fastest / rate
         center, radius = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
         constraints = []
         for gravity, inverse in zip(self._gravity, self._inverse):
@@ -118,30 +124,35 @@ class LoopProblem:
             shifted = center * q + closed
             disc = cp.bmat([[-radius * q, shifted], [shifted.T, -radius * q]])
             constraints += [symmetric_below(cost, 1e-7), symmetric_below(disc, 1e-7)]
-        constraints.append(cp.bmat([[w, np.eye(6)], [np.eye(6), q]]) >> 0)
+        constraints.append(cp.bmat([[w, np.diag(scale)], [np.diag(scale), q]]) >> 0)
         self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
 
     def solve(self, loop: tuple[np.ndarray, ...], unit: np.ndarray) -> tuple[Any, ...]:
         """Gains for given vertices."""
         for a, b, gravity, inverse in zip(*loop, self._gravity, self._inverse):
-            gravity.value, inverse.value = a[2:4, :2], b[2:4] * unit
+            gravity.value = a[2:4, :2] / self._rate**2
+            inverse.value = b[2:4] * unit / self._rate**2
         status = run(self._problem)
         if self._q.value is None:
             return None, None, status
-        m = unit[:, None] * self._x.value @ np.linalg.inv(self._q.value)
-        return m, self._q.value.copy(), status
+        m = unit[:, None] * self._x.value @ np.linalg.inv(self._q.value) * self._scale
+        return m, self._q.value / np.outer(self._scale, self._scale), status
 
 
 @lru_cache(maxsize=8)
-def _compiled(vertices: int, requirement: ControllerRequirement) -> LoopProblem:
-    return LoopProblem(vertices, requirement)
+def _compiled(vertices: int, requirement: ControllerRequirement, rate: float) -> LoopProblem:
+    return LoopProblem(vertices, requirement, rate)
 
 
 def solve_loop(
     arm: ArmParameters, loop: tuple[np.ndarray, ...], requirement: ControllerRequirement
 ) -> tuple[Any, ...]:
     """Guaranteed-cost state feedback with integral action that satisfies LMI (67)."""
-    return _compiled(len(loop[0]), requirement).solve(loop, _torque_unit(arm))
+    unit = _torque_unit(arm)
+    # What gravity makes of an angle in time, to a power of two: compiled problems are kept.
+    rate = max(float(np.abs(b[2:4] * unit).max()) for b in loop[1])
+    rate = 2.0 ** round(0.5 * math.log2(rate) - 2.0)
+    return _compiled(len(loop[0]), requirement, rate).solve(loop, unit)
 
 
 def _torque_unit(arm: ArmParameters) -> np.ndarray:

@@ -1,33 +1,38 @@
 """From an arm and a requirement to gains that were checked."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
 from lpv_core.certificate.conditions import Check, controller_loop, verify
-from lpv_core.certificate.error_system import link_errors
 from lpv_core.certificate.gains import (
     ControllerGains,
     ExactObserverGains,
     Gains,
     PaperObserverGains,
 )
+from lpv_core.certificate.noise import exact_fault_sigma, paper_fault_sigma
 from lpv_core.model.arm import ArmParameters, arm_from_json
-from lpv_core.model.joints import JointMap
 from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
 from lpv_design.detectability import undetectable_point
 from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
-from lpv_design.paper_observer import PaperProblem, check_paper, paper_problem, solve_paper
+from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
 from lpv_design.requirement import PaperRequirement, Requirement
 from lpv_design.solve import SOLVER, InfeasibleError
 
 SAMPLED_POLE_LIMIT = 0.5
-"""Largest |pole| * Ts that a sampled loop with one sample of delay is asked to carry."""
+"""Largest abs(pole) Ts that a sampled loop with one sample of delay is asked to carry."""
+_POLE_SHARE = 0.9
+"""Part of that which requirements are limited to."""
+_FASTEST_SAMPLED = 0.9
+"""Pole times sample time that no loop with a sample of delay carries."""
+_SLOWER_LOOPS = ((_POLE_SHARE * SAMPLED_POLE_LIMIT, 1.0), (0.8, 2.0), (0.8, 4.0))
+"""What is tried for the controller where the sample time limits it: fastest pole times sample time,
+and the divisor of alpha.  The certificate's sampled loop with delay decides."""
 
 
 class NotDetectableError(InfeasibleError):
@@ -75,6 +80,37 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
     InfeasibleError
         If the rebuilt inequalities do not hold.
     """
+    options = within_sampling(arm, requirement)
+    for number, (option, limited) in enumerate(options):
+        notes = limited
+        try:
+            gains, checks, statuses = _design_once(arm, option)
+            break
+        except NotDetectableError:
+            raise
+        except InfeasibleError:
+            if number + 1 == len(options):
+                raise
+    found = guarantee(arm, gains)
+    gains.certificate.update(
+        note='information: nothing is computed from what is below certificate',
+        arm_json=arm.to_json(),
+        margins={check.name: float(check.margin) for check in checks},
+        guarantee=found.to_dict(),
+        solver=SOLVER,
+        observer_status=statuses[0],
+        controller_status=statuses[1],
+        **_versions(),
+    )
+    return DesignResult(
+        gains, [*notes, *_check_lines(checks), *_bound_lines(arm, gains, found)], found
+    )
+
+
+def _design_once(
+    arm: ArmParameters, requirement: Requirement
+) -> tuple[Gains, list[Check], tuple[str, str]]:
+    """Gains for a requirement as it is, their checks, and the solver's words."""
     observer: ExactObserverGains | PaperObserverGains
     if isinstance(requirement.observer, ExactRequirement):
         observer, status = _exact_observer(arm, requirement.observer)
@@ -83,28 +119,86 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
     controller, controller_status = _controller(arm, requirement)
     gains = Gains(arm.name, arm.sha256(), observer, controller)
     checks = verify(arm, gains)
-    failed = [check for check in checks if not check.holds]
-    if failed:
+    for check in checks:
+        if not check.holds:
+            raise InfeasibleError(_reason(check, status, controller_status))
+    return gains, checks, (status, controller_status)
+
+
+def within_sampling(
+    arm: ArmParameters, requirement: Requirement
+) -> list[tuple[Requirement, list[str]]]:
+    """Limit poles to what the sample time can carry.
+
+    Returns
+    -------
+    list of tuple
+        Requirements to be tried in turn, each with a line for each figure that was limited: one
+        alone where the sample time carries what is asked for.
+
+    Raises
+    ------
+    InfeasibleError
+        If the slowest pole that is asked for is faster than that.
+    """
+    notes: list[str] = []
+    limit = _POLE_SHARE * SAMPLED_POLE_LIMIT / arm.sample_time
+    controller, observer = requirement.controller, requirement.observer
+    if isinstance(observer, ExactRequirement) and observer.fastest > limit:
+        _check_slowest('observer', 'decay', observer.decay, limit, arm)
+        notes.append(_limited('observer', observer.fastest, limit, arm))
+        requirement = replace(requirement, observer=replace(observer, fastest=limit))
+    if controller.fastest <= limit:
+        return [(requirement, notes)]
+    _check_slowest('controller', 'alpha', controller.alpha, limit, arm)
+    options = []
+    for share, slower in _SLOWER_LOOPS:
+        fastest, alpha = min(share / arm.sample_time, controller.fastest), controller.alpha / slower
+        lines = [*notes, _limited('controller', controller.fastest, fastest, arm)]
+        if slower > 1.0:
+            lines.append(f'controller: alpha {alpha:g}/s instead of {controller.alpha:g}/s')
+        limited = replace(controller, fastest=fastest, alpha=alpha)
+        options.append((replace(requirement, controller=limited), lines))
+    return options
+
+
+def _check_slowest(part: str, name: str, slowest: float, limit: float, arm: ArmParameters) -> None:
+    if slowest >= limit:
         raise InfeasibleError(
-            f'{failed[0].name}: {failed[0].margin:.3g} is not negative '
-            f'(solver: {status} and {controller_status}); ask for a slower '
-            'decay or alpha, a smaller region or a larger fastest pole'
+            f'{part}: {name} = {slowest:g}/s is faster than the sample time {arm.sample_time:g} s '
+            f'can carry, {limit:.3g}/s'
         )
-    found = guarantee(arm, gains)
-    gains.certificate.update(
-        arm_json=arm.to_json(),
-        margins={check.name: float(check.margin) for check in checks},
-        guarantee=found.to_dict(),
-        solver=SOLVER,
-        observer_status=status,
-        controller_status=controller_status,
-        **_versions(),
+
+
+def _limited(part: str, asked: float, limit: float, arm: ArmParameters) -> str:
+    return (
+        f'{part}: poles up to {limit:.3g}/s instead of {asked:g}/s, '
+        f'which the sample time {arm.sample_time:g} s cannot carry'
     )
-    return DesignResult(gains, [*_check_lines(checks), *_bound_lines(arm, gains, found)], found)
+
+
+def _reason(check: Check, observer_status: str, controller_status: str) -> str:
+    """Why a rebuilt inequality fails, and what helps."""
+    part = 'observer' if check.name.startswith('observer,') else 'controller'
+    status = observer_status if part == 'observer' else controller_status
+    text = f'{check.name}: {check.margin:.3g} is not negative'
+    if 'sampled' in check.name:
+        return f'{text}: ask for a smaller fastest pole, or sample faster'
+    if 'arms at the corners' in check.name:
+        return (
+            f'{text}: the loop does not carry the stated model error and payload; '
+            'ask for a smaller alpha, or state a smaller error'
+        )
+    if 'real poles' in check.name:
+        return f'{text}: ask for a slower decay or a larger fastest pole'
+    return (
+        f'{text} although the solver says {status!r}: its accuracy does not suffice; ask for a '
+        'slower decay or alpha, a smaller region or a larger fastest pole'
+    )
 
 
 def _check_lines(checks: list[Check]) -> list[str]:
-    return [f'{check.name}: {check.margin:.3g} (negative: holds)' for check in checks]
+    return [f'holds ({check.margin:.3g} < 0): {check.name}' for check in checks]
 
 
 def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str]:
@@ -117,13 +211,14 @@ def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str
 
     return [
         f'{" and ".join(arm.sensor_names)}:',
-        f'  standard deviation of the fault estimates at most {pair(sigma)}',
-        '  at rest, both links vertical: threshold '
+        f'  standard deviation of the fault estimates: at most {pair(sigma)}',
+        '  at rest, both links vertical: alarm threshold '
         f'{pair(found.threshold[middle, middle])}, lasting faults are detected from '
         f'{pair(found.detectable[middle, middle])}',
-        f'  H-infinity norm from unknown torques: {torque_gains(arm)[0]:.3g}, '
-        f'{torque_gains(arm)[1]:.3g} rad/(N m)',
-        f'  at rest, gravity bounds both errors in {finite:.0%} of the region',
+        f'  an unknown torque of 1 N m shifts the estimated angles by at most '
+        f'{pair(torque_gains(arm))} (H-infinity norm)',
+        f'  at rest, lasting faults of both sensors are detected in {finite:.0%} of the region, '
+        'elsewhere only changes: gravity tells too little there',
     ]
 
 
@@ -155,17 +250,8 @@ def _exact_observer(
             f'(solver: {", ".join(statuses)}); ask for a slower decay or a smaller region'
         )
     return ExactObserverGains(
-        kappa, mu, p, requirement.decay, requirement.fastest, _exact_sigma(arm, p)
+        kappa, mu, p, requirement.decay, requirement.fastest, exact_fault_sigma(arm, p)
     ), ', '.join(statuses)
-
-
-def _exact_sigma(arm: ArmParameters, p: np.ndarray) -> np.ndarray:
-    """P^-1 bounds the covariance of each link's error; sensors add those of their links."""
-    angle = np.array(
-        [link.unit * np.sqrt(np.linalg.inv(p_i)[0, 0]) for link, p_i in zip(link_errors(arm), p)]
-    )
-    spread = np.abs(JointMap(arm).sensor_matrix) @ angle
-    return np.hypot(spread, arm.position_noise)
 
 
 def _paper_observer(
@@ -190,7 +276,7 @@ def _paper_observer(
             f'solution for phi2, phi3 in [{requirement.sinc_min:g}, 1] (solver: {status}, '
             f'largest eigenvalue {margin:.3g})'
         )
-    return PaperObserverGains(
+    observer = PaperObserverGains(
         problem.t1,
         problem.t2,
         k,
@@ -200,8 +286,9 @@ def _paper_observer(
         requirement.gamma,
         requirement.q,
         requirement.r,
-        _paper_sigma(arm, problem, k),
-    ), status
+        np.zeros(2),
+    )
+    return replace(observer, fault_sigma=paper_fault_sigma(arm, observer)), status
 
 
 def _largest_box(arm: ArmParameters, requirement: PaperRequirement) -> str:
@@ -221,28 +308,6 @@ def _largest_box(arm: ArmParameters, requirement: PaperRequirement) -> str:
         f'The largest box on which gamma = {requirement.gamma:g}, q = {requirement.q:g}, '
         f'r = {requirement.r:g} are feasible is phi2, phi3 in [{high:.3f}, 1]'
     )
-
-
-def _paper_sigma(arm: ArmParameters, problem: PaperProblem, k: np.ndarray) -> np.ndarray:
-    """Largest standard deviation of f^ over the vertices for white noise and disturbance."""
-    d, root = problem.descriptor, np.sqrt(arm.sample_time)
-    noise = np.diag([arm.position_noise] * 2 + [arm.velocity_noise] * 2)
-    sigma = np.zeros(2)
-    for a_i, k_i in zip(d.a, k):
-        n = problem.t1 @ a_i + k_i @ d.c
-        push = (
-            np.hstack(
-                [
-                    problem.t1 @ d.bd * np.sqrt(arm.disturbance_variance),
-                    (n @ problem.t2 - k_i) @ noise,
-                ]
-            )
-            * root
-        )
-        spread = solve_continuous_lyapunov(n, -push @ push.T)
-        spread = spread + problem.t2 @ noise @ noise @ problem.t2.T
-        sigma = np.maximum(sigma, np.sqrt(np.diag(spread)[4:]))
-    return sigma
 
 
 def _controller(arm: ArmParameters, requirement: Requirement) -> tuple[ControllerGains, str]:
@@ -271,10 +336,10 @@ def _tracking(
         )
     poles = np.concatenate([np.linalg.eigvals(a + b @ m) for a, b in zip(*loop)])
     fastest = float(np.abs(poles).max())
-    if fastest * arm.sample_time > SAMPLED_POLE_LIMIT:
+    if fastest * arm.sample_time > _FASTEST_SAMPLED:
         raise InfeasibleError(
             f'controller: pole {fastest:.1f}/s times the sample time '
-            f'{arm.sample_time:g} s exceeds {SAMPLED_POLE_LIMIT}'
+            f'{arm.sample_time:g} s exceeds {_FASTEST_SAMPLED}'
         )
     p = np.linalg.inv(q)
     return ControllerGains(

@@ -9,7 +9,7 @@ P^-1 bounds the covariance of the error; its trace is minimised.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from lpv_core.certificate.error_system import LinkError, Noise, link_errors
 from lpv_core.certificate.lmi import covariance, disc
+from lpv_core.certificate.noise import stated_acceleration_noise
 from lpv_core.model.arm import ArmParameters
 from lpv_design.solve import run, symmetric_below
 
@@ -55,7 +56,7 @@ class ExactRequirement:
 
 
 class LinkProblem:
-    """The inequalities of one link, compiled once; slopes and noise are parameters.
+    """The inequalities of one link in `_Units`, compiled once; slopes and noise are parameters.
 
     Parameters
     ----------
@@ -86,21 +87,50 @@ class LinkProblem:
         constraints.append(cp.bmat([[w, weight], [weight, self._p]]) >> 0)
         self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
 
-    def solve(self, link: LinkError, noises: list[Noise]) -> tuple[Any, ...]:
+    def solve(self, link: LinkError, noises: list[Noise], units: '_Units') -> tuple[Any, ...]:
         """Gains of one link."""
+        rate, size = units.rate, units.size
         for parameter, slope in zip(self._slopes, link.slopes):
-            parameter.value = slope / link.inertia
+            parameter.value = slope / link.inertia / rate**2
         for (direct, measured), noise in zip(self._noises, noises):
-            direct.value, measured.value = noise.direct / link.unit, noise.measured / link.unit
+            direct.value = units.direct(noise) / size
+            measured.value = units.measured(noise) / size
         status = run(self._problem)
         if self._p.value is None or self._y.value is None:
             return None, None, None, status
         gain = -np.linalg.solve(self._p.value, self._y.value)[:, 0]
+        scale = np.diag([1.0, 1.0 / rate]) * link.unit / size
         # The second state is m/Xi_ii.
-        return float(gain[0] / link.inertia), float(gain[1]), self._p.value.copy(), status
+        return (
+            float(gain[0] / link.inertia),
+            float(gain[1] * rate),
+            scale @ self._p.value @ scale,
+            status,
+        )
 
 
-@lru_cache(maxsize=8)
+@dataclass(frozen=True)
+class _Units:
+    """Units of time and angle in which the problem of a link has numbers around one, so that the
+    solver meets the same problem for large and small, fast and slow, noisy and quiet arms."""
+
+    rate: float  # inverse of the unit of time [1/s]
+    size: float  # unit of angles [rad]
+
+    @classmethod
+    def of(cls, link: LinkError, noises: list[Noise]) -> '_Units':
+        units = cls(math.sqrt(link.slopes[1] / link.inertia), 1.0)
+        inputs = [np.vstack([units.direct(n), units.measured(n)]) for n in noises]
+        return cls(units.rate, float(max(np.linalg.norm(one, axis=1).max() for one in inputs)))
+
+    def direct(self, noise: Noise) -> np.ndarray:
+        return noise.direct / np.array([[1.0], [self.rate]]) / math.sqrt(self.rate)
+
+    def measured(self, noise: Noise) -> np.ndarray:
+        return noise.measured / math.sqrt(self.rate)
+
+
+@lru_cache(maxsize=16)
 def _compiled(inputs: int, decay: float, fastest: float, velocity_weight: float) -> LinkProblem:
     return LinkProblem(inputs, decay, fastest, velocity_weight)
 
@@ -108,13 +138,14 @@ def _compiled(inputs: int, decay: float, fastest: float, velocity_weight: float)
 def solve_link(link: LinkError, requirement: ExactRequirement) -> tuple[Any, ...]:
     """Gains of one link."""
     noises = link.noises(requirement.acceleration_noise, requirement.rate_noise)
+    units = _Units.of(link, noises)
     problem = _compiled(
         noises[0].direct.shape[1],
-        requirement.decay,
-        requirement.fastest,
-        requirement.velocity_weight,
+        requirement.decay / units.rate,
+        requirement.fastest / units.rate,
+        requirement.velocity_weight * units.rate,
     )
-    return problem.solve(link, noises)
+    return problem.solve(link, noises, units)
 
 
 def torque_gains(arm: ArmParameters) -> list[float]:
@@ -129,6 +160,9 @@ def torque_gains(arm: ArmParameters) -> list[float]:
 
 def solve_exact(arm: ArmParameters, requirement: ExactRequirement) -> tuple[Any, ...]:
     """Gains of both links."""
+    # What the arm file states is certified, whatever less the requirement says.
+    noise = np.maximum(requirement.acceleration_noise, stated_acceleration_noise(arm))
+    requirement = replace(requirement, acceleration_noise=tuple(noise))
     found = [solve_link(link, requirement) for link in link_errors(arm)]
     statuses = tuple(f[3] for f in found)
     if any(f[0] is None for f in found):

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from lpv_core.certificate.exact_proof import prove
@@ -10,7 +11,7 @@ from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import NotDetectableError, design
-from lpv_design.guarantee import draw
+from lpv_design.guarantee import Guarantee, draw
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
 
@@ -46,8 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Design, report, write."""
+def run(
+    arguments: argparse.Namespace, draw: Callable[[Guarantee, ArmParameters, str], None] = draw
+) -> int:
+    """Design, report, write; ``draw`` makes the map."""
     try:
         arm = load_arm(bringup_file('arms', arguments.arm))
         requirement = load_requirement(arguments.requirement or arm.name)

@@ -485,13 +485,58 @@ def test_given_a_box_that_is_too_large_when_designed_then_the_lmi_is_named(paper
         design(paper_arm, requirement)
 
 
-def test_given_a_controller_too_fast_for_the_sample_time_when_designed_then_it_is_refused(
+def test_given_a_loop_faster_than_the_sample_time_carries_when_designed_then_it_is_limited_and_said(
     paper_arm,
 ):
     requirement = load_requirement('paper')
-    eager = replace(requirement.controller, fastest=5000.0, torque_weight=1e-7)
-    with pytest.raises(InfeasibleError, match='controller: pole .* exceeds'):
-        design(paper_arm, replace(requirement, controller=eager))
+    slow = replace(paper_arm, sample_time=0.02)
+    result = design(slow, requirement)
+    assert 'instead of 60/s, which the sample time 0.02 s cannot carry' in result.lines[0]
+    assert all(check.holds for check in verify(slow, result.gains))
+    eager = replace(requirement.controller, alpha=30.0)
+    with pytest.raises(InfeasibleError, match='alpha = 30/s is faster than the sample time'):
+        design(slow, replace(requirement, controller=eager))
+
+
+@pytest.mark.parametrize('factor', [0.01, 0.1, 100.0])
+def test_given_all_noise_scaled_when_designed_then_gains_are_the_same_and_deviations_scale(
+    paper_arm, paper_gains, factor
+):
+    requirement = load_requirement('paper')
+    quiet = replace(
+        paper_arm,
+        position_noise=factor * paper_arm.position_noise,
+        velocity_noise=factor * paper_arm.velocity_noise,
+        disturbance_variance=factor**2 * paper_arm.disturbance_variance,
+    )
+    asked = requirement.observer
+    asked = replace(
+        asked,
+        acceleration_noise=tuple(factor * v for v in asked.acceleration_noise),
+        rate_noise=factor * asked.rate_noise,
+    )
+    found = design(quiet, replace(requirement, observer=asked)).gains.observer
+    np.testing.assert_allclose(found.kappa, paper_gains.observer.kappa, rtol=1e-3)
+    np.testing.assert_allclose(
+        found.fault_sigma, factor * paper_gains.observer.fault_sigma, rtol=1e-3
+    )
+
+
+@pytest.mark.parametrize('factor', [1e-3, 1e3])
+def test_given_all_masses_scaled_when_designed_then_gains_scale_with_them(
+    paper_arm, paper_gains, factor
+):
+    links = tuple(
+        replace(link, mass=factor * link.mass, inertia=factor * link.inertia)
+        for link in paper_arm.links
+    )
+    heavy = replace(paper_arm, links=links)
+    found = design(heavy, load_requirement('paper')).gains
+    np.testing.assert_allclose(factor * found.observer.kappa, paper_gains.observer.kappa, rtol=1e-3)
+    expected = factor * paper_gains.controller.m1
+    np.testing.assert_allclose(
+        found.controller.m1, expected, rtol=1e-2, atol=1e-3 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize('name', ['paper', 'real_arm', 'paper_literal'])

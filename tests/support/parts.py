@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from lpv_core.bound import error_bound
-from lpv_core.bound.unknown_torque import healthy_arm, unknown_torque
 from lpv_core.decision import fault_classification, fault_kinds, sensor_decision, sensor_state
 from lpv_core.decision.diagnosis import diagnosis_constants
 from lpv_core.model.dynamics import inverse_dynamics
@@ -144,22 +143,6 @@ class ErrorBound:
     def update(self, estimate):
         error_bound.update_bound(self.constants, self.state, estimate, np.zeros(2))
         return self.state.bound.copy()
-
-
-class UnknownTorque:
-    """Bound on the unknown torques of one arm."""
-
-    def __init__(self, arm, friction_uncertainty):
-        self.constants = healthy_arm(arm, friction_uncertainty)
-
-    def __call__(self, theta, rate, acceleration, margin):
-        out = np.zeros(2)
-        unknown_torque(
-            self.constants,
-            *(np.asarray(v, float) for v in (theta, rate, acceleration, margin)),
-            out,
-        )
-        return out
 
 
 def classify(stamps, values, onset, baseline, noise):

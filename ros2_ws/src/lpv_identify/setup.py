@@ -10,7 +10,7 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
     ],
-    package_data={PACKAGE: ['*.html']},
+    package_data={'lpv_identify.results': ['*.html']},
     install_requires=['setuptools', 'pin>=3.3,<5'],
     extras_require={'test': ['pytest']},
     zip_safe=False,

@@ -4,7 +4,9 @@ import json
 import math
 import re
 from html.parser import HTMLParser
+from itertools import combinations
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -14,6 +16,7 @@ from lpv_campaign.execution.run_metrics import BINS, COUNTS, FLAGS, FLOATS, LIST
 from lpv_campaign.execution.store import CampaignFolder, schema
 from lpv_campaign.plan.campaign import resolve
 from lpv_campaign.report import write_report
+from lpv_campaign.report.pictures.stability_figures import draw_stability
 from lpv_campaign.report.sections.detection import classes, detection
 from lpv_campaign.report.sections.estimates import estimates
 from lpv_campaign.report.sections.isolation import confusion, isolation
@@ -433,6 +436,47 @@ def test_given_sums_of_squares_when_gathered_then_the_rms_is_over_all_samples(ca
 
 
 # ------------------------------------------------------------------ stability, tracking
+
+
+@pytest.mark.parametrize(('count', 'cells'), [(30, 2), (200, 6), (2000, 8)])
+def test_given_few_runs_when_mapped_then_cells_are_few_enough_to_say_something(
+    campaign, count, cells
+):
+    rng = np.random.default_rng(2)
+    rows = [
+        row(campaign, k, payload=p, friction=f, stable=p < 4.0)
+        for k, (p, f) in enumerate(rng.uniform(0.0, 8.0, (count, 2)))
+    ]
+    (found,) = stability(results(campaign, rows))['maps']
+    assert len(found['cells']) == cells
+
+
+@pytest.mark.parametrize('count', [10, 200])
+def test_given_runs_that_all_end_well_or_too_few_when_mapped_then_there_is_no_map(campaign, count):
+    rows = [row(campaign, k, payload=k / 40.0, friction=1.0 + k % 7) for k in range(count)]
+    found = stability(results(campaign, rows))
+    assert found['maps'] == []
+    assert draw_stability(found) is None
+
+
+def test_given_a_map_when_drawn_then_labels_at_its_corners_do_not_meet(campaign):
+    rng = np.random.default_rng(2)
+    rows = [
+        row(campaign, k, payload=p, friction=f, stable=p < 4.0, sample_loss=0.5 * (k % 2))
+        for k, (p, f) in enumerate(rng.uniform(0.0, 8.0, (400, 2)))
+    ]
+    figure = draw_stability(stability(results(campaign, rows)))
+    figure.canvas.draw()
+    boxes = [
+        text.get_window_extent()
+        for axis in figure.axes
+        for side in (axis.xaxis, axis.yaxis)
+        for text in side.get_ticklabels()
+        if axis.get_visible() and text.get_text()
+    ]
+    meeting = [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]
+    plt.close(figure)
+    assert meeting == []
 
 
 def test_given_a_corner_of_unstable_runs_when_mapped_then_it_is_found(campaign):

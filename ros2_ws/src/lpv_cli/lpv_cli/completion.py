@@ -15,6 +15,16 @@ _PROGRAMS = {
     'lpv_uio': 'uio',
 }
 
+_KINDS = {
+    'arm': 'arms',
+    'columns': 'columns',
+    'gains': 'gains',
+    'requirement': 'requirements',
+    'scenario': 'scenarios',
+    'spec': 'campaigns',
+}
+"""Folder of shipped files by argument."""
+
 
 def complete(build_parser: Callable[..., Any], commands: Collection[str]) -> None:
     """Answer a request of the shell for completions and leave; otherwise do nothing."""
@@ -32,6 +42,13 @@ def completed(action: argparse.Action, completer: Callable[..., Any]) -> None:
     action.completer = completer  # type: ignore[attr-defined]
 
 
+def complete_by_name(parser: argparse.ArgumentParser) -> None:
+    """Complete arguments that take a file with the names of shipped ones."""
+    for action in parser._actions:
+        if action.dest in _KINDS:
+            completed(action, shipped(_KINDS[action.dest]))
+
+
 def shipped(kind: str) -> Callable[..., Any]:
     """Completer: names of shipped files, and YAML files here."""
 
@@ -45,6 +62,10 @@ def shipped(kind: str) -> Callable[..., Any]:
 
 
 def _shipped_names(kind: str) -> list[str]:
+    if kind == 'requirements':
+        from lpv_design.requirement import SHIPPED
+
+        return sorted(path.stem for path in SHIPPED.glob('*.yaml'))
     try:
         return list(shipped_files(kind))
     except LpvError:  # not installed

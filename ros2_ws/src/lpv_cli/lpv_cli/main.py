@@ -4,13 +4,14 @@ import argparse
 import importlib
 import sys
 
-from lpv_cli.completion import complete
+from lpv_cli.completion import complete, complete_by_name
 from lpv_cli.needs import remedy, versions
 from lpv_core.support.errors import LpvError
 
 COMMANDS = {
-    'design': ('lpv_design.main', 'design certified gains for an arm'),
+    'design': ('lpv_cli.commands.design', 'design certified gains for an arm'),
     'verify': ('lpv_cli.commands.verify', 'check the certificate of a gains file'),
+    'falsify': ('lpv_cli.commands.falsify', 'search for healthy runs that cross a threshold'),
     'demo': ('lpv_cli.commands.demo', 'design, simulate with the real graph, record, report'),
     'doctor': ('lpv_cli.doctor', 'find the usual mistakes in files, environment and graph'),
     'campaign': ('lpv_cli.campaigns.campaign', 'run thousands of simulations, or replay many bags'),
@@ -42,6 +43,7 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
         if name == chosen:
             implementation = importlib.import_module(module)
             implementation.add_arguments(sub)
+            complete_by_name(sub)
             sub.set_defaults(run=implementation.run)
     return parser
 

@@ -11,9 +11,11 @@ _EXTRAS = {
     'pyarrow': 'campaign',
     'distributed': 'campaign',
     'filterpy': 'campaign',
+    'cmaes': 'campaign',
     'optuna': 'tune',
     'sqlalchemy': 'tune',
     'mujoco': 'mujoco',
+    'pinocchio': 'identify',
 }
 _ROS = (
     'ROS 2 is needed and not installed here: run "make setup" in a checkout of lpv-arm-fdi, or '

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from lpv_cli.main import main
-from lpv_core.certificate.conditions import corner_arms, delayed_radius, verify
+from lpv_core.certificate.conditions import corner_arms, delayed_radius, require, verify
 from lpv_core.certificate.error_system import link_errors
 from lpv_core.certificate.exact_proof import is_positive_definite, prove
 from lpv_core.certificate.gains import load_gains, save_gains
+from lpv_core.certificate.noise import exact_fault_sigma
 from lpv_core.model.arm import arm_from_json, constants_vector
 from lpv_core.support.errors import ConfigError
 from lpv_design.exact_observer import torque_gains
@@ -286,3 +287,51 @@ def test_given_what_cannot_be_had_when_designed_then_code_1_and_no_file(tmp_path
     assert design('--requirement', asked, '--out', tmp_path / 'g.yaml') == 1
     assert 'slower decay' in capsys.readouterr().err
     assert not (tmp_path / 'g.yaml').exists()
+
+
+# ------------------------------------------------------------------ forged numbers
+
+
+def _leaves(section, path=()):
+    for name, value in section.items():
+        if isinstance(value, list):
+            yield from ((*path, name, k) for k in range(len(value)))
+        elif isinstance(value, float):
+            yield (*path, name)
+
+
+@pytest.mark.parametrize('part', ['observer', 'controller'])
+def test_given_any_number_forged_by_a_thousandth_when_loaded_then_it_is_refused(
+    gains_file, paper_arm, part
+):
+    text = gains_file.read_text()
+    whole = yaml.safe_load(text)
+    for place in _leaves(whole['/**']['ros__parameters']['gains'][part]):
+        data = yaml.safe_load(text)
+        section = data['/**']['ros__parameters']['gains'][part]
+        for name in place[:-1]:
+            section = section[name]
+        section[place[-1]] = section[place[-1]] * 1.001 + 1e-9
+        gains_file.write_text(yaml.safe_dump(data))
+        with pytest.raises(ConfigError, match='gains'):
+            require(paper_arm, load_gains(gains_file))
+
+
+@pytest.mark.parametrize('factor', [1e-6, 0.999, 1.001])
+def test_given_a_forged_deviation_when_the_checksum_is_forged_too_then_it_is_still_refused(
+    paper_arm, paper_gains, factor
+):
+    observer = replace(paper_gains.observer, fault_sigma=factor * paper_gains.observer.fault_sigma)
+    with pytest.raises(ConfigError, match='standard deviation'):
+        require(paper_arm, replace(paper_gains, observer=observer))
+
+
+def test_given_a_lyapunov_matrix_that_claims_less_noise_when_verified_then_the_covariance_fails(
+    paper_arm, paper_gains
+):
+    observer = paper_gains.observer
+    quiet = replace(observer, lyapunov=1e4 * observer.lyapunov)
+    quiet = replace(quiet, fault_sigma=exact_fault_sigma(paper_arm, quiet.lyapunov))
+    checks = verify(paper_arm, replace(paper_gains, observer=quiet))
+    failed = [check.name for check in checks if not check.holds]
+    assert len(failed) == 2 and all('covariance' in name for name in failed)

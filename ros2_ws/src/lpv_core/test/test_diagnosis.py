@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parts import ErrorBound, UnknownTorque, make_estimate
+from parts import ErrorBound, make_estimate
 
 from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
-from lpv_core.model.dynamics import coupling, inverse_dynamics
+from lpv_core.model.dynamics import coupling, inverse_dynamics, rk4_step
 from lpv_core.model.joints import JointMap
 from lpv_core.observer.sampled_observer import Mode, UnknownInputObserver
 from lpv_core.residual.change_detection import sigmas_for
@@ -28,6 +28,7 @@ def estimate_at(
     missing=(False, False),
     mode=Mode.OBSERVING,
     interval=0.002,
+    rate=(0.0, 0.0),
 ):
     return make_estimate(
         stamp=k * TS,
@@ -38,6 +39,7 @@ def estimate_at(
         missing=missing,
         mode=mode,
         interval=interval,
+        absolute_velocity=rate,
     )
 
 
@@ -302,7 +304,8 @@ def test_given_an_alarm_when_retuned_then_it_and_the_bounds_history_stay(diagnos
     after = diagnoser.update(estimate_at(521, fault=(0.8, 0.0)))
     assert after.alarm.tolist() == [True, False]
     assert after.events == []
-    assert after.bound[0] == pytest.approx(before.bound[0], rel=1e-3)
+    # One sample later; a reduction of the set may take some back.
+    assert after.bound[0] == pytest.approx(before.bound[0], rel=5e-3)
     assert after.bound[0] > threshold + 0.002  # grown while held, not forgotten
     np.testing.assert_allclose(after.threshold, 3.0 * after.bound)
 
@@ -321,12 +324,13 @@ def test_given_rest_when_bounded_then_unknown_torques_over_gravity_slope_are_it(
     # A bias of the rates, a tenth of their noise, is held up by a momentum and a torque.
     bias = 0.1 * 0.01 * observer.mu / observer.kappa
     torque = [
-        8.33 * 0.14 + 0.05 * 98.0 * math.sin(0.5) + bias[0],
-        abs(off) * 0.14 + 0.05 * 24.5 * math.sin(0.8) + bias[1],
+        1.05 * 8.33 * 0.14 + 0.05 * 98.0 * math.sin(0.5) + bias[0],
+        1.05 * abs(off) * 0.14 + 0.05 * 24.5 * math.sin(0.8) + bias[1],
     ]
     found = bound.static(np.array([th_1, th_2])) - noise
-    # The slope is that at the far end of the bound itself.
-    slope = [98.0 * math.cos(0.5 + found[0] + noise[0]), 24.5 * math.cos(0.8 + found[1] + noise[1])]
+    # The slope is that of the secant over the bound itself.
+    half = 0.5 * (found + noise)
+    slope = np.array([98.0, 24.5]) * np.cos([0.5, 0.8] + half) * np.sin(half) / half
     np.testing.assert_allclose(found, [torque[0] / slope[0], torque[1] / slope[1]], rtol=1e-6)
 
 
@@ -343,7 +347,7 @@ def test_given_rest_when_time_passes_then_the_bound_rises_to_the_static_one_and_
     bound, theta = ErrorBound(paper_arm, paper_gains, 4.0, 0.3), np.array([0.4, -0.5])
     values = [bound.update(estimate_at(k, theta=theta)) for k in range(15000)]
     static = bound.static(theta)
-    assert np.all(np.diff(values, axis=0) > -1e-5)  # a reduction of the set may take some back
+    assert np.all(np.diff(values, axis=0) > -1e-3)  # a reduction of the set may take some back
     # The static bound takes the worst slope, the reachable set adds what that leaves out.
     np.testing.assert_allclose(values[-1], static, rtol=0.2)
     assert np.all(values[0] < 0.6 * static)
@@ -375,53 +379,66 @@ def test_given_a_clock_that_jumps_by_years_when_bounded_then_it_takes_no_longer_
     assert np.all(np.isfinite(bounds[0]))
 
 
-def worst_torque(rng, limit, n):
-    """Inputs within a limit: constant, bang-bang at random, or noise."""
-    kind = rng.integers(3)
-    if kind == 0:
-        return np.tile(limit * rng.choice([-1.0, 1.0], 2), (n, 1))
-    if kind == 1:
-        return limit * np.repeat(rng.choice([-1.0, 1.0], (n // 50 + 1, 2)), 50, axis=0)[:n]
-    return limit * rng.uniform(-1.0, 1.0, (n, 2))
-
-
 @pytest.mark.parametrize('seed', range(6))
-def test_given_any_torques_within_the_limits_when_the_arm_moves_then_errors_stay_in_the_set(
+def test_given_a_wrong_arm_within_its_file_when_it_moves_then_errors_stay_in_the_set(
     arm, gains_of, seed
 ):
-    """The bound without its noise part, against torques that no model knows."""
-    rng, gains, n = np.random.default_rng(seed), gains_of[arm.name], 2500
-    arm_constants, dt = arm.constants(), arm.sample_time
-    bound = ErrorBound(arm, gains, 0.0, 1.0)
-    joints, observer = JointMap(arm), UnknownInputObserver(arm, gains)
+    """The bound without its noise part, against arms at corners and a bang-bang disturbance."""
+    rng, gains, n, dt = np.random.default_rng(seed), gains_of[arm.name], 2500, arm.sample_time
+    error = arm.model_error * rng.choice([-1.0, 1.0], 4)
+    true = arm.scaled(1.0 + error[:2], 1.0 + error[2:])
+    factor = rng.choice([0.7, 1.3])
+    true = replace(
+        true,
+        viscous=tuple(factor * v for v in arm.viscous),
+        coulomb=tuple(factor * v for v in arm.coulomb),
+    ).constants()
+    bound, joints = ErrorBound(arm, gains, 0.0, 0.3), JointMap(arm)
+    observer = UnknownInputObserver(arm, gains)
     phase, rest = rng.uniform(0, 6, 2), 0.0 if arm.sign > 0 else math.pi
     size, speed = rng.uniform(0.3, 0.7, 2), rng.uniform(0.5, 1.5, 2)
-    unknown = UnknownTorque(arm, 1.0)
-    pattern = worst_torque(rng, 1.0, n)
+    signs = np.repeat(rng.choice([-1.0, 1.0], n // 50 + 1), 50)
+    scale = arm.velocity_error * rng.choice([-1.0, 1.0])
+    state = (*(rest + size * np.sin(phase)), *(size * speed * np.cos(phase)))
     effort = np.zeros(2)
     for k in range(n):
-        theta = rest + size * np.sin(speed * k * dt + phase)
-        rate = size * speed * np.cos(speed * k * dt + phase)
+        angle = speed * k * dt + phase
         estimate = observer.update(
             k * TS,
-            joints.joint_position(theta),
-            joints.joint_velocity(rate),
-            joints.joint_torque(effort),
+            joints.joint_position(state[:2]),
+            (1.0 + scale) * joints.joint_velocity(state[2:]),
+            effort,
         )
         allowed = bound.update(estimate)
         assert np.all(np.abs(estimate.fault) <= allowed + 2e-5), (k, estimate.fault, allowed)
-        # What acts until the next sample: the arm's torque, which the model gets wrong.
-        angle = speed * (k + 0.5) * dt + phase
-        middle = (
-            rest + size * np.sin(angle),
-            size * speed * np.cos(angle),
-            -size * speed**2 * np.sin(angle),
-        )
-        wrong = pattern[k] * unknown(*middle, np.zeros(2))
-        effort = (
-            np.array(inverse_dynamics(*middle[0], *middle[1], *middle[2], arm_constants)) + wrong
-        )
-    assert np.all(allowed < 1.0)
+        wanted = rest + size * np.sin(angle) - state[:2]
+        pull = 400.0 * wanted + 40.0 * (size * speed * np.cos(angle) - state[2:])
+        torque = inverse_dynamics(*state, *(pull - size * speed**2 * np.sin(angle)), true)
+        effort = joints.joint_torque(torque)
+        push = signs[k] * arm.disturbance_mean * np.asarray(arm.disturbance_direction)
+        state = rk4_step(*state, *torque, *push, dt, true)
+
+
+def test_given_rest_near_the_edge_for_minutes_when_back_upright_then_the_bound_comes_back(
+    paper_arm, paper_gains
+):
+    bound = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
+    edge = (math.radians(65.0), 0.0)
+    start = bound.update(estimate_at(0, theta=edge, interval=0.0))
+    for k in range(1, 60_000):
+        estimate = estimate_at(k, theta=edge)
+        widest = bound.update(estimate)
+    assert np.all(widest < 1.0)  # it was 10 rad, for ever
+    fresh = ErrorBound(paper_arm, paper_gains, 4.0, 0.3)
+    moved = estimate_at(60_000, theta=edge)
+    for k in range(60_001, 60_001 + 5500):
+        # Ten seconds and one second of motion: angles go on by the measured rates.
+        share = min(1.0, (k - 60_000) / 500)
+        rate = (-edge[0] if share < 1.0 else 0.0, 0.0)
+        moved = estimate_at(k, theta=((1.0 - share) * edge[0], 0.0), rate=rate)
+        after, new = bound.update(moved), fresh.update(moved)
+    np.testing.assert_allclose(after, new, rtol=0.1)
+    assert np.all(start < 0.05)
 
 
 # ------------------------------------------------------------------ a bias that no one can see

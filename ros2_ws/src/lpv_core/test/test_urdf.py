@@ -124,7 +124,7 @@ def test_given_an_inertia_that_no_body_has_when_written_then_it_is_refused_by_na
 def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
     main = pytest.importorskip('lpv_cli.main').main
     file = 'ros2_ws/src/lpv_bringup/arms/paper.yaml'
-    from conftest import ROOT
+    from places import ROOT
 
     assert main(['urdf', '--arm', str(ROOT / file)]) == 0
     assert capsys.readouterr().out == arm_urdf(paper_arm)

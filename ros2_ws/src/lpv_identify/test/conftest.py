@@ -1,7 +1,6 @@
 """Arms, motions and recordings that the tests share."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +13,9 @@ from lpv_core.serial_arm.description import (
     SerialArm,
     SerialJoint,
 )
-from lpv_identify.recording import Recording
-from lpv_identify.simulation import SensorNoise, simulate
-from lpv_identify.trajectory import Trajectory, random_trajectory
-
-DATA = Path(__file__).resolve().parents[5] / 'shared' / 'data'
+from lpv_identify.motions.simulation import SensorNoise, simulate
+from lpv_identify.motions.trajectory import Trajectory, random_trajectory
+from lpv_identify.recordings.recording import Recording
 
 
 def link(mass: float, center: tuple[float, float, float]) -> LinkInertia:
@@ -86,6 +83,6 @@ def rough_arm(arm) -> SerialArm:
 
 @pytest.fixture(scope='session')
 def result(rough_arm, recording):
-    from lpv_identify.identification import identify
+    from lpv_identify.estimation.identification import identify
 
     return identify(rough_arm, [recording])

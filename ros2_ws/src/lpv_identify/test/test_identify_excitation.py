@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from lpv_identify.errors import IdentificationError
-from lpv_identify.excitation import Bounds, plan_excitation
-from lpv_identify.recording import read_recording
-from lpv_identify.reference import write_reference
+from lpv_identify.motions.excitation import Bounds, plan_excitation
+from lpv_identify.motions.reference import write_reference
+from lpv_identify.recordings.recording import read_recording
 
 
 @pytest.fixture(scope='module')
@@ -38,7 +38,7 @@ def test_given_more_trials_when_planned_then_the_motion_informs_more(arm, plan):
 def test_given_a_floor_when_planned_then_the_tip_stays_above(arm):
     import pinocchio
 
-    from lpv_identify.rigid_body import build_model
+    from lpv_identify.model.rigid_body import build_model
 
     plan = plan_excitation(
         arm, 12.0, Bounds(lowest=0.05), center=np.array([0.0, -0.6, 0.3]), trials=20

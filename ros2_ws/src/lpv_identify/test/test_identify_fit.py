@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from lpv_core.serial_arm.description import JointFriction
-from lpv_identify.assembly import parameter_map
-from lpv_identify.gains import rescaled
-from lpv_identify.identification import Options, identify
-from lpv_identify.payload import Payload, identify_payload, with_payload
-from lpv_identify.recording import Recording
-from lpv_identify.simulation import SensorNoise, joint_torques, simulate
-from lpv_identify.workshop import Workshop
+from lpv_identify.estimation.assembly import parameter_map
+from lpv_identify.estimation.gains import rescaled
+from lpv_identify.estimation.identification import Options, identify
+from lpv_identify.estimation.payload import Payload, identify_payload, with_payload
+from lpv_identify.estimation.workshop import Workshop
+from lpv_identify.motions.simulation import SensorNoise, joint_torques, simulate
+from lpv_identify.recordings.recording import Recording
 
 
 def test_given_a_noisy_recording_when_identified_then_torques_are_predicted_to_the_noise(
@@ -110,7 +110,7 @@ def test_given_a_factor_when_an_arm_is_rescaled_then_torques_scale(arm):
 
 
 def test_given_filtered_efforts_when_identified_then_their_bandwidth_is_found(arm, motion):
-    from lpv_identify.filters import low_pass
+    from lpv_identify.recordings.filters import low_pass
 
     raw = simulate(arm, motion, 100.0, SensorNoise(torque=1e-4), np.random.default_rng(6))
     found = identify(arm, [replace(raw, effort=low_pass(raw.effort, 2.0, 0.01))], Options())

@@ -8,9 +8,9 @@ import pytest
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
 from lpv_identify.errors import IdentificationError
-from lpv_identify.identification import identify
-from lpv_identify.motion import split
-from lpv_identify.recording import clean, read_recording
+from lpv_identify.estimation.identification import identify
+from lpv_identify.recordings.motion import split
+from lpv_identify.recordings.recording import clean, read_recording
 
 NAMES = ('one', 'two', 'three')
 
@@ -94,7 +94,7 @@ def test_given_no_motion_when_identified_then_the_reason_is_said(arm, recording)
 
 
 def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, motion):
-    from lpv_identify.simulation import SensorNoise, simulate
+    from lpv_identify.motions.simulation import SensorNoise, simulate
 
     sine, cosine = motion.sine.copy(), motion.cosine.copy()
     sine[:, 0] = cosine[:, 0] = 0.0

@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio
 import pytest
 
-from lpv_identify.base_parameters import find_base_parameters
-from lpv_identify.rigid_body import (
+from lpv_identify.model.base_parameters import find_base_parameters
+from lpv_identify.model.rigid_body import (
     build_model,
     momentum_regressor,
     motion_regressor,

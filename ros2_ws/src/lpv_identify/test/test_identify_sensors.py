@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from lpv_identify.delays import rate_delays
-from lpv_identify.motion import Segment, find_bandwidths
-from lpv_identify.noise import noise_deviation, quantization_step
-from lpv_identify.rates import rate_sources
-from lpv_identify.tolerance import torque_tolerance
+from lpv_identify.estimation.delays import rate_delays
+from lpv_identify.estimation.tolerance import torque_tolerance
+from lpv_identify.recordings.motion import Segment, find_bandwidths
+from lpv_identify.sensors.noise import noise_deviation, quantization_step
+from lpv_identify.sensors.rates import rate_sources
 
 STEP = 0.004
 

@@ -20,6 +20,7 @@ from rclpy.timer import Timer
 from lpv_core.support.errors import LpvError
 from lpv_node.arguments import initialise
 from lpv_node.discovery import announce_often
+from lpv_node.parameter_service import CheckedParameterService
 from lpv_node.parameters import Spec, declare
 from lpv_node.signals import StopRequest
 
@@ -77,7 +78,8 @@ class ManagedNode(LifecycleNode):
     drain_time = 0.0
 
     def __init__(self, name: str, specs: Iterable[Spec]) -> None:
-        super().__init__(name)
+        super().__init__(name, start_parameter_services=False)
+        self._checked_parameters = CheckedParameterService(self)
         declare(self, (*COMMON, *specs))
         self.lockstep = self.get_parameter('lockstep').value
         self.exit_code = 0

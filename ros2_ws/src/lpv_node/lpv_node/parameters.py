@@ -82,6 +82,7 @@ FORMAT_FIELD = GainField(_INTEGER, 'version of the format [1]', 1, 1000)
 GAIN_FIELDS = {
     'arm_name': GainField(_STRING, 'arm that the gains are for'),
     'arm_sha256': GainField(_STRING, 'hash of its parameters'),
+    'checksum': GainField(_STRING, 'hash of the numbers as they were designed'),
     'observer.method': GainField(_STRING, 'exact or paper'),
     'observer.lyapunov': GainField(_ARRAY, 'Lyapunov matrices of the observer, row by row'),
     'observer.fault_sigma': GainField(_ARRAY, 'standard deviations of the fault estimates [rad]'),

@@ -10,11 +10,15 @@ from lpv_node.signals import StopRequest, handled_signals
 rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 from builtin_interfaces.msg import Time  # noqa: E402
+from rcl_interfaces.msg import Parameter as ParameterMessage  # noqa: E402
+from rcl_interfaces.msg import ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_core.support.resources import bringup_file  # noqa: E402
 from lpv_node.input_check import StampGuard, all_finite  # noqa: E402
+from lpv_node.parameter_service import CheckedParameterService  # noqa: E402
 from lpv_node.parameters import declare_gains, read_gains  # noqa: E402
 from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
 
@@ -29,7 +33,11 @@ def make_node():
     rclpy.init(context=context)
 
     def make(*arguments):
-        nodes.append(rclpy.create_node('probe', context=context, cli_args=list(arguments)))
+        nodes.append(
+            rclpy.create_node(
+                'probe', context=context, cli_args=list(arguments), start_parameter_services=False
+            )
+        )
         return nodes[-1]
 
     yield make
@@ -62,6 +70,17 @@ def test_given_no_gains_file_when_read_then_it_says_how_to_get_one(make_node, pa
     assert all(p.type_ is not Parameter.Type.NOT_SET for p in values_of(node).values())
     with pytest.raises(ConfigError, match='is not set: start the node with --params-file'):
         read_gains(node, paper_arm, unset)
+
+
+def test_given_a_parameter_of_an_unknown_type_when_set_then_it_is_refused(make_node):
+    service = CheckedParameterService(make_node())
+    hostile = ParameterMessage(name='x', value=ParameterValue(type=11))
+    for name, kind in (('', SetParameters), ('_atomically', SetParametersAtomically)):
+        answer = getattr(service, f'_set_parameters{name}_callback')(
+            kind.Request(parameters=[hostile]), kind.Response()
+        )
+        result = answer.results[0] if kind is SetParameters else answer.result
+        assert not result.successful and 'ValueError' in result.reason
 
 
 @pytest.mark.parametrize('odd', [0, -1, FUTURE])

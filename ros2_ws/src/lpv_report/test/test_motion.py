@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lpv_bag.run.node_reports import NodeReport
 from lpv_bag.run.streams import RecordedAlarm, RunRecord
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_report.guarantees.gains_source import UNKNOWN
 from lpv_report.history.episodes import episodes
 from lpv_report.history.motion import motion, motion_phases
-from lpv_report.history.phases import INCONSISTENT, NO_COMMAND, TOO_FAST, phases
+from lpv_report.history.phases import BRAKED, INCONSISTENT, NO_COMMAND, SAFE_STOP, TOO_FAST, phases
 from lpv_report.run.content import Findings, content
 from lpv_report.run.table import is_paper_arm, make_table
 
@@ -133,3 +134,31 @@ def test_given_any_report_when_read_then_its_terms_are_explained(paper_arm):
     names = ' '.join(name for name, _ in page(run(), paper_arm)['terms'])
     for word in ('MISE', 'e_t', 'margin', 'level', 'lockstep', 'slipped', 'late', 'inconsistent'):
         assert word in names
+
+
+def test_given_what_drives_and_tracker_report_when_reported_then_stops_have_their_reasons(
+    paper_arm, monkeypatch
+):
+    second = 1_000_000_000
+    reports = {
+        'drives': [
+            NodeReport(0, 1, 'braked: no command yet'),
+            NodeReport(second // 10, 0, 'driven'),
+            NodeReport(second // 5, 2, 'braked: safe stop'),
+            NodeReport(second // 2, 2, 'braked: a joint is faster than its velocity limit'),
+            NodeReport(6 * second // 10, 2, 'braked: a joint is faster than its velocity limit'),
+        ],
+        'tracking': [NodeReport(second // 4, 2, 'safe stop: the observer is silent')],
+    }
+    monkeypatch.setattr('lpv_report.history.phases.node_reports', lambda *_: reports)
+    stops = np.zeros(COUNT)
+    stops[100:250] = 1.0
+    record = run(torque_command={'torque': np.zeros((COUNT, 2)), 'safe_stop': stops})
+    record.topics['torque_command'] = '/lpv/torque_command'
+    values = page(record, paper_arm)
+    assert [(p.what, p.start, p.end, p.note) for p in values['phases']] == [
+        (BRAKED, 0.2, 0.5, 'safe stop'),
+        (SAFE_STOP, 0.2, 0.5, 'the observer is silent'),
+        (BRAKED, 0.5, 0.998, 'a joint is faster than its velocity limit'),
+    ]
+    assert 'the drives braked 2 times (safe stop, a joint is faster' in values['verdict']

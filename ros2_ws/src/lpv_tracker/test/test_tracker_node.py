@@ -43,15 +43,15 @@ def node():
     rclpy.shutdown()
 
 
-def estimate(seconds, trustworthy=True):
+def estimate(number, trustworthy=True):
     message = StateEstimate(trustworthy=trustworthy, position=[0.1, 0.2])
-    message.header.stamp.sec = seconds
+    message.header.stamp.sec, message.header.stamp.nanosec = 1, number * 2_000_000
     return message
 
 
 def test_given_estimates_when_trustworthy_then_each_is_answered_by_a_torque(node):
-    for second in (1, 2, 3):
-        node._on_estimate(estimate(second))
+    for number in (1, 2, 3):
+        node._on_estimate(estimate(number))
     assert node.sent.safe_stops == [False, False, False]
 
 

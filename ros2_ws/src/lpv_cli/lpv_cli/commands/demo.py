@@ -12,7 +12,6 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from lpv_cli.completion import completed, shipped
 from lpv_cli.needs import require_ros
 from lpv_cli.processes import Graph, NodeFailure, NodeProcess, ended_by_signals
 from lpv_core.certificate.gains import save_gains
@@ -29,20 +28,12 @@ _SILENCE = 120.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    completed(
-        parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)'),
-        shipped('arms'),
-    )
+    parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
     parser.add_argument(
         '--requirement', default='paper', help='shipped requirement or requirement file (paper)'
     )
-    completed(
-        parser.add_argument(
-            '--scenario',
-            default='two_faults',
-            help='shipped scenario or scenario file (two_faults)',
-        ),
-        shipped('scenarios'),
+    parser.add_argument(
+        '--scenario', default='two_faults', help='shipped scenario or scenario file (two_faults)'
     )
     parser.add_argument(
         '--mode',

@@ -84,9 +84,9 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-    from lpv_identify.excitation import Bounds, plan_excitation
-    from lpv_identify.reference import write_reference
-    from lpv_identify.starting_arm import load_any_arm
+    from lpv_identify.motions.excitation import Bounds, plan_excitation
+    from lpv_identify.motions.reference import write_reference
+    from lpv_identify.results.starting_arm import load_any_arm
 
     arm = (
         read_urdf_chain(arguments.urdf, None, arguments.joints)

@@ -9,8 +9,8 @@ from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from lpv_core.serial_arm.description import SerialArm
-    from lpv_identify.identification import Identification
-    from lpv_identify.recording import Recording
+    from lpv_identify.estimation.identification import Identification
+    from lpv_identify.recordings.recording import Recording
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     if not 0.2 <= arguments.train_share <= 0.9:
         raise ConfigError('--train-share', 'must lie within [0.2, 0.9]')
-    from lpv_identify.recording import read_recording
+    from lpv_identify.recordings.recording import read_recording
 
     arm = _arm(arguments)
     columns = _columns(arguments)
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
     recordings = [read(path) for path in arguments.recordings]
     if arguments.payload:
         return _payload(arguments, arm, recordings)
-    from lpv_identify.identification import Options, identify
+    from lpv_identify.estimation.identification import Options, identify
 
     result = identify(
         arm,
@@ -155,7 +155,7 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     from dataclasses import replace
 
     from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-    from lpv_identify.starting_arm import load_any_arm
+    from lpv_identify.results.starting_arm import load_any_arm
 
     if arguments.urdf:
         locked = dict(_locked(text) for text in arguments.lock)
@@ -203,7 +203,7 @@ def _columns(arguments: argparse.Namespace) -> Any:
 
 
 def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']) -> int:
-    from lpv_identify.payload import identify_payload, with_payload
+    from lpv_identify.estimation.payload import identify_payload, with_payload
 
     found = identify_payload(arm, recordings)
     x, y, z = found.center
@@ -220,7 +220,7 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
     if arguments.known_mass is not None:
         if not arguments.known_mass > 0.0:
             raise ConfigError('--known-mass', 'must be greater than 0')
-        from lpv_identify.gains import rescaled
+        from lpv_identify.estimation.gains import rescaled
 
         factor = arguments.known_mass / found.mass
         result, what = rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
@@ -233,7 +233,7 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
 
 
 def _print(result: 'Identification') -> None:
-    from lpv_identify.summary import table
+    from lpv_identify.results.summary import table
 
     print(table(result))
     for text in result.warnings:
@@ -242,11 +242,11 @@ def _print(result: 'Identification') -> None:
 
 def _write(arguments: argparse.Namespace, result: 'Identification') -> None:
     if arguments.out:
-        from lpv_identify.starting_arm import save_like
+        from lpv_identify.results.starting_arm import save_like
 
         save_like(arguments.arm, result, Path(arguments.out))
         print(f'arm file: {arguments.out}')
     if arguments.report:
-        from lpv_identify.report import write_report
+        from lpv_identify.results.report import write_report
 
         print(f'report: {write_report(result, Path(arguments.report))}')

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from lpv_cli.completion import completed, shipped
 from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
@@ -20,23 +19,17 @@ if TYPE_CHECKING:  # drawing takes a second to import
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument('bag', help='rosbag2 directory or MCAP file')
-    completed(
-        parser.add_argument(
-            '--arm',
-            help='arm file, or name of a shipped arm; if not given, the one that the gains '
-            'describe, or the shipped one that the recorded messages name',
-        ),
-        shipped('arms'),
+    parser.add_argument(
+        '--arm',
+        help='arm file, or name of a shipped arm; if not given, the one that the gains '
+        'describe, or the shipped one that the recorded messages name',
     )
     parser.add_argument(
         '--gains', help='gains file that the run was answered with; the one in the bag if not given'
     )
-    completed(
-        parser.add_argument(
-            '--scenario',
-            help='scenario whose path and obstacle are drawn; the one in the bag if not given',
-        ),
-        shipped('scenarios'),
+    parser.add_argument(
+        '--scenario',
+        help='scenario whose path and obstacle are drawn; the one in the bag if not given',
     )
     parser.add_argument('--out', default='out/report', help='folder for the report')
 

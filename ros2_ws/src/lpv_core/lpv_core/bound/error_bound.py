@@ -4,20 +4,43 @@ Gravity is the only absolute reference of an angle: what the model does not know
 explained as an angle error, and in time an error q/(G cos theta) builds up.
 
 For method ``exact`` the bound is a reachable set plus a multiple of noise: all errors that the
-unknown torques of a healthy arm (model error, payload, friction, mean disturbance) can have caused
-since the start, whatever their course in time.  The model errors of method ``paper`` have no exact
-form; its bound is the static error of the configuration, which rises at once and falls at the
-certified decay rate.
+unknown torques and wrong rates of a healthy arm (model error, payload, friction, mean disturbance,
+bias and relative error of the rates) can have caused since the start, whatever their time profile.
+At every step the set is cut with what dead reckoning allows
+(`lpv_core.bound.dead_reckoning_interval`), so that it comes back from wherever gravity could not
+bound it.  The model errors of method ``paper`` have no exact form; its bound is the static error of
+the configuration, which rises at once and falls at the certified decay rate.
 """
 
 import math
 
 import numpy as np
 
-from lpv_core.bound.unknown_torque import UNKNOWN_TORQUE, healthy_arm, unknown_torque
-from lpv_core.bound.zonotope import COLUMNS, SIZE, extent, map_columns, reduce_columns
+from lpv_core.bound.dead_reckoning_interval import (
+    INTERVAL_STATE,
+    cut_interval,
+    move_interval,
+    start_interval,
+)
+from lpv_core.bound.unknown_torque import (
+    MOTION,
+    UNKNOWN_TORQUE,
+    bound_rate_errors,
+    healthy_arm,
+    inertia_errors,
+    unknown_torque,
+)
+from lpv_core.bound.zonotope import (
+    COLUMNS,
+    SIZE,
+    extent,
+    map_columns,
+    reduce_columns,
+    shear_columns,
+)
 from lpv_core.certificate.gains import ExactObserverGains, Gains
 from lpv_core.model.arm import ArmParameters
+from lpv_core.model.dynamics import coupling
 from lpv_core.model.joints import JointMap, row_dot
 from lpv_core.residual.dead_reckoning import RATE_BIAS
 from lpv_core.support.jit import njit
@@ -28,6 +51,10 @@ _LARGEST = 10.0
 _LONGEST = 60.0
 """After so long a gap the set has come to rest; a clock that jumps by years must not take hours
 [s]."""
+_FAR = 2.0
+"""A set so many times beyond dead reckoning starts again."""
+_INPUTS = 6
+"""Columns that a step adds: two torques, two errors of rates, two of the injection."""
 
 BOUND_CONSTANTS = record_type(
     ('exact', '?'),  # method exact; otherwise the static bound of method paper
@@ -58,10 +85,13 @@ BOUND_STATE = record_type(
     ('held_for', 'f8', (2,)),  # how long links were held, less what has decayed [s]
     ('bound', 'f8', (2,)),  # result: bound on the error of each sensor's fault estimate [rad]
     ('momentum', 'f8', (2,)),  # result: bound on r of a healthy arm [rad/s]
+    ('interval', INTERVAL_STATE),  # the errors by dead reckoning
+    ('motion', MOTION),  # signals of the present step
     ('torque', 'f8', (2,)),  # bound on the unknown torques [N m]
-    ('margin', 'f8', (2,)),  # bound on the angle errors, with noise [rad]
+    ('shear', 'f8', (2,)),  # kappa_i Xi_ii/mu_i, 0 for a held link [s]
+    ('n', 'f8', (SIZE, SIZE)),  # N of the error
     ('map', 'f8', (SIZE, SIZE)),  # work space: exp(N dt)
-    ('n', 'f8', (SIZE, SIZE)),  # work space: N
+    ('inputs', 'f8', (SIZE, _INPUTS)),  # largest inputs, one a column
 )
 """Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
@@ -106,7 +136,7 @@ def error_bound(
         inertia=inertia,
         cos_min=arm.cos_min,
         decay=observer.decay,
-        unknown=healthy_arm(arm, friction_uncertainty),
+        unknown=healthy_arm(arm, friction_uncertainty, sigmas),
     )
     if isinstance(observer, ExactObserverGains):
         kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
@@ -128,96 +158,214 @@ def reset_bound(state: np.record) -> None:
 def update_bound(
     params: np.record, state: np.record, estimate: np.record, lost: np.ndarray
 ) -> None:
-    """Follow the configuration; fills ``bound`` and ``momentum`` of the state."""
+    """Follow the configuration; fills ``bound`` and ``momentum`` of the state.
+
+    Parameters
+    ----------
+    params, state : numpy.record
+        Constants and state.
+    estimate : numpy.record
+        Latest estimate.
+    lost : ndarray, shape (2,)
+        What samples that were lost just before leave unknown of each sensor's angle [rad].
+    """
+    if params.exact:
+        _follow_set(params, state, estimate, lost)
+        return
     for i in range(2):
         gap = row_dot(params.to_angle, i, lost[0], lost[1])
-        if gap > 0.0 and state.used > 0:
-            _widen(params, state, i, gap)
-    if params.exact:
-        _follow_set(params, state, estimate)
-    else:
-        _follow_static(params, state, estimate)
+        if state.used > 0:
+            state.extent[i] += gap
+    _follow_static(params, state, estimate)
 
 
 @njit
-def _widen(params: np.record, state: np.record, i: int, gap: float) -> None:
-    """Add an unknown part of an angle to the errors."""
-    if not params.exact:
-        state.extent[i] += gap
-        return
-    column = state.used
-    state.columns[:, column] = 0.0
-    state.columns[i, column] = gap
-    state.used = column + 1
-    if column + 1 + SIZE > COLUMNS:
-        state.used = reduce_columns(state.columns, column + 1)
-
-
-@njit
-def _follow_set(params: np.record, state: np.record, estimate: np.record) -> None:
+def _follow_set(params: np.record, state: np.record, estimate: np.record, lost: np.ndarray) -> None:
+    motion, size = state.motion, state.torque
     if state.used == 0:
         state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
         state.used = 2
-    elif max(state.extent[0], state.extent[1]) <= _LARGEST:
-        _advance(params, state, estimate)
+        for i in range(2):
+            size[i] = params.start[i] + params.angle_noise[i]
+        start_interval(state.interval, estimate, size)
+    else:
+        for i in range(2):
+            size[i] = row_dot(params.to_angle, i, lost[0], lost[1])
+            if size[i] > 0.0:
+                _widen(state, i, size[i])
+        _read_motion(params, state, estimate)
+        move_interval(state.interval, estimate, motion.rate_error, size)
+        if not estimate.bridged:
+            _advance(params, state, estimate)
     extent(state.columns, state.used, state.extent)
+    _cut(params, state)
     _update_held_time(params, state, estimate)
-    error_1 = min(state.extent[0] + params.drift[0] * math.sqrt(state.held_for[0]), _LARGEST)
-    error_2 = min(state.extent[1] + params.drift[1] * math.sqrt(state.held_for[1]), _LARGEST)
+    error_1, error_2 = _angle_error(params, state, 0), _angle_error(params, state, 1)
     for i in range(2):
         state.bound[i] = row_dot(params.spread, i, error_1, error_2) + params.noise[i]
         state.momentum[i] = state.extent[2 + i]
 
 
 @njit
-def _advance(params: np.record, state: np.record, estimate: np.record) -> None:
-    theta, rate, acc = (
-        estimate.absolute_position,
-        estimate.absolute_velocity,
-        estimate.absolute_acceleration,
-    )
-    error_matrix(params, theta, rate, acc, estimate.held, state.n)
+def _angle_error(params: np.record, state: np.record, i: int) -> float:
+    """Bound on an angle error, less the noise of an estimate that gravity renews."""
+    noise = params.drift[i] * math.sqrt(state.held_for[i])
+    return min(state.extent[i] + noise, _LARGEST)
+
+
+@njit
+def _widen(state: np.record, i: int, gap: float) -> None:
+    """Add an unknown part of an angle to the errors."""
+    column = state.used
+    state.columns[:, column] = 0.0
+    state.columns[i, column] = gap
+    state.used = column + 1
+    _make_room(state)
+
+
+@njit
+def _make_room(state: np.record) -> None:
+    """Merge small columns in the coordinates (e_i - shear_i r_i, r_i) of slow and fast errors,
+    where an error of a rate or of a torque that has passed is in one coordinate."""
+    if state.used + _INPUTS > COLUMNS:
+        shear_columns(state.columns, state.used, -state.shear[0], -state.shear[1])
+        state.used = reduce_columns(state.columns, state.used)
+        shear_columns(state.columns, state.used, state.shear[0], state.shear[1])
+
+
+@njit
+def _cut(params: np.record, state: np.record) -> None:
+    """Take the smaller of the set and dead reckoning for each angle.
+
+    A set that has grown far beyond dead reckoning starts again as a box within it; before, a box
+    would lose more than it cuts off, namely which errors belong together.
+    """
+    restart = False
     for i in range(2):
-        state.margin[i] = state.extent[i] + params.angle_noise[i]
-    unknown_torque(params.unknown, theta, rate, acc, state.margin, state.torque)
+        known = params.angle_noise[i] + params.drift[i] * math.sqrt(state.held_for[i])
+        reckoned = params.angle_noise[i] + cut_interval(
+            state.interval, i, state.extent[i] + known, params.drift[i]
+        )
+        restart = restart or state.extent[i] > _FAR * reckoned
+        state.extent[i] = min(state.extent[i], reckoned)
+    if restart:
+        state.columns[:] = 0.0
+        for k in range(SIZE):
+            state.columns[k, k] = state.extent[k]
+        state.used = SIZE
+
+
+@njit
+def _read_motion(params: np.record, state: np.record, estimate: np.record) -> None:
+    """Known signals at the estimate, and how wrong angles and rates may be."""
+    motion, arm = state.motion, params.unknown.arm
+    for i in range(2):
+        motion.theta[i] = estimate.absolute_position[i]
+        motion.rate[i] = estimate.absolute_velocity[i]
+        motion.innovation[i] = estimate.innovation[i]
+        motion.mu[i] = params.mu[i]
+        motion.margin[i] = min(state.extent[i] + params.angle_noise[i], math.pi)
+        state.shear[i] = (
+            0.0 if estimate.held[i] else params.kappa[i] * params.inertia[i] / params.mu[i]
+        )
+    bound_rate_errors(params.unknown.rates, motion)
+    # theta^'' = acceleration - Xi^-1 (mu Xi + Xi'(v)) r of the observer.
+    r_1, r_2 = motion.innovation[0], motion.innovation[1]
+    off = coupling(motion.theta[0], motion.theta[1], arm)
+    turning = -arm.coupling * math.sin(motion.theta[0] - motion.theta[1])
+    turning *= motion.rate[0] - motion.rate[1]
+    c_1 = params.mu[0] * (arm.inertia[0] * r_1 + off * r_2) + turning * r_2
+    c_2 = params.mu[1] * (off * r_1 + arm.inertia[1] * r_2) + turning * r_1
+    det = arm.inertia[0] * arm.inertia[1] - off * off
+    acc = estimate.absolute_acceleration
+    first = acc[0] - (arm.inertia[1] * c_1 - off * c_2) / det
+    second = acc[1] - (arm.inertia[0] * c_2 - off * c_1) / det
+    for i in range(2):
+        motion.driven[i, 0] = first + params.mu[i] * r_1
+        motion.driven[i, 1] = second + params.mu[i] * r_2
+
+
+@njit
+def _advance(params: np.record, state: np.record, estimate: np.record) -> None:
+    unknown_torque(params.unknown, state.motion, state.torque)
+    error_matrix(params, state)
+    _collect_inputs(params, state)
     interval = min(estimate.interval, _LONGEST)
     steps = max(1, math.ceil(interval * params.fastest / 0.5))
     dt = interval / steps
     for _ in range(steps):
-        advance_set(params, state, dt)
+        advance_set(state, dt)
 
 
 @njit
-def error_matrix(
-    params: np.record,
-    theta: np.ndarray,
-    rate: np.ndarray,
-    acc: np.ndarray,
-    held: np.ndarray,
-    n: np.ndarray,
-) -> None:
-    """N of the error at the estimate.
+def error_matrix(params: np.record, state: np.record) -> None:
+    """N of the errors (e, r), r_i = s m_i/Xi_ii, and what a secant of gravity leaves out.
 
-    The coupling of inertia and Coriolis terms enters with its known sign; what its linearisation
-    leaves out is quadratic in the error.
+    ``sin theta^ - sin(theta^ - e) = e cos(theta^ - e/2) sinc(e/2)``: over all errors within the
+    margin the slope is a middle value, in N, and a remainder that counts as an unknown torque.
     """
-    arm = params.unknown.arm
-    cosine, sine = math.cos(theta[0] - theta[1]), math.sin(theta[0] - theta[1])
-    b = params.sign * arm.coupling
-    couple_1 = -b * (cosine * rate[1] * rate[1] - sine * acc[1]) / arm.inertia[0]
-    couple_2 = b * (cosine * rate[0] * rate[0] + sine * acc[0]) / arm.inertia[1]
-    n[0, 2] = 0.0 if held[0] else -params.kappa[0] * arm.inertia[0]
-    n[1, 3] = 0.0 if held[1] else -params.kappa[1] * arm.inertia[1]
-    n[2, 0] = params.sign * arm.gravity[0] * math.cos(theta[0]) / arm.inertia[0] + couple_1
-    n[2, 1] = -couple_1
-    n[3, 0] = couple_2
-    n[3, 1] = params.sign * arm.gravity[1] * math.cos(theta[1]) / arm.inertia[1] - couple_2
-    n[2, 2], n[3, 3] = -params.mu[0], -params.mu[1]
+    arm, motion, n, sign = params.unknown.arm, state.motion, state.n, params.sign
+    difference = motion.theta[0] - motion.theta[1]
+    cosine, sine = math.cos(difference), math.sin(difference)
+    b, turning = sign * arm.coupling, motion.rate[0] - motion.rate[1]
+    n[:] = 0.0
+    for i in range(2):
+        j = 1 - i
+        spin = motion.rate[j] * motion.rate[j] * (-1.0 if i == 0 else 1.0)
+        # Coupling of inertia and Coriolis terms through e_1 - e_2.
+        couple = b * (sine * motion.driven[i, j] + cosine * (turning * motion.innovation[j] + spin))
+        low, high = _secant_slopes(sign, motion.theta[i], motion.margin[i])
+        n[2 + i, i] = 0.5 * (low + high) * arm.gravity[i] / arm.inertia[i]
+        state.torque[i] += 0.5 * (high - low) * arm.gravity[i] * motion.margin[i]
+        n[2 + i, 0] += couple / arm.inertia[i]
+        n[2 + i, 1] -= couple / arm.inertia[i]
+        n[2 + i, 2 + i] = -params.mu[i]
+        if state.shear[i] > 0.0:
+            n[i, 2 + i] = -params.kappa[i] * arm.inertia[i]
+            inject = params.kappa[i] * b * sine * motion.innovation[j]
+            n[i, 0] += inject
+            n[i, 1] -= inject
 
 
 @njit
-def advance_set(params: np.record, state: np.record, dt: float) -> None:
-    """Map the set by exp(N dt) to second order and add a box of inputs."""
+def _secant_slopes(sign: float, theta: float, margin: float) -> tuple[float, float]:
+    """Smallest and largest slope of s sin between an angle and others within a margin."""
+    half = 0.5 * min(margin, math.pi)
+    away = math.acos(min(max(sign * math.cos(theta), -1.0), 1.0))
+    share = math.sin(half) / half if half > 1e-6 else 1.0
+    low, high = math.cos(min(away + half, math.pi)), math.cos(max(away - half, 0.0))
+    return low * share if low > 0.0 else low, high if high > 0.0 else high * share
+
+
+@njit
+def _collect_inputs(params: np.record, state: np.record) -> None:
+    """Largest inputs of the errors: unknown torques, wrong rates, wrong injection."""
+    arm, motion, inputs = params.unknown.arm, state.motion, state.inputs
+    own_1, own_2, cross, _ = inertia_errors(params.unknown, motion)
+    off = coupling(motion.theta[0], motion.theta[1], arm)
+    away = motion.margin[0] + motion.margin[1]
+    sine = min(1.0, abs(math.sin(motion.theta[0] - motion.theta[1])))
+    inputs[:] = 0.0
+    for i in range(2):
+        j, own = 1 - i, own_1 if i == 0 else own_2
+        inputs[2 + i, i] = state.torque[i] / arm.inertia[i]
+        # e' = (1 + s kappa Xi^) eta - s kappa m, m' = mu Xi^ eta - mu m: signs belong together.
+        inputs[i, 2 + i] = motion.rate_error[i]
+        for k in range(2):
+            row = arm.inertia[i] if k == i else off
+            through = params.sign * row * motion.rate_error[k]
+            inputs[i, 2 + k] += params.mu[i] / arm.inertia[i] * state.shear[i] * through
+            inputs[2 + i, 2 + k] = params.mu[i] / arm.inertia[i] * through
+        moved = abs(motion.innovation[i]) + motion.rate_error[i]
+        moved_other = abs(motion.innovation[j]) + motion.rate_error[j]
+        left = own * moved + (cross + 0.5 * arm.coupling * away * away) * moved_other
+        left += arm.coupling * sine * away * motion.rate_error[j]
+        inputs[i, 4 + i] = params.mu[i] / arm.inertia[i] * state.shear[i] * left
+
+
+@njit
+def advance_set(state: np.record, dt: float) -> None:
+    """Map the set by exp(N dt) to second order and add a box of inputs over an interval [s]."""
     n, step, columns = state.n, state.map, state.columns
     half = 0.5 * dt * dt
     for r in range(SIZE):
@@ -228,23 +376,21 @@ def advance_set(params: np.record, state: np.record, dt: float) -> None:
             step[r, q] = dt * n[r, q] + half * square
         step[r, r] += 1.0
     map_columns(columns, state.used, step)
-    for i in range(2):
-        push = state.torque[i] / params.inertia[i]
+    for q in range(_INPUTS):
         for r in range(SIZE):
-            columns[r, state.used] = columns[r, state.used + 1] = 0.0
-        columns[2 + i, state.used] = dt * push
-        # Half a step's travel of the input, for its effect within the interval.
-        columns[i, state.used] = half * n[i, 2 + i] * push
-        columns[i, state.used + 1] = dt * params.bias[i]
-        state.used += 2
-    if state.used + SIZE > COLUMNS:
-        state.used = reduce_columns(columns, state.used)
+            # Half a step's travel of the input, for its effect within the interval.
+            travel = 0.0
+            for k in range(SIZE):
+                travel += n[r, k] * state.inputs[k, q]
+            columns[r, state.used + q] = dt * state.inputs[r, q] + half * travel
+    state.used = state.used + _INPUTS
+    _make_room(state)
 
 
 @njit
 def _update_held_time(params: np.record, state: np.record, estimate: np.record) -> None:
-    """Count how long noise of the rates was integrated while a link was held; it is unlearnt as
-    slowly as the observer recovers."""
+    """How long noise of the rates was integrated while a link was held; it decays as slowly as the
+    observer recovers."""
     fall = math.exp(-estimate.interval * params.slowest_recovery)
     for i in range(2):
         if estimate.held[i]:
@@ -255,15 +401,10 @@ def _update_held_time(params: np.record, state: np.record, estimate: np.record) 
 
 @njit
 def _follow_static(params: np.record, state: np.record, estimate: np.record) -> None:
-    state.margin[:] = 0.0
-    unknown_torque(
-        params.unknown,
-        estimate.absolute_position,
-        state.margin,
-        state.margin,
-        state.margin,
-        state.torque,
-    )
+    motion = state.motion
+    for i in range(2):
+        motion.theta[i] = estimate.absolute_position[i]
+    unknown_torque(params.unknown, motion, state.torque)
     fall = math.exp(-params.decay * estimate.interval)
     for i in range(2):
         slope = params.gravity[i] * max(
@@ -299,18 +440,20 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
     ndarray, shape (2,)
         Per physical sensor [rad]; infinite where gravity cannot bound it.
     """
-    theta, still, torque = np.asarray(theta, float), np.zeros(2), np.zeros(2)
-    unknown_torque(params.unknown, theta, still, still, still, torque)
+    theta, torque = np.asarray(theta, float), np.zeros(2)
+    unknown_torque(params.unknown, new_record(MOTION, theta=theta), torque)
     if not params.exact:
         slope = params.gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)
         return params.spread @ (torque / slope) + params.noise
     # A bias of the rates is held up by a momentum, and that by a torque.
     torque = torque + params.bias * params.mu / params.kappa
-    # Distance from the vertical; the slope falls with it.
+    # Distance from the vertical; the secant of gravity over the error falls with it.
     away = np.arccos(np.clip(params.sign * np.cos(theta), -1.0, 1.0))
     error = np.zeros(2)
     for _ in range(100):
-        slope = params.gravity * np.cos(np.minimum(away + error + params.angle_noise, math.pi))
+        half = 0.5 * (error + params.angle_noise)
+        slope = params.gravity * np.cos(np.minimum(away + half, math.pi))
+        slope *= np.sinc(half / math.pi)
         error = np.where(slope > 0.0, torque / np.maximum(slope, 1e-12), math.pi)
         error = np.minimum(error, math.pi)
     error[error >= math.pi] = math.inf

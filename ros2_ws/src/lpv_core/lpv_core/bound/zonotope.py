@@ -34,6 +34,14 @@ def map_columns(columns: np.ndarray, count: int, m: np.ndarray) -> None:
 
 
 @njit
+def shear_columns(columns: np.ndarray, count: int, first: float, second: float) -> None:
+    """Add ``first`` times row 2 to row 0 and ``second`` times row 3 to row 1, in place."""
+    for k in range(count):
+        columns[0, k] += first * columns[2, k]
+        columns[1, k] += second * columns[3, k]
+
+
+@njit
 def reduce_columns(columns: np.ndarray, count: int) -> int:
     """Put all but the largest columns into one box around their sum.
 

@@ -15,12 +15,17 @@ from lpv_core.certificate.gains import (
     ExactObserverGains,
     Gains,
     PaperObserverGains,
+    gains_checksum,
 )
 from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
+from lpv_core.certificate.noise import covariance_margin, exact_fault_sigma, paper_fault_sigma
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.polytope import exact_state_space, exact_vertices, sinc_box
 from lpv_core.model.state_space import Descriptor, vertex_matrices
 from lpv_core.support.errors import ConfigError
+
+_SAME = 1e-6
+"""Relative difference up to which a recomputed number is the stored one."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +77,10 @@ def verify(arm: ArmParameters, gains: Gains) -> list[Check]:
             if isinstance(observer, ExactObserverGains)
             else paper_observer_checks(arm, observer)
         ),
+        *_noise_checks(arm, observer),
         *controller_checks(arm, gains.controller),
         *_together(arm, gains),
+        *_checksum_check(gains),
     ]
 
 
@@ -102,6 +109,33 @@ def require(arm: ArmParameters, gains: Gains, source: str = 'gains') -> None:
                 f'{check.margin:.3g} is not negative; design the gains again',
                 source,
             )
+
+
+def _noise_checks(
+    arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains
+) -> list[Check]:
+    """The standard deviation that thresholds rest on, recomputed."""
+    checks = []
+    if isinstance(observer, ExactObserverGains):
+        checks = [
+            Check(
+                f'observer, link {i + 1}: covariance under the noise of the arm file',
+                covariance_margin(arm, observer, i),
+            )
+            for i in range(2)
+        ]
+        sigma = exact_fault_sigma(arm, observer.lyapunov)
+    else:
+        sigma = paper_fault_sigma(arm, observer)
+    away = float(np.abs(observer.fault_sigma / sigma - 1.0).max())
+    return [*checks, Check('observer: standard deviation of f^ as recomputed', away - _SAME)]
+
+
+def _checksum_check(gains: Gains) -> list[Check]:
+    if not gains.checksum:
+        return []
+    same = gains.checksum == gains_checksum(gains)
+    return [Check('gains file: numbers are those of the design', -1.0 if same else 1.0)]
 
 
 def _symmetric(matrix: np.ndarray) -> bool:

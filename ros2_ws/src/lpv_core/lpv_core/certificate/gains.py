@@ -8,10 +8,10 @@ import numpy as np
 import yaml
 
 from lpv_core.model.arm import ArmParameters
-from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.config import Section, read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
 
-FORMAT = 2
+FORMAT = 3
 METHODS = ('paper', 'exact')
 
 
@@ -121,7 +121,9 @@ class Gains:
     controller : ControllerGains
         Controller part.
     certificate : dict
-        Margins, solver and versions, as text and numbers.
+        Margins, solver and versions, as text and numbers: information, nothing is computed from it.
+    checksum : str
+        Of the numbers as they were written; empty for gains that were not read from a file.
     """
 
     arm_name: str
@@ -129,6 +131,7 @@ class Gains:
     observer: ExactObserverGains | PaperObserverGains
     controller: ControllerGains
     certificate: dict = field(default_factory=dict)
+    checksum: str = ''
 
     def check_arm(self, arm: ArmParameters, source: str = 'gains') -> None:
         """Refuse gains of another arm.
@@ -155,6 +158,12 @@ class Gains:
             )
 
 
+def gains_checksum(gains: Gains) -> str:
+    """Hash of every number that observer, bound, decision and controller use."""
+    data = _numbers(gains)
+    return sha256_of({name: data[name] for name in ('arm_sha256', 'observer', 'controller')})
+
+
 def gains_to_dict(gains: Gains) -> dict[str, Any]:
     """Nest gains as plain YAML data, arrays flattened row-major.
 
@@ -168,6 +177,14 @@ def gains_to_dict(gains: Gains) -> dict[str, Any]:
     dict
         The mapping below ``gains`` in the parameter file.
     """
+    return {
+        **_numbers(gains),
+        'checksum': gains_checksum(gains),
+        'certificate': dict(gains.certificate),
+    }
+
+
+def _numbers(gains: Gains) -> dict[str, Any]:
     o, c = gains.observer, gains.controller
 
     def flat(array: np.ndarray) -> list[float]:
@@ -192,7 +209,6 @@ def gains_to_dict(gains: Gains) -> dict[str, Any]:
             'decay': float(c.decay),
             'sinc_min': float(c.sinc_min),
         },
-        'certificate': dict(gains.certificate),
     }
 
 
@@ -233,7 +249,12 @@ def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
         sinc_min=con.number('sinc_min', -0.2, -0.3, 0.99),
     )
     gains = Gains(
-        top.text('arm_name'), top.text('arm_sha256'), observer, controller, top.plain('certificate')
+        top.text('arm_name'),
+        top.text('arm_sha256'),
+        observer,
+        controller,
+        top.plain('certificate'),
+        top.text('checksum'),
     )
     for section in (obs, con, top):
         section.finish()

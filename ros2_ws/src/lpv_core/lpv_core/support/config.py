@@ -291,8 +291,9 @@ class Section:
         value = self._get(key, _REQUIRED)
         if not isinstance(value, list) or not 1 <= len(value) <= most:
             raise self.error(key, f'must be a list of 1 to {most} rows')
-        rows = [Section({f'{key}[{i}]': row}, self._source, self._prefix)
-                for i, row in enumerate(value)]
+        rows = [
+            Section({f'{key}[{i}]': row}, self._source, self._prefix) for i, row in enumerate(value)
+        ]
         return [row.vector(f'{key}[{i}]', width) for i, row in enumerate(rows)]
 
     def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:

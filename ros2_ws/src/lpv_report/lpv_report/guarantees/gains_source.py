@@ -180,7 +180,11 @@ def find_shipped_gains(bag: str | Path) -> UsedGains:
             problem=f'the bag is of arm {name!r}, which is not a shipped one; give its files, '
             f'e.g. lpv report BAG --arm {name}.yaml --gains gains.yaml'
         )
-    return read_used_gains(shipped[name], f'shipped gains of arm {name!r}, which the messages name')
+    source = f'shipped gains of arm {name!r}, which the messages name'
+    try:
+        return read_used_gains(shipped[name], source)
+    except ConfigError as error:
+        return UsedGains(problem=f'the {source}, cannot be used: {error}')
 
 
 def arm_of(gains: Gains) -> ArmParameters:

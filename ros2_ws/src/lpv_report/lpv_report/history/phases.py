@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_bag.run.observer_reports import observer_reports
+from lpv_bag.run.node_reports import NodeReport, node_reports
 from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import AlarmEvent, SensorState
 from lpv_core.observer.sampled_observer import Mode
@@ -15,13 +15,14 @@ from lpv_report.history.episodes import intervals
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
 NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
-TOO_FAST, NO_COMMAND = 'above speed limit', 'no command'
+TOO_FAST, NO_COMMAND, BRAKED = 'above speed limit', 'no command', 'drives braked'
 _STATES = {SensorState.NOT_DIAGNOSABLE: NOT_DIAGNOSABLE, SensorState.STALE: NO_DATA}
 _MEANING = {
     INCONSISTENT: 'rates, torques and model contradict each other; cause unknown',
     SAFE_STOP: 'the tracker commanded the drives to brake',
     TOO_FAST: 'a joint moved faster than the limit of the arm file',
     NO_COMMAND: 'measurements had no torque command: a watchdog of the drives brakes the arm',
+    BRAKED: 'a watchdog of the drives, or the tracker, engaged the brakes',
     UNSAFE: 'a confirmed fault could not be compensated safely',
     NOT_DIAGNOSABLE: 'the level of the fault estimate says nothing in this configuration',
     NO_DATA: 'no usable reading',
@@ -38,11 +39,12 @@ class Phase:
     sensor: str  # of which sensor; empty for the whole arm
     start: float  # [s] since the first measurement
     end: float  # [s] since the first measurement
+    note: str = ''  # why, where it is known
 
     @property
     def meaning(self) -> str:
         """What the word means."""
-        return _MEANING[self.what]
+        return f'{_MEANING[self.what]}: {self.note}' if self.note else _MEANING[self.what]
 
     @property
     def duration(self) -> float:
@@ -77,10 +79,12 @@ def phases(record: RunRecord, bag: str | Path, sensor_names: Sequence[str]) -> l
     list of Phase
         In the order of their beginnings.
     """
-    reports = _of_reports(record, bag)
-    odd = [p for p in (*reports, *_of_alarms(record)) if p.what == INCONSISTENT]
-    found = [p for p in reports if p.what != INCONSISTENT]
-    found += [*_united(odd), *_of_commands(record)]
+    reports = _reports(record, bag)
+    said = _of_observer(record, reports.get('observer', []))
+    odd = [p for p in (*said, *_of_alarms(record)) if p.what == INCONSISTENT]
+    found = [p for p in said if p.what != INCONSISTENT] + _united(odd)
+    found += _of_commands(record, reports.get('tracking', []))
+    found += _of_drives(record, reports.get('drives', []))
     states = record.get('fault_estimate', 'state')
     if states is not None:
         stamps = record.stamps['fault_estimate']
@@ -102,12 +106,14 @@ def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
     return np.isin(stamps, record.stamps['state_estimate'][mode == Mode.INITIALISING])
 
 
-def _of_reports(record: RunRecord, bag: str | Path) -> list[Phase]:
+def _reports(record: RunRecord, bag: str | Path) -> dict[str, list[NodeReport]]:
+    streams = ('fault_estimate', 'state_estimate', 'torque_command')
+    topic = next((record.topics[name] for name in streams if name in record.topics), None)
+    return {} if topic is None else node_reports(bag, topic.rpartition('/')[0])
+
+
+def _of_observer(record: RunRecord, reports: list[NodeReport]) -> list[Phase]:
     """Reports come once a second and with every alarm: times are as exact as that."""
-    topic = record.topics.get('fault_estimate') or record.topics.get('state_estimate')
-    if topic is None:
-        return []
-    reports = observer_reports(bag, topic.rpartition('/')[0])
     if not reports:
         return []
     time = record.seconds(np.array([report.stamp for report in reports]))
@@ -117,6 +123,22 @@ def _of_reports(record: RunRecord, bag: str | Path) -> list[Phase]:
         for what, begin in kinds
         for part in intervals(np.array([r.message.startswith(begin) for r in reports]), time)
     ]
+
+
+def _of_drives(record: RunRecord, reports: list[NodeReport]) -> list[Phase]:
+    """The drives report when they brake or release: each report holds until the next one."""
+    found: list[Phase] = []
+    ends = [float(record.seconds(report.stamp)) for report in reports[1:]] + [record.time[-1]]
+    for report, end in zip(reports, ends):
+        start = float(record.seconds(report.stamp))
+        begin, _, reason = report.message.partition(': ')
+        if begin != 'braked' or reason == 'no command yet':
+            continue
+        if found and found[-1].end == start and found[-1].note == reason:
+            found[-1] = replace(found[-1], end=end)
+        else:
+            found.append(Phase(BRAKED, '', start, end, reason))
+    return found
 
 
 def _of_alarms(record: RunRecord) -> list[Phase]:
@@ -145,13 +167,26 @@ def _united(found: list[Phase]) -> list[Phase]:
     return united
 
 
-def _of_commands(record: RunRecord) -> list[Phase]:
+def _of_commands(record: RunRecord, reports: list[NodeReport]) -> list[Phase]:
+    """Safe stops that the tracker commanded, with the reasons that it reported meanwhile."""
     stopped = record.get('torque_command', 'safe_stop')
     if stopped is None:
         return []
     time = record.seconds(record.stamps['torque_command'])
+    told = [
+        (float(record.seconds(r.stamp)), r.message.partition(': ')[2])
+        for r in reports
+        if r.message.startswith('safe stop: ')
+    ]
     return [
-        Phase(SAFE_STOP, '', part.start, part.end) for part in intervals(stopped.astype(bool), time)
+        Phase(
+            SAFE_STOP,
+            '',
+            part.start,
+            part.end,
+            '; '.join(dict.fromkeys(text for at, text in told if part.start <= at <= part.end)),
+        )
+        for part in intervals(stopped.astype(bool), time)
     ]
 
 

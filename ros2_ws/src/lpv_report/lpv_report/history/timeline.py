@@ -12,6 +12,7 @@ from lpv_bag.run.streams import RunRecord
 from lpv_core.decision.diagnosis import SensorState
 from lpv_report.history.episodes import Interval, intervals
 from lpv_report.history.phases import (
+    BRAKED,
     INCONSISTENT,
     NO_COMMAND,
     SAFE_STOP,
@@ -27,6 +28,7 @@ _LINES = (
     (INCONSISTENT, 'inconsistent', SOFT),
     (UNSAFE, 'not trustworthy', '#a5456f'),
     (SAFE_STOP, 'safe stop', INK),
+    (BRAKED, 'drives braked', '#7a5c2e'),
     (NO_COMMAND, 'no command', BAND),
     (TOO_FAST, 'above speed limit', '#d01c3b'),
 )

@@ -15,7 +15,15 @@ from lpv_report.guarantees.gains_source import UsedGains
 from lpv_report.guarantees.reproduction import Reproduction
 from lpv_report.history.episodes import Episode, Interval, episodes, missed_faults
 from lpv_report.history.motion import Motion
-from lpv_report.history.phases import INCONSISTENT, SAFE_STOP, TOO_FAST, UNSAFE, Phase, listed
+from lpv_report.history.phases import (
+    BRAKED,
+    INCONSISTENT,
+    SAFE_STOP,
+    TOO_FAST,
+    UNSAFE,
+    Phase,
+    listed,
+)
 from lpv_report.run.table import PAPER, Row
 from lpv_report.run.terms import TERMS
 from lpv_report.run.versions import installed_versions
@@ -126,6 +134,11 @@ def _verdict(findings: Findings, alarms: list[Episode], missed: list[Interval]) 
         )
     stops = sum(phase.what == SAFE_STOP for phase in found)
     odd = sum(phase.what == INCONSISTENT for phase in found)
+    brakes = [phase for phase in found if phase.what == BRAKED]
+    if brakes:
+        reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))
+        times = _count(len(brakes), 'time', 'times')
+        parts.append(f'the drives braked {times} ({reasons})')
     parts.append(
         f'{_count(stops, "safe stop", "safe stops")}, '
         f'{_count(odd, "inconsistent phase", "inconsistent phases")}.'

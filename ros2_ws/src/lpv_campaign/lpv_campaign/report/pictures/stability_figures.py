@@ -5,7 +5,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -25,6 +25,8 @@ def draw_stability(data: dict[str, Any]) -> Figure | None:
 
     Returns None with fewer than two factors.
     """
+    if not data['unstable']:
+        return None
     return _draw(data['maps'], 'cells', 'stable runs')
 
 
@@ -96,5 +98,12 @@ def _ticks(axis: Axis, factor: dict[str, Any]) -> None:
         axis.set_ticks(range(size_of(factor)), [f'{v:.3g}' for v in factor['levels']])
         return
     edges = factor['edges']
-    places = range(0, len(edges), 2)
-    axis.set_ticks([k - 0.5 for k in places], [f'{edges[k]:.3g}' for k in places])
+    places = range(0, len(edges), 1 if len(edges) <= _FEW else 2)
+    ticks = axis.set_ticks([k - 0.5 for k in places], [f'{edges[k]:.3g}' for k in places])
+    # At the corners of maps labels of both axes and of neighbours meet: they are pulled inwards.
+    if isinstance(axis, XAxis):
+        ticks[0].label1.set(horizontalalignment='left')
+        ticks[-1].label1.set(horizontalalignment='right')
+    else:
+        ticks[0].label1.set(verticalalignment='bottom')
+        ticks[-1].label1.set(verticalalignment='top')

@@ -1,5 +1,6 @@
 """Where in the space of the factors the loop stays stable."""
 
+import math
 from itertools import combinations
 from typing import Any
 
@@ -9,9 +10,13 @@ from lpv_campaign.plan.factors import Range
 from lpv_campaign.report.statistics.intervals import share
 from lpv_campaign.report.statistics.results import Results
 
-_CELLS = 8
+_CELLS, _FEWEST_CELLS = 8, 2
+_RUNS_PER_CELL = 5
+"""Mean number of runs in a cell of a map; cells of single runs would say nothing."""
 _LEVELS = 10
-_MOST_FACTORS, _FEWER = 4, 3
+_MOST_FACTORS = 4
+_FEWEST_RUNS = _RUNS_PER_CELL * _FEWEST_CELLS**2
+"""From which maps are drawn."""
 _LEAST_RUNS = 5
 _FIRST = ('payload', 'friction', 'mass_1', 'mass_2', 'command_delay', 'sample_loss', 'sample_time')
 """Preferred where no factor makes a difference."""
@@ -34,8 +39,8 @@ def stability(results: Results) -> dict[str, Any]:
         axis for name in results.varied(numeric=True) if (axis := _axis(results, name)) is not None
     ]
     factors = sorted((_effect(axis, stable) for axis in axes), key=_relevance)
-    # Maps of one colour need not be many.
-    most = _FEWER if stable.all() else _MOST_FACTORS
+    # A map of one colour says nothing, and neither do cells of a run or two.
+    most = _MOST_FACTORS if not going.all() and results.count >= _FEWEST_RUNS else 0
     chosen = [f['name'] for f in factors[:most]]
     pairs = combinations([a for name in chosen for a in axes if a['name'] == name], 2)
     return {
@@ -63,15 +68,16 @@ def _axis(results: Results, name: str) -> dict[str, Any] | None:
     if len(levels) < 2:
         return None
     axis = {'name': name, 'levels': None, 'edges': None, 'logarithmic': False}
-    if len(levels) <= _LEVELS:
+    if len(levels) <= _LEVELS and len(levels) < results.count:
         place = np.searchsorted(levels, np.where(known, values, levels[0]))
         axis.update(levels=levels.tolist())
     else:
         factor = results.campaign.spec.factors[name]
         logarithmic = isinstance(factor, Range) and factor.logarithmic
         low, high = (factor.low, factor.high) if isinstance(factor, Range) else levels[[0, -1]]
-        edges = (np.geomspace if logarithmic else np.linspace)(low, high, _CELLS + 1)
-        place = np.clip(np.searchsorted(edges, values, side='right') - 1, 0, _CELLS - 1)
+        cells = int(np.clip(math.isqrt(results.count // _RUNS_PER_CELL), _FEWEST_CELLS, _CELLS))
+        edges = (np.geomspace if logarithmic else np.linspace)(low, high, cells + 1)
+        place = np.clip(np.searchsorted(edges, values, side='right') - 1, 0, cells - 1)
         axis.update(edges=edges.tolist(), logarithmic=logarithmic)
     return {**axis, 'place': np.where(known, place, -1)}
 

@@ -1,0 +1,56 @@
+"""Files of a search: the worst attack as YAML, and its measurements as a bag that replays."""
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from lpv_bag.blocks.chunk_writing import ChunkBagWriter
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_campaign.falsify.attack import attack_as_dict, attack_from_dict
+from lpv_campaign.falsify.search import Attacker, Finding
+from lpv_core.support.config import read_yaml
+from lpv_core.support.errors import ConfigError
+
+SCENARIO, BAG = 'worst.yaml', 'worst_bag'
+_START = 10**9
+"""Stamp of the first message [ns]."""
+
+
+def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
+    """Write the worst attack and the bag of its run into a folder."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {
+        'ratio': worst.ratio,
+        'sensor': attacker.arm.sensor_names[worst.sensor],
+        'time': worst.time,
+        'threshold': worst.threshold,
+        'duration': len(attacker.samples) * attacker.arm.sample_time,
+        'attack': attack_as_dict(worst.attack),
+    }
+    (folder / SCENARIO).write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
+    attacker.run(worst.attack)
+    arm = attacker.arm
+    with ChunkBagWriter(folder / BAG, 'zstd_small') as writer:
+        messages = BagMessages(writer.typestore, 'base_link')
+        writer.add_topic('/lpv/joint_states', 'sensor_msgs/msg/JointState')
+        for k, row in enumerate(attacker.samples):
+            stamp = _START + k * round(arm.sample_time * 1e9)
+            message = messages.joint_state(stamp, arm.joint_names, *row[:6].reshape(3, 2).tolist())
+            writer.write('/lpv/joint_states', stamp, message)
+
+
+def read_attack(path: str | Path) -> tuple[np.record, float]:
+    """Attack and duration [s] of a file that `write_worst` wrote.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such file.
+    """
+    data = read_yaml(path)
+    try:
+        return attack_from_dict(data['attack']), float(data['duration'])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError('attack', f'is not that of lpv falsify ({error})', str(path)) from None

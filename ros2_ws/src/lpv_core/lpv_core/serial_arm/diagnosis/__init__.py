@@ -1,0 +1,1 @@
+"""Sensors of serial arms: estimates, hypotheses, decisions."""

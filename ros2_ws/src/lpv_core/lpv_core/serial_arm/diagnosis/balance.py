@@ -1,0 +1,282 @@
+"""Momentum balances over short intervals, with their derivatives by faults and parameters.
+
+With a hat function w over two intervals of length T, the balance p' = tau - F + C^T v - g becomes
+
+    r = mean(p, 2nd interval) - mean(p, 1st interval) - int w (tau - F + C^T v - g) dt,
+
+which needs no acceleration and averages the noise of the rates.  q = y - f, so that r depends on
+the faults; it is linear in all parameters.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv_core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
+from lpv_core.serial_arm.dynamics.friction import friction_torque, smooth_sign
+from lpv_core.serial_arm.dynamics.momentum import momentum_balance
+from lpv_core.support.jit import njit
+
+GROUPS = ('offset', 'torque', 'viscous', 'coulomb', 'drift', 'scale', 'rate', 'gain')
+"""Groups of n columns each, in this order; those of the inertial directions follow."""
+OFFSET, TORQUE, VISCOUS, COULOMB, DRIFT, SCALE, RATE, GAIN = range(8)
+_STEP = 1e-5
+"""Step of the differences by which columns of angles and rates are found [rad], [rad/s]."""
+
+
+class Balance(NamedTuple):
+    """State of the balances of one arm.
+
+    Columns of ``momentum`` and ``impulses`` are the residual's parts first, then those of `GROUPS`
+    and of the inertial directions.
+
+    Attributes
+    ----------
+    chain : Chain
+        The arm.
+    directions : ndarray, shape (k, n, 10)
+        Directions in which the inertial parameters may be wrong, each of unit weight.
+    reference : ndarray, shape (n,)
+        Faults f at which the balance is linearised [rad].
+    derived : ndarray, shape (n,)
+        1 where a rate comes from its encoder, so that a drift and a scale error enter both.
+    momentum : ndarray, shape (2, n, columns)
+        Integral of p over the previous and the current interval [N m s2].
+    rising, falling : ndarray, shape (2, n, columns)
+        Integrals of the forces, weighted by the two halves of the hat [N m s].
+    rows : ndarray, shape (n, columns)
+        Residual and derivatives of the last complete hat [N m s].
+    lengths : ndarray, shape (1,)
+        Of the previous interval [s]; 0 if there is none.
+    rigid : ndarray, shape (n, n)
+        Zero: directions of the inertial parameters have no rotors.
+    work, vectors : ndarray
+        Scratch.
+    """
+
+    chain: Chain
+    directions: FloatArray
+    reference: FloatArray
+    derived: FloatArray
+    momentum: FloatArray
+    rising: FloatArray
+    falling: FloatArray
+    rows: FloatArray
+    lengths: FloatArray
+    rigid: FloatArray
+    work: FloatArray
+    vectors: FloatArray
+
+
+def column_count(joints: int, directions: int) -> int:
+    """Columns of a balance: the residual, the groups, the inertial directions."""
+    return 1 + len(GROUPS) * joints + directions
+
+
+def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Balance:
+    """Empty balances.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+    directions : ndarray, shape (k, n, 10)
+        Possible errors of the inertial parameters.
+    derived : ndarray, shape (n,)
+        1 where a rate is derived from the encoder, else 0.
+
+    Returns
+    -------
+    Balance
+        Linearised at no fault.
+    """
+    n = joint_count(chain)
+    size = (n, column_count(n, len(directions)))
+    return Balance(
+        chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
+        np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
+        np.zeros((2, *size)), np.zeros(size), np.zeros(1), np.zeros((n, n)),
+        workspace(chain), np.zeros((9, n)))  # fmt: skip
+
+
+@njit
+def _put(
+    balance: Balance, column: int, row: int, parts: tuple[float, float], weight: tuple[float, float]
+) -> None:
+    """Add momentum and force of one entry, weighted by block length and place in the interval."""
+    momentum, force = parts
+    length, place = weight
+    balance.momentum[1, row, column] += length * momentum
+    balance.rising[1, row, column] += length * place * force
+    balance.falling[1, row, column] += length * (1.0 - place) * force
+
+
+@njit
+def add_block(
+    balance: Balance,
+    q: FloatArray,
+    v: FloatArray,
+    torque: FloatArray,
+    time: float,
+    length: float,
+    place: float,
+) -> None:
+    """Add the means of some samples to the current interval.
+
+    Parameters
+    ----------
+    balance : Balance
+        Changed.
+    q, v, torque : ndarray, shape (n,)
+        Mean positions, rates and torques as measured [rad], [rad/s], [N m].
+    time : float
+        Since a fixed moment, from which drifts count [s].
+    length : float
+        Of the block [s].
+    place : float
+        Of the block's middle in the interval, 0 to 1.
+    """
+    chain, n = balance.chain, q.shape[0]
+    weight = (length, place)
+    angle, rate = balance.vectors[0], balance.vectors[1]
+    p, force = balance.vectors[2], balance.vectors[3]
+    p_by, force_by = balance.vectors[4], balance.vectors[5]
+    friction = balance.vectors[6]
+    for i in range(n):
+        angle[i] = q[i] - balance.reference[i]
+        rate[i] = v[i]
+    momentum_balance(chain, angle, rate, balance.work, p, force)
+    friction_torque(chain, rate, torque, friction)
+    for i in range(n):
+        _put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
+        row = 1 + i
+        _put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
+        _put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
+        _put(balance, row + COULOMB * n, i,
+             (0.0, -smooth_sign(rate[i], chain.friction[i, SLOPE])), weight)  # fmt: skip
+        _put(balance, row + GAIN * n, i, (0.0, torque[i]), weight)
+    for i in range(n):
+        _add_fault_columns(balance, i, torque, time, weight)
+    for k in range(balance.directions.shape[0]):
+        along = Chain(
+            chain.rotation, chain.translation, balance.directions[k], balance.rigid,
+            chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation)  # fmt: skip
+        momentum_balance(along, angle, rate, balance.work, p_by, force_by)
+        for j in range(n):
+            column = 1 + 8 * n + k
+            _put(balance, column, j, (p_by[j], force_by[j]), weight)
+
+
+@njit
+def _add_fault_columns(
+    balance: Balance, i: int, torque: FloatArray, time: float, weight: tuple[float, float]
+) -> None:
+    """Add the columns of the faults of sensor i, by differences."""
+    chain, n = balance.chain, torque.shape[0]
+    angle, rate = balance.vectors[0], balance.vectors[1]
+    p, force = balance.vectors[2], balance.vectors[3]
+    p_angle, force_angle = balance.vectors[4], balance.vectors[5]
+    p_rate, force_rate = balance.vectors[7], balance.vectors[8]
+    q_i, v_i = angle[i], rate[i]
+    angle[i] = q_i - _STEP
+    momentum_balance(chain, angle, rate, balance.work, p_angle, force_angle)
+    angle[i] = q_i
+    rate[i] = v_i - _STEP
+    momentum_balance(chain, angle, rate, balance.work, p_rate, force_rate)
+    rate[i] = v_i
+    derived = balance.derived[i]
+    for j in range(n):
+        p_f, force_f = (p_angle[j] - p[j]) / _STEP, (force_angle[j] - force[j]) / _STEP
+        p_v, force_v = (p_rate[j] - p[j]) / _STEP, (force_rate[j] - force[j]) / _STEP
+        if i == j:
+            row = chain.friction[i]
+            slip = 100.0 if row[SLOPE] > 100.0 else row[SLOPE]
+            dry = row[1] + row[2] * abs(torque[i])
+            bend = (
+                smooth_sign(v_i + 0.5 / slip, slip) - smooth_sign(v_i - 0.5 / slip, slip)
+            ) * slip
+            force_v += row[0] + dry * bend
+        _put(balance, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
+        _put(balance, 1 + RATE * n + i, j, (p_v, force_v), weight)
+        drift = (time * p_f + derived * p_v, time * force_f + derived * force_v)
+        _put(balance, 1 + DRIFT * n + i, j, drift, weight)
+        scale = (q_i * p_f + derived * v_i * p_v, q_i * force_f + derived * v_i * force_v)
+        _put(balance, 1 + SCALE * n + i, j, scale, weight)
+
+
+@njit
+def close_interval(balance: Balance, length: float) -> bool:
+    """End the current interval; it becomes the previous one.
+
+    Parameters
+    ----------
+    balance : Balance
+        Changed; ``rows`` hold the residual and its derivatives if a hat is complete.
+    length : float
+        Of the interval [s].
+
+    Returns
+    -------
+    bool
+        Whether a hat is complete.
+    """
+    complete = balance.lengths[0] > 0.0
+    n, columns = balance.rows.shape
+    for i in range(n):
+        for c in range(columns):
+            if complete:
+                balance.rows[i, c] = (
+                    balance.momentum[1, i, c] / length
+                    - balance.momentum[0, i, c] / balance.lengths[0]
+                    - balance.rising[0, i, c]
+                    - balance.falling[1, i, c]
+                )
+            balance.momentum[0, i, c] = balance.momentum[1, i, c]
+            balance.rising[0, i, c] = balance.rising[1, i, c]
+            balance.momentum[1, i, c] = 0.0
+            balance.rising[1, i, c] = 0.0
+            balance.falling[1, i, c] = 0.0
+    balance.lengths[0] = length
+    return complete
+
+
+@njit
+def drop_interval(balance: Balance) -> None:
+    """Forget the intervals so far, after a gap in the samples."""
+    balance.momentum[:] = 0.0
+    balance.rising[:] = 0.0
+    balance.falling[:] = 0.0
+    balance.lengths[:] = 0.0
+
+
+@njit
+def fill_balances(
+    balance: Balance, blocks: FloatArray, per_interval: int, rows: FloatArray
+) -> None:
+    """Balances of blocks that were kept; the state of the balance is that after the last block.
+
+    Parameters
+    ----------
+    balance : Balance
+        Changed.
+    blocks : ndarray, shape (N, 3 n + 3)
+        Means q, v, tau with time, length and place of each block; whole intervals.
+    per_interval : int
+        Blocks of an interval.
+    rows : ndarray, shape (N / per_interval - 1, n, columns)
+        Written.
+    """
+    n = balance.reference.shape[0]
+    drop_interval(balance)
+    length, count = 0.0, 0
+    for k in range(blocks.shape[0]):
+        block = blocks[k]
+        add_block(
+            balance, block[:n], block[n : 2 * n], block[2 * n : 3 * n], block[3 * n],
+            block[3 * n + 1], block[3 * n + 2])  # fmt: skip
+        length += block[3 * n + 1]
+        if (k + 1) % per_interval == 0:
+            if close_interval(balance, length):
+                rows[count] = balance.rows
+                count += 1
+            length = 0.0

@@ -1,0 +1,392 @@
+"""Diagnosis of the sensors of a serial arm: one object, one call a sample.
+
+Jumps of readings are found sample by sample; everything else by momentum balances, every 50 ms.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
+from lpv_core.serial_arm.diagnosis.hypotheses import CONTACT, Explanation, explanations
+from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
+from lpv_core.serial_arm.diagnosis.sampling import (
+    BLOCKS,
+    SPIKE,
+    STEP,
+    Sampler,
+    new_sampler,
+    restart,
+    take_samples,
+)
+from lpv_core.support.errors import ConfigError, SampleError
+
+BoolArray = npt.NDArray[np.bool_]
+
+NANOSECONDS = 1_000_000_000
+LONGEST_STEP = 10.0
+"""Sample times after which the next sample begins anew."""
+NAMED_AFTER = {'stuck': 0.0, 'drift': 0.6, 'scale': 0.6, 'slip': 1.7}
+"""Shortest windows that tell a fault from a torque from outside [s]; a slip, which changes the
+torques of gravity only, takes longest."""
+NOISE_KNOWN_AFTER = 3.0
+"""Before, a torque from outside is not told from errors of the model [s]."""
+CONTACT_PAUSE = 1.0
+"""What is around a contact by less is not learned from [s]."""
+RECENT = 1.0
+"""After a jump so long ago a reading is suspected first [s]."""
+RARE = 0.3
+"""Share of repeated readings below which a reading that rests is frozen."""
+STILL_TIME = 0.05
+"""A reading without any change for longer rests [s]."""
+
+
+class SensorState(str, Enum):  # noqa: UP042 - Python 3.10 has no StrEnum
+    """State of a position sensor."""
+
+    OK = 'ok'
+    WARN = 'warn'
+    """A fault that may be this sensor's, or something else's."""
+    ERROR = 'error'
+    """A fault of this sensor."""
+    NOT_DIAGNOSABLE = 'not_diagnosable'
+    """Gravity and motion do not tell its offset; changes are still seen."""
+
+
+@dataclass(frozen=True)
+class MonitorSettings:
+    """Thresholds of the decisions."""
+
+    evidence: float = 8.0  # logarithm of the ratio of marginal likelihoods of a fault
+    margin: float = 4.0  # by which the best explanation must beat those it excludes
+    level_sigmas: float = 4.0  # offset over its standard deviation
+    smallest_level: float = 0.05  # smallest offset that is a fault [rad]
+    smallest_step: float = 0.005  # smallest jump of a reading [rad]
+    widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
+    dwell: int = 4  # balances in a row for which a decision must hold
+    contact_dwell: int = 8  # the same for torques from outside
+    level_dwell: int = 10  # the same for the level
+    horizon: float = 10.0  # [s]
+
+
+@dataclass(frozen=True)
+class SerialAlarm:
+    """A fault that was found."""
+
+    sensor: str  # name; '' where none is named
+    kind: str  # bias, drift, scale, slip, stuck, spike, contact, torque_offset, ...
+    onset: float  # [s]
+    detected: float  # [s]
+    size: float  # [rad], or [rad/s] of a drift
+    sigma: float  # standard deviation of size
+    suspects: tuple[str, ...]  # what explains the data about as well
+
+
+@dataclass(frozen=True)
+class SerialEstimate:
+    """What is known after a sample.
+
+    Attributes
+    ----------
+    stamp : int
+        Of the sample [ns].
+    fault : ndarray, shape (n,)
+        Estimated faults f of the position sensors, y = q + f [rad].
+    sigma : ndarray, shape (n,)
+        Their standard deviations [rad].
+    state : tuple of SensorState
+        Of each sensor.
+    suspects : tuple of str
+        What explains a contradiction, best first; empty if there is none.
+    """
+
+    stamp: int
+    fault: FloatArray
+    sigma: FloatArray
+    state: tuple[SensorState, ...]
+    suspects: tuple[str, ...]
+
+
+class SerialMonitor:
+    """Monitor of one arm.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Arm and sensors.
+    settings : MonitorSettings, optional
+        Thresholds.
+
+    Raises
+    ------
+    ConfigError
+        If the arm's efforts leave out the torque of gravity: the balances need it.
+    """
+
+    def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
+        if not arm.effort_includes_gravity:
+            raise ConfigError(
+                'effort.includes_gravity', 'must be true to monitor sensors', arm.name
+            )
+        self.arm = arm
+        self.settings = settings or MonitorSettings()
+        self.joints = len(arm.joints)
+        self.alarms: list[SerialAlarm] = []
+        self._efforts = np.array([joint.torque_gain for joint in arm.joints])
+        self._push = 0.3 * np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
+        self._first: int | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget samples, estimates and faults."""
+        n, arm = self.joints, self.arm
+        self.plan = HorizonPlan.of(arm.sample_time, horizon=self.settings.horizon)
+        self.estimator = OffsetEstimator(arm, self.plan)
+        noise = np.array([
+            np.hypot(joint.sensors.position_noise, joint.sensors.quantization)
+            for joint in arm.joints
+        ])  # fmt: skip
+        self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        self.sampler: Sampler = new_sampler(
+            self.estimator.balance.derived, 2.0 * noise,
+            np.full(n, self.settings.smallest_step), self._capacity)  # fmt: skip
+        self._state = [SensorState.OK] * n
+        self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.contact_dwell)
+        self._level_held = np.zeros(n, int)
+        self._jumped = np.full(n, -np.inf)
+        self._moving: MovingFault | None = None
+        self._suspects: tuple[str, ...] = ()
+        self._last_time = -np.inf
+        self._contact_until = -np.inf
+
+    def update(
+        self, stamp: int, q: npt.ArrayLike, v: npt.ArrayLike, torque: npt.ArrayLike
+    ) -> SerialEstimate:
+        """Take a sample.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns]; later than that of the sample before.
+        q, v, torque : array_like, shape (n,)
+            Readings of the position sensors, rates and efforts [rad], [rad/s].
+
+        Returns
+        -------
+        SerialEstimate
+            What is known now; `alarms` has grown where a fault was found.
+
+        Raises
+        ------
+        SampleError
+            If a value is missing or not finite, or the stamp is not later.
+        """
+        values = np.array([q, v, torque], dtype=float)
+        self.update_many(np.array([stamp]), values[None])
+        return self.estimate(stamp)
+
+    def update_many(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
+        """Take many samples; the same as `update` one by one.
+
+        Parameters
+        ----------
+        stamps : array_like of int, shape (N,)
+            [ns], increasing.
+        samples : array_like, shape (N, 3, n)
+            Readings, rates, efforts.
+
+        Raises
+        ------
+        SampleError
+            As `update`.
+        """
+        values = np.array(samples, dtype=float, order='C')
+        moments = np.asarray(stamps, dtype=np.int64)
+        if values.shape != (len(moments), 3, self.joints):
+            raise SampleError(
+                f'samples must have shape ({len(moments)}, 3, {self.joints}), got {values.shape}'
+            )
+        if not np.isfinite(values).all():
+            raise SampleError('samples must be finite')
+        if len(moments) == 0:
+            return
+        if self._first is None:
+            self._first = int(moments[0])
+        times = (moments - self._first) / NANOSECONDS
+        steps = np.diff(times, prepend=self._last_time)
+        if not (steps > 0.0).all():
+            raise SampleError('stamps must increase')
+        values[:, 2] *= self._efforts
+        gaps = np.nonzero(steps > LONGEST_STEP * self.arm.sample_time)[0]
+        for begin, end in zip([0, *gaps], [*gaps, len(times)]):
+            if begin > 0 or (len(gaps) > 0 and gaps[0] == 0):
+                restart(self.sampler, self.estimator.balance)
+                self.estimator.restart()
+            self._take(times[begin:end], values[begin:end])
+        self._last_time = float(times[-1])
+
+    def _take(self, times: FloatArray, samples: FloatArray) -> None:
+        """Take samples without a gap between them."""
+        k, plan = 0, (self.plan.per_block, self.plan.blocks)
+        while k < len(times):
+            k, complete = take_samples(
+                self.sampler, self.estimator.balance, times, samples, k, plan
+            )
+            now = float(times[k - 1])
+            self._report_jumps(now)
+            if complete:
+                self._decide(now)
+
+    def estimate(self, stamp: int) -> SerialEstimate:
+        """What is known after the last sample."""
+        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        state = tuple(
+            SensorState.NOT_DIAGNOSABLE
+            if one is SensorState.OK and sigma[i] > self.settings.widest_level
+            else one
+            for i, one in enumerate(self._state)
+        )
+        fault, sigma = self.sampler.correction + offsets, sigma.copy()
+        if self._moving is not None:
+            i = self._moving.joint
+            fault[i] = self.sampler.correction[i] + self._moving.fault(self._last())
+            sigma[i] = self._moving.sigma
+        return SerialEstimate(stamp, fault, sigma, state, self._suspects)
+
+    def _report_jumps(self, now: float) -> None:
+        """Alarms of steps and spikes."""
+        for i in range(self.joints):
+            if self.sampler.found[i] == STEP:
+                sigma = float(self.sampler.scale[i])
+                self._raise(i, 'bias', now, float(self.sampler.size[i]), sigma)
+                self._jumped[i] = now
+            elif self.sampler.found[i] == SPIKE:
+                self.alarms.append(SerialAlarm(self._sensor(i), 'spike', now, now, 0.0, 0.0, ()))
+            self.sampler.found[i] = 0
+
+    def _sensor(self, i: int) -> str:
+        return self.arm.sensor_names[i] if i >= 0 else ''
+
+    def _raise(self, i: int, kind: str, onset: float, size: float, sigma: float) -> None:
+        """A fault of sensor i is confirmed."""
+        self._state[i] = SensorState.ERROR
+        self.alarms.append(SerialAlarm(self._sensor(i), kind, onset, self._last(), size, sigma, ()))
+
+    def _last(self) -> float:
+        return float(self.sampler.time[-1])
+
+    def _blocks(self, intervals: int) -> FloatArray:
+        """The last blocks, oldest first."""
+        written = int(self.sampler.counters[BLOCKS])
+        count = min(intervals * self.plan.blocks, written, self._capacity)
+        return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
+
+    def _decide(self, now: float) -> None:
+        """A balance is complete: estimate, compare explanations, decide."""
+        if self._moving is not None:
+            self.estimator.take(now)
+            follow(self._moving, self.estimator, self.sampler, now)
+            return
+        self.estimator.add(now, not self._suspects)
+        if self.estimator.must_linearise():
+            self.estimator.linearise(self._blocks(len(self.estimator.window) + 1))
+        found = explanations(
+            self.estimator, self._push, *self._rest(), 0.5 * self.settings.evidence
+        )
+        if not found or found[0].gain < self.settings.evidence:
+            self._suspects = ()
+            self._held.clear()
+            self._decide_level()
+            return
+        margin = found[0].gain - self.settings.margin
+        rivals = [one for one in found if one.gain > margin]
+        self._suspects = tuple(dict.fromkeys(self._label(one) for one in rivals))
+        verdict = self._verdict(found)
+        if verdict is None:
+            self._held.append(('', -1))
+            return
+        kind = CONTACT if verdict.kind == CONTACT else 'encoder'
+        self._held.append((kind, verdict.joint))
+        if verdict.kind == CONTACT:
+            learned = len(self.estimator.window) * self.plan.interval > NOISE_KNOWN_AFTER
+            if learned and self._has_held(verdict, self.settings.contact_dwell):
+                self._report_contact(now)
+        elif self._has_held(verdict, self.settings.dwell) and now > self._contact_until:
+            self._blame(verdict)
+
+    def _has_held(self, verdict: Explanation, balances: int) -> bool:
+        """Whether the same has been to blame for the last balances."""
+        held = list(self._held)[-balances:]
+        kind = CONTACT if verdict.kind == CONTACT else 'encoder'
+        return held == [(kind, verdict.joint)] * balances
+
+    def _verdict(self, found: list[Explanation]) -> Explanation | None:
+        """The explanation that is beyond doubt for now, if there is one.
+
+        A reading that froze or jumped is evidence of its own, and what the linear columns say of
+        it is rough; else a torque from outside, which may have any course, is excluded only by an
+        encoder's fault that explains clearly more, over a second or longer.
+        """
+        for i in np.nonzero(self._is_conspicuous())[0]:
+            own = [one for one in found if one.joint == i and one.is_encoder]
+            if own and own[0].gain > 0.0:
+                return own[0]
+        contact = max(one.gain for one in found if one.kind == CONTACT)
+        encoder = [one for one in found if one.is_encoder]
+        if contact > max(3.0 * self.settings.evidence, *(2.0 * one.gain for one in encoder)):
+            return next(one for one in found if one.kind == CONTACT)
+        late = [one for one in encoder if self._last() - one.begin > NAMED_AFTER[one.kind]]
+        best = late[0] if late else None
+        if best is None or best.gain < self.settings.evidence:
+            return None
+        others = [one.gain for one in found if one.joint != best.joint or not one.is_encoder]
+        return best if best.gain > max(others) + self.settings.margin else None
+
+    def _is_conspicuous(self) -> BoolArray:
+        """Whether a reading froze while it moved, or jumped not long ago."""
+        still = self.sampler.still * self.arm.sample_time > STILL_TIME
+        froze = still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
+        froze |= still & (self.sampler.repeats < RARE)
+        return froze | (self._last() - self._jumped < RECENT)
+
+    def _rest(self) -> tuple[IntArray, FloatArray]:
+        """For how many balances each reading rests, and its speed before [rad/s]."""
+        time = self.sampler.still * self.arm.sample_time
+        resting = np.where(time > STILL_TIME, np.ceil(time / self.plan.interval) + 1, 0)
+        return resting.astype(np.int64), np.maximum(self.sampler.stop, 0.1)
+
+    def _report_contact(self, now: float) -> None:
+        """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
+        if now > self._contact_until:
+            self.alarms.append(SerialAlarm('', CONTACT, now, now, 0.0, 0.0, ()))
+        self._contact_until = now + CONTACT_PAUSE
+        self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
+
+    def _label(self, one: Explanation) -> str:
+        """Name of an explanation for people."""
+        return one.kind if one.kind == CONTACT else f'{self._sensor(one.joint)}:{one.kind}'
+
+    def _blame(self, best: Explanation) -> None:
+        """A position sensor explains what nothing else does: its fault is followed from now on."""
+        i = best.joint
+        kind = 'stuck' if self.sampler.still[i] * self.arm.sample_time > STILL_TIME else best.kind
+        self._raise(i, kind, best.begin, best.size, best.sigma)
+        self._moving = begin_moving_fault(self.estimator, i, kind, best.begin)
+        self._suspects = ()
+
+    def _decide_level(self) -> None:
+        """Offsets that gravity and motion show."""
+        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        beyond = np.abs(offsets) > np.maximum(
+            self.settings.level_sigmas * sigma, self.settings.smallest_level
+        )
+        beyond &= sigma < self.settings.widest_level
+        self._level_held = np.where(beyond, self._level_held + 1, 0)
+        for i in np.nonzero(self._level_held >= self.settings.level_dwell)[0]:
+            if self._state[i] is not SensorState.ERROR:
+                self._raise(int(i), 'bias', 0.0, float(offsets[i]), float(sigma[i]))

@@ -1,0 +1,386 @@
+"""From samples to momentum balances: jumps of readings, means of some samples, intervals.
+
+A reading that jumps shows in
+
+    e_k = y_k - y_(k-1) - T (v_(k-1) + v_(k+1)) / 2,
+
+which leaves out v_k: where rates are differences of the same reading, v_k jumps with it.  What all
+joints have in common, e = v dt, is a wrong stamp, not an encoder.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
+from lpv_core.support.jit import njit
+
+HISTORY = 8
+"""Samples that are kept for the test of jumps; a sample enters the balance ``DELAY`` later."""
+DELAY = 5
+NONE, STEP, SPIKE = range(3)
+"""What was found at a reading."""
+COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
+"""Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
+sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
+TIME, INTERVAL_START, BLOCK_START = range(3)
+"""Entries of `Sampler.clock` [s]."""
+JUMP_SCALE = 10.0
+"""A jump is larger than so many times the usual size of e."""
+
+
+class Sampler(NamedTuple):
+    """Samples on their way into the balance.
+
+    Attributes
+    ----------
+    time : ndarray, shape (HISTORY,)
+        Stamps of the last samples, newest last [s].
+    samples : ndarray, shape (HISTORY, 3, n)
+        Readings, rates, torques.
+    jumps : ndarray, shape (HISTORY, n)
+        e of each.
+    scale : ndarray, shape (n,)
+        Usual size of e [rad].
+    smallest : ndarray, shape (n,)
+        Smallest jump that is looked for [rad].
+    correction, drift : ndarray, shape (n,)
+        Fault that is removed from the reading [rad] and its rate [rad/s].
+    derived : ndarray, shape (n,)
+        1 where the rate is derived from the reading.
+    sums : ndarray, shape (3, n)
+        Of the current block.
+    blocks : ndarray, shape (capacity, 3 n + 3)
+        Means q, v, tau of the last blocks, with their time, length and place: a ring.
+    found : ndarray, shape (n,)
+        `STEP`, `SPIKE` or `NONE` of the last sample.
+    size : ndarray, shape (n,)
+        Height of a step that was found [rad].
+    raw : ndarray, shape (n,)
+        Last reading as it came [rad].
+    still : ndarray, shape (n,)
+        Samples for which the reading has not changed at all.
+    repeats : ndarray, shape (n,)
+        Share of readings that equal the one before, as of quantised encoders that move slowly.
+    stop : ndarray, shape (n,)
+        Speed of the reading before it came to rest [rad/s].
+    counters : ndarray of int64, shape (5,)
+        Counters.
+    clock : ndarray, shape (3,)
+        Moments [s].
+    """
+
+    time: FloatArray
+    samples: FloatArray
+    jumps: FloatArray
+    scale: FloatArray
+    smallest: FloatArray
+    correction: FloatArray
+    drift: FloatArray
+    derived: FloatArray
+    sums: FloatArray
+    blocks: FloatArray
+    found: IntArray
+    size: FloatArray
+    raw: FloatArray
+    still: IntArray
+    repeats: FloatArray
+    stop: FloatArray
+    counters: IntArray
+    clock: FloatArray
+
+
+def new_sampler(
+    derived: FloatArray, scale: FloatArray, smallest: FloatArray, capacity: int
+) -> Sampler:
+    """A sampler without samples.
+
+    Parameters
+    ----------
+    derived : ndarray, shape (n,)
+        1 where a rate is derived from its reading.
+    scale, smallest : ndarray, shape (n,)
+        Usual size of e to begin with, and smallest jump [rad].
+    capacity : int
+        Blocks that are kept.
+
+    Returns
+    -------
+    Sampler
+        All zero otherwise.
+    """
+    n = len(derived)
+    counters = np.zeros(5, np.int64)
+    counters[PENDING] = -1
+    return Sampler(
+        np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
+        smallest.copy(), np.zeros(n), np.zeros(n), derived.copy(), np.zeros((3, n)),
+        np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64), np.zeros(n),
+        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), counters,
+        np.zeros(3))  # fmt: skip
+
+
+@njit
+def push_sample(
+    sampler: Sampler, time: float, y: FloatArray, v: FloatArray, torque: FloatArray
+) -> None:
+    """Append a sample, with faults that are known removed, and test the one before for jumps.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed: ``found`` and ``size`` say what has been found at samples before.
+    time : float
+        Stamp [s].
+    y, v, torque : ndarray, shape (n,)
+        Readings, rates, torques [rad], [rad/s], [N m].
+    """
+    n = y.shape[0]
+    period = time - sampler.time[HISTORY - 1]
+    for k in range(HISTORY - 1):
+        sampler.time[k] = sampler.time[k + 1]
+        for i in range(n):
+            sampler.jumps[k, i] = sampler.jumps[k + 1, i]
+            for part in range(3):
+                sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
+    sampler.time[HISTORY - 1] = time
+    for i in range(n):
+        sampler.found[i] = NONE
+        if sampler.counters[COUNT] > 0:
+            sampler.correction[i] += sampler.drift[i] * period
+        reading = y[i] - sampler.correction[i]
+        if y[i] != sampler.raw[i]:
+            sampler.still[i] = 0
+            sampler.repeats[i] -= sampler.repeats[i] / 256.0
+        else:
+            sampler.still[i] += 1
+            if sampler.still[i] <= 3:
+                sampler.repeats[i] += (1.0 - sampler.repeats[i]) / 256.0
+            if sampler.still[i] == 1:
+                way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 5, 0, i]
+                sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[HISTORY - 5])
+        sampler.raw[i] = y[i]
+        sampler.samples[HISTORY - 1, 0, i] = reading
+        sampler.samples[HISTORY - 1, 1, i] = v[i] - sampler.derived[i] * sampler.drift[i]
+        sampler.samples[HISTORY - 1, 2, i] = torque[i]
+    sampler.counters[COUNT] += 1
+    if sampler.counters[COUNT] >= 3:
+        _set_jumps(sampler)
+        _find_jumps(sampler)
+
+
+@njit
+def _set_jumps(sampler: Sampler) -> None:
+    """Write e of the last sample but one, less what a wrong stamp explains."""
+    k, n = HISTORY - 2, sampler.scale.shape[0]
+    period = sampler.time[k] - sampler.time[k - 1]
+    moving, total, common, weight = 0, 0.0, 0.0, 0.0
+    for i in range(n):
+        rate = 0.5 * (sampler.samples[k - 1, 1, i] + sampler.samples[k + 1, 1, i])
+        jump = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i] - period * rate
+        sampler.jumps[k, i] = jump
+        moving += abs(rate) > 0.05
+        total += jump * jump
+        common += jump * rate
+        weight += rate * rate
+    if moving < 3 or common * common < 0.9 * total * weight:
+        return
+    for i in range(n):
+        rate = 0.5 * (sampler.samples[k - 1, 1, i] + sampler.samples[k + 1, 1, i])
+        sampler.jumps[k, i] -= rate * common / weight
+
+
+@njit
+def _find_jumps(sampler: Sampler) -> None:
+    """Wait for three samples after a large e, then say what it is."""
+    n, k = sampler.scale.shape[0], HISTORY - 2
+    if sampler.counters[PENDING] < 0:
+        for i in range(n):
+            size = abs(sampler.jumps[k, i])
+            limit = max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
+            if size > limit:
+                sampler.counters[PENDING] = 0
+            else:
+                bounded = min(size, 3.0 * sampler.scale[i])
+                change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
+                sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / 256.0)
+        return
+    sampler.counters[PENDING] += 1
+    if sampler.counters[PENDING] < 3:
+        return
+    sampler.counters[PENDING] = -1
+    for i in range(n):
+        _name_jump(sampler, i)
+
+
+@njit
+def _name_jump(sampler: Sampler, i: int) -> None:
+    """Tell step, spike and wrong rate apart by the pattern of e, and remove them."""
+    first, last = HISTORY - 5, HISTORY - 2
+    largest = 0.0
+    for k in range(first, last):
+        largest = max(largest, abs(sampler.jumps[k, i]))
+    peak = first
+    while abs(sampler.jumps[peak, i]) < 0.9 * largest:
+        peak += 1
+    size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
+    if abs(size) <= max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i]):
+        return
+    if abs(after + size) < 0.3 * abs(size):
+        sampler.found[i] = SPIKE
+        middle = 0.5 * (sampler.samples[peak - 1, 0, i] + sampler.samples[peak + 1, 0, i])
+        sampler.samples[peak, 0, i] = middle
+        _smooth_rates(sampler, i, peak, 2)
+        return
+    if peak + 2 <= last and abs(after) < 0.3 * abs(size):
+        again = sampler.jumps[peak + 2, i]
+        if abs(again - size) < 0.3 * abs(size):
+            _smooth_rates(sampler, i, peak + 1, 1)
+            return
+    sampler.found[i] = STEP
+    sampler.size[i] = size
+    sampler.correction[i] += size
+    for k in range(peak, HISTORY):
+        sampler.samples[k, 0, i] -= size
+    sampler.jumps[peak, i] = 0.0
+    _smooth_rates(sampler, i, peak, 1)
+
+
+@njit
+def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
+    """Replace rates that carry a jump by those around them."""
+    before, after = sampler.samples[start - 1, 1, i], sampler.samples[start + count, 1, i]
+    for k in range(start, start + count):
+        sampler.samples[k, 1, i] = 0.5 * (before + after)
+
+
+@njit
+def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: int) -> bool:
+    """Let the sample that is ``DELAY`` old enter the balance.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed.
+    balance : Balance
+        Changed where a block is complete.
+    per_block, blocks : int
+        Samples of a block, blocks of an interval.
+
+    Returns
+    -------
+    bool
+        Whether a balance is complete.
+    """
+    k = HISTORY - 1 - DELAY
+    if sampler.counters[COUNT] <= DELAY + 1:
+        if sampler.counters[COUNT] == DELAY + 1:
+            _start_interval(sampler, sampler.time[k])
+        return False
+    n, now = sampler.scale.shape[0], sampler.time[k]
+    for part in range(3):
+        for i in range(n):
+            sampler.sums[part, i] += sampler.samples[k, part, i]
+    sampler.counters[IN_BLOCK] += 1
+    if sampler.counters[IN_BLOCK] < per_block:
+        return False
+    _close_block(sampler, balance, now, blocks)
+    if sampler.counters[IN_INTERVAL] < blocks:
+        return False
+    complete = close_interval(balance, now - sampler.clock[INTERVAL_START])
+    sampler.clock[INTERVAL_START] = now
+    sampler.counters[IN_INTERVAL] = 0
+    return complete
+
+
+@njit
+def _start_interval(sampler: Sampler, now: float) -> None:
+    """Begin block and interval."""
+    sampler.sums[:] = 0.0
+    sampler.counters[IN_BLOCK] = 0
+    sampler.counters[IN_INTERVAL] = 0
+    sampler.clock[INTERVAL_START] = now
+    sampler.clock[BLOCK_START] = now
+
+
+@njit
+def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) -> None:
+    """Give the means of the block to the balance, and keep them."""
+    n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
+    capacity = sampler.blocks.shape[0]
+    row = sampler.blocks[sampler.counters[BLOCKS] % capacity]
+    for part in range(3):
+        for i in range(n):
+            row[part * n + i] = sampler.sums[part, i] / count
+            sampler.sums[part, i] = 0.0
+    length = now - sampler.clock[BLOCK_START]
+    place = (sampler.counters[IN_INTERVAL] + 0.5) / blocks
+    row[3 * n] = 0.5 * (now + sampler.clock[BLOCK_START])
+    row[3 * n + 1] = length
+    row[3 * n + 2] = place
+    add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
+    sampler.counters[BLOCKS] += 1
+    sampler.counters[IN_BLOCK] = 0
+    sampler.counters[IN_INTERVAL] += 1
+    sampler.clock[BLOCK_START] = now
+
+
+def restart(sampler: Sampler, balance: Balance) -> None:
+    """Begin again after a gap in the samples; corrections and what was learned stay.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed.
+    balance : Balance
+        Changed.
+    """
+    sampler.counters[:] = 0
+    sampler.counters[PENDING] = -1
+    sampler.still[:] = 0
+    sampler.sums[:] = 0.0
+    drop_interval(balance)
+
+
+@njit
+def take_samples(
+    sampler: Sampler,
+    balance: Balance,
+    times: FloatArray,
+    samples: FloatArray,
+    begin: int,
+    plan: tuple[int, int],
+) -> tuple[int, bool]:
+    """Take samples until something has to be decided.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed.
+    balance : Balance
+        Changed.
+    times : ndarray, shape (N,)
+        Stamps [s].
+    samples : ndarray, shape (N, 3, n)
+        Readings, rates, torques.
+    begin : int
+        The first sample to take.
+    plan : tuple
+        Samples of a block, blocks of an interval.
+
+    Returns
+    -------
+    tuple
+        The next sample to take, and whether a balance is complete; a jump ends the call, too.
+    """
+    n = sampler.scale.shape[0]
+    for k in range(begin, times.shape[0]):
+        push_sample(sampler, times[k], samples[k, 0], samples[k, 1], samples[k, 2])
+        complete = move_to_balance(sampler, balance, plan[0], plan[1])
+        jumped = False
+        for i in range(n):
+            jumped = jumped or sampler.found[i] != NONE
+        if complete or jumped:
+            return k + 1, complete
+    return times.shape[0], False

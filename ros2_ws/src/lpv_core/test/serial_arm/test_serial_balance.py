@@ -1,0 +1,119 @@
+"""Momentum balances and their derivatives; windows of least squares."""
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm
+
+from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.serial_arm.diagnosis.balance import (
+    COULOMB,
+    GAIN,
+    GROUPS,
+    OFFSET,
+    TORQUE,
+    VISCOUS,
+    fill_balances,
+    new_balance,
+)
+from lpv_core.serial_arm.diagnosis.information import InformationWindow
+from lpv_core.serial_arm.diagnosis.parameter_error import inertial_directions, relative_factor
+from lpv_core.serial_arm.simulation import SerialSimulator
+
+PER_BLOCK, PER_INTERVAL = 5, 5
+
+
+@pytest.fixture(scope='module')
+def blocks():
+    """Means of a simulated run without noise."""
+    simulator = SerialSimulator(shoulder_arm('independent'), seed=2)
+    simulator._noise = lambda count: np.zeros((count, 2, 3))
+    run = simulator.run(1.0)
+    rows = []
+    for k in range(len(run.stamps) // PER_BLOCK):
+        part = run.samples[k * PER_BLOCK : (k + 1) * PER_BLOCK]
+        # The effort of a sample acted before it.
+        efforts = run.samples[k * PER_BLOCK + 1 : (k + 1) * PER_BLOCK + 1, 2]
+        if len(efforts) < PER_BLOCK:
+            break
+        place = (k % PER_INTERVAL + 0.5) / PER_INTERVAL
+        rows.append(
+            [*part[:, 0].mean(0), *part[:, 1].mean(0), *efforts.mean(0), 0.01 * k, 0.01, place]
+        )
+    return np.array(rows)[PER_INTERVAL : PER_INTERVAL * (len(rows) // PER_INTERVAL)]
+
+
+def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0)):
+    directions = np.zeros((0, 3, 10)) if directions is None else directions
+    balance = new_balance(chain, directions, np.ones(3))
+    balance.reference[:] = reference
+    rows = np.empty((len(blocks) // PER_INTERVAL - 1, *balance.rows.shape))
+    fill_balances(balance, blocks, PER_INTERVAL, rows)
+    return rows
+
+
+def column(rows, group, joint):
+    return rows[:, :, 1 + 3 * group + joint]
+
+
+def test_balance_of_the_true_arm_is_zero(blocks):
+    residual = rows_of(compile_chain(shoulder_arm()), blocks)[:, :, 0]
+    assert np.abs(residual).max() < 2e-3 * np.abs(blocks[:, 6:9]).max() * 0.05
+
+
+def test_columns_of_offsets_are_derivatives(blocks):
+    chain = compile_chain(shoulder_arm())
+    rows = rows_of(chain, blocks)
+    for joint in range(3):
+        step = 1e-4 * np.eye(3)[joint]
+        ahead, behind = (rows_of(chain, blocks, reference=sign * step) for sign in (1, -1))
+        expected = (ahead[:, :, 0] - behind[:, :, 0]) / 2e-4
+        np.testing.assert_allclose(column(rows, OFFSET, joint), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(('group', 'field'), [(VISCOUS, 0), (COULOMB, 1), (TORQUE, 3)])
+def test_columns_of_friction_are_exact(blocks, group, field):
+    chain = compile_chain(shoulder_arm())
+    friction = chain.friction.copy()
+    friction[1, field] += 0.2
+    change = rows_of(chain._replace(friction=friction), blocks) - rows_of(chain, blocks)
+    expected = 0.2 * column(rows_of(chain, blocks), group, 1)
+    np.testing.assert_allclose(change[:, :, 0], expected, atol=1e-12)
+
+
+def test_columns_of_inertial_directions_are_exact(blocks):
+    chain = compile_chain(shoulder_arm())
+    directions = inertial_directions(chain, relative_factor(chain, 0.05), np.full(3, 2.0))
+    rows = rows_of(chain, blocks, directions)
+    moved = chain._replace(inertial=chain.inertial + 0.5 * directions[0])
+    change = rows_of(moved, blocks)[:, :, 0] - rows[:, :, 0]
+    np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(GROUPS)], atol=1e-12)
+
+
+def test_column_of_a_torque_gain_is_the_torque(blocks):
+    chain, louder = compile_chain(shoulder_arm()), blocks.copy()
+    louder[:, 7] *= 1.1
+    change = rows_of(chain, louder)[:, :, 0] - rows_of(chain, blocks)[:, :, 0]
+    expected = 0.1 * column(rows_of(chain, blocks), GAIN, 1)
+    np.testing.assert_allclose(change, expected, atol=1e-12)
+
+
+def test_window_sums_equal_direct_sums():
+    rng = np.random.default_rng(0)
+    rows, weights = rng.normal(size=(30, 2, 4)), rng.uniform(1.0, 2.0, (30, 2))
+    window = InformationWindow(4, 10, 0.0)
+    for k in range(30):
+        window.add(float(k), rows[k], weights[k], True)
+    for last in (1, 5, 10):
+        direct = np.einsum('kia,ki,kib->ab', rows[-last:], weights[-last:], rows[-last:])
+        np.testing.assert_allclose(window.products(last), direct, atol=1e-10)
+
+
+def test_window_remembers_what_leaves_it_as_told():
+    rows, weights = np.ones((1, 2)), np.ones(1)
+    window = InformationWindow(2, 3, 0.5)
+    for k in range(5):
+        window.add(float(k), rows, weights, k != 3)
+    np.testing.assert_allclose(window.past, np.ones((2, 2)))
+    window.forget(1)
+    assert len(window) == 1
+    np.testing.assert_allclose(window.products(), np.ones((2, 2)))

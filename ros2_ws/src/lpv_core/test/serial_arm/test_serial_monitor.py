@@ -1,0 +1,144 @@
+"""Diagnosis of a simulated arm of three joints whose parameters are not known exactly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm, wrong_plant
+
+from lpv_core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
+from lpv_core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
+from lpv_core.support.errors import ConfigError, SampleError
+
+DURATION = 8.0
+
+
+def watched(arm, faults=(), pushes=(), seed=1, duration=DURATION):
+    run = SerialSimulator(arm, wrong_plant(arm, seed), seed).run(duration, faults, pushes)
+    monitor = SerialMonitor(arm)
+    monitor.update_many(run.stamps, run.samples)
+    return monitor, run
+
+
+def named(monitor):
+    return {alarm.sensor for alarm in monitor.alarms}
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize('seed', [1, 2])
+def test_healthy_arm_of_unknown_parameters_raises_nothing(rates, seed):
+    monitor, run = watched(shoulder_arm(rates), seed=seed)
+    assert monitor.alarms == []
+    assert np.abs(monitor.estimate(0).fault[1:]).max() < 0.03
+
+
+def test_level_of_the_vertical_axis_is_not_diagnosable():
+    monitor, _ = watched(shoulder_arm())
+    estimate = monitor.estimate(0)
+    assert estimate.state[0] is SensorState.NOT_DIAGNOSABLE
+    assert estimate.sigma[0] > 0.4
+    assert estimate.state[1:] == (SensorState.OK, SensorState.OK)
+
+
+@pytest.mark.parametrize('joint', [1, 2])
+def test_offset_from_the_start_is_named_and_measured(joint):
+    monitor, _ = watched(shoulder_arm(), [EncoderFault(joint, 'bias', 0.0, 0.5)])
+    assert named(monitor) == {f'encoder{joint + 1}'}
+    assert monitor.alarms[0].detected < 5.0
+    assert monitor.estimate(0).fault[joint] == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize('joint', [0, 1, 2])
+def test_step_is_named_within_20_ms_on_any_joint(rates, joint):
+    fault = EncoderFault(joint, 'bias', 4.0, 0.01)
+    monitor, _ = watched(shoulder_arm(rates), [fault], duration=4.5)
+    assert [alarm.sensor for alarm in monitor.alarms] == [f'encoder{joint + 1}']
+    assert monitor.alarms[0].detected < 4.02
+    assert monitor.alarms[0].size == pytest.approx(0.01, abs=2e-3)
+
+
+def test_two_steps_at_once_are_both_named():
+    faults = [EncoderFault(1, 'bias', 4.0, 0.02), EncoderFault(2, 'bias', 4.0, -0.02)]
+    monitor, _ = watched(shoulder_arm(), faults, duration=4.5)
+    assert named(monitor) == {'encoder2', 'encoder3'}
+
+
+def test_drift_with_its_derived_rate_is_named_and_followed():
+    monitor, run = watched(shoulder_arm(), [EncoderFault(1, 'drift', 4.0, 0.3)])
+    assert named(monitor) == {'encoder2'}
+    assert monitor.alarms[0].detected < 5.5
+    truth = (run.samples[-1, 0] - run.position[-1])[1]
+    assert monitor.estimate(0).fault[1] == pytest.approx(truth, abs=0.1)
+
+
+def test_reading_that_freezes_is_named_stuck():
+    monitor, _ = watched(shoulder_arm(), [EncoderFault(2, 'stuck', 4.3)], duration=6.0)
+    assert {(alarm.sensor, alarm.kind) for alarm in monitor.alarms} == {('encoder3', 'stuck')}
+
+
+def test_push_is_no_fault_of_an_encoder():
+    pushes = [Push(4.0, 4.6, (0.0, 25.0, 12.0)), Push(6.0, 6.3, (15.0, -20.0, 0.0))]
+    monitor, _ = watched(shoulder_arm(), pushes=pushes)
+    assert {alarm.kind for alarm in monitor.alarms} == {'contact'}
+
+
+def test_samples_one_by_one_give_the_same_bits():
+    arm = shoulder_arm()
+    together, run = watched(arm, [EncoderFault(1, 'drift', 1.0, 1.0)], duration=3.0)
+    alone = SerialMonitor(arm)
+    for stamp, sample in zip(run.stamps, run.samples):
+        estimate = alone.update(int(stamp), *sample)
+    assert alone.alarms == together.alarms
+    assert estimate.fault.tobytes() == together.estimate(0).fault.tobytes()
+
+
+def test_bad_samples_are_refused_and_change_nothing():
+    monitor = SerialMonitor(shoulder_arm())
+    good = np.zeros(3)
+    monitor.update(1_000_000, good, good, good)
+    with pytest.raises(SampleError, match='finite'):
+        monitor.update(2_000_000, [0.0, np.nan, 0.0], good, good)
+    with pytest.raises(SampleError, match='increase'):
+        monitor.update(1_000_000, good, good, good)
+    with pytest.raises(SampleError, match='shape'):
+        monitor.update_many([3_000_000], np.zeros((1, 3, 2)))
+    assert monitor.update(2_000_000, good, good, good).stamp == 2_000_000
+
+
+def test_spike_is_no_lasting_fault():
+    arm = shoulder_arm('independent')
+    run = SerialSimulator(arm, seed=3).run(3.0)
+    run.samples[1000, 0, 1] += 0.3
+    monitor = SerialMonitor(arm)
+    monitor.update_many(run.stamps, run.samples)
+    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'spike')]
+    assert abs(monitor.estimate(0).fault[1]) < 0.1
+
+
+def test_gap_in_the_samples_is_no_fault_and_forgets_nothing():
+    arm = shoulder_arm()
+    run = SerialSimulator(arm, wrong_plant(arm, 1), 1).run(8.0, [EncoderFault(1, 'bias', 0.0, 0.5)])
+    kept = (np.arange(len(run.stamps)) < 2513) | (np.arange(len(run.stamps)) > 2777)
+    monitor = SerialMonitor(arm)
+    monitor.update_many(run.stamps[kept], run.samples[kept])
+    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
+    assert monitor.estimate(0).fault[1] == pytest.approx(0.5, abs=0.05)
+
+
+def test_efforts_are_scaled_in_a_copy():
+    arm = shoulder_arm()
+    louder = replace(arm, joints=tuple(replace(j, torque_gain=2.0) for j in arm.joints))
+    run = SerialSimulator(arm, seed=1).run(2.0)
+    halved = run.samples.copy()
+    halved[:, 2] *= 0.5
+    before, one, other = halved.copy(), SerialMonitor(arm), SerialMonitor(louder)
+    one.update_many(run.stamps, run.samples)
+    other.update_many(run.stamps, halved)
+    assert np.array_equal(halved, before)
+    assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
+
+
+def test_efforts_without_gravity_are_refused():
+    with pytest.raises(ConfigError, match='effort.includes_gravity'):
+        SerialMonitor(replace(shoulder_arm(), effort_includes_gravity=False))

@@ -1,0 +1,1 @@
+"""From motion and torques to parameters."""

@@ -1,0 +1,161 @@
+"""From recordings to an identified arm."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv_core.serial_arm.description import JointSensors, SerialArm
+from lpv_identify.estimation.assembly import covariance_of_all, fit_of
+from lpv_identify.estimation.determination import Determination, determine
+from lpv_identify.estimation.evaluation import Figures, Prediction, figures, predict
+from lpv_identify.estimation.regression import Filters, Fit
+from lpv_identify.estimation.tolerance import torque_tolerance
+from lpv_identify.estimation.workshop import Workshop
+from lpv_identify.model.base_parameters import BaseParameters
+from lpv_identify.recordings.motion import Bandwidths
+from lpv_identify.recordings.recording import Recording
+from lpv_identify.sensors.sensing import Sensing
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user says of recordings and fit."""
+
+    train_share: float = 0.6  # of every recording; the rest is held back
+    refit: bool = False  # write the parameters of a fit to all samples
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Identified arm, and how well it does on data that were held back."""
+
+    arm: SerialArm
+    figures: Figures  # of the arm, on data held back
+    prior_figures: Figures  # of the arm as it was given, on the same data
+    predictions: list[Prediction]  # on data held back
+    sensing: Sensing
+    determination: Determination
+    fit: Fit  # to the training data, without a prior
+    base: BaseParameters
+    bandwidths: Bandwidths
+    filters: Filters
+    strength: float  # of the prior
+    used_rates: bool  # measured rates were used
+    warnings: tuple[str, ...]
+
+
+def identify(
+    arm: SerialArm,
+    recordings: Sequence[Recording],
+    options: Options | None = None,
+    tests: Sequence[Recording] = (),
+) -> Identification:
+    """Identify an arm from recordings.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Kinematics, first guess of the inertias, limits, gains of the efforts.
+    recordings : sequence of Recording
+        To fit; the last part of each is held back, unless there are ``tests``.
+    options : Options, optional
+        Choices of the user.
+    tests : sequence of Recording, optional
+        Other recordings, to test on.
+
+    Returns
+    -------
+    Identification
+        Arm and figures.
+
+    Raises
+    ------
+    IdentificationError
+        If the recordings cannot identify the arm.
+    """
+    options = options or Options()
+    workshop = Workshop(arm, recordings)
+    share = 1.0 if tests else options.train_share
+    workshop.estimate_gains(share)
+    arm = workshop.arm
+    workshop.choose(share)
+    fit, strength = workshop.fit(share)
+    found = workshop.arm_of(fit, strength)
+    held_back = workshop.test_rows(share, tests)
+    predictions = [
+        predict(
+            rows, fit_of(found, workshop.base, fit), workshop.filters, motion.time, motion.position
+        )
+        for rows, motion in held_back
+    ]
+    before = [
+        predict(
+            rows, fit_of(arm, workshop.base, fit), workshop.filters, motion.time, motion.position
+        )
+        for rows, motion in held_back
+    ]
+    if options.refit:
+        fit, _ = workshop.fit(1.0)
+        found = workshop.arm_of(fit, strength)
+    free = workshop.free_fit(1.0 if options.refit else share, fit.slope)
+    determination = determine(workshop.base, free, arm)
+    sensing = workshop.sensing()
+    found = _finish(found, workshop, sensing, predictions, determination, free)
+    step = workshop.step
+    return Identification(
+        found,
+        figures(predictions, workshop.filters, step),
+        figures(before, workshop.filters, step),
+        predictions,
+        sensing,
+        determination,
+        free,
+        workshop.base,
+        workshop.bands,
+        workshop.filters,
+        strength,
+        workshop.use_rates,
+        tuple(workshop.warnings),
+    )
+
+
+def _finish(
+    arm: SerialArm,
+    workshop: Workshop,
+    sensing: Sensing,
+    predictions: Sequence[Prediction],
+    determination: Determination,
+    fit: Fit,
+) -> SerialArm:
+    """The arm with sensors, tolerances, delays and covariance."""
+    speed = np.concatenate([p.velocity for p in predictions])
+    residual = np.concatenate([p.measured - p.predicted for p in predictions])
+    joints = []
+    for j, joint in enumerate(arm.joints):
+        sensors = JointSensors(
+            joint.sensors.name,
+            max(float(sensing.position_noise[j]), 1e-9),
+            float(sensing.quantization[j]),
+            sensing.rates[j],
+            max(float(sensing.velocity_noise[j]), 1e-9),
+            joint.sensors.second_encoder,
+        )
+        joints.append(
+            replace(
+                joint,
+                sensors=sensors,
+                effort_delay=float(workshop.effort_delay[j]),
+                torque_tolerance=torque_tolerance(speed[:, j], residual[:, j]),
+            )
+        )
+    covariance = covariance_of_all(
+        workshop.arm, workshop.base, fit, int(determination.determined.sum())
+    )
+    return replace(
+        arm,
+        joints=tuple(joints),
+        covariance=covariance,
+        sample_time=workshop.step,
+        effort_bandwidth=workshop.filters.effort,
+    )

@@ -1,0 +1,143 @@
+"""Choice of the model by prediction of data that were held back."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lpv_identify.estimation.regression import (
+    Filters,
+    Fit,
+    Prior,
+    Rows,
+    fit_parameters,
+    model_torque,
+)
+from lpv_identify.recordings.filters import causal_low_pass, low_pass
+
+Estimator = Callable[[Sequence[Rows]], Fit]
+BLOCKS = 4
+"""Blocks of the training data, each of which is predicted from the others."""
+STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2)
+"""Strengths of the prior that are tried."""
+EFFORT_BANDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
+"""Bandwidths of the effort sensor that are tried [Hz]."""
+_GAIN = 0.9  # ratio of mean squares below which the richer model is taken
+_NOTHING = 1e-5  # share of an effort's power that counts for nothing
+_EQUAL = 0.02  # difference of their logarithms that counts for nothing
+
+
+def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
+    """First ``share`` of the counted samples, and the rest."""
+    start, stop, _ = rows.part.indices(len(rows.effort))
+    middle = start + int(round(share * (stop - start)))
+    return replace(rows, part=slice(start, middle)), replace(rows, part=slice(middle, stop))
+
+
+def _folds(rows: Sequence[Rows]) -> list[tuple[list[Rows], list[Rows]]]:
+    """Training and validation rows of each block."""
+    result = []
+    for block in range(BLOCKS):
+        train, valid = [], []
+        for one in rows:
+            start, stop, _ = one.part.indices(len(one.effort))
+            edges = np.linspace(start, stop, BLOCKS + 1).astype(int)
+            before, after = slice(start, edges[block]), slice(edges[block + 1], stop)
+            train += [replace(one, part=p) for p in (before, after) if p.stop - p.start > 10]
+            valid.append(replace(one, part=slice(edges[block], edges[block + 1])))
+        result.append((train, valid))
+    return result
+
+
+def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.inf) -> np.ndarray:
+    """Effort minus prediction over the counted samples, shape (samples, n) [N m].
+
+    The bandwidth of the effort sensor is part of the prediction; the effort itself is not filtered,
+    or through a filter that uses the past only.
+    """
+    predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
+    return causal_low_pass(rows.effort - predicted, causal_cutoff, rows.step)[rows.part]
+
+
+def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator) -> np.ndarray:
+    """Mean square error of each joint on the blocks held back, in the band of the analysis.
+
+    Parameters
+    ----------
+    rows : sequence of Rows
+        Training data.
+    filters : Filters
+        Of effort sensor and analysis.
+    estimate : callable
+        From rows to a fit.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [(N m)^2]
+    """
+    total, count = np.zeros(rows[0].effort.shape[1]), 0
+    for train, valid in _folds(rows):
+        fit = estimate(train)
+        for one in valid:
+            error = residuals(one, fit, filters, filters.test)
+            # A contact must not decide.
+            bound = 4.0 * np.median(np.abs(error), axis=0) / 0.6745
+            total += np.sum(np.clip(error, -bound, bound) ** 2, axis=0)
+            count += len(error)
+    return total / max(count, 1)
+
+
+def choose_effort_band(
+    rows: Sequence[Rows], filters: Filters, use_load: np.ndarray, prior: Prior | None
+) -> float:
+    """Bandwidth of the effort sensor, inf if none is seen.
+
+    Drivers report torques that are filtered.  Where the spectrum of the efforts ends below that
+    of the model, a filter on the model explains what friction at reversals cannot.
+    """
+    step = rows[0].step
+    errors: dict[float, np.ndarray] = {}
+    for band in (np.inf, *[b for b in EFFORT_BANDS[::-1] if b < 0.15 / step and _ends(rows, b)]):
+        trial = replace(filters, effort=band)
+        fit = fit_parameters(rows, trial, use_load, prior, sweeps=3)
+        errors[band] = _raw_error(rows, fit, trial)
+        tried = [float(np.sum(np.log(e))) for e in errors.values()]
+        if len(tried) > 4 and min(tried[-3:]) > min(tried):
+            break
+    best = min(errors, key=lambda band: float(np.sum(np.log(errors[band]))))
+    gain = np.exp(np.mean(np.log(errors[best] / errors[np.inf])))
+    return best if gain < _GAIN else np.inf
+
+
+def _ends(rows: Sequence[Rows], band: float) -> bool:
+    """Whether efforts carry next to nothing beyond three times a bandwidth."""
+    beyond = total = 0.0
+    for one in rows:
+        effort = one.effort[one.part]
+        window = np.hanning(len(effort))[:, None]
+        power = np.abs(np.fft.rfft((effort - effort.mean(axis=0)) * window, axis=0)) ** 2
+        power = power / np.maximum(power.sum(axis=0), 1e-300)
+        high = np.fft.rfftfreq(len(effort), one.step) > 3.0 * band
+        beyond += float(power[high].sum(axis=0).max())
+        total += 1.0
+    return beyond < _NOTHING * total
+
+
+def _raw_error(rows: Sequence[Rows], fit: Fit, filters: Filters) -> np.ndarray:
+    error = np.concatenate([residuals(one, fit, filters) for one in rows])
+    bound = 4.0 * np.median(np.abs(error), axis=0) / 0.6745
+    return np.mean(np.clip(error, -bound, bound) ** 2, axis=0)
+
+
+def choose_prior(
+    rows: Sequence[Rows], filters: Filters, estimator_of: Callable[[float], Estimator]
+) -> float:
+    """Strength of the prior that predicts best; the largest of those that do equally well."""
+    errors = np.array(
+        [
+            np.mean(np.log(validation_error(rows, filters, estimator_of(strength))))
+            for strength in STRENGTHS
+        ]
+    )
+    return STRENGTHS[int(np.flatnonzero(errors < errors.min() + _EQUAL)[-1])]

@@ -1,0 +1,254 @@
+"""Recordings of an arm, and the choices on the way to its parameters."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lpv_core.serial_arm.description import SerialArm
+from lpv_identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
+from lpv_identify.estimation.delays import MAX_DELAY, effort_delays, rate_delays
+from lpv_identify.estimation.gains import estimate_gains
+from lpv_identify.estimation.regression import Filters, Fit, Prior, Rows, fit_parameters, make_rows
+from lpv_identify.estimation.selection import (
+    choose_effort_band,
+    choose_prior,
+    divide,
+    validation_error,
+)
+from lpv_identify.model.base_parameters import BaseParameters, find_base_parameters
+from lpv_identify.model.friction import TERMS
+from lpv_identify.model.prior import LOAD_WIDTH, structural_prior
+from lpv_identify.model.rigid_body import build_model
+from lpv_identify.recordings.motion import (
+    Motion,
+    Segment,
+    check_motion,
+    find_bandwidths,
+    smooth,
+    split,
+)
+from lpv_identify.recordings.recording import Recording
+from lpv_identify.sensors.noise import noise_deviation, quantization_step
+from lpv_identify.sensors.rates import rate_sources
+from lpv_identify.sensors.sensing import Sensing
+
+WEAK = 1e-3
+"""Strength of the prior while the model is chosen."""
+_PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
+HELD = 1e4
+"""Strength of the prior where the data leave the scale open."""
+_BETTER = 0.95  # ratio of mean squares below which a correction is made
+
+
+class Workshop:
+    """Recordings, and the choices that are made on the way."""
+
+    def __init__(self, arm: SerialArm, recordings: Sequence[Recording]):
+        self.arm = arm
+        self.n = len(arm.joints)
+        self.gain = np.array([joint.torque_gain for joint in arm.joints])
+        self.segments = [segment for one in recordings for segment in split(one)]
+        self.warnings = [text for one in recordings for text in one.warnings]
+        self.warnings += check_motion(self.segments, arm.joint_names)
+        self.step = max(segment.step for segment in self.segments)
+        self.bands = find_bandwidths(self.segments)
+        self.model = build_model(arm)
+        self.base = find_base_parameters(self.model)
+        self.prior = _base_prior(arm, self.base)
+        self.use_rates = self._are_rates_better()
+        self.rate_delay = (
+            rate_delays(self.segments, self.bands) if self.has_rates else np.zeros(self.n)
+        )
+        self.effort_delay = np.zeros(self.n)
+        self.joint_delays = np.zeros(self.n)
+        self.use_load = np.zeros(self.n, bool)
+        thinning = max(1, int(1.0 / (8.0 * self.bands.analysis * self.step)))
+        self.filters = Filters(np.inf, self.bands.analysis, thinning, self.bands.test)
+        self.strength = 1.0
+        self._prepare()
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether rates are recorded."""
+        return self.segments[0].velocity is not None
+
+    def _are_rates_better(self) -> bool:
+        """Whether measured rates have less noise in the band than derivatives of positions."""
+        rates = [s.velocity for s in self.segments if s.velocity is not None]
+        if not rates:
+            return False
+        derived = noise_deviation([s.position for s in self.segments]) * (
+            2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
+        )
+        return bool(np.median(noise_deviation(rates) / np.maximum(derived, 1e-15)) < 1.0)
+
+    def estimate_gains(self, share: float) -> None:
+        """Gains of the efforts, if those are currents and no gains are given."""
+        if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
+            return
+        self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
+        joints = [
+            replace(joint, torque_gain=float(gain))
+            for joint, gain in zip(self.arm.joints, self.gain)
+        ]
+        self.arm = replace(self.arm, joints=tuple(joints))
+        self.warnings.append(
+            'the scale of gains and masses is that of the masses given; a tool of known mass '
+            'corrects it (--payload --known-mass)'
+        )
+        self._prepare()
+
+    def _prepare(self) -> None:
+        self.motions = [self._motion(segment) for segment in self.segments]
+        self.rows = [self._rows(motion) for motion in self.motions]
+
+    def _motion(self, segment: Segment) -> Motion:
+        scaled = replace(segment, effort=segment.effort * self.gain)
+        return smooth(scaled, self.bands, self.use_rates, self.rate_delay, self.effort_delay)
+
+    def _rows(self, motion: Motion) -> Rows:
+        limit = 1.1 * np.array([joint.limits.velocity for joint in self.arm.joints])
+        rows = make_rows(self.model, self.base, motion, limit, self.arm.effort_includes_gravity)
+        margin = min(int(np.ceil(0.5 / (self.bands.test * self.step))), len(motion.time) // 10)
+        return replace(rows, part=slice(margin, len(motion.time) - margin))
+
+    def train_rows(self, share: float) -> list[Rows]:
+        return [divide(rows, share)[0] for rows in self.rows]
+
+    def test_rows(self, share: float, tests: Sequence[Recording]) -> list[tuple[Rows, Motion]]:
+        if not tests:
+            return [
+                (divide(rows, share)[1], motion) for rows, motion in zip(self.rows, self.motions)
+            ]
+        motions = [self._motion(segment) for one in tests for segment in split(one)]
+        return [(self._rows(motion), motion) for motion in motions]
+
+    def choose(self, share: float) -> None:
+        """Rates, bandwidth of the efforts, delay, load: by prediction within the training data."""
+        weak = Prior(self.prior.mean, WEAK * self.prior.information)
+        if self.has_rates:
+            self._choose_rates(share)
+        rows = self.train_rows(share)
+        band = choose_effort_band(rows, self.filters, self.use_load, weak)
+        self.filters = replace(self.filters, effort=band)
+        self.use_load = np.ones(self.n, bool)
+        self._choose_delay(share)
+
+    def consistent_fit(
+        self, rows: Sequence[Rows], strength: float, slope: np.ndarray | None = None
+    ) -> Fit:
+        """Fit whose parameters belong to bodies of positive mass."""
+        prior = Prior(self.prior.mean, strength * self.prior.information)
+        fit = fit_parameters(rows, self.filters, self.use_load, prior, slope)
+        return fit_of(self.arm_of(fit, strength), self.base, fit)
+
+    def _error(self, share: float) -> float:
+        """Mean logarithm of the mean square errors on blocks held back of the training data."""
+        rows = self.train_rows(share)
+        slope = self.consistent_fit(rows, 1.0).slope
+        errors = validation_error(
+            rows, self.filters, lambda part: self.consistent_fit(part, 1.0, slope)
+        )
+        return float(np.mean(np.log(errors)))
+
+    def _choose_rates(self, share: float) -> None:
+        """Measured rates or derivatives of positions: the other one if that predicts better."""
+        before = self._error(share)
+        kept = self.motions, self.rows
+        self.use_rates = not self.use_rates
+        self._prepare()
+        if self._error(share) > before + np.log(_BETTER):
+            self.use_rates = not self.use_rates
+            self.motions, self.rows = kept
+
+    def _choose_delay(self, share: float) -> None:
+        """Delays of the efforts, if predictions gain from them.
+
+        A drive that follows late looks like a negative inertia, which no body has.
+        """
+        before = self._error(share)
+        kept = self.motions, self.rows
+        for _ in range(2):
+            rows = self.train_rows(share)
+            found = self.consistent_fit(rows, 1.0)
+            late = self.effort_delay + effort_delays(rows, found, self.filters)
+            self.effort_delay = np.clip(late, -MAX_DELAY, MAX_DELAY)
+            self._prepare()
+        self.joint_delays = self.effort_delay
+        if self._error(share) > before + np.log(_BETTER):
+            self.effort_delay = np.zeros(self.n)
+            self.motions, self.rows = kept
+
+    def fit(self, share: float) -> tuple[Fit, float]:
+        """Fit with the prior of the strength that predicts best, and this strength."""
+        rows = self.train_rows(share)
+        passive = self._passive_joints(rows)
+        if passive:
+            self.warnings.append(
+                f'{", ".join(passive)}: hardly driven, so all parameters might as well be smaller; '
+                'the masses given are kept'
+            )
+            held = Prior(self.prior.mean, HELD * self.prior.information)
+            return fit_parameters(rows, self.filters, self.use_load, held), HELD
+        slope = self.consistent_fit(rows, 1.0).slope
+        strength = choose_prior(
+            rows, self.filters, lambda tried: lambda part: self.consistent_fit(part, tried, slope)
+        )
+        strong = Prior(self.prior.mean, strength * self.prior.information)
+        return fit_parameters(rows, self.filters, self.use_load, strong), strength
+
+    def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
+        """Joints whose efforts are far below the torques that act on them: they swing freely.
+
+        The balance of such a joint holds for parameters of any scale, down to none at all.
+        """
+        beta = np.abs(self.prior.mean[: self.base.size])
+        acting = np.mean(np.concatenate([np.abs(r.base[r.part]) @ beta for r in rows]), axis=0)
+        driven = np.mean(np.concatenate([np.abs(r.effort[r.part]) for r in rows]), axis=0)
+        return [name for name, few in zip(self.arm.joint_names, driven < _PASSIVE * acting) if few]
+
+    def free_fit(self, share: float, slope: np.ndarray | None) -> Fit:
+        """Fit whose inertial parameters have no prior: its covariance is that of the data."""
+        free = self.prior.information.copy()
+        free[: self.base.size, : self.base.size] = 0.0
+        return fit_parameters(
+            self.train_rows(share),
+            self.filters,
+            self.use_load,
+            Prior(self.prior.mean, free),
+            slope,
+            signed=False,
+            with_covariance=True,
+        )
+
+    def arm_of(self, fit: Fit, strength: float) -> SerialArm:
+        values = consistent_parameters(self.arm, self.base, fit, strength)
+        return with_parameters(self.arm, values, fit.slope)
+
+    def sensing(self) -> Sensing:
+        """Noise, quantization, source of rates, delays."""
+        positions = [segment.position for segment in self.segments]
+        rates = [s.velocity for s in self.segments if s.velocity is not None]
+        sources, evidence = rate_sources(self.segments)
+        noise = noise_deviation(rates) if rates else np.full(self.n, 1e-2)
+        return Sensing(
+            noise_deviation(positions),
+            quantization_step(positions),
+            noise,
+            sources,
+            evidence,
+            self.rate_delay,
+            self.joint_delays,
+        )
+
+
+def _base_prior(arm: SerialArm, base: BaseParameters) -> Prior:
+    mean, sigma = structural_prior(arm)
+    covariance = (base.combination * sigma**2) @ base.combination.T
+    size = base.size + len(TERMS) * len(arm.joints)
+    information = np.zeros((size, size))
+    information[: base.size, : base.size] = np.linalg.inv(covariance)
+    load = base.size + TERMS.index('load') + len(TERMS) * np.arange(len(arm.joints))
+    information[load, load] = LOAD_WIDTH**-2
+    return Prior(np.concatenate([base.combination @ mean, np.zeros(size - base.size)]), information)

@@ -1,0 +1,1 @@
+"""Regressors and constraints of rigid bodies and friction."""

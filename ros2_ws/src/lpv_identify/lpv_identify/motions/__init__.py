@@ -1,0 +1,1 @@
+"""Motions that identify an arm."""

@@ -1,0 +1,97 @@
+"""A planned motion as files: a table, a trajectory message, and a bag that can be played."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.writing import BagWriter, qos_profile
+from lpv_core.serial_arm.description import SerialArm
+from lpv_identify.motions.simulation import joint_torques
+from lpv_identify.motions.trajectory import Trajectory
+
+TOPIC = '/lpv/excitation'
+"""Topic of the reference in the bag, sensor_msgs/JointState."""
+_MESSAGE_STEP = 0.1  # between points of the trajectory message [s]
+
+
+def write_reference(
+    arm: SerialArm, trajectory: Trajectory, rate: float, folder: Path
+) -> list[Path]:
+    """Write a motion.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm; its parameters give the torques that are expected.
+    trajectory : Trajectory
+        The motion.
+    rate : float
+        Samples per second [Hz].
+    folder : pathlib.Path
+        Folder to create.
+
+    Returns
+    -------
+    list of pathlib.Path
+        ``trajectory.csv``: time, positions, rates, expected torques of all samples.
+        ``trajectory.yaml``: a trajectory_msgs/JointTrajectory for a joint trajectory controller.
+        ``reference``: a bag with a sensor_msgs/JointState per sample, for ``ros2 bag play``.
+    """
+    folder.mkdir(parents=True)
+    time = np.arange(0.0, trajectory.duration + 0.5 / rate, 1.0 / rate)
+    motion = trajectory.sample(time)
+    torque = joint_torques(arm, *motion)
+    files = [folder / 'trajectory.csv', folder / 'trajectory.yaml', folder / 'reference']
+    names = arm.joint_names
+    header = ','.join(
+        [
+            'time',
+            *(f'{name}_{kind}' for kind in ('position', 'velocity', 'effort') for name in names),
+        ]
+    )
+    np.savetxt(
+        files[0],
+        np.column_stack([time, motion[0], motion[1], torque]),
+        delimiter=',',
+        header=header,
+        comments='',
+        fmt='%.9g',
+    )
+    files[1].write_text(yaml.safe_dump(_message(names, trajectory), sort_keys=False, width=110))
+    _write_bag(files[2], names, time, motion[0], motion[1], torque)
+    return files
+
+
+def _message(names: tuple[str, ...], trajectory: Trajectory) -> dict[str, Any]:
+    time = np.append(np.arange(0.0, trajectory.duration, _MESSAGE_STEP), trajectory.duration)
+    points = []
+    for t, q, v, a in zip(time, *trajectory.sample(time)):
+        nanoseconds = round(t * 1e9)
+        points.append(
+            {
+                'positions': q.tolist(),
+                'velocities': v.tolist(),
+                'accelerations': a.tolist(),
+                'time_from_start': {'sec': nanoseconds // 10**9, 'nanosec': nanoseconds % 10**9},
+            }
+        )
+    return {'joint_names': list(names), 'points': points}
+
+
+def _write_bag(
+    path: Path,
+    names: tuple[str, ...],
+    time: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    torque: np.ndarray,
+) -> None:
+    with BagWriter(path) as writer:
+        writer.add_topic(TOPIC, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
+        messages = BagMessages(writer.typestore, 'base_link')
+        for t, *sample in zip(time, position, velocity, torque):
+            stamp = round((1.0 + t) * 1e9)
+            writer.write(TOPIC, stamp, messages.joint_state(stamp, names, *sample))

@@ -1,0 +1,1 @@
+"""Recordings of an arm, and motion on a uniform grid."""

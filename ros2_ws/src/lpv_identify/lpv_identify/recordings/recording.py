@@ -1,0 +1,249 @@
+"""Recordings of an arm: positions, rates and efforts of its joints over time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpv_bag.rosbag.reading import BagReader, open_bag
+from lpv_bag.run.csv_import import ColumnMap
+from lpv_identify.errors import IdentificationError
+
+MAX_SAMPLES = 4_000_000
+"""Largest number of samples of one recording."""
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+MIN_SHARE_VALID = 0.7
+"""Smallest share of samples that must be complete."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Samples of the joints of an arm, in the order of the arm.
+
+    Attributes
+    ----------
+    source : str
+        Where they come from.
+    time : ndarray, shape (n,)
+        Stamps that increase [s].
+    position : ndarray, shape (n, joints)
+        [rad].
+    velocity : ndarray, shape (n, joints), or None
+        [rad/s]; None if the recording has no rates.
+    effort : ndarray, shape (n, joints)
+        In the unit of the driver.
+    warnings : tuple of str
+        What was wrong and could be mended.
+    """
+
+    source: str
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray | None
+    effort: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last [s]."""
+        return float(self.time[-1] - self.time[0])
+
+
+def read_recording(
+    path: str | Path,
+    joints: Sequence[str],
+    topic: str | None = None,
+    columns: ColumnMap | None = None,
+) -> Recording:
+    """Read a bag or a CSV file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        rosbag2 directory, ``.mcap``, ``.db3`` (with or without metadata), or ``.csv``.
+    joints : sequence of str
+        Names of the arm's joints; the recording may have more, in any order.
+    topic : str, optional
+        Topic of the ``sensor_msgs/JointState``; needed if there are several that have the joints.
+    columns : ColumnMap, optional
+        Meaning of the columns of a CSV file; guessed from the header if not given.
+
+    Returns
+    -------
+    Recording
+        Complete samples with stamps that increase.
+
+    Raises
+    ------
+    IdentificationError
+        If joints, positions or efforts are missing, or too many samples are not finite.
+    LpvError
+        If the file cannot be read.
+    """
+    path = Path(path)
+    if path.suffix.lower() == '.csv':
+        from lpv_identify.recordings.csv_recording import read_csv
+
+        stamps, position, velocity, effort = read_csv(path, joints, columns)
+    else:
+        stamps, position, velocity, effort = _read_bag(path, joints, topic)
+    return clean(str(path), stamps, position, velocity, effort)
+
+
+def clean(
+    source: str,
+    stamps: Sequence[np.ndarray],
+    position: np.ndarray,
+    velocity: np.ndarray | None,
+    effort: np.ndarray,
+) -> Recording:
+    """Recording of the complete samples; the steadiest of the given ``stamps`` is taken."""
+    warnings = []
+    if velocity is not None and np.mean(np.isfinite(velocity).all(1)) < MIN_SHARE_VALID:
+        warnings.append('rates are missing, they are computed from positions')
+        velocity = None
+    effort_valid = np.isfinite(effort).all(1)
+    if not effort_valid.any():
+        raise IdentificationError(
+            f'{source}: has no efforts; torques or currents of the motors must be recorded, too'
+        )
+    valid = effort_valid & np.isfinite(position).all(1)
+    if velocity is not None:
+        valid &= np.isfinite(velocity).all(1)
+    if valid.mean() < MIN_SHARE_VALID:
+        raise IdentificationError(
+            f'{source}: only {100 * valid.mean():.0f} % of the samples are '
+            'complete, the others hold values that are not finite'
+        )
+    if not valid.all():
+        warnings.append(f'{np.sum(~valid)} samples with values that are not finite are left out')
+    time, notes = _choose_stamps(source, stamps, position, velocity)
+    warnings += notes
+    index = np.flatnonzero(valid & np.isfinite(time))
+    index = index[np.argsort(time[index], kind='stable')]
+    index = index[np.concatenate([[True], np.diff(time[index]) > 0.0])]
+    return Recording(
+        source,
+        time[index],
+        position[index],
+        None if velocity is None else velocity[index],
+        effort[index],
+        tuple(warnings),
+    )
+
+
+def _choose_stamps(
+    source: str, stamps: Sequence[np.ndarray], position: np.ndarray, velocity: np.ndarray | None
+) -> tuple[np.ndarray, list[str]]:
+    """The first of the stamps, unless another one fits the motion better."""
+    kinds = ['header stamps', 'log times', 'the count of the samples']
+    candidates = [np.asarray(s, float) - s[0] for s in stamps]
+    counted = _counted(candidates[-1])
+    named = list(zip(kinds, candidates)) + ([(kinds[2], counted)] if counted is not None else [])
+    usable = [
+        (name, time)
+        for name, time in named
+        if np.mean(np.diff(time) > 0.0) > 0.98 and time[-1] > time[0]
+    ]
+    if not usable:
+        raise IdentificationError(
+            f'{source}: stamps stand still or run backwards, no others are recorded'
+        )
+    scores = [_roughness(time, position) for _, time in usable]
+    best = 0 if scores[0] <= 1.25 * min(scores) else int(np.argmin(scores))
+    name, time = usable[best]
+    notes = []
+    if time is not candidates[0]:
+        notes.append(f'{kinds[0]} jitter or stand still, times are taken from {name}')
+    return time, notes
+
+
+def _counted(time: np.ndarray) -> np.ndarray | None:
+    """Times of a steady clock that counts the samples; None if samples were lost."""
+    steps = np.diff(time)
+    step = np.median(steps)
+    if not step > 0.0 or np.max(steps) > 5.0 * step:
+        return None
+    index = np.arange(len(time), dtype=float)
+    slope, start = np.polyfit(index, time, 1)
+    if np.max(np.abs(time - start - slope * index)) > 20.0 * step:
+        return None
+    return slope * index
+
+
+def _roughness(time: np.ndarray, position: np.ndarray) -> float:
+    """How much the motion jerks in these times: jitter of stamps looks like acceleration."""
+    step = np.diff(time)
+    keep = step > 1e-6
+    rate = np.diff(position, axis=0)[keep] / step[keep, None]
+    return float(np.median(np.abs(np.diff(rate, axis=0)), axis=0).sum()) if keep.any() else np.inf
+
+
+def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any, ...]:
+    with open_bag(path) as bag:
+        connections = _joint_state_topics(bag, topic, path)
+        parts: dict[str, list[tuple[Any, ...]]] = {}
+        unknown: dict[str, list[str]] = {}
+        for connection, log_time, raw in bag.messages(connections):
+            message = bag.deserialize(raw, connection.msgtype)
+            names = list(message.name)
+            missing = [name for name in joints if name not in names]
+            if missing:
+                unknown.setdefault(connection.topic, names)
+                continue
+            rows = parts.setdefault(connection.topic, [])
+            if len(rows) >= MAX_SAMPLES:
+                raise IdentificationError(f'{path}: has more than {MAX_SAMPLES} samples')
+            index = [names.index(name) for name in joints]
+            stamp = message.header.stamp
+            rows.append(
+                (
+                    stamp.sec + 1e-9 * stamp.nanosec,
+                    log_time,
+                    *(
+                        _pick(getattr(message, field), index)
+                        for field in ('position', 'velocity', 'effort')
+                    ),
+                )
+            )
+    if not parts:
+        found = '; '.join(f'{name}: {", ".join(names)}' for name, names in unknown.items())
+        raise IdentificationError(
+            f'{path}: no message has all joints {", ".join(joints)}; '
+            f'found {found or "no joint states"}'
+        )
+    if len(parts) > 1:
+        raise IdentificationError(
+            f'{path}: several topics have the joints '
+            f'({", ".join(sorted(parts))}); name one with --topic'
+        )
+    header, log, position, velocity, effort = zip(*next(iter(parts.values())))
+    log_time = 1e-9 * (np.array(log, np.int64) - log[0]).astype(float)
+    rates = np.array(velocity)
+    return (
+        [np.array(header), log_time],
+        np.array(position),
+        rates if np.isfinite(rates).any() else None,
+        np.array(effort),
+    )
+
+
+def _pick(values: Any, index: list[int]) -> np.ndarray:
+    """Values of the arm's joints; an empty field of a JointState means "not known"."""
+    array = np.asarray(values, float)
+    if len(array) <= max(index):
+        return np.full(len(index), np.nan)
+    return array[index]
+
+
+def _joint_state_topics(bag: BagReader, topic: str | None, path: Path) -> list[Any]:
+    found = [c for c in bag.connections if c.msgtype == JOINT_STATE]
+    if topic is not None:
+        found = [c for c in found if c.topic == topic]
+    if not found:
+        topics = ', '.join(sorted({c.topic for c in bag.connections})) or 'none'
+        wanted = f'{JOINT_STATE} on {topic}' if topic else JOINT_STATE
+        raise IdentificationError(f'{path}: has no topic of {wanted}; its topics: {topics}')
+    return found

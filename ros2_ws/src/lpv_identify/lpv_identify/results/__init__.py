@@ -1,0 +1,1 @@
+"""What an identification gives: files, text, pictures, report."""

@@ -1,0 +1,56 @@
+"""The result of an identification as text."""
+
+import numpy as np
+
+from lpv_identify.estimation.identification import Identification
+
+
+def table(result: Identification) -> str:
+    """Figures of each joint and what the data do not determine, for a terminal.
+
+    Parameters
+    ----------
+    result : Identification
+        The result.
+
+    Returns
+    -------
+    str
+        Several lines.
+    """
+    names = result.arm.joint_names
+    width = max(8, *(len(name) for name in names))
+    figures, sensing = result.figures, result.sensing
+    lines = [
+        f'{"joint":{width}}  RMS N m  in band  share    R2     corr.  before   rates      delay ms'
+    ]
+    for j, name in enumerate(names):
+        lines.append(
+            f'{name:{width}} {figures.rms[j]:8.3f} {figures.rms_band[j]:8.3f} '
+            f'{100 * figures.share[j]:5.1f} % {figures.r2[j]:7.4f} {figures.correlation[j]:6.2f} '
+            f'{result.prior_figures.rms[j]:8.2f}   {sensing.rates[j]:11}'
+            f'{1e3 * sensing.effort_delay[j]:6.1f}'
+        )
+    lines += ['', *remarks(result)]
+    return '\n'.join(lines)
+
+
+def remarks(result: Identification) -> list[str]:
+    """Sentences on the fit."""
+    determination = result.determination
+    band = result.filters.effort
+    lines = [
+        f'On data held back; "in band": after a causal low-pass at '
+        f'{result.filters.test:.1f} Hz; "before": with the parameters given.',
+        f'{int(determination.determined.sum())} of {len(determination.names)} parameters are '
+        'determined by the data.',
+    ]
+    if np.isfinite(band):
+        lines.append(
+            f'Efforts carry nothing above {band:g} Hz: the driver filters them, and the '
+            'model does the same.'
+        )
+    if not result.used_rates and result.sensing.rates[0] != 'none':
+        lines.append('Rates are computed from positions: measured ones predict no better.')
+    lines += determination.advice(result.arm.joint_names)
+    return lines

@@ -1,0 +1,37 @@
+"""Parameter services that no request can end the node with."""
+
+from collections.abc import Sequence
+
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
+
+
+class CheckedParameterService(ParameterService):
+    """rclpy's services, but a request that rclpy raises an exception on is refused.
+
+    With rclpy's own, one request of an unknown parameter type ends the process.
+    """
+
+    def _set_parameters_callback(
+        self, request: SetParameters.Request, response: SetParameters.Response
+    ) -> SetParameters.Response:
+        response.results = [self._set([message]) for message in request.parameters]
+        return response
+
+    def _set_parameters_atomically_callback(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        response.result = self._set(request.parameters)
+        return response
+
+    def _set(self, messages: Sequence[ParameterMessage]) -> SetParametersResult:
+        try:
+            return self._get_node().set_parameters_atomically(
+                [Parameter.from_parameter_msg(message) for message in messages]
+            )
+        except Exception as error:  # of any type: rclpy does not check what it is sent
+            reason = f'{type(error).__name__}: {error}'
+            return SetParametersResult(successful=False, reason=reason)
