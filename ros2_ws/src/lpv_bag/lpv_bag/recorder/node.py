@@ -132,7 +132,7 @@ class RecorderNode(ManagedNode):
         self._announced: dict[str, tuple[str, Qos]] = {}
         self._types: dict[str, str] = {}
         self._counts: dict[str, TopicCount] = {}
-        self._order = StampSorter(self._write)
+        self._order = StampSorter(self._write_sorted)
         self._taken, self._flushed = 0, 0.0
         self._stopping: int | None = None
         self._failure = ''
@@ -229,9 +229,9 @@ class RecorderNode(ManagedNode):
     def _take(self, writer: BagWriter, heard: Heard) -> None:
         count = self._counts[heard.topic]
         count.take(heard.publisher, heard.sequence)
-        if heard.stamp is not None:
-            count.stamp(heard.stamp)
         if not self.lockstep:
+            if heard.stamp is not None:
+                count.stamp(heard.stamp)
             use_clock = self.get_parameter('use_sim_time').value or not heard.received
             now = self.get_clock().now().nanoseconds if use_clock else heard.received
             self._write(heard.topic, now, heard.data, heard.sent or now)
@@ -241,6 +241,11 @@ class RecorderNode(ManagedNode):
             self._order.add(heard.topic, heard.stamp, data)
         else:
             self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
+
+    def _write_sorted(self, topic: str, stamp: int, data: bytes) -> None:
+        # Counted in the order of the bag: that of arrival differs from run to run.
+        self._counts[topic].stamp(stamp)
+        self._write(topic, stamp, data)
 
     def _write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
         writer = self._writer

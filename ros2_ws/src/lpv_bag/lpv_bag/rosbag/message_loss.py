@@ -25,6 +25,7 @@ class TopicCount:
     _newest: int | None = None
     _sequences: dict[bytes | None, int] = field(default_factory=dict)
     _steps: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    _stepped: int = 0
     _period: int = 0
 
     def take(self, publisher: bytes | None = None, sequence: int | None = None) -> None:
@@ -54,7 +55,8 @@ class TopicCount:
         if self._period and step > 1.5 * self._period:
             self.gaps += round(step / self._period) - 1
         self._steps.append(step)
-        if len(self._steps) == _WINDOW and self.messages % (_WINDOW // 2) == 0:
+        self._stepped += 1
+        if len(self._steps) == _WINDOW and self._stepped % (_WINDOW // 2) == 0:
             self._judge()
 
     def _judge(self) -> None:
