@@ -22,6 +22,7 @@ from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.simulation.metrics import mise
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import COMPILED
 
