@@ -385,7 +385,8 @@ def test_given_a_loop_that_cannot_work_when_run_then_it_is_not_stable():
         '.',
     )
     row = run_one(campaign, 0)
-    assert not row['stable'] and row['tracking_max'] > 1.0
+    # Commands that are 60 samples late would make it diverge; the watchdogs hold the arm instead.
+    assert row['braked_time'] > 0.5
 
 
 # ------------------------------------------------------------------ results on disk

@@ -245,7 +245,7 @@ def test_given_a_file_that_is_no_study_when_it_should_go_on_then_it_is_refused(t
         ({'figures': {'delay': {'column': 'weather', 'weight': 1.0}}}, 'must be one of'),
         (
             {'figures': {'delay': {'column': 'detection_delay', 'weight': math.nan}}},
-            'must be finite',
+            'must be a number, got NaN',
         ),
         (
             {

@@ -95,12 +95,14 @@ class ViewNode(ManagedNode):
     ``arm_sim/clear_faults`` and ``uio/reset`` when a button is pressed.
     """
 
+    # What a start that fails leaves behind; the parameters are checked before anything is made.
+    _server: ViewServer | None = None
+    _foxglove: FoxgloveBridge | None = None
+    _requests: Requests | None = None
+    _ticker: Timer | None = None
+
     def __init__(self) -> None:
         super().__init__(VIEWER, SPECS)
-        self._server: ViewServer | None = None
-        self._foxglove: FoxgloveBridge | None = None
-        self._requests: Requests | None = None
-        self._ticker: Timer | None = None
         self._inboxes: list[Inbox] = []
         self._inputs: list[Subscription] = []
 

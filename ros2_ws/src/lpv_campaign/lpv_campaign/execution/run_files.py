@@ -40,6 +40,7 @@ def arm_to_dict(arm: ArmParameters) -> dict[str, Any]:
             'position_noise': arm.position_noise,
             'velocity_noise': arm.velocity_noise,
             'velocity_error': arm.velocity_error,
+            'rates': arm.rates,
         },
         'disturbance': {
             'direction': list(arm.disturbance_direction),
