@@ -9,7 +9,7 @@ from lpv_core.monitoring.stepped_monitor import Snapshot
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm
 
-_SPIKE, _BIAS = 'spike', 'bias'
+_SPIKE, _BIAS, _DRIFT = 'spike', 'bias', 'drift'
 
 
 class AlarmConverter:
@@ -50,9 +50,7 @@ class AlarmConverter:
                 continue
             i = self._names.index(alarm.sensor)
             event = AlarmEvent.UPDATED if self._raised[i] else AlarmEvent.RAISED
-            size, sigma = alarm.size, alarm.sigma
-            if alarm.kind not in (_BIAS, _SPIKE):  # sizes of theirs are rates or shares
-                size, sigma = float(known.fault[i]), float(known.sigma[i])
+            size, sigma = _fault_at(alarm, known, i)
             fields = (
                 i, alarm.sensor, begin, stamp, size, sigmas * sigma, alarm.kind,
                 confidence(alarm),
@@ -64,6 +62,17 @@ class AlarmConverter:
             self._raised[i] = True
             events.append(Alarm(event, *fields))
         return events
+
+
+def _fault_at(alarm: SerialAlarm, known: Snapshot, i: int) -> tuple[float, float]:
+    """Size of a fault and its standard deviation when it is named [rad]."""
+    if alarm.kind in (_BIAS, _SPIKE):
+        return alarm.size, alarm.sigma
+    size, sigma = float(known.fault[i]), float(known.sigma[i])
+    grown = known.time - alarm.onset
+    if alarm.kind == _DRIFT:  # its size is a rate
+        return size + alarm.size * grown, math.hypot(sigma, alarm.sigma * grown)
+    return size, sigma
 
 
 def confidence(alarm: SerialAlarm) -> float:

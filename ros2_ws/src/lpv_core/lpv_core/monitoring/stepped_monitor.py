@@ -123,7 +123,10 @@ class SteppedMonitor(SerialMonitor):
         beyond = np.abs(estimate.fault - removed) > threshold
         self._is_level |= beyond & (estimate.sigma < settings.widest_level)
         self._is_level &= state == SensorState.ERROR
+        sigma = estimate.sigma.copy()
         if moving is not None:
+            if moving.sigma == 0.0:  # named just now, and not followed yet
+                sigma[moving.joint] = self.estimator.posterior.offsets(self.joints)[1][moving.joint]
             rate[moving.joint] += moving.course[1]
             self._is_level[moving.joint] = True
         alarms = tuple(self.alarms)
@@ -143,7 +146,7 @@ class SteppedMonitor(SerialMonitor):
             now,
             estimate.fault.copy(),
             rate,
-            estimate.sigma.copy(),
+            sigma,
             removed,
             np.sqrt(self._removed_variance),
             jump,
