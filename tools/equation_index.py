@@ -80,10 +80,7 @@ def find_equations() -> dict[int, list[str]]:
 def page() -> str:
     """The page's text."""
     index = find_equations()
-    rows = [
-        f'| ({number}) | {", ".join(index[number])} |'
-        for number in sorted(index)
-    ]
+    rows = [f'| ({number}) | {", ".join(index[number])} |' for number in sorted(index)]
     return _HEAD + '\n'.join(rows) + '\n'
 
 
