@@ -5,7 +5,7 @@ from itertools import count
 from pathlib import Path
 
 from lpv_core.certificate.gains import load_gains
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.support.errors import ConfigError
 
 GAINS_NAME = 'gains.yaml'
@@ -38,7 +38,7 @@ def _content(path: str | Path) -> bytes:
 
 def read_scenario_file(path: str | Path) -> bytes:
     """Text of a scenario file, for `copy_file`."""
-    load_scenario(path)
+    load_any_scenario(path)
     return _content(path)
 
 

@@ -566,7 +566,7 @@ class _References:
 
     def __init__(self, arm: ArmParameters, scenario: Scenario, count: int) -> None:
         path = scenario.path(arm)
-        self._follower = PathFollower(arm, path)
+        self._follower = PathFollower(path)
         # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
         times = np.rint(np.arange(count) * arm.sample_time * NANOSECONDS)
         self._stamps = times.astype(np.int64)
