@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from lpv_core.control.path import Reference
 from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.dynamics.kinematics import forward_kinematics, inverse_kinematics
+from lpv_core.serial_arm.dynamics.kinematics import inverse_kinematics, joint_frames
 from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.support.errors import ConfigError, UnreachableError
+from lpv_core.support.jit import njit
 
 SMALLEST_MANIPULABILITY = 0.02
 """Smallest singular value of the tip's Jacobian along a Cartesian path: below, the arm is near a
@@ -128,9 +129,10 @@ class SerialPath:
 
     def tip(self, position: np.ndarray) -> np.ndarray:
         """Where joint positions, shape (..., n) [rad], bring the tip, shape (..., 3) [m]."""
-        rows = position.reshape(-1, position.shape[-1])
-        tips = [forward_kinematics(self._chain, row)[1] for row in rows]
-        return np.reshape(tips, (*position.shape[:-1], 3))
+        rows = np.ascontiguousarray(position, dtype=float).reshape(-1, position.shape[-1])
+        tips = np.empty((len(rows), 3))
+        _fill_tips(self._chain, rows, tips)
+        return tips.reshape(*position.shape[:-1], 3)
 
     def _check_limits(self, arm: SerialArm) -> None:
         times, model = np.linspace(self.start, self.end, _CHECKED), SerialModel(self._chain)
@@ -149,6 +151,15 @@ class SerialPath:
             if torque[:, i].max() > limits.torque:
                 reason = f'needs {torque[:, i].max():.3g} N m of {joint.name}'
                 raise _beyond(reason, f'{limits.torque:g}')
+
+
+@njit
+def _fill_tips(chain: Chain, positions: FloatArray, tips: FloatArray) -> None:
+    n = positions.shape[1]
+    rotations, origins = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    for k in range(len(positions)):
+        joint_frames(chain, positions[k], rotations, origins)
+        tips[k, :] = origins[n]
 
 
 def _beyond(reason: str, limit: str) -> ConfigError:
