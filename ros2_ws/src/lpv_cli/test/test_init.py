@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from lpv_cli.commands.urdf_arm import read_urdf_arm
+from lpv_cli.initialising.urdf_arm import read_urdf_arm
 from lpv_cli.main import main
 from lpv_cli.needs import remedy
 from lpv_core.export.urdf import arm_urdf

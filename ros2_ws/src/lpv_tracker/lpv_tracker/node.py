@@ -24,7 +24,7 @@ from lpv_core.control.watchdog import (
 )
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.simulation.any_scenario import load_any_scenario
+from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized
@@ -119,7 +119,7 @@ class TrackerNode(ManagedNode):
         self._arm = load_any_arm(required_text(self, 'arm_file'))
         self._make_controller()
         scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
-        self._path = scenario.path(self._arm)
+        self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
         self._follower = PathFollower(self._path, speed)
         self._limits = TrackerLimits(

@@ -18,7 +18,7 @@ from lpv_core.certificate.gains import save_gains
 from lpv_core.control.tracking import COMPENSATION
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.simulation.any_scenario import AnyScenario, load_any_scenario
+from lpv_core.simulation.any_scenario import AnyScenario, load_any_scenario, new_path
 from lpv_core.support.resources import bringup_file, executable
 
 NAMESPACE = '/lpv'
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     default = 'two_faults' if designed else Path(arguments.arm).stem
     files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
     scenario = load_any_scenario(files['scenario'], arm)
-    path = scenario.path(arm)
+    path = new_path(arm, scenario)
     out = _fresh_folder(arguments.out)
     if isinstance(arm, ArmParameters):
         files['gains'] = out / 'gains.yaml'

@@ -108,7 +108,7 @@ class SerialPath:
             raise ConfigError('path.start', f'must have {len(arm.joints)} joint positions')
         count = min(1 + max(8, round((knots[-1] - knots[0]) / _SPACING)), _MOST_POSES)
         grid = np.linspace(knots[0], knots[-1], count)
-        return cls(arm, grid, _solve_poses(arm, knots, waypoints, grid))
+        return cls(arm, grid.tolist(), _solve_poses(arm, knots, waypoints, grid))
 
     def sample(self, times: ArrayLike) -> Reference:
         """References at the given times.

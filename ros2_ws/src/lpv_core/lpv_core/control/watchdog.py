@@ -280,7 +280,7 @@ def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: n
 
 @njit
 def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
+    fast = False
     for i in range(velocity.shape[0]):
-        if not abs(velocity[i]) <= limit[i]:  # so that NaN is too fast
-            return True
-    return False
+        fast = fast or not abs(velocity[i]) <= limit[i]  # so that NaN is too fast
+    return fast

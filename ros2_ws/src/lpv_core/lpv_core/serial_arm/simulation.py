@@ -293,11 +293,25 @@ def _outside(pushes: Sequence[Push], time: float, joints: int) -> FloatArray:
 
 
 def plant_scratch(chain: Chain) -> FloatArray:
+    """Scratch memory of `plant_step`."""
     return np.zeros((11 * len(chain.translation), workspace(chain).shape[1]))
 
 
 def integration_step(chain: Chain, period: float) -> tuple[float, int]:
-    """Step and steps a sample for which the friction at rest, the stiffest part, is stable."""
+    """Step and steps a sample for which the friction at rest, the stiffest part, is stable.
+
+    Parameters
+    ----------
+    chain : Chain
+        The true arm.
+    period : float
+        Sample time [s].
+
+    Returns
+    -------
+    tuple
+        Length of a Runge-Kutta step [s], and their number, 2 to `MAX_SUBSTEPS`.
+    """
     n, model = len(chain.translation), SerialModel(chain)
     rng = np.random.default_rng(0)
     inertia = np.min([

@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+from lpv_core.control.path import CartesianPath
+from lpv_core.control.serial_path import SerialPath
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.scenario import Scenario, parse_scenario
 from lpv_core.simulation.serial_scenario import (
@@ -46,16 +49,43 @@ def load_any_scenario(path: str | Path, arm: Arm | None = None) -> AnyScenario:
     scenario: AnyScenario
     serial = is_serial_scenario(data)
     scenario = parse_serial_scenario(data, source) if serial else parse_scenario(data, source)
-    if arm is not None:
-        check_kinds(arm, scenario, source)
+    if arm is not None and isinstance(arm, SerialArm) != serial:
+        raise _other_kind(arm, scenario, source)
     return scenario
 
 
-def check_kinds(arm: Arm, scenario: AnyScenario, source: str = '') -> None:
-    """Refuse a scenario for the other kind of arm: ConfigError."""
-    if isinstance(arm, ArmParameters) == isinstance(scenario, SerialScenario):
-        is_for = 'a serial arm' if isinstance(scenario, SerialScenario) else 'the two-link arm'
-        raise ConfigError('kind', f'is of a scenario for {is_for}, which {arm.name} is not', source)
+def _other_kind(arm: Arm, scenario: AnyScenario, source: str = '') -> ConfigError:
+    is_for = 'a serial arm' if isinstance(scenario, SerialScenario) else 'the two-link arm'
+    return ConfigError('kind', f'is of a scenario for {is_for}, which {arm.name} is not', source)
+
+
+def new_path(arm: Arm, scenario: AnyScenario) -> CartesianPath | SerialPath:
+    """Path of a scenario for an arm.
+
+    Parameters
+    ----------
+    arm : ArmParameters or SerialArm
+        The arm.
+    scenario : Scenario or SerialScenario
+        Of the same kind.
+
+    Returns
+    -------
+    CartesianPath or SerialPath
+        See `lpv_core.control.path.TimedPath`.
+
+    Raises
+    ------
+    ConfigError
+        If arm and scenario are of different kinds, or the path is not possible.
+    UnreachableError
+        If a part of it is out of the arm's reach.
+    """
+    if isinstance(arm, ArmParameters) and isinstance(scenario, Scenario):
+        return scenario.path(arm)
+    if isinstance(arm, SerialArm) and isinstance(scenario, SerialScenario):
+        return scenario.path(arm)
+    raise _other_kind(arm, scenario)
 
 
 def new_simulator(arm: Arm, scenario: AnyScenario, substeps: int = 2) -> AnySimulator:
@@ -82,7 +112,6 @@ def new_simulator(arm: Arm, scenario: AnyScenario, substeps: int = 2) -> AnySimu
     """
     if isinstance(arm, ArmParameters) and isinstance(scenario, Scenario):
         return ArmSimulator(arm, scenario, substeps)
-    if not isinstance(arm, ArmParameters) and isinstance(scenario, SerialScenario):
+    if isinstance(arm, SerialArm) and isinstance(scenario, SerialScenario):
         return SerialArmSimulator(arm, scenario, substeps)
-    check_kinds(arm, scenario)
-    raise AssertionError
+    raise _other_kind(arm, scenario)

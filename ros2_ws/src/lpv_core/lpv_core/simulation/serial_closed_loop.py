@@ -48,8 +48,9 @@ from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _OFF, _ALWAYS = COMPENSATION.index('off'), COMPENSATION.index('always')
-_SENSE, _DECIDE, _START, _COMMAND, _ACT = range(5)
-"""Phases of a sample; the diagnosis decides, and a path starts, outside of compiled code."""
+_SENSE, _DECIDE, _START, _COMMAND, _ACT, _ADVANCE = range(6)
+"""Phases of a sample; the diagnosis decides, a path starts, and MuJoCo integrates the plant outside
+of compiled code."""
 _OBSERVING = int(Mode.OBSERVING)
 _NONE = int(StopReason.NONE)
 _TOO_FAST = 2.0
@@ -59,6 +60,7 @@ _TOO_FAST = 2.0
 def _loop_type(joints: int) -> np.dtype:
     return record_type(
         ('phase', 'i8'),
+        ('external', '?'),  # whether the plant is integrated outside
         ('period', 'f8'),  # sample time [s]
         ('compensation', 'i8'),  # index in COMPENSATION
         ('previous', 'i8'),  # sample of the last command, or NEVER
@@ -156,7 +158,8 @@ def _run(
         if loop.phase == _COMMAND:
             _command(loop, tracker, k)
         _act(loop, plant, tracker, rows[k], k)
-        loop.phase = _SENSE
+        if loop.phase == _ADVANCE:
+            return k + 1
     return len(rows)
 
 
@@ -236,21 +239,24 @@ def _act(loop: np.record, plant: _Plant, tracker: _Tracker, row: np.record, k: i
     state, n = plant.state, len(loop.reading)
     if loop.stop and loop.started:
         loop.offset += 1  # the clock of the path stands still
-    row.place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
+    place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
+    row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason
     now = round(k * loop.period * 1e9)
     row.brake_reason = check_drive(tracker.drives, now, 0, loop.stop, state.velocity)
     for i in range(n):
         row.position[i], row.measured[i] = state.position[i], state.measured_position[i]
         row.measured_velocity[i], row.compensated[i] = state.measured_velocity[i], loop.feedback[i]
-        row.reference[i] = tracker.references[row.place, 0, i]
+        row.reference[i] = tracker.references[place, 0, i]
         row.fault[i], row.fault_estimate[i] = state.fault[i], loop.fault[i]
         row.alarm[i] = loop.confirmed[i]
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
         set_torque(plant.constants, state, tracker.state.torque)
-        integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
+        if not loop.external:
+            integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
+    loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
     for i in range(n):
         row.torque[i] = state.torque[i]
 
@@ -327,7 +333,7 @@ def run_serial_loop(
     observer = _Observer(
         monitor.sampler,
         monitor.estimator.balance,
-        arm.sample_time * np.arange(count),
+        arm.sample_time * np.arange(float(count)),
         np.empty((count, 3, n)),
         np.array([joint.torque_gain for joint in arm.joints]),
         (monitor.plan.per_block, monitor.plan.blocks),
@@ -346,6 +352,7 @@ def run_serial_loop(
         compensation=COMPENSATION.index(compensation),
         previous=NEVER,
         stop=True,
+        external=simulator.engine is not None,
         velocity_limit=arm.velocity_limit,
     )
     rows, k = np.zeros(count, _row_type(n)).view(np.recarray), 0
@@ -353,7 +360,10 @@ def run_serial_loop(
         k = _run(loop, plant, observer, tracker, rows, k)
         if simulator.state.failed:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
-        if k < count and loop.phase == _DECIDE:
+        if loop.phase == _ADVANCE:
+            simulator.advance()
+            loop.phase = _SENSE
+        elif k < count and loop.phase == _DECIDE:
             _decide(loop, monitor, float(observer.times[k]))
         elif k < count:
             references.restart(k - int(loop.offset), loop.feedback.copy())

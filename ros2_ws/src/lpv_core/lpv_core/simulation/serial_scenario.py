@@ -11,10 +11,10 @@ from lpv_core.serial_arm.chain import MAX_JOINTS, Chain, compile_chain
 from lpv_core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv_core.serial_arm.dynamics.payload import with_payload
 from lpv_core.simulation.faults import Fault
-from lpv_core.simulation.scenario import parse_faults
+from lpv_core.simulation.scenario import expanded_plant, parse_faults
 from lpv_core.support.config import Section
 
-PLANTS = ('nonlinear',)
+PLANTS = ('nonlinear', 'mujoco')
 _MOST_WAYPOINTS = 10_000
 
 
@@ -93,7 +93,7 @@ def parse_serial_scenario(data: dict[str, Any], source: str = 'scenario') -> Ser
     ConfigError
         Naming the offending field.
     """
-    top = Section(data, source)
+    top = Section(expanded_plant(data), source)
     top.text('kind', choices=(KIND,))
     times, waypoints = _waypoints(top.section('path'))
     plant = top.section('plant', required=False)

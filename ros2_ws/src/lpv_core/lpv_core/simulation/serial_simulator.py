@@ -8,12 +8,13 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv_core.serial_arm.chain import OFFSET, Chain, FloatArray, compile_chain, workspace
+from lpv_core.serial_arm.chain import OFFSET, Chain, FloatArray, workspace
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.newton_euler import gravity_torque
-from lpv_core.serial_arm.simulation import integration_step, plant_step, plant_scratch
+from lpv_core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv_core.simulation.arm_simulator import Measurement, Truth
 from lpv_core.simulation.faults import FaultInjector, apply_faults, is_frozen, rate_bias
+from lpv_core.simulation.mujoco_chain import MujocoChain
 from lpv_core.simulation.serial_scenario import SerialScenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import njit
@@ -139,6 +140,8 @@ class SerialArmSimulator:
         Of `serial_plant_type` and `serial_state_type`.
     noise : numpy.random.Generator
         Of the sensors' noise.
+    engine : MujocoChain or None
+        Integrates the arm in place of `integrate`.
     scratch, matrix : ndarray
         Scratch memory of `integrate`.
     """
@@ -157,6 +160,7 @@ class SerialArmSimulator:
         self.constants = _constants(arm, scenario, self.chain, substeps)
         self.state = new_record(serial_state_type(n))
         self.state.motion[0] = scenario.path(arm).sample(0.0).position
+        self.engine = MujocoChain(self.chain) if scenario.plant == 'mujoco' else None
         self.scratch, self.matrix = plant_scratch(self.chain), np.empty((n, n))
         self._work = workspace(self.chain)
         self._sensed = False
@@ -192,10 +196,27 @@ class SerialArmSimulator:
                 f'torque must be {len(self.state.torque)} finite numbers, got {joint_torque!r}'
             )
         set_torque(self.constants, self.state, torque)
-        integrate(self.chain, self.constants, self.state, self.scratch, self.matrix)
-        if self.state.failed:
-            raise ConfigError('plant', 'has a mass matrix that is not positive definite')
+        self.advance()
         self._sensed = False
+
+    def advance(self) -> None:
+        """Advance the plant by one sample time under the torque that was set.
+
+        Raises
+        ------
+        ConfigError
+            If the true arm is not physical.
+        """
+        params, state = self.constants, self.state
+        if self.engine is None:
+            integrate(self.chain, params, state, self.scratch, self.matrix)
+        else:
+            self.engine.advance(
+                state.motion, state.torque, float(params.sample_time), int(params.substeps)
+            )
+            state.step_count += 1
+        if state.failed:
+            raise ConfigError('plant', 'has a mass matrix that is not positive definite')
 
     def hold(self) -> None:
         """Let one sample time pass with the brakes engaged, see `brake`."""
@@ -219,9 +240,7 @@ class SerialArmSimulator:
         return measurement, truth
 
 
-def _constants(
-    arm: SerialArm, scenario: SerialScenario, chain: Chain, substeps: int
-) -> np.record:
+def _constants(arm: SerialArm, scenario: SerialScenario, chain: Chain, substeps: int) -> np.record:
     joints = arm.joints
     _, needed = integration_step(chain, arm.sample_time)
     count, noise = max(substeps, needed), scenario.noise_factor if scenario.noise else 0.0
