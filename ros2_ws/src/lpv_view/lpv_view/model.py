@@ -163,7 +163,9 @@ class LiveModel:
         result['safe_stop'] = bool(command.safe_stop) if command is not None else None
         fault = self._latest.get('fault_estimate')
         result['states'] = (
-            [_name(STATES, int(s)) for s in fault.state] if fault is not None else [None] * self._joints
+            [_name(STATES, int(s)) for s in fault.state]
+            if fault is not None
+            else [None] * self._joints
         )
         return result
 

@@ -62,5 +62,7 @@ class JointOrder:
                 )
         if len(message.effort) not in (0, count):
             raise SampleError(f'effort has {len(message.effort)} values for {count} joints')
-        effort = [message.effort[i] for i in index] if len(message.effort) else [math.nan] * len(index)
+        effort = (
+            [message.effort[i] for i in index] if len(message.effort) else [math.nan] * len(index)
+        )
         return ([message.position[i] for i in index], [message.velocity[i] for i in index], effort)
