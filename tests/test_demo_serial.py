@@ -52,7 +52,9 @@ def test_given_the_demo_of_a_serial_arm_when_run_then_the_faulty_encoder_is_name
 
 
 def test_given_the_bag_of_a_serial_arm_when_read_then_the_true_arm_stayed_on_its_path(demo):
-    record = load_run(demo[0] / 'bag', joint_names=load_any_arm(BRINGUP / 'arms' / 'ur10.yaml').joint_names)
+    record = load_run(
+        demo[0] / 'bag', joint_names=load_any_arm(BRINGUP / 'arms' / 'ur10.yaml').joint_names
+    )
     error = record.get('ground_truth', 'position') - record.get('reference', 'position')
     assert error.shape[1] == 6 and len(error) >= 1500
     assert np.abs(error).max() < 0.02

@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from lpv_cli.needs import require_ros
 from lpv_cli.processes import Graph, NodeFailure, NodeProcess, ended_by_signals
 from lpv_core.certificate.gains import save_gains
+from lpv_core.control.path import CartesianPath
 from lpv_core.control.tracking import COMPENSATION
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
@@ -96,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         out / 'bag',
         out / 'report',
         arm=arm,
-        path=path,
+        path=path if isinstance(path, CartesianPath) else None,
         title=f'{scenario.name} on arm {arm.name}',
         used=read_used_gains(files['gains']) if designed else None,
     )

@@ -47,7 +47,6 @@ from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 
-
 class Phase(IntEnum):
     """Where in a sample the loop goes on."""
 
