@@ -112,8 +112,9 @@ class ViewNode(ManagedNode):
         """Read the files, open the ports, create publishers."""
         arm = load_any_arm(required_text(self, 'arm_file'))
         scenario = self.get_parameter('scenario_file').value
-        planar = scenario and not isinstance(arm, SerialArm)
-        path = load_scenario(scenario).path(arm) if planar else None
+        path = None
+        if scenario and not isinstance(arm, SerialArm):
+            path = load_scenario(scenario).path(arm)
         self._model = LiveModel(arm, path)
         typestore = make_typestore()
         add_type(typestore, MARKERS)

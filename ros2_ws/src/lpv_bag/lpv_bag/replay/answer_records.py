@@ -161,8 +161,11 @@ class AnswerEncoder:
         self, time: np.ndarray, stamp: np.ndarray, answers: Answers, chosen: slice | np.ndarray
     ) -> np.ndarray:
         """Records of sensor_msgs/JointState with confirmed faults removed, for some rows."""
-        state = answers.state[chosen]
-        values = {'position': state.compensated_position, 'velocity': state.velocity}
+        state = answers.state
+        values = {
+            'position': state.compensated_position[chosen],
+            'velocity': state.velocity[chosen],
+        }
         return self._corrected.fill(time[chosen], stamp[chosen], values)
 
     def alarm(self, stamp: int, fields: dict[str, Any]) -> bytes:

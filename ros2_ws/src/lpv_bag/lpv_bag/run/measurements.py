@@ -44,9 +44,8 @@ class MeasurementReader:
     def read(self, block: Block, positions: np.ndarray) -> Measurements:
         """Measurements at some positions of a block."""
         count = len(positions)
-        result = Measurements(
-            np.zeros(count, np.int64), *(np.zeros((count, self._joints)) for _ in _VECTORS)
-        )
+        position, velocity, effort = np.zeros((3, count, self._joints))
+        result = Measurements(np.zeros(count, np.int64), position, velocity, effort)
         left = np.arange(count)
         for layout, index in self._layouts:
             left = self._fill(result, block, positions, left, layout, index)

@@ -53,8 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = find_scenario(arguments.bag)
     if arguments.scenario:
         scenario = load_scenario(bringup_file('scenarios', arguments.scenario))
-    planar = scenario is not None and not isinstance(arm, SerialArm)
-    path = scenario.path(arm) if scenario is not None and planar else None
+    path = None
+    if scenario is not None and not isinstance(arm, SerialArm):
+        path = scenario.path(arm)
     result = write_report(
         arguments.bag,
         Path(arguments.out),

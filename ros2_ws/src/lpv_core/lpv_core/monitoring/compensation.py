@@ -27,8 +27,9 @@ class Compensation(NamedTuple):
 
 def new_compensation(joints: int) -> Compensation:
     """Nothing is removed yet."""
-    arrays = (np.zeros(joints) for _ in range(4))
-    return Compensation(*arrays, np.zeros(joints, np.int64), np.array([NEVER]))
+    applied, position, velocity, change = np.zeros((4, joints))
+    bridged, stamp = np.zeros(joints, np.int64), np.array([NEVER])
+    return Compensation(applied, position, velocity, change, bridged, stamp)
 
 
 @njit

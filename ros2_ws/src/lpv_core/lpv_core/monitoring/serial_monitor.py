@@ -174,7 +174,7 @@ class SerialSensorMonitor:
         """Use many measurements; as `lpv_core.monitoring.monitor.SensorMonitor.take_many`."""
         stamps = np.ascontiguousarray(stamps, dtype=np.int64)
         samples = np.array([position, velocity, effort], dtype=float).transpose(1, 0, 2)
-        rows = np.zeros(len(stamps), self.answer_type).view(np.recarray)
+        rows: Any = np.zeros(len(stamps), self.answer_type).view(np.recarray)
         answers = Answers(
             rows.answered,
             rows.has_fault,
@@ -219,7 +219,8 @@ class SerialSensorMonitor:
         good = (np.abs(reading) <= _LARGEST[0]).all(1)
         good &= (np.abs(rate[:, self._independent]) <= _LARGEST[1]).all(1)
         good &= ~(np.abs(rate) > _LARGEST[1]).any(1)
-        return good & ~(np.abs(effort) > _LARGEST[2]).any(1)
+        good &= ~(np.abs(effort) > _LARGEST[2]).any(1)
+        return np.asarray(good)
 
     def _prepare(self, stamp: int, sample: FloatArray, row: np.recarray) -> bool:
         """Get ready for a sample that does not simply follow; False if it is used up so.
@@ -269,9 +270,12 @@ class SerialSensorMonitor:
         return False
 
     def _run(
-        self, stamps: IntArray, samples: FloatArray, rows: np.recarray, answers: Answers, first: int
+        self, stamps: IntArray, samples: FloatArray, rows: Any, answers: Answers, first: int
     ) -> None:
-        """Use samples that are in order; ``first`` is the number of the first one."""
+        """Use samples that are in order; ``first`` is the number of the first one.
+
+        ``rows``, a recarray, receives the answers.
+        """
         values = self._with_rates(stamps, samples)
         used = values.copy()
         if self._blind:
