@@ -2,7 +2,6 @@
 
 from typing import Any
 
-
 from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.gains import load_gains
