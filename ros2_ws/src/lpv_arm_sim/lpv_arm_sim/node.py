@@ -20,9 +20,9 @@ from lpv_core.control.watchdog import (
     check_drive,
     drive_watchdog,
 )
-from lpv_core.model.arm import load_arm
-from lpv_core.simulation.arm_simulator import ArmSimulator, Measurement, Truth
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
+from lpv_core.simulation.arm_simulator import Measurement, Truth
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
@@ -86,7 +86,7 @@ _PATIENCE = 1.0
 
 
 class SimulatorNode(ManagedNode):
-    """Simulated arm in real time, or in lockstep with /clock.
+    """Simulated arm of either kind in real time, or in lockstep with /clock.
 
     Topics: publishes ``joint_states`` (sensor_msgs/JointState), ``ground_truth``
     (lpv_msgs/GroundTruth, for recording only) and, in lockstep, ``/clock``; subscribes
@@ -113,21 +113,24 @@ class SimulatorNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and scenario, create publishers and services."""
-        self._arm = load_arm(required_text(self, 'arm_file'))
-        scenario = load_scenario(required_text(self, 'scenario_file'))
+        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
         seed = self.get_parameter('seed').value
         if seed >= 0:
             scenario = replace(scenario, seed=seed)
         self._scenario = scenario
         substeps = self.get_parameter('substeps').value
-        self._plant = ArmSimulator(self._arm, scenario, substeps)
+        self._plant = new_simulator(self._arm, scenario, substeps)
         limits = DriveLimits(
             self.get_parameter('command_timeout').value,
             self.get_parameter('max_mean_latency').value,
         )
         self._watchdog = drive_watchdog(self._arm, limits)
         # Compile before the first step, not on it.
-        ArmSimulator(self._arm, scenario, substeps).step([0.0, 0.0])
+        trial = new_simulator(self._arm, scenario, substeps)
+        trial.sense()
+        trial.step([0.0] * len(self._arm.joint_names))
+        trial.hold()
         check_drive(drive_watchdog(self._arm, limits), 1, 0, True, self._plant.state.velocity)
         self._start = self._first = self._answered = 0  # stamps of samples [ns]
         self._refusals = Refusals(self)

@@ -2,16 +2,13 @@
 
 from typing import Any
 
-import numpy as np
-
 from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.gains import load_gains
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv_core.simulation.faults import FaultInjector
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 
@@ -86,14 +83,9 @@ def check_scenario(name: str, arm: Arm | None) -> Finding:
     """Whether a scenario can be run with the arm."""
     remedy = 'correct the field; docs/scenario-file.md describes all'
     try:
-        scenario = load_scenario(bringup_file('scenarios', name))
-        if arm is not None and not isinstance(arm, SerialArm):
-            scenario.path(arm)
-            FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
-            if scenario.plant == 'mujoco':
-                from lpv_core.simulation.mujoco_plant import MujocoPlant
-
-                MujocoPlant(scenario.true_arm(arm), scenario.coulomb)
+        scenario = load_any_scenario(bringup_file('scenarios', name), arm)
+        if arm is not None:
+            new_simulator(arm, scenario)
     except LpvError as problem:
         return error('scenario', str(problem), remedy)
     return ok('scenario', f'{scenario.name!r}, {scenario.duration:g} s')
