@@ -1,9 +1,9 @@
 """Attempts to break the thresholds: six arms at three sample rates, each searched by `lpv falsify`.
 
 Gains are designed for every case from the shipped requirements.  Each search looks for the healthy
-run within the arm file that brings an estimate nearest to its threshold; a ratio of 1 or more breaks
-the bound, and the exit code says so.  Cheap cases come first, and every finished case is written at
-once, with its worst run: a search that is stopped loses one case only.
+run within the arm file that brings an estimate nearest to its threshold; a ratio of 1 or more
+breaks the bound, and the exit code says so.  Cheap cases come first, and every finished case is
+written at once, with its worst run: a search that is stopped loses one case only.
 """
 
 import argparse
@@ -41,10 +41,7 @@ def _rods(masses: tuple[float, float], length: float) -> tuple[Link, Link]:
 def _light() -> ArmParameters:
     """0.1 kg in all, 0.2 m long; its disturbance scales with it."""
     return replace(
-        _shipped('paper'),
-        name='light',
-        links=_rods((0.06, 0.04), 0.1),
-        torque_limit=(0.5, 0.15),
+        _shipped('paper'), name='light', links=_rods((0.06, 0.04), 0.1), torque_limit=(0.5, 0.15)
     )
 
 
