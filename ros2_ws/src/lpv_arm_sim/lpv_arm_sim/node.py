@@ -13,12 +13,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv_arm_sim.services import FaultServices
+from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.watchdog import (
     BRAKE_TEXT,
+    UNKNOWN_LOOP,
     BrakeReason,
     DriveLimits,
+    LatencyLimits,
     check_drive,
     drive_watchdog,
+    latency_limits,
 )
 from lpv_core.model.arm import load_arm
 from lpv_core.simulation.arm_simulator import ArmSimulator, Measurement, Truth
@@ -26,13 +30,13 @@ from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite
+from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, required_text
+from lpv_node.parameters import Spec, declare_gains, read_gains_if_set, required_text
 from lpv_node.qos import stream
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
-_LIMITS = DriveLimits()
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML)', read_only=True),
@@ -54,17 +58,18 @@ SPECS = (
     ),
     Spec(
         'command_timeout',
-        _LIMITS.command_age,
-        'real time only: brake when the measurement that was answered last is this old [s]',
-        0.01,
+        0.0,
+        'real time only: brake when the measurement that was answered last is this old [s]; '
+        + FROM_GAINS,
+        0.0,
         60.0,
         read_only=True,
     ),
     Spec(
         'max_mean_latency',
-        _LIMITS.mean_latency,
-        'real time only: brake when commands are this old on average over 0.1 s [s]',
-        0.001,
+        0.0,
+        f'real time only: brake when commands are this old on average over 0.1 s [s]; {FROM_GAINS}',
+        0.0,
         60.0,
         read_only=True,
     ),
@@ -101,6 +106,7 @@ class SimulatorNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('arm_sim', SPECS)
+        self._unset_gains = declare_gains(self)
         self._command_in: Subscription | None = None
         self._ticker: Timer | None = None
         self._command: TorqueCommand | None = None
@@ -120,10 +126,7 @@ class SimulatorNode(ManagedNode):
         self._scenario = scenario
         substeps = self.get_parameter('substeps').value
         self._plant = ArmSimulator(self._arm, scenario, substeps)
-        limits = DriveLimits(
-            self.get_parameter('command_timeout').value,
-            self.get_parameter('max_mean_latency').value,
-        )
+        limits = DriveLimits(self._latency_limits())
         self._watchdog = drive_watchdog(self._arm, limits)
         # Compile before the first step, not on it.
         ArmSimulator(self._arm, scenario, substeps).step([0.0, 0.0])
@@ -145,6 +148,15 @@ class SimulatorNode(ManagedNode):
         self._state_message.header.frame_id = 'base_link'
         self._truth_message = GroundTruth()
         self._truth_message.header.frame_id = self._arm.name
+
+    def _latency_limits(self) -> LatencyLimits:
+        """As the gains of the loop allow, if they are known, or as parameters say."""
+        gains = read_gains_if_set(self, self._arm, self._unset_gains)
+        certified = latency_limits(tolerated_latency(self._arm, gains)) if gains else UNKNOWN_LOOP
+        return LatencyLimits(
+            chosen_limit(self, 'command_timeout', certified.single),
+            chosen_limit(self, 'max_mean_latency', certified.mean),
+        )
 
     def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before the first sample."""

@@ -1,11 +1,13 @@
 """Latency that the tracking loop tolerates."""
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.linalg import expm
 
 from lpv_core.certificate.conditions import controller_loop
 from lpv_core.certificate.gains import Gains
-from lpv_core.model.arm import ArmParameters
+from lpv_core.model.arm import ArmParameters, arm_from_json
 
 _MOST_SAMPLES = 128
 
@@ -20,9 +22,16 @@ def tolerated_latency(arm: ArmParameters, gains: Gains) -> float:
     """
     controller = gains.controller
     m = np.hstack([controller.m1, controller.m2])
+    return _tolerated(arm.to_json(), controller.method, controller.sinc_min, m.tobytes())
+
+
+@lru_cache(maxsize=16)
+def _tolerated(arm_json: str, method: str, sinc_min: float, gain: bytes) -> float:
+    """Kept: campaigns ask for each of their runs."""
+    arm = arm_from_json(arm_json)
+    m = np.frombuffer(gain).reshape(2, -1)
     loops = [
-        _discretise(a, b, arm.sample_time)
-        for a, b in zip(*controller_loop(arm, controller.method, controller.sinc_min))
+        _discretise(a, b, arm.sample_time) for a, b in zip(*controller_loop(arm, method, sinc_min))
     ]
     delay = 0
     while delay < _MOST_SAMPLES and all(_radius(a, b, m, delay + 1) < 1.0 for a, b in loops):
