@@ -31,8 +31,8 @@ from lpv_core.support.resources import bringup_file
 SETTLED = 10.0
 """After so long at rest thresholds must be those of a fresh start [s]."""
 FRESH = 1000.0
-"""So long a fresh start is given to reach its final thresholds: until gravity, not the start, bounds
-the error [s]."""
+"""So long a fresh start is given to reach its final thresholds: until gravity, not the start,
+bounds the error [s]."""
 MOST = 1.1
 """Largest threshold over that of a fresh start."""
 GROWTH = 8192
@@ -217,7 +217,8 @@ def main() -> int:
         f'{counts.speed.max():.2f} rad/s; {len(times)} rests, thresholds those of a '
         f'fresh start within {SETTLED:g} s in {np.mean(np.array(times) <= SETTLED):.1%} of them, '
         f'in {np.median(times):g} s in the median, {max(times):g} s at most; '
-        f'largest threshold {counts.widest:.2f} rad; largest estimate over threshold {counts.ratio:.3f}; '
+        f'largest threshold {counts.widest:.2f} rad; '
+        f'largest estimate over threshold {counts.ratio:.3f}; '
         f'alarms: {counts.alarms}; samples not trusted: {counts.distrusted}; inconsistent: '
         f'{counts.inconsistent}; memory grew by {grown} kB'
     )
