@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv_arm_sim.services import FaultServices
+from lpv_core.control.computed_torque import BANDWIDTH, serial_loop_latency
 from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.watchdog import (
     BRAKE_TEXT,
@@ -24,9 +25,10 @@ from lpv_core.control.watchdog import (
     drive_watchdog,
     latency_limits,
 )
-from lpv_core.model.arm import load_arm
-from lpv_core.simulation.arm_simulator import ArmSimulator, Measurement, Truth
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
+from lpv_core.simulation.arm_simulator import Measurement, Truth
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
@@ -75,6 +77,14 @@ SPECS = (
         read_only=True,
     ),
     Spec(
+        'bandwidth',
+        BANDWIDTH,
+        'serial arms only: that of the tracker, which limits of latency follow from [rad/s]',
+        0.1,
+        100.0,
+        read_only=True,
+    ),
+    Spec(
         'start_time',
         1.0,
         'lockstep only: stamp of the first sample [s]; zero means "not set" in ROS',
@@ -91,7 +101,7 @@ _PATIENCE = 1.0
 
 
 class SimulatorNode(ManagedNode):
-    """Simulated arm in real time, or in lockstep with /clock.
+    """Simulated arm of either kind in real time, or in lockstep with /clock.
 
     Topics: publishes ``joint_states`` (sensor_msgs/JointState), ``ground_truth``
     (lpv_msgs/GroundTruth, for recording only) and, in lockstep, ``/clock``; subscribes
@@ -119,18 +129,21 @@ class SimulatorNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and scenario, create publishers and services."""
-        self._arm = load_arm(required_text(self, 'arm_file'))
-        scenario = load_scenario(required_text(self, 'scenario_file'))
+        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
         seed = self.get_parameter('seed').value
         if seed >= 0:
             scenario = replace(scenario, seed=seed)
         self._scenario = scenario
         substeps = self.get_parameter('substeps').value
-        self._plant = ArmSimulator(self._arm, scenario, substeps)
+        self._plant = new_simulator(self._arm, scenario, substeps)
         limits = DriveLimits(self._latency_limits())
         self._watchdog = drive_watchdog(self._arm, limits)
         # Compile before the first step, not on it.
-        ArmSimulator(self._arm, scenario, substeps).step([0.0, 0.0])
+        trial = new_simulator(self._arm, scenario, substeps)
+        trial.sense()
+        trial.step([0.0] * len(self._arm.joint_names))
+        trial.hold()
         check_drive(drive_watchdog(self._arm, limits), 1, 0, True, self._plant.state.velocity)
         self._start = self._first = self._answered = 0  # stamps of samples [ns]
         self._refusals = Refusals(self)
@@ -152,8 +165,12 @@ class SimulatorNode(ManagedNode):
 
     def _latency_limits(self) -> LatencyLimits:
         """As the gains of the loop allow, if they are known, or as parameters say."""
-        gains = read_gains_if_set(self, self._arm, self._unset_gains)
-        certified = latency_limits(tolerated_latency(self._arm, gains)) if gains else UNKNOWN_LOOP
+        certified = UNKNOWN_LOOP
+        if not isinstance(self._arm, ArmParameters):
+            bandwidth = self.get_parameter('bandwidth').value
+            certified = latency_limits(serial_loop_latency(bandwidth, self._arm.sample_time))
+        elif gains := read_gains_if_set(self, self._arm, self._unset_gains):
+            certified = latency_limits(tolerated_latency(self._arm, gains))
         return LatencyLimits(
             chosen_limit(self, 'command_timeout', certified.single),
             chosen_limit(self, 'max_mean_latency', certified.mean),

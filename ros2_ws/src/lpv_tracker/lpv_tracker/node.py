@@ -8,6 +8,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
+from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController
 from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.path import Reference
 from lpv_core.control.path_follower import PathFollower
@@ -24,8 +25,9 @@ from lpv_core.control.watchdog import (
     note_stop,
     tracker_watchdog,
 )
-from lpv_core.model.arm import load_arm
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized
@@ -91,6 +93,15 @@ SPECS = (
         10.0,
         read_only=True,
     ),
+    Spec(
+        'bandwidth',
+        BANDWIDTH,
+        'serial arms only: distance from zero of the three poles of every joint [rad/s]; '
+        'the gains of a two-link arm are in its gains file',
+        0.1,
+        100.0,
+        read_only=True,
+    ),
 )
 _OTHER_CLOCK = 10 * NANOSECONDS
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
@@ -118,19 +129,19 @@ class TrackerNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
-        self._arm = load_arm(required_text(self, 'arm_file'))
-        gains = read_gains(self, self._arm, self._unset_gains)
-        self._controller = TrackingController(self._arm, gains)
-        self._integrates_measurement = gains.controller.method == 'paper'
-        self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
+        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        self._make_controller()
+        scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
+        self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
-        self._follower = PathFollower(self._arm, self._path, speed)
-        self._tolerated = tolerated_latency(self._arm, gains)
+        self._follower = PathFollower(self._path, speed)
         certified = latency_limits(self._tolerated)
         single = chosen_limit(self, 'max_latency', certified.single)
         # The default of the mean follows a longer single latency, which was warned of.
         own = self.get_parameter('max_mean_latency').value
-        mean = chosen_limit(self, 'max_mean_latency', certified.mean) if own else mean_limit(single)
+        mean = chosen_limit(self, 'max_mean_latency', certified.mean)
+        if not own and single > certified.single:
+            mean = mean_limit(single)
         self._limits = TrackerLimits(
             silence=chosen_limit(self, 'estimate_timeout', certified.single),
             latency=LatencyLimits(single, mean),
@@ -151,9 +162,24 @@ class TrackerNode(ManagedNode):
         self._command, self._reference = TorqueCommand(), JointReference()
         self._command.header.frame_id = self._reference.header.frame_id = self._arm.name
 
+    def _make_controller(self) -> None:
+        """The law of the arm's kind: designed gains, or computed torque."""
+        self._controller: TrackingController | ComputedTorqueController
+        self._integrates_measurement = False
+        if isinstance(self._arm, ArmParameters):
+            gains = read_gains(self, self._arm, self._unset_gains)
+            self._controller = TrackingController(self._arm, gains)
+            self._integrates_measurement = gains.controller.method == 'paper'
+            self._tolerated = tolerated_latency(self._arm, gains)
+        else:
+            bandwidth = self.get_parameter('bandwidth').value
+            self._controller = ComputedTorqueController(self._arm, bandwidth)
+            self._tolerated = self._controller.tolerated_latency
+
     def _compile(self) -> None:
         """Compile before the first estimate, not on it."""
-        still, tilted = np.zeros(2), np.array([0.0, 0.1])
+        still = np.zeros(len(self._arm.joint_names))
+        tilted = still + 0.1
         self._controller.update(self._path.sample(0.0), tilted, still, tilted, 0.0)
         self._controller.reset()
         watchdog = tracker_watchdog(self._arm, self._limits)

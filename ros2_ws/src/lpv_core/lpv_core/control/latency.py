@@ -1,5 +1,6 @@
 """Latency that the tracking loop tolerates."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -29,14 +30,29 @@ def tolerated_latency(arm: ArmParameters, gains: Gains) -> float:
 def _tolerated(arm_json: str, method: str, sinc_min: float, gain: bytes) -> float:
     """Kept: campaigns ask for each of their runs."""
     arm = arm_from_json(arm_json)
-    m = np.frombuffer(gain).reshape(2, -1)
-    loops = [
-        _discretise(a, b, arm.sample_time) for a, b in zip(*controller_loop(arm, method, sinc_min))
-    ]
+    loops = zip(*controller_loop(arm, method, sinc_min))
+    return loop_latency(loops, np.frombuffer(gain).reshape(2, -1), arm.sample_time)
+
+
+def loop_latency(
+    loops: Iterable[tuple[np.ndarray, np.ndarray]], m: np.ndarray, sample_time: float
+) -> float:
+    """Longest constant latency with which sampled loops x' = A x + B u, u = M x are stable [s].
+
+    Parameters
+    ----------
+    loops : iterable of tuple of ndarray
+        A and B, one pair a vertex.
+    m : ndarray
+        M.
+    sample_time : float
+        [s].
+    """
+    sampled = [_discretise(a, b, sample_time) for a, b in loops]
     delay = 0
-    while delay < _MOST_SAMPLES and all(_radius(a, b, m, delay + 1) < 1.0 for a, b in loops):
+    while delay < _MOST_SAMPLES and all(_radius(a, b, m, delay + 1) < 1.0 for a, b in sampled):
         delay += 1
-    return delay * arm.sample_time
+    return delay * sample_time
 
 
 def _discretise(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:

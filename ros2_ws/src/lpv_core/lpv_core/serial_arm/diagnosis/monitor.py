@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
-from lpv_core.serial_arm.diagnosis.hypotheses import CONTACT, Explanation, explanations
+from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, take_balance
+from lpv_core.serial_arm.diagnosis.hypotheses import CONTACT, Explanation, explanations, new_search
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
 from lpv_core.serial_arm.diagnosis.sampling import (
     BLOCKS,
@@ -152,6 +152,7 @@ class SerialMonitor:
             for joint in arm.joints
         ])  # fmt: skip
         self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        self.search = new_search(self.estimator, self._push)
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, 2.0 * noise,
             np.full(n, self.settings.smallest_step), self._capacity)  # fmt: skip
@@ -237,14 +238,26 @@ class SerialMonitor:
             k, complete = take_samples(
                 self.sampler, self.estimator.balance, times, samples, k, plan
             )
-            now = float(times[k - 1])
-            self._report_jumps(now)
-            if complete:
-                self._decide(now)
+            self.decide(float(times[k - 1]), complete)
+
+    def decide(self, now: float, complete: bool) -> None:
+        """Decide on what `take_samples` has found; for loops that call it themselves.
+
+        Parameters
+        ----------
+        now : float
+            Time of the last sample, from the first one on [s].
+        complete : bool
+            Whether a balance is complete.
+        """
+        self._report_jumps(now)
+        if complete:
+            self._decide(now)
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
-        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        posterior = self.estimator.posterior
+        offsets, sigma = posterior.mean[: self.joints], posterior.sigma
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
             if one is SensorState.OK and sigma[i] > self.settings.widest_level
@@ -289,15 +302,16 @@ class SerialMonitor:
     def _decide(self, now: float) -> None:
         """A balance is complete: estimate, compare explanations, decide."""
         if self._moving is not None:
-            self.estimator.take(now)
+            state = self.estimator.window, self.estimator.posterior, self.estimator.balance
+            take_balance(*state, now, False)
             follow(self._moving, self.estimator, self.sampler, now)
             return
         self.estimator.add(now, not self._suspects)
         if self.estimator.must_linearise():
-            self.estimator.linearise(self._blocks(len(self.estimator.window) + 1))
+            self.estimator.linearise(self._blocks(len(self.estimator) + 1))
         found = explanations(
-            self.estimator, self._push, *self._rest(), 0.5 * self.settings.evidence
-        )
+            self.search, self.estimator, self._rest(), np.nonzero(self._is_conspicuous())[0],
+            0.5 * self.settings.evidence)  # fmt: skip
         if not found or found[0].gain < self.settings.evidence:
             self._suspects = ()
             self._held.clear()
@@ -313,7 +327,7 @@ class SerialMonitor:
         kind = CONTACT if verdict.kind == CONTACT else 'encoder'
         self._held.append((kind, verdict.joint))
         if verdict.kind == CONTACT:
-            learned = len(self.estimator.window) * self.plan.interval > NOISE_KNOWN_AFTER
+            learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
             if learned and self._has_held(verdict, self.settings.contact_dwell):
                 self._report_contact(now)
         elif self._has_held(verdict, self.settings.dwell) and now > self._contact_until:
@@ -381,7 +395,8 @@ class SerialMonitor:
 
     def _decide_level(self) -> None:
         """Offsets that gravity and motion show."""
-        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        posterior = self.estimator.posterior
+        offsets, sigma = posterior.mean[: self.joints], posterior.sigma
         beyond = np.abs(offsets) > np.maximum(
             self.settings.level_sigmas * sigma, self.settings.smallest_level
         )
