@@ -15,10 +15,13 @@ from lpv_core.control.path_follower import PathFollower
 from lpv_core.control.tracking import COMPENSATION, TrackingController, feedback_position
 from lpv_core.control.watchdog import (
     STOP_TEXT,
+    LatencyLimits,
     StopReason,
     TrackerLimits,
     check_estimate,
     check_motion,
+    latency_limits,
+    mean_limit,
     note_stop,
     tracker_watchdog,
 )
@@ -28,6 +31,7 @@ from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized
+from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import stream
@@ -35,7 +39,6 @@ from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
-_LIMITS = TrackerLimits()
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML); its path is tracked', read_only=True),
@@ -48,23 +51,33 @@ SPECS = (
     ),
     Spec(
         'estimate_timeout',
-        _LIMITS.silence,
-        'real time only: safe stop when no estimate came for this long [s]',
-        0.01,
+        0.0,
+        f'real time only: safe stop when no estimate came for this long [s]; {FROM_GAINS}',
+        0.0,
         60.0,
         read_only=True,
     ),
     Spec(
         'max_latency',
-        _LIMITS.latency,
-        'real time only: safe stop when an estimate answers a measurement that is older [s]',
-        0.001,
+        0.0,
+        'real time only: safe stop when an estimate answers a measurement that is older [s]; '
+        + FROM_GAINS,
+        0.0,
+        60.0,
+        read_only=True,
+    ),
+    Spec(
+        'max_mean_latency',
+        0.0,
+        'real time only: safe stop when measurements that estimates answer are older on average '
+        'over 0.1 s [s]; 0: in proportion to max_latency',
+        0.0,
         60.0,
         read_only=True,
     ),
     Spec(
         'max_tracking_error',
-        _LIMITS.tracking_error,
+        TrackerLimits.tracking_error,
         'safe stop, until ~/resume is called, when a joint is further from its reference '
         'for 0.05 s [rad]',
         0.01,
@@ -122,9 +135,16 @@ class TrackerNode(ManagedNode):
         self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
         self._follower = PathFollower(self._path, speed)
+        certified = latency_limits(self._tolerated)
+        single = chosen_limit(self, 'max_latency', certified.single)
+        # The default of the mean follows a longer single latency, which was warned of.
+        own = self.get_parameter('max_mean_latency').value
+        mean = chosen_limit(self, 'max_mean_latency', certified.mean)
+        if not own and single > certified.single:
+            mean = mean_limit(single)
         self._limits = TrackerLimits(
-            silence=self.get_parameter('estimate_timeout').value,
-            latency=self.get_parameter('max_latency').value,
+            silence=chosen_limit(self, 'estimate_timeout', certified.single),
+            latency=LatencyLimits(single, mean),
             tracking_error=self.get_parameter('max_tracking_error').value,
         )
         self._compile()

@@ -166,6 +166,7 @@ def _commands(
         'simulator': [
             executable('lpv_arm_sim', 'simulator'),
             *common,
+            *gains,
             *arm,
             *scenario,
             '-p',

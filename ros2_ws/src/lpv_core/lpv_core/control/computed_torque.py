@@ -113,8 +113,8 @@ class ComputedTorqueController:
         self._chain = compile_chain(arm)
         self._work = workspace(self._chain)
         self.bandwidth = bandwidth
-        gains = bandwidth**3 * np.array([1.0, 3.0 / bandwidth, 3.0 / bandwidth**2])
-        self.tolerated_latency = joint_loop_latency(gains, arm.sample_time)
+        gains = _triple_pole(bandwidth)
+        self.tolerated_latency = serial_loop_latency(bandwidth, arm.sample_time)
         if self.tolerated_latency < arm.sample_time:
             raise ConfigError(
                 'bandwidth', f'{bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
@@ -176,6 +176,16 @@ class ComputedTorqueController:
             self._work,
         )
         return Command(self.state.torque.copy(), bool(self.state.saturated))
+
+
+def serial_loop_latency(bandwidth: float, sample_time: float) -> float:
+    """`joint_loop_latency` of a `ComputedTorqueController` [s]."""
+    return joint_loop_latency(_triple_pole(bandwidth), sample_time)
+
+
+def _triple_pole(bandwidth: float) -> np.ndarray:
+    """ki, kp, kd."""
+    return bandwidth**3 * np.array([1.0, 3.0 / bandwidth, 3.0 / bandwidth**2])
 
 
 def joint_loop_latency(gains: np.ndarray, sample_time: float) -> float:

@@ -1,13 +1,14 @@
 """Latency that the tracking loop tolerates."""
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
 
 from lpv_core.certificate.conditions import controller_loop
 from lpv_core.certificate.gains import Gains
-from lpv_core.model.arm import ArmParameters
+from lpv_core.model.arm import ArmParameters, arm_from_json
 
 _MOST_SAMPLES = 128
 
@@ -22,8 +23,15 @@ def tolerated_latency(arm: ArmParameters, gains: Gains) -> float:
     """
     controller = gains.controller
     m = np.hstack([controller.m1, controller.m2])
-    loops = zip(*controller_loop(arm, controller.method, controller.sinc_min))
-    return loop_latency(loops, m, arm.sample_time)
+    return _tolerated(arm.to_json(), controller.method, controller.sinc_min, m.tobytes())
+
+
+@lru_cache(maxsize=16)
+def _tolerated(arm_json: str, method: str, sinc_min: float, gain: bytes) -> float:
+    """Kept: campaigns ask for each of their runs."""
+    arm = arm_from_json(arm_json)
+    loops = zip(*controller_loop(arm, method, sinc_min))
+    return loop_latency(loops, np.frombuffer(gain).reshape(2, -1), arm.sample_time)
 
 
 def loop_latency(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.certificate.gains import Gains
+from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.path_references import PathReferences
 from lpv_core.control.tracking import (
     COMPENSATION,
@@ -26,6 +27,7 @@ from lpv_core.control.watchdog import (
     check_estimate,
     check_motion,
     drive_watchdog,
+    latency_limits,
     note_stop,
     tracker_watchdog,
 )
@@ -520,12 +522,13 @@ def run_closed_loop(
         simulator.injector.generator,
     )
     monitor = _Monitor._make([*sensor_monitor.parts, np.empty((3, 2))])
+    latency = latency_limits(tolerated_latency(arm, gains))
     tracker = _Tracker(
         tracking_constants(arm, gains),
         new_record(TRACKING_STATE),
         references.motion,
-        tracker_watchdog(arm, TrackerLimits()),
-        drive_watchdog(arm, DriveLimits()),
+        tracker_watchdog(arm, TrackerLimits(latency.single, latency)),
+        drive_watchdog(arm, DriveLimits(latency)),
     )
     log = _Log(
         np.zeros(count, _ROW).view(np.recarray),

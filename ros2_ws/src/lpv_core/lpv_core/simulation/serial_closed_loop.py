@@ -21,6 +21,7 @@ from lpv_core.control.watchdog import (
     check_estimate,
     check_motion,
     drive_watchdog,
+    latency_limits,
     note_stop,
     tracker_watchdog,
 )
@@ -395,13 +396,14 @@ def run_serial_loop(
         simulator.matrix,
     )
     observer = _new_observer(arm, monitor, count)
+    latency = latency_limits(controller.tolerated_latency)
     tracker = _Tracker(
         controller.chain,
         controller.state,
         workspace(controller.chain),
         references.motion,
-        tracker_watchdog(arm, TrackerLimits()),
-        drive_watchdog(arm, DriveLimits()),
+        tracker_watchdog(arm, TrackerLimits(latency.single, latency)),
+        drive_watchdog(arm, DriveLimits(latency)),
     )
     loop = new_record(
         _loop_type(len(arm.joints)),
