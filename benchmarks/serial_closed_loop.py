@@ -1,7 +1,7 @@
 """Cost of the closed loop of the UR10: simulator, diagnosis and tracker, offline.
 
-Times are processor times.  The loop's time a sample is compared with that of its plant alone in the
-same run: what diagnosis, tracking and recording add.  The figure of 1000 runs of 20 s is the measured
+Processor times.  The loop's time a sample is compared with that of its plant alone in the
+same run: what diagnosis, tracking and recording add.  The figure of 1000 runs is the measured
 one of a few, scaled.
 """
 
