@@ -2,7 +2,8 @@
 
 A simulated arm of n joints, rates independent, model wrong by some per cent, is watched by
 `SerialMonitor`: many samples at once, as a replay does, and one by one, as a node does.  The unit
-of the ratios are three compiled passes of the inverse dynamics of the same arm; all is processor time.
+of the ratios are three compiled passes of the inverse dynamics of the same arm; all times are
+processor time, so that other load on the machine matters less.
 """
 
 import argparse
@@ -104,7 +105,8 @@ def measure(joints: int, duration: float, table: Table) -> None:
     hour = 3600.0 / arm.sample_time * min(many)
     table.add_row(
         str(joints), f'{1e6 * unit:.2f}', f'{1e6 * min(many):.1f}', f'{min(many) / unit:.1f}',
-        f'{hour:.1f}', f'{1e6 * min(single):.1f}', f'{min(single) / unit:.1f}', str(alarms))  # fmt: skip
+        f'{hour:.1f}', f'{1e6 * min(single):.1f}', f'{min(single) / unit:.1f}',
+        str(alarms))  # fmt: skip
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ not depend on how measurements are divided.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +16,16 @@ from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.monitoring import message_fields
 from lpv_core.monitoring.answers import Answer, Answers, answer_type
-from lpv_core.monitoring.compensation import compensate, new_compensation
+from lpv_core.monitoring.compensation import (
+    AnswerRows,
+    Flags,
+    Known,
+    answer_rows,
+    fill_answers,
+    new_compensation,
+)
 from lpv_core.monitoring.serial_alarms import AlarmConverter
-from lpv_core.monitoring.stepped_monitor import SteppedMonitor
+from lpv_core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
@@ -53,6 +60,15 @@ class SerialCounters:
     implausible: int = 0  # values that no arm has
     gaps: int = 0  # intervals after which the balances restart
     without_effort: int = 0  # efforts were missing that had been there before
+
+
+class _Batch(NamedTuple):
+    """Measurements that were handed over together, and their answers."""
+
+    stamps: IntArray
+    samples: FloatArray
+    records: np.recarray
+    rows: AnswerRows
 
 
 class SerialSensorMonitor:
@@ -100,6 +116,7 @@ class SerialSensorMonitor:
         self._order = JointOrder(arm.joint_names, self.needs_rates)
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
+        self._is_derived = ~self._independent
         self._without_rates = np.array([rate == 'none' for rate in rates])
         self._monitor = SteppedMonitor(arm)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
@@ -110,6 +127,8 @@ class SerialSensorMonitor:
         """Change the tuning while running; alarms stay as they are."""
         self._parameters = parameters
         self._monitor.tune(parameters.minimum_threshold)
+        if hasattr(self, '_snapshot'):
+            self._know(self._snapshot, self._flags.stamp)
 
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
@@ -118,7 +137,7 @@ class SerialSensorMonitor:
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._next_report = NEVER
-        self._known, self._known_at = self._monitor.snapshot(), 0
+        self._know(self._monitor.snapshot(), 0)
         self._compensation = new_compensation(self._joints)
         self._alarms = AlarmConverter(self.arm)
         self._last = np.zeros(1, self.answer_type).view(np.recarray)  # row with the last estimate
@@ -172,25 +191,28 @@ class SerialSensorMonitor:
         self, stamps: IntArray, position: FloatArray, velocity: FloatArray, effort: FloatArray
     ) -> Answers:
         """Use many measurements; as `lpv_core.monitoring.monitor.SensorMonitor.take_many`."""
-        stamps = np.ascontiguousarray(stamps, dtype=np.int64)
-        samples = np.array([position, velocity, effort], dtype=float).transpose(1, 0, 2)
-        rows: Any = np.zeros(len(stamps), self.answer_type).view(np.recarray)
+        samples = np.empty((len(stamps), 3, self._joints))
+        samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
+        records: Any = np.zeros(len(stamps), self.answer_type)
+        rows = answer_rows(records)
+        stamps, records = np.ascontiguousarray(stamps, np.int64), records.view(np.recarray)
+        batch = _Batch(stamps, samples, records, rows)
         answers = Answers(
             rows.answered,
             rows.has_fault,
-            rows.restarted,
+            records.restarted,
             rows.inconsistent,
-            rows.state,
-            rows.fault,
+            records.state,
+            records.fault,
             events=[],
             reports=[],
         )
         begin = 0
         while begin < len(stamps):
             count = self._regular(stamps[begin:], samples[begin:])
-            if count or self._prepare(int(stamps[begin]), samples[begin], rows[begin : begin + 1]):
-                part = slice(begin, begin + max(1, count))
-                self._run(stamps[part], samples[part], rows[part], answers, begin)
+            row = records[begin : begin + 1]
+            if count or self._prepare(int(stamps[begin]), samples[begin], row):
+                self._run(batch, begin, begin + max(1, count), answers)
             elif rows.answered[begin] and self._is_due(int(stamps[begin])):
                 self._report(int(stamps[begin]), begin, answers)
             begin += max(1, count)
@@ -245,6 +267,7 @@ class SerialSensorMonitor:
         if blind is not self._blind:
             self._blind = self._monitor.blind = blind
             self._monitor.begin_again()
+            self._know(self._snapshot, self._flags.stamp)
         gap = self._stamp == NEVER or stamp - self._stamp > self._gap
         self.counters.gaps += self._stamp != NEVER and gap
         if gap and self._derives(sample[None])[0]:
@@ -269,88 +292,87 @@ class SerialSensorMonitor:
         self.counters.out_of_order += delta < 0
         return False
 
-    def _run(
-        self, stamps: IntArray, samples: FloatArray, rows: Any, answers: Answers, first: int
-    ) -> None:
-        """Use samples that are in order; ``first`` is the number of the first one.
-
-        ``rows``, a recarray, receives the answers.
-        """
-        values = self._with_rates(stamps, samples)
-        used = values.copy()
+    def _run(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
+        """Use samples that are in order."""
+        stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
+        self._add_rates(stamps, samples)
+        self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
         if self._blind:
-            used[:, 2] = 0.0
-        begin = 0
-        for known in self._monitor.run(stamps, used):
-            before = slice(begin, known.row)
-            self._fill(stamps[before], values[before], rows[before])
-            self._report_due(stamps[before], answers, first + begin)
-            begin, stamp = known.row, int(stamps[known.row])
-            events = self._alarms.convert(
-                known,
-                [self._monitor.stamp_of(alarm.onset) for alarm in known.alarms],
-                stamp,
-                self._parameters.sigmas,
-            )
-            answers.events += [(first + begin, event) for event in events]
-            self._compensation.applied[:] += known.jump
-            self._known, self._known_at = known, stamp
-            if events:
-                self._next_report = NEVER
-        self._fill(stamps[begin:], values[begin:], rows[begin:])
-        self._report_due(stamps[begin:], answers, first + begin)
-        self._stamp, self._reading = int(stamps[-1]), values[-1, 0].copy()
-        self._last = rows[-1:].copy()
+            samples[:, 2] = 0.0
+        first = begin
+        for snapshot in self._monitor.run(stamps, samples):
+            # What was decided at a sample counts from this sample on.
+            self._fill(batch, begin, first + snapshot.row, answers)
+            begin = first + snapshot.row
+            self._decide(snapshot, int(batch.stamps[begin]), begin, answers)
+        self._fill(batch, begin, end, answers)
+        self._last = batch.records[end - 1 : end].copy()
 
-    def _with_rates(self, stamps: IntArray, samples: FloatArray) -> FloatArray:
-        """Samples whose missing rates are differences of the readings."""
+    def _decide(self, snapshot: Snapshot, stamp: int, row: int, answers: Answers) -> None:
+        """Take note of what has been decided at a sample, and of its alarms."""
+        onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
+        events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
+        answers.events += [(row, event) for event in events]
+        self._compensation.applied[:] += snapshot.jump
+        self._know(snapshot, stamp)
+        if events:
+            self._next_report = NEVER
+
+    def _add_rates(self, stamps: IntArray, samples: FloatArray) -> None:
+        """Rates that are missing are differences of the readings."""
         missing = ~np.isfinite(samples[:, 1]) | self._without_rates
-        if not missing.any():
-            return samples
-        before = np.concatenate([self._reading[None], samples[:-1, 0]])
-        interval = np.diff(stamps, prepend=self._stamp) / NANOSECONDS
-        samples = samples.copy()
-        rates = (samples[:, 0] - before) / interval[:, None]
-        samples[:, 1] = np.where(missing, rates, samples[:, 1])
-        return samples
+        if missing.any():
+            before = np.concatenate([self._reading[None], samples[:-1, 0]])
+            interval = np.diff(stamps, prepend=self._stamp) / NANOSECONDS
+            rates = (samples[:, 0] - before) / interval[:, None]
+            samples[:, 1] = np.where(missing, rates, samples[:, 1])
 
-    def _fill(self, stamps: IntArray, values: FloatArray, rows: np.recarray) -> None:
-        """Answers to samples between two decisions."""
-        if not len(stamps):
-            return
-        known, tuning, state, fault = self._known, self._parameters, rows.state, rows.fault
-        elapsed = ((stamps - self._known_at) / NANOSECONDS)[:, None]
-        fault.estimate[:] = known.fault + elapsed * known.rate
-        confirmed = np.where(known.is_level, fault.estimate, known.removed + elapsed * known.rate)
-        result = np.empty((len(stamps), 3, self._joints))
-        compensate(
-            self._compensation,
-            stamps,
-            np.ascontiguousarray(values[:, :2]),
-            np.where(known.is_error, confirmed, 0.0),
-            np.where(known.is_error & ~self._independent, known.rate, 0.0),
-            known.jump_limit,
-            (tuning.compensation_rate, self.arm.sample_time),
-            result,
+    def _know(self, snapshot: Snapshot, stamp: int) -> None:
+        """What holds from a sample on, in the form of compiled functions."""
+        self._snapshot, tuning = snapshot, self._parameters
+        self._arrays = Known(
+            snapshot.fault,
+            snapshot.rate,
+            snapshot.removed,
+            tuning.sigmas * snapshot.sigma,
+            snapshot.threshold,
+            snapshot.jump_limit,
+            snapshot.state,
+            snapshot.is_error,
+            snapshot.is_level,
+            self._is_derived,
         )
-        state.compensated_position[:], state.velocity[:] = result[:, 0], result[:, 1]
-        state.position[:] = result[:, 0] + result[:, 2] - fault.estimate
-        state.measured_position[:], state.measured_velocity[:] = values[:, 0], values[:, 1]
-        state.mode[:] = self._mode()
-        state.trustworthy[:] = self._is_trustworthy()
-        fault.bound[:], fault.threshold[:] = tuning.sigmas * known.sigma, known.threshold
-        fault.state[:], fault.alarm[:] = known.state, known.is_error
-        rows.answered[:] = rows.has_fault[:] = True
-        rows.inconsistent[:] = bool(known.suspects)
+        self._flags = Flags(
+            stamp,
+            int(self._mode()),
+            self._is_trustworthy(),
+            bool(snapshot.suspects),
+            tuning.compensation_rate,
+            self.arm.sample_time,
+        )
+
+    def _fill(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
+        """Answers to samples between two decisions, and reports that are due."""
+        if begin < end:
+            fill_answers(
+                self._compensation,
+                batch.rows,
+                (begin, end),
+                batch.stamps,
+                batch.samples,
+                self._arrays,
+                self._flags,
+            )
+            self._report_due(batch.stamps[begin:end], answers, begin)
 
     def _mode(self) -> Mode:
         if self._blind:
             return Mode.HOLDING
-        return Mode.OBSERVING if self._known.balances else Mode.INITIALISING
+        return Mode.OBSERVING if self._snapshot.balances else Mode.INITIALISING
 
     def _is_trustworthy(self) -> bool:
         """Whether what is removed of confirmed faults is known well enough to go on."""
-        known = self._known
+        known = self._snapshot
         sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
         uncertain = self._parameters.sigmas * sigma > self._parameters.safe_stop_bound
         return not (known.is_error & uncertain).any()
@@ -406,7 +428,7 @@ class SerialSensorMonitor:
             'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
         }
         findings = message_fields.Findings(
-            bool(self._known.suspects), False, ({},) * self._joints, self._note()
+            bool(self._snapshot.suspects), False, ({},) * self._joints, self._note()
         )
         return message_fields.diagnostic_fields(self.name, self.arm, state, fault, findings, values)
 
@@ -414,10 +436,10 @@ class SerialSensorMonitor:
         """What else is to be said of the diagnosis as a whole."""
         if self._blind:
             return _NO_EFFORT
-        if self._known.contact:
+        if self._snapshot.contact:
             return _CONTACT
-        if self._known.suspects:
-            return 'inconsistent; what explains it: ' + ', '.join(self._known.suspects)
+        if self._snapshot.suspects:
+            return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
         return ''
 
     def _new_warnings(self) -> list[str]:

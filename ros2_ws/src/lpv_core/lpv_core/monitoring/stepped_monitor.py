@@ -12,11 +12,12 @@ from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm, 
 from lpv_core.serial_arm.diagnosis.sampling import JUMP_SCALE, restart, take_samples
 
 _STATES = {
-    'ok': SensorState.OK,
-    'warn': SensorState.WARN,
-    'error': SensorState.ERROR,
-    'not_diagnosable': SensorState.NOT_DIAGNOSABLE,
+    'ok': int(SensorState.OK),
+    'warn': int(SensorState.WARN),
+    'error': int(SensorState.ERROR),
+    'not_diagnosable': int(SensorState.NOT_DIAGNOSABLE),
 }
+_WARN, _ERROR = _STATES['warn'], _STATES['error']
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Snapshot:
     @property
     def is_error(self) -> npt.NDArray[np.bool_]:
         """Whether each sensor has a confirmed fault."""
-        return self.state == SensorState.ERROR
+        return self.state == _ERROR
 
 
 class SteppedMonitor(SerialMonitor):
@@ -117,12 +118,12 @@ class SteppedMonitor(SerialMonitor):
             any(one.startswith(f'{name}:') for one in estimate.suspects)
             for name in self.arm.sensor_names
         ]
-        state[np.array(suspected) & (state != SensorState.ERROR)] = SensorState.WARN
+        state[np.array(suspected) & (state != _ERROR)] = _WARN
         removed, rate = self.sampler.correction.copy(), self.sampler.drift.copy()
         threshold = np.maximum(settings.level_sigmas * estimate.sigma, settings.smallest_level)
         beyond = np.abs(estimate.fault - removed) > threshold
         self._is_level |= beyond & (estimate.sigma < settings.widest_level)
-        self._is_level &= state == SensorState.ERROR
+        self._is_level &= state == _ERROR
         sigma = estimate.sigma.copy()
         if moving is not None:
             if moving.sigma == 0.0:  # named just now, and not followed yet

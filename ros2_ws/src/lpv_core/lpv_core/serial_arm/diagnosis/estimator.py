@@ -48,7 +48,9 @@ OFFSET_PRIOR = 0.5
 _LINEAR_WITHIN = 0.05
 """Change of an offset after which the horizon is linearised again [rad]."""
 _NOISE_SAMPLES = 20
-"""Balances that what is expected of the noise counts for."""
+"""Balances after which what is seen of the noise counts as much as what is expected."""
+NOISE_KNOWN_AFTER = 3.0
+"""Before, noise is learned in any case; what acts from outside is not told from it [s]."""
 _NOISE_EVERY = 10
 """Balances after which the noise is learned anew."""
 _LARGEST_INFLATION = 15.0
@@ -56,6 +58,8 @@ _LAGS = 8
 """Balances over which what the model does not explain is correlated."""
 _PAST_WEIGHT = 0.998
 """Factor of what was learned, each balance."""
+_POSE_TIME = 0.5
+"""Over which an error that depends on the pose is correlated [s]."""
 DISTRUST = 0.02
 """Factor of the weights of balances while something acts from outside."""
 
@@ -94,6 +98,9 @@ class Posterior(NamedTuple):
     noise, expected, inflation : ndarray, shape (n,)
         Usual size of what is left of a balance, and what is expected before any was seen [N m s];
         factor of its variance, since it is correlated in time.
+    systematic : ndarray, shape (n,)
+        Smallest variance, correlation in time included: what the model of an identified arm is
+        known to miss, pose by pose [N2 m2 s2].
     residual : ndarray, shape (capacity, n)
         What the estimate leaves, newest first [N m s].
     weights : ndarray, shape (capacity, n)
@@ -109,6 +116,7 @@ class Posterior(NamedTuple):
     noise: FloatArray
     expected: FloatArray
     inflation: FloatArray
+    systematic: FloatArray
     residual: FloatArray
     weights: FloatArray
     inverse: FloatArray
@@ -222,7 +230,7 @@ def learn_noise(window: Window, null: Posterior) -> None:
             count += 1
     if count < 10:
         return
-    share = count / (_NOISE_SAMPLES + count)
+    share = count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
     for i in range(null.noise.shape[0]):
         ordered, expected = null.ordered[:count], null.expected[i]
         for k in range(count):
@@ -233,7 +241,8 @@ def learn_noise(window: Window, null: Posterior) -> None:
         null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
         learned = 1.0 + 2.0 * _correlation(null.residual[:count, i], 3.0 * null.noise[i])
         learned = min(learned, _LARGEST_INFLATION)
-        null.inflation[i] = (1.0 - share) * 2.0 + share * learned
+        least = null.systematic[i] / (null.noise[i] * null.noise[i])
+        null.inflation[i] = max((1.0 - share) * 2.0 + share * learned, least)
 
 
 @njit
@@ -274,7 +283,8 @@ class OffsetEstimator:
         self.balance: Balance = new_balance(chain, directions, derived)
         self.prior = np.concatenate([*_priors(arm, chain.friction), np.ones(len(directions))])
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
-        self.posterior = _prior_posterior(self.prior, _expected_noise(arm, plan), plan.capacity)
+        noise = _expected_noise(arm, plan), _systematic_error(arm, plan)
+        self.posterior = _prior_posterior(self.prior, *noise, plan.capacity)
         self._since_linearised = 0
 
     def __len__(self) -> int:
@@ -293,11 +303,12 @@ class OffsetEstimator:
         time : float
             Of the balance [s].
         learn : bool
-            Whether what leaves the horizon is remembered.
+            Whether noise is learned, and what leaves the horizon remembered.
         """
         take_balance(self.window, self.posterior, self.balance, time, learn)
         self._since_linearised += 1
-        if self.window.counters[NEXT] % _NOISE_EVERY == 0:
+        known = self.window.counters[NEXT] * self.plan.interval > NOISE_KNOWN_AFTER
+        if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
             learn_noise(self.window, self.posterior)
         solve(self.window, self.posterior)
 
@@ -350,11 +361,14 @@ class OffsetEstimator:
         solve(self.window, self.posterior)
 
 
-def _prior_posterior(prior: FloatArray, expected: FloatArray, capacity: int) -> Posterior:
+def _prior_posterior(
+    prior: FloatArray, expected: FloatArray, systematic: FloatArray, capacity: int
+) -> Posterior:
     n, m = len(expected), len(prior)
+    inflation = np.maximum(2.0, systematic / expected**2)
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
-        np.full(n, 2.0), np.zeros((capacity, n)), np.zeros((capacity, n)), np.zeros((m, n)),
+        inflation, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)), np.zeros((m, n)),
         np.zeros(capacity))  # fmt: skip
 
 
@@ -376,3 +390,11 @@ def _expected_noise(arm: SerialArm, plan: HorizonPlan) -> FloatArray:
     limit = np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
     tolerance = np.array([max(joint.torque_tolerance.torque) for joint in arm.joints])
     return plan.interval * np.maximum(0.25 * tolerance, 0.01 * limit)
+
+
+def _systematic_error(arm: SerialArm, plan: HorizonPlan) -> FloatArray:
+    """What the model of an identified arm missed on data held back, while a pose lasts."""
+    if arm.covariance is None:
+        return np.zeros(len(arm.joints))
+    missed = np.array([np.median(joint.torque_tolerance.torque) for joint in arm.joints]) / 3.0
+    return (missed * plan.interval) ** 2 * _POSE_TIME / plan.interval

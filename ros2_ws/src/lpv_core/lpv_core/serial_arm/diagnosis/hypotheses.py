@@ -194,7 +194,9 @@ def evaluate(
     best, longest = -np.inf, 0
     for w in range(first, end):
         longest = max(longest, search.lengths[w])
-    set_residuals(window, null, min(longest + 1, window.counters[COUNT]))
+    last = min(longest + 1, window.counters[COUNT])
+    set_residuals(window, null, last)
+    _weigh_outliers(null, last)
     for w in range(first, end):
         length = search.lengths[w]
         search.gain[w] = -np.inf
@@ -250,6 +252,18 @@ def _faults(search: Search, window: Window, null: Posterior, begin: float, w: in
         information[s] = max(information[s], 0.0) + 1.0 / variance
         search.size[w, s] = score / information[s]
         gain[s] = 0.5 * (score * score / information[s] - np.log(information[s] * variance))
+
+
+@njit
+def _weigh_outliers(null: Posterior, last: int) -> None:
+    """Shrink large residuals as the weights of least squares do (soft L1).
+
+    A torque from outside must not gain from outliers what the faults' columns do not.
+    """
+    for back in range(last):
+        for i in range(null.noise.shape[0]):
+            ratio = null.residual[back, i] / (3.0 * null.noise[i])
+            null.residual[back, i] /= (1.0 + ratio * ratio) ** 0.25
 
 
 @njit

@@ -12,7 +12,12 @@ import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, take_balance
+from lpv_core.serial_arm.diagnosis.estimator import (
+    NOISE_KNOWN_AFTER,
+    HorizonPlan,
+    OffsetEstimator,
+    take_balance,
+)
 from lpv_core.serial_arm.diagnosis.hypotheses import CONTACT, Explanation, explanations, new_search
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
 from lpv_core.serial_arm.diagnosis.sampling import (
@@ -34,8 +39,9 @@ LONGEST_STEP = 10.0
 NAMED_AFTER = {'stuck': 0.0, 'drift': 0.6, 'scale': 0.6, 'slip': 1.7}
 """Shortest windows that tell a fault from a torque from outside [s]; a slip, which changes the
 torques of gravity only, takes longest."""
-NOISE_KNOWN_AFTER = 3.0
-"""Before, a torque from outside is not told from errors of the model [s]."""
+MARGINS = {'stuck': 4.0, 'drift': 6.0, 'scale': 10.0, 'slip': 12.0}
+"""By which a fault's evidence must exceed that of all that is not this sensor's: a slow push looks
+more like a slip or a scale error than like a drift."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
 RECENT = 1.0
@@ -68,9 +74,9 @@ class MonitorSettings:
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
-    dwell: int = 4  # balances in a row for which a decision must hold
+    dwell: int = 3  # balances in a row for which a decision must hold
     contact_dwell: int = 8  # the same for torques from outside
-    level_dwell: int = 10  # the same for the level
+    level_dwell: int = 20  # the same for the level
     horizon: float = 10.0  # [s]
 
 
@@ -355,11 +361,12 @@ class SerialMonitor:
         if contact > max(3.0 * self.settings.evidence, *(2.0 * one.gain for one in encoder)):
             return next(one for one in found if one.kind == CONTACT)
         late = [one for one in encoder if self._last() - one.begin > NAMED_AFTER[one.kind]]
-        best = late[0] if late else None
-        if best is None or best.gain < self.settings.evidence:
+        if not late or late[0].gain < self.settings.evidence:
             return None
-        others = [one.gain for one in found if one.joint != best.joint or not one.is_encoder]
-        return best if best.gain > max(others) + self.settings.margin else None
+        joint = late[0].joint
+        rival = max(one.gain for one in found if one.joint != joint or not one.is_encoder)
+        own = [one for one in late if one.joint == joint]
+        return next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
 
     def _is_conspicuous(self) -> BoolArray:
         """Whether a reading froze while it moved, or jumped not long ago."""
