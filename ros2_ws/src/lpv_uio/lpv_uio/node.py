@@ -17,7 +17,8 @@ from std_srvs.srv import Trigger
 
 from lpv_core.decision.diagnosis import Alarm, AlarmEvent, DiagnosisParameters
 from lpv_core.model.arm import load_arm
-from lpv_core.monitoring.monitor import Answer, SensorMonitor, describe
+from lpv_core.monitoring.alarm_text import describe
+from lpv_core.monitoring.monitor import Answer, SensorMonitor
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS

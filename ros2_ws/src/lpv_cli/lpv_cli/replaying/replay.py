@@ -24,12 +24,15 @@ from lpv_cli.replaying.observing import (
 )
 from lpv_cli.replaying.publish import add_publishing, publish
 from lpv_core.certificate.gains import save_gains
+from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.model.arm import ArmParameters
-from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.monitoring.alarm_text import COUNTER_TEXT, describe
+from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,9 +140,11 @@ def _injector(faults: Sequence[Fault] | None, arm: ArmParameters) -> FaultInject
 
 
 def _alarm_line(event: RecordedAlarm) -> str:
-    """One alarm event with its three times: of the event, of the onset, of the confirmation."""
-    now, onset, confirmed = (s / 1e9 for s in (event.stamp, event.onset, event.detected))
-    return f'  {now:.3f} s: {describe(event)}; onset {onset:.3f} s, confirmed {confirmed:.3f} s'
+    """One alarm event: its stamp, what it says, and since when where that is earlier."""
+    line = f'  {event.stamp / NANOSECONDS:.3f} s: {describe(event)}'
+    if event.event == AlarmEvent.RAISED and event.onset < event.stamp:
+        line += f'; began {(event.stamp - event.onset) / NANOSECONDS:.3f} s before'
+    return line
 
 
 def show_injected(found: list[InjectedFault], console: Console) -> None:
@@ -165,9 +170,9 @@ def _summary(
     )
     for name, count in vars(monitor.counters).items():
         if count:
-            console.print(f'  {name.replace("_", " ")}: {count}')
+            console.print(f'  {count} {COUNTER_TEXT[name]}')
     for text, count in result.rejected.items():
-        console.print(f'  rejected {count} times: {text}')
+        console.print(f'  {count} measurements not used: {text}')
 
 
 def _report(arguments: argparse.Namespace, arm: ArmParameters, out: Path, console: Console) -> None:

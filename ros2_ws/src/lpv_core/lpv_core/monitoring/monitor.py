@@ -17,7 +17,6 @@ from lpv_core.decision.diagnosis import (
     DIAGNOSIS_CONSTANTS,
     DIAGNOSIS_STATE,
     Alarm,
-    AlarmEvent,
     DiagnosisParameters,
     SensorState,
     diagnose,
@@ -638,16 +637,3 @@ class SensorMonitor:
             ),
             values,
         )
-
-
-def describe(event: Alarm) -> str:
-    """An alarm event as one line of text: sensor, kind, size, bound and confidence."""
-    words = {
-        AlarmEvent.RAISED: 'ALARM',
-        AlarmEvent.UPDATED: 'alarm updated',
-        AlarmEvent.CLEARED: 'alarm cleared',
-    }
-    return (
-        f'{words[event.event]}, {event.sensor}: {event.kind}, {event.size:+.3f} rad within '
-        f'{event.bound:.3f} rad, confidence {event.confidence:.3f}'
-    )
