@@ -391,10 +391,7 @@ def test_given_an_alarm_when_raised_and_cleared_then_both_are_answered_with_a_st
             '(bound 0.010 rad) if it is this sensor, confidence 47.5%',
         ),
         ({'event': AlarmEvent.CLEARED}, 'bias is over, remaining error +0.250 rad'),
-        (
-            {'event': AlarmEvent.UPDATED},
-            'alarm updated, a: error +0.250 rad (bound 0.010 rad), bias',
-        ),
+        ({'event': AlarmEvent.UPDATED}, 'alarm updated, a: error +0.250 rad (bound 0.010 rad), b'),
     ],
 )
 def test_given_an_alarm_when_described_then_the_line_says_what_an_operator_needs(fields, text):

@@ -534,7 +534,7 @@ def test_given_gains_when_the_command_is_run_then_the_arm_is_theirs_and_the_verd
         == 0
     )
     assert 'my_gains.yaml: the certificate holds' in capsys.readouterr().out
-    assert 'bag on arm paper' in (tmp_path / 'report' / 'report.html').read_text()
+    assert 'bag, arm “paper”' in (tmp_path / 'report' / 'report.html').read_text()
 
 
 def test_given_tampered_gains_when_the_command_is_run_then_the_verdict_is_shown(

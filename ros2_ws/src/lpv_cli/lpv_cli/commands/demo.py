@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         out / 'report',
         arm=arm,
         path=path,
-        title=f'{scenario.name} on arm {arm.name}',
+        title=f'Scenario {scenario.name}, arm “{arm.name}”',
         used=read_used_gains(files['gains']),
     )
     print_table(result.table, console)

@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         Path(arguments.out),
         arm,
         path,
-        title=f'{Path(arguments.bag).name} on arm {arm.name}',
+        title=f'{Path(arguments.bag).name}, arm “{arm.name}”',
         used=used,
     )
     console = Console(soft_wrap=True, highlight=False)

@@ -182,7 +182,7 @@ def _report(arguments: argparse.Namespace, arm: ArmParameters, out: Path, consol
     if folder == out:
         raise ConfigError('--report', 'must be another folder than the bag')
     report = write_report(
-        out, folder, arm, title=f'Replay of {Path(arguments.bag).name} on arm {arm.name}'
+        out, folder, arm, title=f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
     )
     if report.table:
         print_table(report.table, console)

@@ -57,10 +57,11 @@ TERMS = (
         'drives brakes.',
     ),
     (
-        'lockstep, late steps, samples slipped',
+        'lockstep, samples left out',
         'In lockstep each sample waits for its answer, so that a run does not depend on the speed '
-        'of the computer. In real time a step that begins more than one sample too late is late, '
-        'and samples that a braked simulator leaves out to catch up have slipped: 0 is perfect.',
+        'of the computer. In real time a simulator that is braked and too slow leaves samples out '
+        'to catch up; the diagnosis bridges intervals in which measurements are missing, and '
+        'counts them. 0 is perfect.',
     ),
 )
 """Name and meaning, in the order of the page."""
