@@ -8,13 +8,7 @@ from lpv_core.support.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+    """Declare the command's arguments."""
     arm_choice.add_arguments(parser)
     parser.add_argument(
         '--out',
@@ -61,18 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Plan and write.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; bad input is an error.
-    """
+    """Plan and write."""
     _check(arguments)
     import numpy as np
 
