@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
         ),
         injector,
-        lambda event: console.print(_alarm_line(event)),
+        lambda event, time: console.print(_alarm_line(event, time)),
     ).run(arguments.bag, out)
     save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
@@ -139,9 +139,9 @@ def _injector(faults: Sequence[Fault] | None, arm: ArmParameters) -> FaultInject
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
 
 
-def _alarm_line(event: RecordedAlarm) -> str:
-    """One alarm event: its stamp, what it says, and since when where that is earlier."""
-    line = f'  {event.stamp / NANOSECONDS:.3f} s: {describe(event)}'
+def _alarm_line(event: RecordedAlarm, time: float) -> str:
+    """One alarm event: its time [s], what it says, and how long before that the fault began."""
+    line = f'  {time:.3f} s: {describe(event)}'
     if event.event == AlarmEvent.RAISED and event.onset < event.stamp:
         line += f'; began {(event.stamp - event.onset) / NANOSECONDS:.3f} s before'
     return line
