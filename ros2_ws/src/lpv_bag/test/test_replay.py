@@ -173,9 +173,10 @@ def replayed(bag, paper_arm, paper_gains, tmp_path_factory):
     """Result and output of a replay of the bag."""
     out = tmp_path_factory.mktemp('replayed') / 'bag'
     events = []
-    result = Replay(SensorMonitor('/anything', paper_arm, paper_gains), on_event=lambda event, _: events.append(event)).run(
-        bag, out
-    )
+    result = Replay(
+        SensorMonitor('/anything', paper_arm, paper_gains),
+        on_event=lambda event, _: events.append(event),
+    ).run(bag, out)
     assert events == result.events
     return result, out
 

@@ -24,6 +24,7 @@ from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
 from lpv_core.monitoring.monitor import Answers, SensorMonitor
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
 
