@@ -1,7 +1,6 @@
 """Alarm events and counters of samples in the words of an operator."""
 
 from lpv_core.decision.diagnosis import Alarm, AlarmEvent
-from lpv_core.decision.fault_kinds import KINDS, FaultKind
 
 _EVENTS = {
     AlarmEvent.RAISED: 'ALARM',
@@ -9,10 +8,10 @@ _EVENTS = {
     AlarmEvent.CLEARED: 'alarm cleared',
 }
 _KINDS = {
-    FaultKind.UNCLASSIFIED: 'kind not known yet',
-    FaultKind.SPIKE: 'single wrong readings (spike)',
-    FaultKind.STUCK: 'reading stands still (stuck)',
-    FaultKind.NOISE: 'too much noise',
+    'unclassified': 'kind not known yet',
+    'spike': 'single wrong readings (spike)',
+    'stuck': 'reading stands still (stuck)',
+    'noise': 'too much noise',
 }
 _CERTAIN = 0.9995
 """Confidence from which on only a lower limit is given."""
@@ -30,17 +29,16 @@ COUNTER_TEXT = {
 
 def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
-    kind = FaultKind(KINDS.index(event.kind))
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
     error = f'{event.size:+.3f} rad (bound {event.bound:.3f} rad)'
     if event.event == AlarmEvent.CLEARED:
         return f'{head}{event.kind} is over, remaining error {error}'
-    if kind == FaultKind.DROPOUT:
+    if event.kind == 'dropout':
         return f'{head}no readings (dropout)'
     sure = f'{event.confidence:.1%}' if event.confidence < _CERTAIN else '> 99.9%'
-    if kind == FaultKind.INCONSISTENT:
+    if event.kind == 'inconsistent':
         return (
             f'{head}inconsistent, cause unknown: rates, torques and model contradict each other; '
             f'error {error} if it is this sensor, confidence {sure}'
         )
-    return f'{head}error {error}, {_KINDS.get(kind, event.kind)}, confidence {sure}'
+    return f'{head}error {error}, {_KINDS.get(event.kind, event.kind)}, confidence {sure}'
