@@ -89,6 +89,10 @@ def fill(rng, message):
             setattr(message, name, rng.choice(FLOATS, len(value)))
         elif kind == 'sequence<double>':
             setattr(message, name, rng.choice(FLOATS, rng.integers(0, 5)).tolist())
+        elif kind == 'sequence<uint8>':
+            setattr(message, name, rng.integers(0, 256, rng.integers(0, 5)).tolist())
+        elif kind == 'sequence<boolean>':
+            setattr(message, name, [bool(rng.integers(2)) for _ in range(rng.integers(0, 5))])
         elif kind == 'string':
             setattr(message, name, TEXTS[rng.integers(len(TEXTS))])
         elif kind == 'sequence<string>':
