@@ -32,6 +32,7 @@ from lpv_node.qos import stream
 from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
+from lpv_tracker.upcoming import UpcomingReferences
 
 _LIMITS = TrackerLimits()
 SPECS = (
@@ -111,7 +112,8 @@ class TrackerNode(ManagedNode):
         self._integrates_measurement = gains.controller.method == 'paper'
         self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
-        self._follower = PathFollower(self._arm, self._path, speed)
+        period = round(self._arm.sample_time * NANOSECONDS)
+        self._follower = UpcomingReferences(PathFollower(self._arm, self._path, speed), period)
         self._tolerated = tolerated_latency(self._arm, gains)
         self._limits = TrackerLimits(
             silence=self.get_parameter('estimate_timeout').value,
