@@ -76,8 +76,8 @@ def state_fields(state: np.record) -> dict[str, Any]:
     )
     return {
         **{name: state[name].copy() for name in names},
-        'mode': int(state.mode),
-        'trustworthy': bool(state.trustworthy),
+        'mode': int(state['mode']),
+        'trustworthy': bool(state['trustworthy']),
     }
 
 
@@ -99,8 +99,8 @@ def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any
     return {
         'sensor_names': list(sensor_names),
         **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
-        'state': fault.state.tolist(),
-        'alarm': [bool(a) for a in fault.alarm],
+        'state': fault['state'].tolist(),
+        'alarm': [bool(a) for a in fault['alarm']],
     }
 
 
