@@ -159,7 +159,11 @@ class ManagedNode(LifecycleNode):
         if waiting:
             self.get_logger().warning(
                 f'waiting for subscribers of {", ".join(waiting)}'
-                + (f': {recorders} recorders must be there' if recorders else ''),
+                + (
+                    f' (await_recorders is {recorders}: does the recorder run?)'
+                    if recorders
+                    else ''
+                ),
                 throttle_duration_sec=5.0,
                 skip_first=True,
             )

@@ -31,9 +31,8 @@ TERMS = (
     (
         'no bound at rest',
         'At rest, an unknown torque (friction, a payload) and an offset of the encoder look the '
-        'same unless gravity changes with the angle. “Gravity bounds both errors in 69% of the '
-        'region” means: in the other 31% of the configurations a lasting offset is found in '
-        'motion or by its onset alone.',
+        'same unless gravity changes with the angle. A share of 28% means: in these configurations '
+        'of the path a lasting offset is found in motion or by its onset alone.',
     ),
     (
         'margin',
