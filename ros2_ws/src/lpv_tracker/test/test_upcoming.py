@@ -34,8 +34,8 @@ def test_given_stamps_when_references_come_ahead_then_they_are_those_of_the_foll
     paper_arm, two_faults, stamps, stops, away
 ):
     path = two_faults.path(paper_arm)
-    alone = PathFollower(paper_arm, path)
-    ahead = UpcomingReferences(PathFollower(paper_arm, path), STEP)
+    alone = PathFollower(path)
+    ahead = UpcomingReferences(PathFollower(path), STEP)
     position = path.sample(0.0).position + away
     for k, stamp in enumerate(stamps):
         if k in stops:
@@ -48,7 +48,7 @@ def test_given_stamps_when_references_come_ahead_then_they_are_those_of_the_foll
 
 def test_given_a_reset_when_followed_again_then_the_path_begins_anew(paper_arm, two_faults):
     path = two_faults.path(paper_arm)
-    ahead = UpcomingReferences(PathFollower(paper_arm, path), STEP)
+    ahead = UpcomingReferences(PathFollower(path), STEP)
     start = path.sample(0.0).position
     for stamp in steps(200):
         ahead.reference(stamp, start)
