@@ -21,7 +21,7 @@ from lpv_core.certificate.noise import covariance_margin, exact_fault_sigma
 from lpv_core.model.arm import arm_from_json, constants_vector
 from lpv_core.support.errors import ConfigError
 from lpv_design.exact_observer import torque_gains
-from lpv_design.guarantee import draw, guarantee
+from lpv_design.guarantee import guarantee
 
 ARMS = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup' / 'arms'
 REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
@@ -166,11 +166,6 @@ def test_given_a_larger_model_error_when_mapped_then_thresholds_are_larger(paper
         larger = guarantee(other, gains, points=5).bound
         assert np.all(larger[1:4, 1:4] >= base[1:4, 1:4])
         assert np.all(larger[1, 3] > base[1, 3])  # 36 deg to both sides
-
-
-def test_given_a_map_when_drawn_then_it_is_a_picture(paper_arm, paper_gains, tmp_path):
-    draw(guarantee(paper_arm, paper_gains, points=5), paper_arm, tmp_path / 'a' / 'map.png')
-    assert (tmp_path / 'a' / 'map.png').read_bytes().startswith(b'\x89PNG')
 
 
 def test_given_a_gains_file_when_read_then_the_certificate_describes_itself(

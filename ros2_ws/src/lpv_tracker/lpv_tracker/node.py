@@ -38,6 +38,7 @@ from lpv_node.qos import stream
 from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
+from lpv_tracker.upcoming import UpcomingReferences
 
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
@@ -134,7 +135,8 @@ class TrackerNode(ManagedNode):
         scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
         self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
-        self._follower = PathFollower(self._path, speed)
+        period = round(self._arm.sample_time * NANOSECONDS)
+        self._follower = UpcomingReferences(PathFollower(self._path, speed), period)
         certified = latency_limits(self._tolerated)
         single = chosen_limit(self, 'max_latency', certified.single)
         # The default of the mean follows a longer single latency, which was warned of.

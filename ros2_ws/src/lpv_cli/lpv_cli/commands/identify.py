@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lpv_cli import arm_choice
 from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -14,22 +15,14 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+    """Declare the command's arguments."""
     parser.add_argument(
         'recordings',
         nargs='+',
         metavar='BAG|CSV',
         help='recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv',
     )
-    arm = parser.add_mutually_exclusive_group(required=True)
-    arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
-    arm.add_argument('--arm', help='arm file to start from, of n joints or of two links')
+    arm_choice.add_arguments(parser)
     parser.add_argument('--out', help='arm file to write')
     parser.add_argument('--report', metavar='DIR', help='folder for the report with pictures')
     _add_arm_arguments(parser)
@@ -67,12 +60,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--name', help="name of the arm (the URDF's)")
-    parser.add_argument(
-        '--joints',
-        nargs='+',
-        metavar='JOINT',
-        help='joints of the arm; all others of the URDF are locked',
-    )
     parser.add_argument(
         '--lock',
         action='append',
@@ -112,18 +99,7 @@ def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Identify.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; bad input is an error.
-    """
+    """Identify, show, write."""
     if not 0.2 <= arguments.train_share <= 0.9:
         raise ConfigError('--train-share', 'must lie within [0.2, 0.9]')
     from lpv_identify.recordings.recording import read_recording
@@ -154,14 +130,7 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     """The arm that the fit starts from."""
     from dataclasses import replace
 
-    from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-    from lpv_identify.results.starting_arm import load_any_arm
-
-    if arguments.urdf:
-        locked = dict(_locked(text) for text in arguments.lock)
-        arm = read_urdf_chain(arguments.urdf, locked, arguments.joints)
-    else:
-        arm = load_any_arm(arguments.arm)
+    arm = arm_choice.chosen_arm(arguments, dict(_locked(text) for text in arguments.lock))
     if arguments.name:
         arm = replace(arm, name=arguments.name)
     if arguments.base_rpy:

@@ -39,9 +39,10 @@ def run(arguments: argparse.Namespace) -> int:
     holds = True
     observer: Any = gains.observer
     print(f'gains for arm {arm.name!r}, method {observer.method!r}')
+    print('largest eigenvalue of each inequality, which holds where that is negative:')
     for check in [*verify(arm, gains), *_map_check(arm, gains)]:
         holds &= check.holds
-        print(f'  {"holds" if check.holds else "FAILS"}  {check.margin:+.3g}  {check.name}')
+        print(f'  {"holds" if check.holds else "FAILS"}  {check.margin:+10.3g}  {check.name}')
     if arguments.proof:
         from lpv_core.certificate.exact_proof import prove
 
