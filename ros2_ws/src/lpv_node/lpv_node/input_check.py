@@ -21,6 +21,11 @@ def all_finite(*fields: Iterable[float]) -> bool:
     return all(math.isfinite(value) for field in fields for value in field)
 
 
+def all_within(largest: float, *fields: Iterable[float]) -> bool:
+    """Whether all elements of some number fields are at most so large; NaN is not."""
+    return all(abs(value) <= largest for field in fields for value in field)
+
+
 class StampGuard:
     """Tells a stream whose time restarts from single stamps of another sender."""
 

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -51,8 +52,8 @@ _PATTERNS = {
 
 def read_csv(
     path: Path, joints: Sequence[str], columns: ColumnMap | None
-) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray]:
-    """Stamps, positions, rates (or None) and efforts of a CSV file with a header line."""
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray, list[str]]:
+    """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line."""
     if not path.is_file():
         raise CsvError(f'{path}: there is no such file')
     if path.stat().st_size > MAX_BYTES:
@@ -60,7 +61,8 @@ def read_csv(
     try:
         with open(path, newline='', encoding='utf-8-sig') as file:
             header = [name.strip() for name in next(csv.reader(file), [])]
-            table = np.genfromtxt(file, delimiter=',', ndmin=2, invalid_raise=False)
+            with warnings.catch_warnings(record=True) as caught:
+                table = np.genfromtxt(file, delimiter=',', ndmin=2, invalid_raise=False)
     except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
         raise CsvError(f'{path}: cannot be read ({error})') from error
     if table.shape[0] < 2 or table.shape[1] != len(header):
@@ -75,7 +77,8 @@ def read_csv(
     time = table[:, header.index(columns.time)] * (TIME_UNITS[columns.time_unit] / 1e9)
     position, velocity = angle * table[:, index[0]], angle * table[:, index[1]]
     effort = table[:, index[2]]
-    return [time], position, velocity if np.isfinite(velocity).any() else None, effort
+    notes = ['lines with another number of columns are left out'] if caught else []
+    return [time], position, velocity if np.isfinite(velocity).any() else None, effort, notes
 
 
 def _index(
