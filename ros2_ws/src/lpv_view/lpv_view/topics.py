@@ -20,7 +20,6 @@ from lpv_msgs.msg import (
 )
 from lpv_node.qos import latched
 
-
 _SHORTEST = 16
 """Least size of a message with a header, in CDR [bytes]."""
 

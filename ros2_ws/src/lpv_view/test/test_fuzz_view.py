@@ -10,14 +10,7 @@ pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
 pytest.importorskip('lpv_view', reason='the workspace is not built')
 
 from fuzzing import peak_memory  # noqa: E402
-from hostile import (  # noqa: E402
-    Refused,
-    damaged_bytes,
-    forge,
-    node_of,
-    run_cases,
-    set_parameters,
-)
+from hostile import Refused, damaged_bytes, forge, node_of, run_cases, set_parameters  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
 from lpv_view.hub import encode  # noqa: E402
@@ -40,10 +33,10 @@ class View:
         message = kind()
         self._stamp += 2_000_000
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._stamp, 10**9)
-        for name in ('name', 'sensor_names'):
+        arm = self.node._model._arm
+        for name, texts in (('name', arm.joint_names), ('sensor_names', arm.sensor_names)):
             if hasattr(message, name):
-                arm = self.node._model._arm
-                setattr(message, name, list(arm.joint_names if name == 'name' else arm.sensor_names))
+                setattr(message, name, list(texts))
         for name in ('position', 'velocity', 'effort'):
             if hasattr(message, name) and kind.__name__ == 'JointState':
                 setattr(message, name, [0.1, 0.2])

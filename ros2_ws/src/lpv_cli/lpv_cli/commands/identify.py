@@ -99,10 +99,14 @@ def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='K',
         help='joint torque per unit of effort, one for all joints or one each',
     )
-    parser.add_argument(
+    weight = parser.add_mutually_exclusive_group()
+    weight.add_argument(
         '--without-gravity',
         action='store_true',
-        help='efforts do not contain the torque that holds the weight',
+        help='efforts do not contain the torque that holds the weight (found from the data)',
+    )
+    weight.add_argument(
+        '--with-gravity', action='store_true', help='efforts contain it, whatever the data say'
     )
 
 
@@ -142,7 +146,11 @@ def run(arguments: argparse.Namespace) -> int:
     result = identify(
         arm,
         recordings,
-        Options(arguments.train_share, arguments.refit),
+        Options(
+            arguments.train_share,
+            arguments.refit,
+            arguments.without_gravity or arguments.with_gravity,
+        ),
         [read(path) for path in arguments.test],
     )
     _print(result)
@@ -166,8 +174,8 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
         arm = replace(arm, name=arguments.name)
     if arguments.base_rpy:
         arm = replace(arm, base_orientation=tuple(arguments.base_rpy))
-    if arguments.without_gravity:
-        arm = replace(arm, effort_includes_gravity=False)
+    if arguments.without_gravity or arguments.with_gravity:
+        arm = replace(arm, effort_includes_gravity=arguments.with_gravity)
     if arguments.gain:
         arm = _with_gains(arm, arguments.gain)
     if arguments.effort_unit == 'A':
