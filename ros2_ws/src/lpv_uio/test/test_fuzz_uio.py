@@ -69,7 +69,9 @@ def arm():
     with node_of(
         UioNode, 'uio', BRINGUP / 'gains' / 'paper.yaml', arm_file=BRINGUP / 'arms' / 'paper.yaml'
     ) as node:
-        yield Arm(node)
+        arm = Arm(node)
+        arm.recover()  # what compiles takes its time
+        yield arm
 
 
 def test_given_forged_measurements_when_estimated_then_outputs_are_finite_and_it_recovers(arm):

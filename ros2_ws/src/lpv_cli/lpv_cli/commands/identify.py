@@ -112,6 +112,13 @@ def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--topic', help='topic of the joint states, if there are several')
+    parser.add_argument(
+        '--second-encoder',
+        action='append',
+        default=[],
+        metavar='JOINT=NAME',
+        help='second position sensor of a joint, as a joint of the messages or a CSV column',
+    )
     parser.add_argument('--columns', help='column map of CSV files (a YAML file or a shipped one)')
 
 
@@ -154,8 +161,37 @@ def run(arguments: argparse.Namespace) -> int:
         [read(path) for path in arguments.test],
     )
     _print(result)
+    result = _with_second_encoders(arguments, result, columns)
     _write(arguments, result)
     return 0
+
+
+def _with_second_encoders(
+    arguments: argparse.Namespace, result: 'Identification', columns: Any
+) -> 'Identification':
+    """The result with the second encoders that were named; says what they are."""
+    from dataclasses import replace
+
+    from lpv_identify.sensors.second_encoder import (
+        describe,
+        find_second_encoders,
+        with_second_encoders,
+    )
+
+    pairs = dict(_second_encoder(text) for text in arguments.second_encoder)
+    if not pairs:
+        return result
+    found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
+    for reading in found:
+        print(describe(reading))
+    return replace(result, arm=with_second_encoders(result.arm, found))
+
+
+def _second_encoder(text: str) -> tuple[str, str]:
+    joint, _, name = text.partition('=')
+    if not joint or not name:
+        raise ConfigError('--second-encoder', f'{text!r} is not JOINT=NAME')
+    return joint, name
 
 
 def _arm(arguments: argparse.Namespace) -> 'SerialArm':

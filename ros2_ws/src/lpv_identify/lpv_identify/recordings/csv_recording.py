@@ -54,6 +54,27 @@ def read_csv(
     path: Path, joints: Sequence[str], columns: ColumnMap | None
 ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray, list[str]]:
     """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line."""
+    header, table, notes = _read_table(path)
+    if columns is None:
+        columns = guess_columns(path, header, joints)
+    index = _index(path, header, joints, columns)
+    angle = ANGLE_UNITS[columns.angle_unit]
+    table = np.column_stack([table, np.full(len(table), np.nan)])  # column -1: not recorded
+    time = table[:, header.index(columns.time)] * (TIME_UNITS[columns.time_unit] / 1e9)
+    position, velocity = angle * table[:, index[0]], angle * table[:, index[1]]
+    effort = table[:, index[2]]
+    return [time], position, velocity if np.isfinite(velocity).any() else None, effort, notes
+
+
+def read_csv_columns(path: Path, names: Sequence[str], angle_unit: str) -> np.ndarray:
+    """Angles of some columns of a CSV file, shape (n, columns) [rad]."""
+    header, table, _ = _read_table(path)
+    _require(path, header, names)
+    return ANGLE_UNITS[angle_unit] * table[:, [header.index(name) for name in names]]
+
+
+def _read_table(path: Path) -> tuple[list[str], np.ndarray, list[str]]:
+    """Header, numbers and remarks of a CSV file."""
     if not path.is_file():
         raise CsvError(f'{path}: there is no such file')
     if path.stat().st_size > MAX_BYTES:
@@ -69,16 +90,7 @@ def read_csv(
         raise CsvError(
             f'{path}: must have a header line and at least two lines of {len(header)} numbers'
         )
-    if columns is None:
-        columns = guess_columns(path, header, joints)
-    index = _index(path, header, joints, columns)
-    angle = ANGLE_UNITS[columns.angle_unit]
-    table = np.column_stack([table, np.full(len(table), np.nan)])  # column -1: not recorded
-    time = table[:, header.index(columns.time)] * (TIME_UNITS[columns.time_unit] / 1e9)
-    position, velocity = angle * table[:, index[0]], angle * table[:, index[1]]
-    effort = table[:, index[2]]
-    notes = ['lines with another number of columns are left out'] if caught else []
-    return [time], position, velocity if np.isfinite(velocity).any() else None, effort, notes
+    return header, table, ['lines with another number of columns are left out'] if caught else []
 
 
 def _index(
@@ -91,10 +103,14 @@ def _index(
             + ', '.join(columns.joints)
         )
     wanted = [[columns.joints[joint][kind] for joint in joints] for kind in range(3)]
-    for name in [columns.time, *(n for names in wanted for n in names)]:
-        if name and name not in header:
-            raise CsvError(f'{path}: has no column {name!r}; it has {", ".join(header)}')
+    _require(path, header, [columns.time, *(n for names in wanted for n in names if n)])
     return [[header.index(name) if name else -1 for name in names] for names in wanted]
+
+
+def _require(path: Path, header: list[str], names: Sequence[str]) -> None:
+    for name in names:
+        if name not in header:
+            raise CsvError(f'{path}: has no column {name!r}; it has {", ".join(header)}')
 
 
 def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:

@@ -96,6 +96,29 @@ def read_recording(
     return clean(str(path), *_read_bag(path, joints, topic))
 
 
+def read_pairs(
+    path: str | Path,
+    first: Sequence[str],
+    second: Sequence[str],
+    topic: str | None = None,
+    columns: ColumnMap | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of joints and of their second encoders in the same samples, (n, joints) each.
+
+    Second encoders are further joints of the messages, or columns of a CSV file; otherwise as
+    `read_recording`, without its checks of the samples.
+    """
+    path = Path(path)
+    if path.suffix.lower() == '.csv':
+        from lpv_identify.recordings.csv_recording import read_csv, read_csv_columns
+
+        _, position, *_ = read_csv(path, first, columns)
+        unit = 'rad' if columns is None else columns.angle_unit
+        return position, read_csv_columns(path, second, unit)
+    _, position, *_ = _read_bag(path, (*first, *second), topic)
+    return position[:, : len(first)], position[:, len(first) :]
+
+
 def clean(
     source: str,
     stamps: Sequence[np.ndarray],
