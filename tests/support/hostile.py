@@ -55,6 +55,10 @@ def set_anything(rng, owner, name, kind):
         setattr(owner, name, rng.choice(FLOATS, len(value)))
     elif kind == 'sequence<double>':
         setattr(owner, name, rng.choice(FLOATS, rng.integers(0, 5)).tolist())
+    elif kind == 'sequence<uint8>':
+        setattr(owner, name, rng.integers(0, 256, rng.integers(0, 5)).tolist())
+    elif kind == 'sequence<boolean>':
+        setattr(owner, name, [bool(rng.integers(2)) for _ in range(rng.integers(0, 5))])
     elif kind == 'string':
         setattr(owner, name, TEXTS[rng.integers(len(TEXTS))])
     elif kind == 'sequence<string>':

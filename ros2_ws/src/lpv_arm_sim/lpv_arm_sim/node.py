@@ -25,10 +25,11 @@ from lpv_core.simulation.arm_simulator import ArmSimulator, Measurement, Truth
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import GroundTruth, TorqueCommand
-from lpv_node.input_check import Refusals, all_finite
+from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
 from lpv_node.qos import stream
+from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
@@ -206,6 +207,8 @@ class SimulatorNode(ManagedNode):
 
     def _refusal(self, message: TorqueCommand, stamp: int) -> str:
         """Why a command is ignored: it must answer a measurement of this arm."""
+        if not all_sized(len(self._arm.joint_names), message.torque):
+            return 'command with another number of joints than the arm'
         if not all_finite(message.torque):
             return 'command with values that are not finite'
         if self.lockstep:
@@ -316,9 +319,9 @@ class SimulatorNode(ManagedNode):
         self._publish_truth(stamp, truth, measurement)
         message = self._state_message
         set_stamp(message.header.stamp, stamp)
-        message.position = measurement.position.tolist()
-        message.velocity = measurement.velocity.tolist()
-        message.effort = measurement.effort.tolist()
+        message.position = doubles(measurement.position)
+        message.velocity = doubles(measurement.velocity)
+        message.effort = doubles(measurement.effort)
         self._joint_states_out.publish(message)
         self._sent = time.monotonic()
         self._report_progress()
@@ -326,8 +329,8 @@ class SimulatorNode(ManagedNode):
     def _publish_truth(self, stamp: int, truth: Truth, measurement: Measurement) -> None:
         message = self._truth_message
         set_stamp(message.header.stamp, stamp)
-        message.position, message.velocity = truth.position, truth.velocity
-        message.torque, message.fault = measurement.effort, truth.fault
+        message.position, message.velocity = doubles(truth.position), doubles(truth.velocity)
+        message.torque, message.fault = doubles(measurement.effort), doubles(truth.fault)
         message.disturbance = float(truth.disturbance)
         self._truth_out.publish(message)
 

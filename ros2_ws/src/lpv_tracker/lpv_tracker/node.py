@@ -25,10 +25,11 @@ from lpv_core.model.arm import load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, StampGuard, all_finite, all_within
+from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized, all_within
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import stream
+from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
@@ -207,7 +208,9 @@ class TrackerNode(ManagedNode):
         """Whether an estimate can be one of the observer's; others are counted and ignored."""
         positions = message.position, message.compensated_position, message.measured_position
         rates = message.velocity, message.measured_velocity
-        if not all_finite(*positions, *rates):
+        if not all_sized(len(self._arm.joint_names), *positions, *rates):
+            self._refusals.add('estimate with another number of joints than the arm')
+        elif not all_finite(*positions, *rates):
             self._refusals.add('estimate with values that are not finite')
         elif not (all_within(_FARTHEST, *positions) and all_within(_FASTEST, *rates)):
             self._refusals.add('estimate with values that no arm has')
@@ -265,14 +268,16 @@ class TrackerNode(ManagedNode):
             reference, position, message.velocity, integrated, interval
         )
         set_stamp(self._command.header.stamp, stamp)
-        self._command.torque, self._command.safe_stop = command.torque, False
+        self._command.torque, self._command.safe_stop = doubles(command.torque), False
         self._command_out.publish(self._command)
 
     def _publish_reference(self, stamp: int, reference: Reference) -> None:
         message = self._reference
         set_stamp(message.header.stamp, stamp)
-        message.position, message.velocity = reference.position, reference.velocity
-        message.acceleration, message.tip_position = reference.acceleration, reference.tip
+        message.position = doubles(reference.position)
+        message.velocity = doubles(reference.velocity)
+        message.acceleration = doubles(reference.acceleration)
+        message.tip_position = doubles(reference.tip)
         self._reference_out.publish(message)
 
     def _check_silence(self) -> None:
@@ -294,7 +299,8 @@ class TrackerNode(ManagedNode):
             self._reason, self._stops = reason, self._stops + 1
             self.get_logger().error(f'safe stop: {self._stop_text()}')
         set_stamp(self._command.header.stamp, stamp)
-        self._command.torque, self._command.safe_stop = [0.0, 0.0], True
+        self._command.torque = doubles([0.0] * len(self._arm.joint_names))
+        self._command.safe_stop = True
         self._command_out.publish(self._command)
         self._report(stamp)
 

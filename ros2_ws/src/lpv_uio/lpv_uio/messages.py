@@ -2,9 +2,11 @@
 
 from typing import Any, TypeVar
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
+from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp
 
 Fields = dict[str, Any]
@@ -67,5 +69,5 @@ class OutputMessages:
 def _fill(message: M, stamp: int, fields: Fields) -> M:
     set_stamp(message.header.stamp, stamp)
     for name, value in fields.items():
-        setattr(message, name, value)
+        setattr(message, name, doubles(value) if isinstance(value, np.ndarray) else value)
     return message

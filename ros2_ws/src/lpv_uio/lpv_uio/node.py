@@ -22,7 +22,7 @@ from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, all_finite
+from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import latched, stream
@@ -230,7 +230,9 @@ class UioNode(ManagedNode):
             self._watch = None
 
     def _on_command(self, message: TorqueCommand) -> None:
-        if not all_finite(message.torque):
+        if not all_sized(len(self._arm.joint_names), message.torque):
+            self._refusals.add('command with another number of joints than the arm')
+        elif not all_finite(message.torque):
             self._refusals.add('command with values that are not finite')
         elif to_nanoseconds(message.header.stamp) not in self._recent:
             self._refusals.add('command whose stamp answers no measurement')

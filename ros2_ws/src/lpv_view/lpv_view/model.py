@@ -24,14 +24,15 @@ QUIET = 1.0
 """A source that was silent for this long is no longer shown as live [s]."""
 _LAST_STAMP = 2**31 * NANOSECONDS - 1
 _MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 16, 300
-_SOURCES = (
-    'joint_states',
-    'state_estimate',
-    'fault_estimate',
-    'torque_command',
-    'ground_truth',
-    'reference',
-)
+_ARRAYS = {
+    'joint_states': (),
+    'state_estimate': ('position',),
+    'fault_estimate': ('sensor_names', 'estimate', 'bound', 'threshold', 'state', 'alarm'),
+    'torque_command': ('torque',),
+    'ground_truth': ('position', 'fault'),
+    'reference': (),
+}
+"""Fields that are shown and have one element for each joint, by source."""
 
 
 class LiveModel:
@@ -53,11 +54,14 @@ class LiveModel:
         Alarms as one row each.
     services : dict
         Whether each of ``inject``, ``clear`` and ``reset`` is there to be called.
+    misfits : int
+        Messages that were left out: of another number of joints than the arm.
     """
 
     def __init__(self, arm: ArmParameters, path: CartesianPath | None = None) -> None:
         self._arm, self._path = arm, path
-        self._order = JointOrder(arm.joint_names)
+        self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
+        self.misfits = 0
         self.alarms = AlarmList()
         self.services = {'inject': False, 'clear': False, 'reset': False}
         self._latest: dict[str, Any] = {}
@@ -82,12 +86,18 @@ class LiveModel:
             self.alarms.add(message)
         elif source == 'diagnostics':
             self._take_statuses(message)
-        elif source in _SOURCES:
+        elif not self._fits(source, message):
+            self.misfits += 1
+        else:
             self._latest[source], self._received[source] = message, now
             if source == 'fault_estimate':
                 self.alarms.follow(message)
-        else:
-            raise KeyError(source)
+
+    def _fits(self, source: str, message: Any) -> bool:
+        """Whether a message is for as many joints as the arm has."""
+        if source == 'reference' and len(message.tip_position) not in (2, 3):
+            return False
+        return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
     def _take_statuses(self, message: Any) -> None:
         for status in message.status:
@@ -153,7 +163,9 @@ class LiveModel:
         result['safe_stop'] = bool(command.safe_stop) if command is not None else None
         fault = self._latest.get('fault_estimate')
         result['states'] = (
-            [_name(STATES, int(s)) for s in fault.state] if fault is not None else [None, None]
+            [_name(STATES, int(s)) for s in fault.state]
+            if fault is not None
+            else [None] * self._joints
         )
         return result
 
@@ -187,7 +199,7 @@ class LiveModel:
 
     def _live(self, now: float) -> dict[str, bool]:
         return {
-            name: name in self._received and now - self._received[name] < QUIET for name in _SOURCES
+            name: name in self._received and now - self._received[name] < QUIET for name in _ARRAYS
         }
 
     def _age(self, now: float) -> float | None:
@@ -211,7 +223,6 @@ class LiveModel:
         """One point of the charts; enters the history when time has gone on."""
         live = self._live(now)
         stamp = self.stamp()
-        none = [None, None]
         fields = (
             ('estimate', 'fault_estimate', 'estimate'),
             ('bound', 'fault_estimate', 'bound'),
@@ -222,7 +233,10 @@ class LiveModel:
         )
         sample: dict[str, Any] = {'t': seconds(stamp) if stamp is not None else None}
         sample.update(
-            {name: self._field(source, field, live) or none for name, source, field in fields}
+            {
+                name: self._field(source, field, live) or [None] * self._joints
+                for name, source, field in fields
+            }
         )
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:

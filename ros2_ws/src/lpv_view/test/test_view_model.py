@@ -60,6 +60,16 @@ def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_kno
     assert model.hello()['history'] == []
 
 
+def test_given_messages_of_other_arms_when_they_come_then_they_are_left_out(paper_arm):
+    model = LiveModel(paper_arm)
+    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
+    model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
+    model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
+    frame = model.frame(0.1)
+    assert model.misfits == 3
+    assert frame['sample']['estimate'] == frame['states'] == [None, None]
+
+
 def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them(paper_arm):
     model = LiveModel(paper_arm)
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)

@@ -1,4 +1,4 @@
-"""From sensor_msgs/JointState, with joints in any order, to the arm's two joints."""
+"""From sensor_msgs/JointState, with joints in any order, to the arm's joints."""
 
 import math
 import reprlib
@@ -13,7 +13,7 @@ class JointOrder:
 
     Parameters
     ----------
-    joint_names : sequence of two str
+    joint_names : sequence of str
         Joints of the arm file.
     """
 
@@ -63,5 +63,7 @@ class JointOrder:
                 )
         if len(message.effort) not in (0, count):
             raise SampleError(f'effort has {len(message.effort)} values for {count} joints')
-        effort = [message.effort[i] for i in index] if len(message.effort) else [math.nan] * 2
+        effort = (
+            [message.effort[i] for i in index] if len(message.effort) else [math.nan] * len(index)
+        )
         return ([message.position[i] for i in index], [message.velocity[i] for i in index], effort)
