@@ -37,6 +37,7 @@ class Driver:
         fields = dict.fromkeys(
             ('position', 'compensated_position', 'measured_position'), position.tolist()
         )
+        fields.update(velocity=[0.0, 0.0], measured_velocity=[0.0, 0.0])
         message = StateEstimate(trustworthy=True, **fields)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(self.stamp, 10**9)
         return message

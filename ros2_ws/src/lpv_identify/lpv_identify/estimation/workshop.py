@@ -104,10 +104,11 @@ class Workshop:
     def check_weight(self, share: float, may_change: bool) -> WeightEvidence:
         """Whether the efforts contain the weight, by prediction within the training data."""
         given = self.arm.effort_includes_gravity
-        rows = self.rows, [self._rows(motion, True) for motion in self.motions]
-        train = [[divide(one, share)[0] for one in part] for part in rows]
+        other = [self._rows(motion, True) for motion in self.motions]
+        taken, not_taken = self.train_rows(share), [divide(one, share)[0] for one in other]
         weak = Prior(self.prior.mean, WEAK * self.prior.information)
-        evidence = weigh(*(train if given else train[::-1]), self.filters, weak)
+        pair = (taken, not_taken) if given else (not_taken, taken)
+        evidence = weigh(pair[0], pair[1], self.filters, weak)
         found = evidence.contains_weight
         if found is not None and found != given:
             factor = max(evidence.ratio, 1.0 / evidence.ratio)
@@ -118,7 +119,7 @@ class Workshop:
             self.warnings.append(f'{text}; taken so' if may_change else text)
             if may_change:
                 self.arm = replace(self.arm, effort_includes_gravity=found)
-                self.rows = rows[1]
+                self.rows = other
         return evidence
 
     def _prepare(self) -> None:

@@ -90,8 +90,8 @@ def read_recording(
     if path.suffix.lower() == '.csv':
         from lpv_identify.recordings.csv_recording import read_csv
 
-        *samples, notes = read_csv(path, joints, columns)
-        recording = clean(str(path), *samples)
+        stamps, position, velocity, effort, notes = read_csv(path, joints, columns)
+        recording = clean(str(path), stamps, position, velocity, effort)
         return replace(recording, warnings=(*notes, *recording.warnings))
     return clean(str(path), *_read_bag(path, joints, topic))
 
