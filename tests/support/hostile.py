@@ -44,6 +44,15 @@ def leaves(message):
             yield message, name, kind
 
 
+def sized(message, joints):
+    """A message whose numbers are there for so many joints."""
+    values = {'sequence<double>': 0.1, 'sequence<uint8>': 0, 'sequence<boolean>': False}
+    for owner, name, kind in leaves(message):
+        if kind in values:
+            setattr(owner, name, [values[kind]] * joints)
+    return message
+
+
 def set_anything(rng, owner, name, kind):
     """Put anything into a field that its type allows."""
     value = getattr(owner, name)

@@ -57,9 +57,7 @@ class Recorder:
 
 @pytest.fixture(params=['false', 'true'], ids=['real time', 'lockstep'])
 def recorder(request, tmp_path):
-    with node_of(
-        RecorderNode, 'recorder', output=tmp_path / 'bag', lockstep=request.param
-    ) as node:
+    with node_of(RecorderNode, 'recorder', output=tmp_path / 'bag', lockstep=request.param) as node:
         yield Recorder(node)
 
 

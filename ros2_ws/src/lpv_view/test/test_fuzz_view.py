@@ -10,7 +10,7 @@ pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
 pytest.importorskip('lpv_view', reason='the workspace is not built')
 
 from fuzzing import peak_memory  # noqa: E402
-from hostile import Refused, damaged_bytes, forge, node_of, run_cases, set_parameters  # noqa: E402
+from hostile import Refused, damaged_bytes, forge, node_of, run_cases, set_parameters, sized  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
 from lpv_view.hub import encode  # noqa: E402
@@ -30,28 +30,29 @@ class View:
 
     def good(self, kind):
         """A message of a kind with the next stamp."""
-        message = kind()
+        message = sized(kind(), 2)
         self._stamp += 2_000_000
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._stamp, 10**9)
         arm = self.node._model._arm
         for name, texts in (('name', arm.joint_names), ('sensor_names', arm.sensor_names)):
             if hasattr(message, name):
                 setattr(message, name, list(texts))
-        for name in ('position', 'velocity', 'effort'):
-            if hasattr(message, name) and kind.__name__ == 'JointState':
-                setattr(message, name, [0.1, 0.2])
         return message
 
     def show(self, inbox, data):
         """The frame after a message's bytes."""
-        before = sum(self.node._refusals.counts.values())
+        before = self.refused()
         inbox.store(data)
         self.node._tick()
         assert self.frames
         frame, self.frames = self.frames[-1], []
-        if sum(self.node._refusals.counts.values()) > before:
+        if self.refused() > before:
             raise Refused('counted')
         return len(frame)
+
+    def refused(self):
+        """Messages that were counted as refused."""
+        return sum(self.node._refusals.counts.values()) + self.node._model.misfits
 
     def is_live(self):
         """Whether good messages are shown."""
