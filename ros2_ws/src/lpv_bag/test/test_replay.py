@@ -345,6 +345,7 @@ def test_given_no_namespace_when_replayed_then_answers_are_at_the_top(loop, moni
         '/joint_states': 20,
         '/state_estimate': 20,
         '/fault_estimate': 20,
+        '/joint_states_corrected': 20,
         '/fault_alarm': 0,
         '/diagnostics': 1,
     }

@@ -144,6 +144,10 @@ def troubled_bag(samples, tmp_path_factory):
     )
 
 
+def _named(fields):
+    return {'names': fields['name'], **{k: fields[k] for k in ('position', 'velocity')}}
+
+
 def expected_answers(bag, monitor, out):
     """The answers message by message, written by the plain writer."""
     messages = BagMessages(TYPESTORE, monitor.arm.name)
@@ -154,6 +158,7 @@ def expected_answers(bag, monitor, out):
     with AnyReader([bag]) as reader, BagWriter(out) as writer:
         for _, topic, msgtype in parts:
             writer.add_topic(topic, msgtype)
+        writer.add_topic('/lpv/joint_states_corrected', JOINT_STATE)
         writer.add_topic('/lpv/fault_alarm', 'lpv_msgs/msg/FaultAlarm')
         writer.add_topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
         for c, time, data in reader.messages():
@@ -169,6 +174,9 @@ def expected_answers(bag, monitor, out):
                 fields = getattr(answer, name)
                 if fields is not None:
                     writer.write(topic, time, messages.make(msgtype, stamp, fields))
+            if answer.corrected is not None:
+                corrected = messages.joint_state(stamp, effort=[], **_named(answer.corrected))
+                writer.write('/lpv/joint_states_corrected', time, corrected)
             for event in answer.events:
                 writer.write(
                     '/lpv/fault_alarm',

@@ -439,6 +439,28 @@ def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts
     assert [k for _, _, k in released] == list(range(2000))
 
 
+# ------------------------------------------------------------------ padding
+
+
+@pytest.mark.parametrize('attempts', [0, 32])
+def test_given_messages_without_efforts_that_end_in_padding_when_loaded_then_they_are_read(
+    tmp_path, monkeypatch, attempts
+):
+    monkeypatch.setattr('lpv_bag.run.stream_blocks._MOST_ATTEMPTS', attempts)
+    kind, names = 'sensor_msgs/msg/JointState', ('joint1', 'joint2')
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/joint_states', kind)
+        for k in range(3):
+            message = BagMessages(writer.typestore, 'arm').joint_state(k, names, [k, 1], [0, 0], [])
+            data = bytes(writer.typestore.serialize_cdr(message, kind))
+            padded = data + bytes(-len(data) % 4)
+            assert writer.without_garbage(kind, padded + b'junk') == padded
+            writer.write_raw('/joint_states', k, padded + b'junk')
+    record = load_run(tmp_path / 'bag')
+    assert list(record.get('joint_states', 'position')[:, 0]) == [0, 1, 2]
+    assert np.isnan(record.get('joint_states', 'effort')).all()
+
+
 # ------------------------------------------------------------------ numbers of joints
 
 

@@ -22,7 +22,7 @@ COMMANDS = {
     'import-csv': ('lpv_cli.commands.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replaying.replay', 'run observer and diagnosis offline on a bag'),
     'view': ('lpv_cli.commands.view', 'show the running graph: web page, Foxglove, markers'),
-    'init': ('lpv_cli.commands.init', 'write commented files of an arm to start from'),
+    'init': ('lpv_cli.initialising.init', 'write commented files of an arm to start from'),
     'urdf': ('lpv_cli.commands.urdf', 'print the URDF of an arm'),
     'recover': ('lpv_cli.commands.recover', 'repair a bag that is cut off or damaged'),
     'compare': ('lpv_cli.commands.compare', 'compare the answers in two bags of one recording'),

@@ -23,7 +23,7 @@ from lpv_core.certificate.gains import (
     parse_gains,
     save_gains,
 )
-from lpv_core.certificate.noise import exact_fault_sigma
+from lpv_core.certificate.noise import covariance_margin, exact_fault_sigma
 from lpv_core.model.arm import arm_from_json, constants_vector
 from lpv_core.support.errors import ConfigError
 from lpv_design.exact_observer import torque_gains
@@ -70,6 +70,7 @@ def test_given_shipped_designs_when_proved_then_every_inequality_is(
         ('observer', lambda o: {'mu': 30.0 * o.mu}, 'sampled'),
         ('observer', lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
         ('observer', lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
+        ('observer', lambda o: {'lyapunov': 20.0 * o.lyapunov}, 'covariance'),
         ('controller', lambda c: {'m2': -c.m2}, 'LMI (67)'),
         ('controller', lambda c: {'decay': 5.0 * c.decay}, 'LMI (67)'),
         ('controller', lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
@@ -83,6 +84,18 @@ def test_given_spoilt_gains_when_proved_then_the_inequality_is_refuted(
     refuted = [name for name, holds in prove(paper_arm, gains).items() if not holds]
     assert any(named in name for name in refuted), refuted
     assert not all(check.holds for check in verify(paper_arm, gains))
+
+
+@pytest.mark.parametrize('noise', ['velocity_noise', 'disturbance_variance'])
+def test_given_more_noise_than_designed_for_when_proved_then_proof_and_floats_refute_the_covariance(
+    arm, gains_of, noise
+):
+    noisy = replace(arm, **{noise: 3000.0 * getattr(arm, noise)})
+    proved = prove(noisy, gains_of[arm.name])
+    for i in range(2):
+        name = f'observer, link {i + 1}: covariance under the noise of the arm file'
+        assert proved[name] == (covariance_margin(noisy, gains_of[arm.name].observer, i) < 0.0)
+    assert not all(proved.values())
 
 
 def test_given_a_spoilt_literal_design_when_proved_then_it_is_refuted(paper_arm, literal_gains):

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from lpv_core.control.path import CartesianPath
-from lpv_core.export.urdf import frame_angles
-from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_view.alarm_list import AlarmList, seconds
+from lpv_view.skeleton import Skeleton
 
 Numbers = list[float | None]
 MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
@@ -23,7 +23,7 @@ WINDOW = 30.0
 QUIET = 1.0
 """A source that was silent for this long is no longer shown as live [s]."""
 _LAST_STAMP = 2**31 * NANOSECONDS - 1
-_MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 16, 300
+_MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 14, 300
 _ARRAYS = {
     'joint_states': (),
     'state_estimate': ('position',),
@@ -43,7 +43,7 @@ class LiveModel:
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         The arm that is shown.
     path : CartesianPath, optional
         Path of the scenario, with its obstacle.
@@ -58,10 +58,10 @@ class LiveModel:
         Messages that were left out: of another number of joints than the arm.
     """
 
-    def __init__(self, arm: ArmParameters, path: CartesianPath | None = None) -> None:
+    def __init__(self, arm: Arm, path: CartesianPath | None = None) -> None:
         self._arm, self._path = arm, path
         self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
-        self.misfits = 0
+        self.misfits, self._skeleton = 0, Skeleton(arm)
         self.alarms = AlarmList()
         self.services = {'inject': False, 'clear': False, 'reset': False}
         self._latest: dict[str, Any] = {}
@@ -102,7 +102,10 @@ class LiveModel:
     def _take_statuses(self, message: Any) -> None:
         for status in message.status:
             level = _index(status.level)
-            if status.name not in self._statuses and len(self._statuses) >= _MOST_STATUSES:
+            if (
+                status.name not in self._statuses
+                and len(self._statuses) >= _MOST_STATUSES + self._joints
+            ):
                 continue
             self._statuses[status.name[:_MOST_TEXT]] = {
                 'name': status.name[:_MOST_TEXT],
@@ -116,7 +119,7 @@ class LiveModel:
         return {
             'type': 'hello',
             'arm': arm.name,
-            'lengths': list(arm.lengths),
+            'reach': round(self._skeleton.reach, 4),
             'joints': list(arm.joint_names),
             'sensors': list(arm.sensor_names),
             'torque_limit': [v if v < 1e8 else None for v in arm.torque_limit],
@@ -145,8 +148,8 @@ class LiveModel:
         Values are None where they are not known or not finite.
         """
         state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
-        angles = {
-            name: None if q is None else _numbers(frame_angles(self._arm, q), 5)
+        corners = {
+            name: None if q is None else [_numbers(c, 4) for c in self._skeleton.corners(q)]
             for name, q in self.arms(now).items()
         }
         result: dict[str, Any] = {
@@ -155,7 +158,7 @@ class LiveModel:
             'services': dict(self.services),
             'age': self._age(now),
             'sample': self._sample(now),
-            'arms': angles,
+            'arms': corners,
             'diagnostics': list(self._statuses.values()),
         }
         result['mode'] = _name(MODES, state.mode) if state is not None else None

@@ -17,7 +17,8 @@ from visualization_msgs.msg import MarkerArray
 
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
 from lpv_core.export.urdf import arm_urdf
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
@@ -31,6 +32,7 @@ from lpv_view.model import LiveModel
 from lpv_view.requests import Requests
 from lpv_view.scene import MARKERS, TRANSFORMS, Scene
 from lpv_view.server import ViewServer
+from lpv_view.skeleton import urdf_text
 from lpv_view.topics import TOPICS, Inbox, Topic
 
 SPECS = (
@@ -109,9 +111,11 @@ class ViewNode(ManagedNode):
 
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
-        arm = load_arm(required_text(self, 'arm_file'))
+        arm = load_any_arm(required_text(self, 'arm_file'))
         scenario = self.get_parameter('scenario_file').value
-        path = load_scenario(scenario).path(arm) if scenario else None
+        path = None
+        if scenario and not isinstance(arm, SerialArm):
+            path = load_scenario(scenario).path(arm)
         self._model = LiveModel(arm, path)
         typestore = make_typestore()
         add_type(typestore, MARKERS)
@@ -153,7 +157,7 @@ class ViewNode(ManagedNode):
         else:
             self._outputs['/tf'] = (self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS)
 
-    def _open(self, arm: ArmParameters, requests: Requests) -> None:
+    def _open(self, arm: Arm, requests: Requests) -> None:
         """Open the ports; says once where they are."""
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
         address = value['address']
@@ -212,8 +216,11 @@ class ViewNode(ManagedNode):
 
         return forward
 
-    def _describe(self, arm: ArmParameters) -> None:
+    def _describe(self, arm: Arm) -> None:
         descriptions = []
+        if isinstance(arm, SerialArm):
+            self._describe_serial(arm)
+            return
         for colours in ((), (_GREEN,)):
             try:
                 descriptions.append(arm_urdf(arm, True, *colours))
@@ -221,6 +228,17 @@ class ViewNode(ManagedNode):
                 self.get_logger().warning(f'robot description without inertias: {error}')
                 descriptions.append(arm_urdf(arm, False, *colours))
         self._described = [self._scene.text(text) for text in descriptions]
+        self._describe_again()
+
+    def _describe_serial(self, arm: SerialArm) -> None:
+        """The URDF of the arm file, for both descriptions; none where there is no such file."""
+        try:
+            text = urdf_text(arm, self.get_parameter('arm_file').value)
+        except ConfigError as error:
+            self.get_logger().info(f'no robot description is published: {error}')
+            self._described = []
+            return
+        self._described = [self._scene.text(text)] * len(_DESCRIPTIONS)
         self._describe_again()
 
     def _describe_again(self) -> None:

@@ -21,7 +21,8 @@ from lpv_bag.run.record import BagError, find_topic, open_bag
 from lpv_bag.run.stream_tap import StreamTap
 from lpv_bag.run.streams import RecordedAlarm
 from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
-from lpv_core.monitoring.monitor import Answers, SensorMonitor
+from lpv_core.monitoring.answers import Answers
+from lpv_core.monitoring.factory import Monitor
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.support.errors import ConfigError
 
@@ -33,7 +34,7 @@ class Replay:
 
     Parameters
     ----------
-    monitor : SensorMonitor
+    monitor : Monitor
         Fresh observer and diagnosis.
     options : ReplayOptions, optional
         What to read and to write.
@@ -47,7 +48,7 @@ class Replay:
 
     def __init__(
         self,
-        monitor: SensorMonitor,
+        monitor: Monitor,
         options: ReplayOptions | None = None,
         injector: FaultInjector | None = None,
         on_event: Callable[[RecordedAlarm], None] | None = None,
@@ -187,7 +188,7 @@ class Replay:
         ]
         is_measured = np.array([c.topic == inputs.measured for c in kept])
         is_effort = np.array([c.topic == inputs.effort for c in kept])
-        measurements = MeasurementReader(reader, joints)
+        measurements = MeasurementReader(reader, joints, self._monitor.needs_rates)
         efforts = injector = None
         if inputs.effort_type:
             efforts = EffortReader(reader, inputs.effort_type, joints)

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.monitoring.factory import refuse_gains
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.resources import bringup_file
+from lpv_core.support.resources import bringup_file, shipped_files
 
 if TYPE_CHECKING:  # drawing takes a second to import
     from lpv_report.guarantees.gains_source import UsedGains
@@ -51,7 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = find_scenario(arguments.bag)
     if arguments.scenario:
         scenario = load_scenario(bringup_file('scenarios', arguments.scenario))
-    path = scenario.path(arm) if scenario is not None else None
+    path = None
+    if scenario is not None and not isinstance(arm, SerialArm):
+        path = scenario.path(arm)
     result = write_report(
         arguments.bag,
         Path(arguments.out),
@@ -63,19 +67,26 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(soft_wrap=True, highlight=False)
     if result.table:
         print_table(result.table)
-    console.print(_said(result, used))
+    if not isinstance(arm, SerialArm):
+        console.print(_said(result, used))
     console.print(f'report  {result.html}')
     return 0
 
 
-def _arm(arguments: argparse.Namespace, used: 'UsedGains') -> ArmParameters:
-    from lpv_report.run import arm_of
+def _arm(arguments: argparse.Namespace, used: 'UsedGains') -> Arm:
+    from lpv_report.run import arm_of, named_arm
 
     if arguments.arm:
-        arm = load_arm(bringup_file('arms', arguments.arm))
-        if arguments.gains and used.gains:
+        arm = load_any_arm(bringup_file('arms', arguments.arm))
+        refuse_gains(arm, bool(arguments.gains))
+        if arguments.gains and used.gains and not isinstance(arm, SerialArm):
             used.gains.check_arm(arm, arguments.gains)
         return arm
+    shipped = shipped_files('arms').get(named_arm(arguments.bag))
+    if used.gains is None and shipped is not None:
+        arm = load_any_arm(shipped)
+        if isinstance(arm, SerialArm):
+            return arm
     if used.gains is None:
         raise ConfigError('--arm', f'is needed: {used.problem}')
     return arm_of(used.gains)

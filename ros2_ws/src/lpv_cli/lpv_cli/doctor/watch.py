@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from lpv_bag.run.record import CORRECTED
 from lpv_cli.discovery import stay_on_this_machine
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
@@ -127,7 +128,7 @@ class _Watch:
         topics = [
             t
             for t, ends in sorted(shot.publishers.items())
-            if any(e.msgtype == JOINT_STATE for e in ends)
+            if any(e.msgtype == JOINT_STATE for e in ends) and not t.endswith(f'/{CORRECTED}')
         ]
         for topic in topics[:_MOST_TOPICS]:
             received = shot.measured[topic] = []

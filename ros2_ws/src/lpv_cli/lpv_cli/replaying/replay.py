@@ -24,8 +24,9 @@ from lpv_cli.replaying.observing import (
 )
 from lpv_cli.replaying.publish import add_publishing, publish
 from lpv_core.certificate.gains import save_gains
-from lpv_core.model.arm import ArmParameters
-from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.monitoring.answers import describe
+from lpv_core.monitoring.factory import Monitor, make_monitor
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check_out(out, Path(arguments.bag).resolve())
     arm, gains = arm_and_gains(arguments, console)
     diagnosis, others = diagnosis_parameters(arguments.parameters)
-    monitor = SensorMonitor('/uio', arm, gains, diagnosis, **others)
+    monitor = make_monitor('/uio', arm, gains, diagnosis, **others)
     faults = _faults(arguments.inject)
     injector = _injector(faults, arm)
     _remove(out)
@@ -89,7 +90,8 @@ def run(arguments: argparse.Namespace) -> int:
         injector,
         lambda event: console.print(_alarm_line(event)),
     ).run(arguments.bag, out)
-    save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
+    if gains is not None:
+        save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
     if faults is not None:
         show_injected(judge(faults, result), console)
@@ -130,7 +132,7 @@ def _faults(path: str | None) -> Sequence[Fault] | None:
     return faults
 
 
-def _injector(faults: Sequence[Fault] | None, arm: ArmParameters) -> FaultInjector | None:
+def _injector(faults: Sequence[Fault] | None, arm: Arm) -> FaultInjector | None:
     if faults is None:
         return None
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
@@ -157,9 +159,7 @@ def show_injected(found: list[InjectedFault], console: Console) -> None:
         console.print(text)
 
 
-def _summary(
-    result: ReplayResult, monitor: SensorMonitor, seconds: float, console: Console
-) -> None:
+def _summary(result: ReplayResult, monitor: Monitor, seconds: float, console: Console) -> None:
     console.print(
         f'{result.measurements} measurements, {len(result.events)} alarm events, {seconds:.2f} s'
     )
@@ -170,7 +170,7 @@ def _summary(
         console.print(f'  rejected {count} times: {text}')
 
 
-def _report(arguments: argparse.Namespace, arm: ArmParameters, out: Path, console: Console) -> None:
+def _report(arguments: argparse.Namespace, arm: Arm, out: Path, console: Console) -> None:
     from lpv_report.run import print_table, write_report
 
     folder = Path(arguments.report).resolve()

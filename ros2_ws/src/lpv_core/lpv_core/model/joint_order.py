@@ -15,10 +15,12 @@ class JointOrder:
     ----------
     joint_names : sequence of str
         Joints of the arm file.
+    needs_rates : bool, optional
+        Whether messages without rates are refused.
     """
 
-    def __init__(self, joint_names: Sequence[str]) -> None:
-        self._wanted = tuple(joint_names)
+    def __init__(self, joint_names: Sequence[str], needs_rates: bool = True) -> None:
+        self._wanted, self._needs_rates = tuple(joint_names), needs_rates
         self._names: tuple[str, ...] = ()
         self._index: tuple[int, ...] = ()
 
@@ -47,23 +49,23 @@ class JointOrder:
         Returns
         -------
         tuple of list
-            position, velocity, effort; effort is NaN where the message carries none.
+            position, velocity, effort; NaN where the message carries none.
 
         Raises
         ------
         SampleError
             If joints are unknown or an array has the wrong size.
         """
-        index = self.indices(message.name)
-        count = len(message.name)
-        for field in ('position', 'velocity'):
-            if len(getattr(message, field)) != count:
-                raise SampleError(
-                    f'{field} has {len(getattr(message, field))} values for {count} joints'
-                )
-        if len(message.effort) not in (0, count):
-            raise SampleError(f'effort has {len(message.effort)} values for {count} joints')
-        effort = (
-            [message.effort[i] for i in index] if len(message.effort) else [math.nan] * len(index)
-        )
-        return ([message.position[i] for i in index], [message.velocity[i] for i in index], effort)
+        index, count = self.indices(message.name), len(message.name)
+        picked = []
+        for field, needed in (
+            ('position', True),
+            ('velocity', self._needs_rates),
+            ('effort', False),
+        ):
+            values = getattr(message, field)
+            if len(values) != count and (needed or len(values)):
+                raise SampleError(f'{field} has {len(values)} values for {count} joints')
+            missing = [math.nan] * len(index)
+            picked.append([values[i] for i in index] if len(values) else missing)
+        return tuple(picked)

@@ -15,7 +15,17 @@ from lpv_core.serial_arm.diagnosis.balance import (
     fill_balances,
     new_balance,
 )
-from lpv_core.serial_arm.diagnosis.information import InformationWindow
+from lpv_core.serial_arm.diagnosis.information import (
+    add_products,
+    factorise,
+    join,
+    move_drifts,
+    new_window,
+    products,
+    solve_factorised,
+    sum_slot,
+    whiten,
+)
 from lpv_core.serial_arm.diagnosis.parameter_error import inertial_directions, relative_factor
 from lpv_core.serial_arm.simulation import SerialSimulator
 
@@ -97,23 +107,49 @@ def test_column_of_a_torque_gain_is_the_torque(blocks):
     np.testing.assert_allclose(change, expected, atol=1e-12)
 
 
+def window_of(rows, weights, capacity, past=0.5):
+    window = new_window(rows.shape[1], 1, rows.shape[2] - 2, capacity)
+    for k, row in enumerate(rows):
+        join(window, float(k), row, past)
+        add_products(window, 0, weights[k])
+    return window
+
+
 def test_window_sums_equal_direct_sums():
     rng = np.random.default_rng(0)
     rows, weights = rng.normal(size=(30, 2, 4)), rng.uniform(1.0, 2.0, (30, 2))
-    window = InformationWindow(4, 10, 0.0)
-    for k in range(30):
-        window.add(float(k), rows[k], weights[k], True)
+    window = window_of(rows, weights, 10)
     for last in (1, 5, 10):
         direct = np.einsum('kia,ki,kib->ab', rows[-last:], weights[-last:], rows[-last:])
-        np.testing.assert_allclose(window.products(last), direct, atol=1e-10)
+        np.testing.assert_allclose(products(window, last), direct[[0, 2, 3]], atol=1e-10)
 
 
 def test_window_remembers_what_leaves_it_as_told():
-    rows, weights = np.ones((1, 2)), np.ones(1)
-    window = InformationWindow(2, 3, 0.5)
-    for k in range(5):
-        window.add(float(k), rows, weights, k != 3)
-    np.testing.assert_allclose(window.past, np.ones((2, 2)))
-    window.forget(1)
-    assert len(window) == 1
-    np.testing.assert_allclose(window.products(), np.ones((2, 2)))
+    window = window_of(np.ones((5, 1, 3)), np.ones((5, 1)), 3)
+    np.testing.assert_allclose(window.past, 1.5 * np.ones((2, 3)))
+    join(window, 5.0, np.ones((1, 3)), -0.5)
+    np.testing.assert_allclose(window.past, 0.75 * np.ones((2, 3)))
+
+
+def test_drifts_that_count_from_a_later_moment_are_the_same_drifts():
+    rng = np.random.default_rng(1)
+    rows, weights = rng.normal(size=(8, 1, 3)), np.ones((8, 1))
+    later = rows.copy()
+    later[:, :, 1] -= 2.0 * rows[:, :, 2]
+    one, other = window_of(rows, weights, 5), window_of(later, weights, 5)
+    move_drifts(one, 1, 2, 1, 2.0)
+    np.testing.assert_allclose(products(one, 3), products(other, 3), atol=1e-12)
+    squares = [w.squares[sum_slot(w, 0)] - w.squares[sum_slot(w, 4)] for w in (one, other)]
+    np.testing.assert_allclose(*squares, atol=1e-12)
+
+
+def test_factor_solves_and_whitens():
+    rows = np.random.default_rng(2).normal(size=(9, 5))
+    matrix, right = rows.T @ rows, rows[0].copy()
+    factor, expected = matrix.copy(), np.linalg.solve(matrix, right)
+    factorise(factor, np.zeros(5))
+    columns = right[:, None].copy()
+    whiten(factor, columns)
+    solve_factorised(factor, right)
+    np.testing.assert_allclose(right, expected, rtol=1e-9)
+    assert columns[:, 0] @ columns[:, 0] == pytest.approx(rows[0] @ expected)

@@ -9,6 +9,7 @@ import numpy as np
 
 from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.csv_import import ColumnMap
+from lpv_bag.run.record import CORRECTED
 from lpv_identify.errors import IdentificationError
 
 MAX_SAMPLES = 4_000_000
@@ -285,6 +286,8 @@ def _joint_state_topics(bag: BagReader, topic: str | None, path: Path) -> list[A
     found = [c for c in bag.connections if c.msgtype == JOINT_STATE]
     if topic is not None:
         found = [c for c in found if c.topic == topic]
+    else:
+        found = [c for c in found if not c.topic.endswith(f'/{CORRECTED}')]
     if not found:
         topics = ', '.join(sorted({c.topic for c in bag.connections})) or 'none'
         wanted = f'{JOINT_STATE} on {topic}' if topic else JOINT_STATE

@@ -14,12 +14,15 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
 from lpv_core.serial_arm.dynamics.friction import friction_torque, smooth_sign
-from lpv_core.serial_arm.dynamics.momentum import momentum_balance
+from lpv_core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv_core.support.jit import njit
 
-GROUPS = ('offset', 'torque', 'viscous', 'coulomb', 'drift', 'scale', 'rate', 'gain')
-"""Groups of n columns each, in this order; those of the inertial directions follow."""
-OFFSET, TORQUE, VISCOUS, COULOMB, DRIFT, SCALE, RATE, GAIN = range(8)
+GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coulomb')
+"""Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
+of a healthy arm are the columns from `OFFSET` on."""
+DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
+LENGTH, EPOCH = range(2)
+"""Entries of `Balance.clock`."""
 _STEP = 1e-5
 """Step of the differences by which columns of angles and rates are found [rad], [rad/s]."""
 
@@ -46,8 +49,8 @@ class Balance(NamedTuple):
         Integrals of the forces, weighted by the two halves of the hat [N m s].
     rows : ndarray, shape (n, columns)
         Residual and derivatives of the last complete hat [N m s].
-    lengths : ndarray, shape (1,)
-        Of the previous interval [s]; 0 if there is none.
+    clock : ndarray, shape (2,)
+        Length of the previous interval, 0 if there is none; moment from which drifts count [s].
     rigid : ndarray, shape (n, n)
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
@@ -62,7 +65,7 @@ class Balance(NamedTuple):
     rising: FloatArray
     falling: FloatArray
     rows: FloatArray
-    lengths: FloatArray
+    clock: FloatArray
     rigid: FloatArray
     work: FloatArray
     vectors: FloatArray
@@ -95,7 +98,7 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
-        np.zeros((2, *size)), np.zeros(size), np.zeros(1), np.zeros((n, n)),
+        np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((n, n)),
         workspace(chain), np.zeros((9, n)))  # fmt: skip
 
 
@@ -130,7 +133,7 @@ def add_block(
     q, v, torque : ndarray, shape (n,)
         Mean positions, rates and torques as measured [rad], [rad/s], [N m].
     time : float
-        Since a fixed moment, from which drifts count [s].
+        Of the block's middle [s].
     length : float
         Of the block [s].
     place : float
@@ -156,12 +159,13 @@ def add_block(
              (0.0, -smooth_sign(rate[i], chain.friction[i, SLOPE])), weight)  # fmt: skip
         _put(balance, row + GAIN * n, i, (0.0, torque[i]), weight)
     for i in range(n):
-        _add_fault_columns(balance, i, torque, time, weight)
+        _add_fault_columns(balance, i, torque, time - balance.clock[EPOCH], weight)
+    set_velocities(chain, angle, rate, balance.work)
     for k in range(balance.directions.shape[0]):
         along = Chain(
             chain.rotation, chain.translation, balance.directions[k], balance.rigid,
             chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation)  # fmt: skip
-        momentum_balance(along, angle, rate, balance.work, p_by, force_by)
+        carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
             column = 1 + 8 * n + k
             _put(balance, column, j, (p_by[j], force_by[j]), weight)
@@ -171,7 +175,7 @@ def add_block(
 def _add_fault_columns(
     balance: Balance, i: int, torque: FloatArray, time: float, weight: tuple[float, float]
 ) -> None:
-    """Add the columns of the faults of sensor i, by differences."""
+    """Add the columns of the faults of sensor i, by differences; time since the epoch."""
     chain, n = balance.chain, torque.shape[0]
     angle, rate = balance.vectors[0], balance.vectors[1]
     p, force = balance.vectors[2], balance.vectors[3]
@@ -220,14 +224,14 @@ def close_interval(balance: Balance, length: float) -> bool:
     bool
         Whether a hat is complete.
     """
-    complete = balance.lengths[0] > 0.0
+    complete = balance.clock[LENGTH] > 0.0
     n, columns = balance.rows.shape
     for i in range(n):
         for c in range(columns):
             if complete:
                 balance.rows[i, c] = (
                     balance.momentum[1, i, c] / length
-                    - balance.momentum[0, i, c] / balance.lengths[0]
+                    - balance.momentum[0, i, c] / balance.clock[LENGTH]
                     - balance.rising[0, i, c]
                     - balance.falling[1, i, c]
                 )
@@ -236,8 +240,21 @@ def close_interval(balance: Balance, length: float) -> bool:
             balance.momentum[1, i, c] = 0.0
             balance.rising[1, i, c] = 0.0
             balance.falling[1, i, c] = 0.0
-    balance.lengths[0] = length
+    balance.clock[LENGTH] = length
     return complete
+
+
+@njit
+def move_epoch(balance: Balance, epoch: float) -> None:
+    """Let drifts count from another moment; what has been integrated follows."""
+    n, shift = balance.reference.shape[0], epoch - balance.clock[EPOCH]
+    drift, offset = 1 + DRIFT * n, 1 + OFFSET * n
+    for part in (balance.momentum, balance.rising, balance.falling):
+        for side in range(2):
+            for i in range(n):
+                for j in range(n):
+                    part[side, i, drift + j] -= shift * part[side, i, offset + j]
+    balance.clock[EPOCH] = epoch
 
 
 @njit
@@ -246,7 +263,7 @@ def drop_interval(balance: Balance) -> None:
     balance.momentum[:] = 0.0
     balance.rising[:] = 0.0
     balance.falling[:] = 0.0
-    balance.lengths[:] = 0.0
+    balance.clock[LENGTH] = 0.0
 
 
 @njit

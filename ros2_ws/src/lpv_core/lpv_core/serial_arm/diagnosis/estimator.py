@@ -7,34 +7,59 @@ that has moved, the horizon is linearised again.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from lpv_core.serial_arm.chain import COULOMB as DRY
 from lpv_core.serial_arm.chain import VISCOUS as WET
-from lpv_core.serial_arm.chain import FloatArray, IntArray, compile_chain
+from lpv_core.serial_arm.chain import FloatArray, compile_chain
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.balance import (
-    COULOMB,
-    GROUPS,
+    DRIFT,
+    EPOCH,
     OFFSET,
-    TORQUE,
-    VISCOUS,
     Balance,
-    column_count,
     fill_balances,
+    move_epoch,
     new_balance,
 )
-from lpv_core.serial_arm.diagnosis.information import InformationWindow
+from lpv_core.serial_arm.diagnosis.information import (
+    COUNT,
+    NEXT,
+    Window,
+    add_products,
+    factorise,
+    forget_newest,
+    join,
+    move_drifts,
+    new_window,
+    products,
+    slot,
+    solve_factorised,
+    sum_slot,
+    whiten,
+)
 from lpv_core.serial_arm.diagnosis.parameter_error import inertial_directions, inertial_factor
+from lpv_core.support.jit import njit
 
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
 _LINEAR_WITHIN = 0.05
 """Change of an offset after which the horizon is linearised again [rad]."""
 _NOISE_SAMPLES = 20
-"""Balances that what is expected of the noise counts for."""
+"""Balances after which what is seen of the noise counts as much as what is expected."""
+NOISE_KNOWN_AFTER = 3.0
+"""Before, noise is learned in any case; what acts from outside is not told from it [s]."""
+_NOISE_EVERY = 10
+"""Balances after which the noise is learned anew."""
 _LARGEST_INFLATION = 15.0
+_LAGS = 8
+"""Balances over which what the model does not explain is correlated."""
+_PAST_WEIGHT = 0.998
+"""Factor of what was learned, each balance."""
+_POSE_TIME = 0.5
+"""Over which an error that depends on the pose is correlated [s]."""
 DISTRUST = 0.02
 """Factor of the weights of balances while something acts from outside."""
 
@@ -57,17 +82,184 @@ class HorizonPlan:
         return HorizonPlan(per_block, blocks, length, max(20, round(horizon / length)))
 
 
-@dataclass
-class Posterior:
-    """Estimate of offsets and parameters from all balances of the horizon."""
+class Posterior(NamedTuple):
+    """Estimate of m offsets and parameters of n joints from all balances of the horizon.
 
-    mean: FloatArray  # offsets [rad], then parameters
-    covariance: FloatArray
-    columns: IntArray  # of the balance's rows, in the order of mean
+    Attributes
+    ----------
+    mean : ndarray, shape (m,)
+        Offsets [rad], then parameters, in the order of the balances' columns.
+    factor : ndarray, shape (m, m)
+        U of the information matrix U^T U.
+    sigma : ndarray, shape (n,)
+        Standard deviations of the offsets [rad].
+    least : ndarray, shape (m,)
+        Information of the prior.
+    noise, expected, inflation : ndarray, shape (n,)
+        Usual size of what is left of a balance, and what is expected before any was seen [N m s];
+        factor of its variance, since it is correlated in time.
+    systematic : ndarray, shape (n,)
+        Smallest variance, correlation in time included: what the model of an identified arm is
+        known to miss, pose by pose [N2 m2 s2].
+    residual : ndarray, shape (capacity, n)
+        What the estimate leaves, newest first [N m s].
+    weights : ndarray, shape (capacity, n)
+        Inverse variances of the balances, newest first.
+    inverse, ordered : ndarray, shapes (m, n) and (capacity,)
+        Scratch.
+    """
 
-    def offsets(self, joints: int) -> tuple[FloatArray, FloatArray]:
-        """Offsets and their standard deviations [rad]."""
-        return self.mean[:joints], np.sqrt(np.diag(self.covariance)[:joints])
+    mean: FloatArray
+    factor: FloatArray
+    sigma: FloatArray
+    least: FloatArray
+    noise: FloatArray
+    expected: FloatArray
+    inflation: FloatArray
+    systematic: FloatArray
+    residual: FloatArray
+    weights: FloatArray
+    inverse: FloatArray
+    ordered: FloatArray
+
+
+@njit
+def set_residuals(window: Window, null: Posterior, last: int) -> None:
+    """Write what the estimate leaves of the last balances, newest first."""
+    m = null.mean.shape[0]
+    for back in range(last):
+        rows = window.rows[slot(window, back)]
+        first = rows.shape[1] - m
+        for i in range(rows.shape[0]):
+            # Four sums: a single one would wait for each addition.
+            a, b, c, d = rows[i, 0], 0.0, 0.0, 0.0
+            row = rows[i, first:]
+            for k in range(0, m - 3, 4):
+                a += row[k] * null.mean[k]
+                b += row[k + 1] * null.mean[k + 1]
+                c += row[k + 2] * null.mean[k + 2]
+                d += row[k + 3] * null.mean[k + 3]
+            for k in range(m - m % 4, m):
+                a += row[k] * null.mean[k]
+            null.residual[back, i] = (a + b) + (c + d)
+
+
+@njit
+def weigh(window: Window, null: Posterior, last: int) -> None:
+    """Sum up the last balances again, outliers with less weight (soft L1)."""
+    set_residuals(window, null, last)
+    for back in range(last - 1, -1, -1):
+        for i in range(null.noise.shape[0]):
+            ratio = null.residual[back, i] / (3.0 * null.noise[i])
+            variance = null.noise[i] * null.noise[i] * null.inflation[i]
+            null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
+        add_products(window, back, null.weights[back])
+
+
+@njit
+def solve(window: Window, null: Posterior) -> None:
+    """Least squares over horizon, past and prior."""
+    m, n = null.mean.shape[0], null.sigma.shape[0]
+    first, last = window.past.shape[1] - m, window.counters[COUNT]
+    new, old = window.sums[sum_slot(window, 0)], window.sums[sum_slot(window, last)]
+    for a in range(m):
+        for b in range(a, m):
+            c = first + b
+            null.factor[a, b] = new[1 + a, c] - old[1 + a, c] + window.past[1 + a, c]
+        null.factor[a, a] += null.least[a]
+        null.mean[a] = -(new[0, first + a] - old[0, first + a] + window.past[0, first + a])
+    factorise(null.factor, null.least)
+    solve_factorised(null.factor, null.mean)
+    null.inverse[:] = 0.0
+    for i in range(n):
+        null.inverse[i, i] = 1.0
+    whiten(null.factor, null.inverse)
+    for i in range(n):
+        total = 0.0
+        for k in range(m):
+            total += null.inverse[k, i] * null.inverse[k, i]
+        null.sigma[i] = np.sqrt(total)
+
+
+@njit
+def take_balance(
+    window: Window, null: Posterior, balance: Balance, time: float, learn: bool
+) -> None:
+    """Let the balance that is complete join the horizon, without estimating.
+
+    Parameters
+    ----------
+    window : Window
+        Changed.
+    null : Posterior
+        Its residual and weight of the last balance are written.
+    balance : Balance
+        The constant part of its rows belongs to f = 0 afterwards.
+    time : float
+        [s].
+    learn : bool
+        Whether what leaves the horizon is remembered.
+    """
+    if window.counters[NEXT] % window.times.shape[0] == 0:
+        n = null.sigma.shape[0]
+        shift = time - balance.clock[EPOCH]
+        move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
+        move_epoch(balance, time)
+    _make_absolute(balance.rows, balance.reference)
+    join(window, time, balance.rows, _PAST_WEIGHT if learn else -_PAST_WEIGHT)
+    weigh(window, null, 1)
+
+
+@njit
+def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
+    """Let the constant part belong to f = 0 instead of the point of linearisation."""
+    n = reference.shape[0]
+    for i in range(n):
+        for j in range(n):
+            rows[i, 0] -= rows[i, 1 + OFFSET * n + j] * reference[j]
+
+
+@njit
+def learn_noise(window: Window, null: Posterior) -> None:
+    """Size and correlation of what the arm's model does not explain, from the horizon."""
+    set_residuals(window, null, window.counters[COUNT])
+    count = 0
+    for back in range(window.counters[COUNT]):
+        if window.trust[slot(window, back)] == 1.0:
+            null.residual[count] = null.residual[back]
+            count += 1
+    if count < 10:
+        return
+    share = count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
+    for i in range(null.noise.shape[0]):
+        ordered, expected = null.ordered[:count], null.expected[i]
+        for k in range(count):
+            ordered[k] = abs(null.residual[k, i])
+        ordered.sort()
+        size = 1.4826 * 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
+        noise = np.sqrt((1.0 - share) * expected * expected + share * size * size)
+        null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
+        learned = 1.0 + 2.0 * _correlation(null.residual[:count, i], 3.0 * null.noise[i])
+        learned = min(learned, _LARGEST_INFLATION)
+        least = null.systematic[i] / (null.noise[i] * null.noise[i])
+        null.inflation[i] = max((1.0 - share) * 2.0 + share * learned, least)
+
+
+@njit
+def _correlation(values: FloatArray, largest: float) -> float:
+    """Sum of the positive autocorrelations of values that are clipped."""
+    count, total, power = values.shape[0], 0.0, 0.0
+    for k in range(count):
+        values[k] = min(max(values[k], -largest), largest)
+        power += values[k] * values[k] / count
+    if power == 0.0:
+        return 0.0
+    for lag in range(1, min(_LAGS, count // 2)):
+        product = 0.0
+        for k in range(lag, count):
+            product += values[k] * values[k - lag]
+        total += max(product / ((count - lag) * power), 0.0)
+    return total
 
 
 class OffsetEstimator:
@@ -84,25 +276,24 @@ class OffsetEstimator:
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
         self.plan = plan
         chain = compile_chain(arm)
-        self.joints = len(arm.joints)
-        n = self.joints
+        self.joints = n = len(arm.joints)
         speed = np.array([min(joint.limits.velocity, 3.0) for joint in arm.joints])
         directions = inertial_directions(chain, inertial_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
         self.balance: Balance = new_balance(chain, directions, derived)
-        self.columns = np.concatenate([
-            1 + group * n + np.arange(n) for group in (OFFSET, TORQUE, VISCOUS, COULOMB)
-        ] + [1 + len(GROUPS) * n + np.arange(len(directions))])  # fmt: skip
         self.prior = np.concatenate([*_priors(arm, chain.friction), np.ones(len(directions))])
-        self.noise = _expected_noise(arm, plan)
-        self._expected = self.noise.copy()
-        self.inflation = np.full(n, 2.0)
-        size = column_count(n, len(directions))
-        self.window = InformationWindow(size, plan.capacity, 0.998)
-        self.posterior = Posterior(
-            np.zeros(len(self.columns)), np.diag(self.prior**2), self.columns
-        )
+        self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
+        noise = _expected_noise(arm, plan), _systematic_error(arm, plan)
+        self.posterior = _prior_posterior(self.prior, *noise, plan.capacity)
         self._since_linearised = 0
+
+    def __len__(self) -> int:
+        """Balances in the horizon."""
+        return int(self.window.counters[COUNT])
+
+    def times(self, last: int) -> FloatArray:
+        """Ends of the last balances, oldest first [s]."""
+        return self.window.times[[slot(self.window, back) for back in range(last - 1, -1, -1)]]
 
     def add(self, time: float, learn: bool) -> None:
         """Take the balance that is complete, and estimate anew.
@@ -112,117 +303,73 @@ class OffsetEstimator:
         time : float
             Of the balance [s].
         learn : bool
-            Whether what leaves the horizon is remembered.
+            Whether noise is learned, and what leaves the horizon remembered.
         """
-        self.take(time, learn)
+        take_balance(self.window, self.posterior, self.balance, time, learn)
         self._since_linearised += 1
-        if len(self.window) % 10 == 0:
-            self._learn_noise()
-        self.solve()
-
-    def take(self, time: float, learn: bool = False) -> None:
-        """Take the balance that is complete without estimating; arguments as of `add`."""
-        rows = self._absolute(self.balance.rows)
-        self.window.add(time, rows, self.weights(self.residual(rows)), learn)
-
-    def _absolute(self, rows: FloatArray) -> FloatArray:
-        """Rows whose constant part belongs to f = 0 instead of the point of linearisation."""
-        rows = rows.copy()
-        n = self.joints
-        rows[..., 0] -= rows[..., 1 + OFFSET * n : 1 + (OFFSET + 1) * n] @ self.balance.reference
-        return rows
-
-    def residual(self, rows: FloatArray) -> FloatArray:
-        """What the present estimate leaves of the balances [N m s]."""
-        return rows[..., 0] + rows[..., self.columns] @ self.posterior.mean
-
-    def weights(self, residual: FloatArray) -> FloatArray:
-        """Inverse variances, less for outliers (soft L1)."""
-        variance = self.noise**2 * self.inflation
-        return 1.0 / (variance * np.sqrt(1.0 + (residual / (3.0 * self.noise)) ** 2))
-
-    def solve(self) -> None:
-        """Least squares over horizon, past and prior."""
-        products = self.window.products() + self.window.past
-        information = products[np.ix_(self.columns, self.columns)]
-        information[np.diag_indices_from(information)] += self.prior**-2
-        covariance = np.linalg.inv(information)
-        mean = -covariance @ products[self.columns, 0]
-        self.posterior = Posterior(mean, 0.5 * (covariance + covariance.T), self.columns)
+        known = self.window.counters[NEXT] * self.plan.interval > NOISE_KNOWN_AFTER
+        if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
+            learn_noise(self.window, self.posterior)
+        solve(self.window, self.posterior)
 
     def must_linearise(self) -> bool:
         """Whether the estimate has left the point of linearisation."""
+        if self._since_linearised < max(3, len(self) // 10):
+            return False
         moved = np.abs(self.posterior.mean[: self.joints] - self.balance.reference).max()
-        return bool(moved > _LINEAR_WITHIN) and self._since_linearised >= max(
-            3, len(self.window) // 10)  # fmt: skip
+        return bool(moved > _LINEAR_WITHIN)
 
-    def linearise(self, blocks: FloatArray, iterations: int = 1) -> None:
+    def linearise(self, blocks: FloatArray) -> None:
         """Evaluate the balances of the horizon again, at the present estimate of the offsets.
 
         Parameters
         ----------
         blocks : ndarray, shape (N, 3 n + 3)
             Means as kept by `Sampler.blocks`, oldest first; whole intervals.
-        iterations : int, optional
-            How often.
         """
-        n = self.joints
-        for _ in range(iterations):
-            step = self.posterior.mean[:n] - self.balance.reference
-            self.balance.reference[:] += np.clip(step, -0.3, 0.3)
-            rows = self._absolute(balances_of(self.balance, blocks, self.plan.blocks))
-            rows = rows[len(rows) - len(self.window) :]
-            self.window.reset(rows, self.weights(self.residual(rows)))
-            self.solve()
+        step = self.posterior.mean[: self.joints] - self.balance.reference
+        self.balance.reference[:] += np.clip(step, -0.3, 0.3)
+        self.replace_last(blocks)
+        solve(self.window, self.posterior)
         self._since_linearised = 0
 
     def restart(self) -> None:
         """Begin a new horizon after a gap; what the old one said of arm and offsets is kept."""
-        self.window.past += self.window.products()
-        self.window.forget(0)
+        last = len(self)
+        self.window.past[:] += products(self.window, last)
+        forget_newest(self.window, last)
 
-    def replace_last(self, rows: FloatArray) -> None:
-        """Put new rows, linearised where the balance is, in the place of the last ones."""
-        self._put_last(self._absolute(rows), 1.0)
+    def replace_last(self, blocks: FloatArray) -> None:
+        """Evaluate the last balances again, from their blocks; one interval more than balances."""
+        last = min(len(blocks) // self.plan.blocks - 1, len(self))
+        if last < 1:
+            return
+        rows = np.empty((len(blocks) // self.plan.blocks - 1, *self.balance.rows.shape))
+        fill_balances(self.balance, np.ascontiguousarray(blocks), self.plan.blocks, rows)
+        for back in range(last):
+            _make_absolute(rows[-1 - back], self.balance.reference)
+            self.window.rows[slot(self.window, back)] = rows[-1 - back]
+        weigh(self.window, self.posterior, last)
 
     def distrust(self, last: int) -> None:
         """Take most of the weight off the last balances, and estimate anew."""
-        rows = self.window.last_rows(min(last, len(self.window)))
-        self._put_last(rows, DISTRUST)
-        self.solve()
-
-    def _put_last(self, rows: FloatArray, trust: float) -> None:
-        keep = len(self.window) - len(rows)
-        times, factors = list(self.window.times)[keep:], np.minimum(self.window.trust[keep:], trust)
-        self.window.forget(keep)
-        for time, row, factor in zip(times, rows, factors):
-            self.window.add(time, row, self.weights(self.residual(row)), False, factor)
-
-    def _learn_noise(self) -> None:
-        """Size and correlation of what the arm's model does not explain, from the horizon."""
-        residual = self.residual(self.window.rows)[self.window.trust == 1.0]
-        count = len(residual)
-        if count < 10:
-            return
-        size = 1.4826 * np.median(np.abs(residual), axis=0)
-        expected, total = self._expected**2 * _NOISE_SAMPLES, _NOISE_SAMPLES + count
-        self.noise = np.sqrt((expected + count * size**2) / total)
-        self.noise = np.clip(self.noise, 0.1 * self._expected, 10.0 * self._expected)
-        clipped = np.clip(residual, -3.0 * self.noise, 3.0 * self.noise)
-        power = (clipped**2).mean(0)
-        lags = range(1, min(8, count // 2))
-        correlation = sum(
-            np.maximum((clipped[lag:] * clipped[:-lag]).mean(0) / power, 0.0) for lag in lags
-        )
-        learned = np.clip(1.0 + 2.0 * np.asarray(correlation), 1.0, _LARGEST_INFLATION)
-        self.inflation = (_NOISE_SAMPLES * 2.0 + count * learned) / (_NOISE_SAMPLES + count)
+        last = min(last, len(self))
+        for back in range(last):
+            at = slot(self.window, back)
+            self.window.trust[at] = min(self.window.trust[at], DISTRUST)
+        weigh(self.window, self.posterior, last)
+        solve(self.window, self.posterior)
 
 
-def balances_of(balance: Balance, blocks: FloatArray, per_interval: int) -> FloatArray:
-    """Balances of blocks that were kept, shape (L, n, columns); the balance ends as it began."""
-    rows = np.empty((max(len(blocks) // per_interval - 1, 0), *balance.rows.shape))
-    fill_balances(balance, np.ascontiguousarray(blocks), per_interval, rows)
-    return rows
+def _prior_posterior(
+    prior: FloatArray, expected: FloatArray, systematic: FloatArray, capacity: int
+) -> Posterior:
+    n, m = len(expected), len(prior)
+    inflation = np.maximum(2.0, systematic / expected**2)
+    return Posterior(
+        np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
+        inflation, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)), np.zeros((m, n)),
+        np.zeros(capacity))  # fmt: skip
 
 
 def _priors(arm: SerialArm, friction: FloatArray) -> list[FloatArray]:
@@ -243,3 +390,11 @@ def _expected_noise(arm: SerialArm, plan: HorizonPlan) -> FloatArray:
     limit = np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
     tolerance = np.array([max(joint.torque_tolerance.torque) for joint in arm.joints])
     return plan.interval * np.maximum(0.25 * tolerance, 0.01 * limit)
+
+
+def _systematic_error(arm: SerialArm, plan: HorizonPlan) -> FloatArray:
+    """What the model of an identified arm missed on data held back, while a pose lasts."""
+    if arm.covariance is None:
+        return np.zeros(len(arm.joints))
+    missed = np.array([np.median(joint.torque_tolerance.torque) for joint in arm.joints]) / 3.0
+    return (missed * plan.interval) ** 2 * _POSE_TIME / plan.interval

@@ -11,22 +11,36 @@ s^2 / I is chi-squared with one degree of freedom.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
-from lpv_core.serial_arm.diagnosis.balance import DRIFT, GAIN, OFFSET, RATE, SCALE, TORQUE
-from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator
+from lpv_core.serial_arm.diagnosis.balance import EPOCH, OFFSET, RATE
+from lpv_core.serial_arm.diagnosis.estimator import (
+    HorizonPlan,
+    OffsetEstimator,
+    Posterior,
+    set_residuals,
+)
+from lpv_core.serial_arm.diagnosis.information import (
+    COUNT,
+    Window,
+    last_rows,
+    slot,
+    sum_slot,
+    whiten,
+)
+from lpv_core.support.jit import njit
 
 WINDOWS = (0.3, 1.0, 2.5)
 """Lengths of the windows in which a fault may have begun [s]."""
 MORE_WINDOWS = (0.5, 0.7, 1.4, 1.8)
 """Lengths that are looked at, too, once something is suspected [s]."""
-ENCODER_KINDS = {'drift': DRIFT, 'slip': OFFSET, 'scale': SCALE}
-"""Faults of a position sensor (with the rate that is derived from it), by their columns."""
-RATE_KINDS = {'rate_bias': RATE}
-TORQUE_KINDS = {'torque_offset': TORQUE, 'torque_gain': GAIN}
+KINDS = ('drift', 'scale', 'rate_bias', 'torque_gain', 'slip', 'torque_offset')
+"""Hypotheses, in the order of the balances' columns."""
+ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
+"""Faults of a position sensor (with the rate that is derived from it)."""
 CONTACT = 'contact'
 """Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
 STUCK_FOR = (4, 8, 20)
@@ -60,28 +74,273 @@ class Explanation:
     @property
     def is_encoder(self) -> bool:
         """Whether a position sensor is to blame."""
-        return self.kind in ENCODER_KINDS or self.kind == 'stuck'
+        return self.kind in ENCODER_KINDS
 
 
-def explanations(
-    estimator: OffsetEstimator,
-    torque_prior: FloatArray,
-    resting: IntArray,
-    speed: FloatArray,
-    suspicious: float,
-) -> list[Explanation]:
-    """All hypotheses for all windows, the best one first.
+class Search(NamedTuple):
+    """Results and memory of the search through W windows; S = 6 n hypotheses.
+
+    Attributes
+    ----------
+    lengths : ndarray of int64, shape (W + 1,)
+        Of the windows, then of their onsets [balances].
+    prior : ndarray, shape (S,)
+        Standard deviations of the faults' sizes; 0 of those that cannot be.
+    torque : ndarray, shape (n,)
+        Standard deviation of torques that may act from outside [N m].
+    gain, information, size : ndarray, shape (W, S)
+        LLR, I and size of each hypothesis.
+    contact : ndarray, shape (W,)
+        LLR of torques from outside.
+    variance : ndarray, shape (n,)
+        Of balances [N2 m2 s2], for which ``shares`` and ``costs`` hold.
+    known : ndarray of int64, shape (W + 1,)
+        Whether they do.
+    values, vectors : ndarray, shapes (W + 1, L) and (W + 1, L, L)
+        Of the correlation of torques from outside.
+    shares, costs : ndarray, shapes (W + 1, K, n, L) and (W + 1, K, n)
+        Factors of squared residuals along eigenvectors, and what the freedom of K amplitudes costs.
+    columns, along : ndarray, shapes (m, S) and (L,)
+        Scratch.
+    """
+
+    lengths: IntArray
+    prior: FloatArray
+    torque: FloatArray
+    gain: FloatArray
+    information: FloatArray
+    size: FloatArray
+    contact: FloatArray
+    variance: FloatArray
+    known: IntArray
+    values: FloatArray
+    vectors: FloatArray
+    shares: FloatArray
+    costs: FloatArray
+    columns: FloatArray
+    along: FloatArray
+
+
+def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
+    """Search for faults of an arm.
 
     Parameters
     ----------
     estimator : OffsetEstimator
-        Its posterior is the null hypothesis.
-    torque_prior : ndarray, shape (n,)
+        Of the arm.
+    torque : ndarray, shape (n,)
         Standard deviation of torques that may act from outside [N m].
-    resting : ndarray of int, shape (n,)
-        Balances for which each reading has not changed at all.
-    speed : ndarray, shape (n,)
-        Of each reading before it came to rest [rad/s].
+
+    Returns
+    -------
+    Search
+        Without results.
+    """
+    plan, n, m = estimator.plan, estimator.joints, len(estimator.prior)
+    lengths = [*_lengths(plan, WINDOWS + MORE_WINDOWS), ONSET + 1]
+    count, longest = len(lengths), max(lengths)
+    prior = np.concatenate([np.full(n, PRIOR[k]) if k in PRIOR else torque for k in KINDS])
+    prior[RATE * n : (RATE + 1) * n] *= estimator.balance.derived == 0.0
+    values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
+    for w, length in enumerate(lengths):
+        place = plan.interval * np.arange(length)
+        correlation = np.exp(-np.abs(place - place[:, None]) / CONTACT_TIME)
+        values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(correlation)
+    values *= plan.interval**2
+    results = [np.zeros((count - 1, len(KINDS) * n)) for _ in range(3)]
+    shares = len(CONTACT_SHARES)
+    return Search(
+        np.array(lengths), prior, torque, results[0], results[1], results[2], np.zeros(count - 1),
+        np.zeros(n), np.zeros(count, np.int64), values, vectors,
+        np.zeros((count, shares, n, longest)), np.zeros((count, shares, n)),
+        np.zeros((m, len(KINDS) * n)), np.zeros(longest))  # fmt: skip
+
+
+def _lengths(plan: HorizonPlan, seconds: tuple[float, ...]) -> list[int]:
+    return [max(ONSET + 1, round(one / plan.interval)) for one in seconds]
+
+
+@njit
+def evaluate(
+    search: Search,
+    window: Window,
+    null: Posterior,
+    epoch: float,
+    interval: float,
+    first: int,
+    end: int,
+) -> float:
+    """Evaluate all hypotheses for some windows.
+
+    Parameters
+    ----------
+    search : Search
+        Results are written; those of windows that are longer than the horizon are -inf.
+    window : Window
+        Balances.
+    null : Posterior
+        The null hypothesis.
+    epoch, interval : float
+        Moment from which drifts count, and length of an interval [s].
+    first, end : int
+        Windows from the first one to that before ``end``.
+
+    Returns
+    -------
+    float
+        The best LLR.
+    """
+    _watch_noise(search, null)
+    best, longest = -np.inf, 0
+    for w in range(first, end):
+        longest = max(longest, search.lengths[w])
+    last = min(longest + 1, window.counters[COUNT])
+    set_residuals(window, null, last)
+    _weigh_outliers(null, last)
+    for w in range(first, end):
+        length = search.lengths[w]
+        search.gain[w] = -np.inf
+        search.contact[w] = -np.inf
+        if window.counters[COUNT] <= length:
+            continue
+        begin = window.times[slot(window, length - 1)] - interval - epoch
+        _faults(search, window, null, begin, w)
+        onset = _contact(search, null, search.lengths.shape[0] - 1, length)
+        search.gain[w] += onset
+        search.contact[w] = _contact(search, null, w, length - 1)
+        best = max(best, search.contact[w], search.gain[w].max())
+    return best
+
+
+@njit
+def _faults(search: Search, window: Window, null: Posterior, begin: float, w: int) -> None:
+    """Write LLR of the faults that began with a window; a drift counts from its start."""
+    n, m, columns = null.sigma.shape[0], null.mean.shape[0], search.columns
+    count, gain, information = columns.shape[1], search.gain[w], search.information[w]
+    at, before = sum_slot(window, 0), sum_slot(window, search.lengths[w] - ONSET)
+    new, old, offset = window.sums[at], window.sums[before], OFFSET * n
+    for s in range(count):
+        gain[s] = old[0, 1 + s] - new[0, 1 + s]
+        if s < offset:
+            information[s] = window.squares[at, s] - window.squares[before, s]
+        else:
+            row = 1 + s - offset
+            information[s] = new[row, 1 + s] - old[row, 1 + s]
+    for a in range(m):
+        own = columns[a]
+        for s in range(count):
+            own[s] = new[1 + a, 1 + s] - old[1 + a, 1 + s]
+    for i in range(n):
+        information[i] -= begin * (2.0 * columns[i, i] - begin * columns[i, offset + i])
+        gain[i] -= begin * gain[offset + i]
+    for a in range(m):
+        own = columns[a]
+        for i in range(n):
+            own[i] -= begin * own[offset + i]
+        for s in range(count):
+            gain[s] -= own[s] * null.mean[a]
+    whiten(null.factor, columns)
+    for a in range(m):
+        own = columns[a]
+        for s in range(count):
+            information[s] -= own[s] * own[s]
+    for s in range(count):
+        if search.prior[s] == 0.0:
+            gain[s] = -np.inf
+            continue
+        score, variance = gain[s], search.prior[s] * search.prior[s]
+        information[s] = max(information[s], 0.0) + 1.0 / variance
+        search.size[w, s] = score / information[s]
+        gain[s] = 0.5 * (score * score / information[s] - np.log(information[s] * variance))
+
+
+@njit
+def _weigh_outliers(null: Posterior, last: int) -> None:
+    """Shrink large residuals as the weights of least squares do (soft L1).
+
+    A torque from outside must not gain from outliers what the faults' columns do not.
+    """
+    for back in range(last):
+        for i in range(null.noise.shape[0]):
+            ratio = null.residual[back, i] / (3.0 * null.noise[i])
+            null.residual[back, i] /= (1.0 + ratio * ratio) ** 0.25
+
+
+@njit
+def _watch_noise(search: Search, null: Posterior) -> None:
+    """Forget what depends on the noise, where that has changed."""
+    for i in range(null.noise.shape[0]):
+        variance = null.noise[i] * null.noise[i] * null.inflation[i]
+        if search.variance[i] != variance:
+            search.variance[i] = variance
+            search.known[:] = 0
+
+
+@njit
+def _contact(search: Search, null: Posterior, w: int, oldest: int) -> float:
+    """Ratio of marginal likelihoods of torques from outside that come, change and go.
+
+    On each joint a torque of unknown amplitude a, correlated over `CONTACT_TIME`; joints that
+    need none have none.  With the eigenvalues l_k of the correlation and z_k the residuals along
+    its eigenvectors, sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).
+    The residuals begin ``oldest`` balances before the last one.
+    """
+    if search.known[w] == 0:
+        _set_shares(search, w)
+    total, length, along = 0.0, search.lengths[w], search.along
+    for i in range(search.torque.shape[0]):
+        along[:length] = 0.0
+        for j in range(length):
+            residual, vector = null.residual[oldest - j, i], search.vectors[w, j]
+            for k in range(length):
+                along[k] += residual * vector[k]
+        for k in range(length):
+            along[k] *= along[k]
+        best = 0.0
+        for c in range(search.costs.shape[1]):
+            ratio, shares = -search.costs[w, c, i], search.shares[w, c, i]
+            for k in range(length):
+                ratio += shares[k] * along[k]
+            best = max(best, ratio)
+        total += best
+    return total
+
+
+@njit
+def _set_shares(search: Search, w: int) -> None:
+    """Write what `_contact` needs for a window at the present noise."""
+    for i in range(search.torque.shape[0]):
+        variance = search.variance[i]
+        for c in range(len(CONTACT_SHARES)):
+            amplitude = CONTACT_SHARES[c] * search.torque[i]
+            cost = CONTACT_PENALTY
+            for k in range(search.lengths[w]):
+                signal = search.values[w, k] * amplitude * amplitude / variance
+                search.shares[w, c, i, k] = 0.5 * signal / ((1.0 + signal) * variance)
+                cost += 0.5 * np.log1p(signal)
+            search.costs[w, c, i] = cost
+    search.known[w] = 1
+
+
+def explanations(
+    search: Search,
+    estimator: OffsetEstimator,
+    rest: tuple[IntArray, FloatArray],
+    conspicuous: IntArray,
+    suspicious: float,
+) -> list[Explanation]:
+    """Hypotheses for all windows, the best one first; none where none is worth a look.
+
+    Parameters
+    ----------
+    search : Search
+        Of the arm.
+    estimator : OffsetEstimator
+        Its posterior is the null hypothesis.
+    rest : tuple of ndarray, shape (n,)
+        Balances for which each reading has not changed at all, and its speed before [rad/s].
+    conspicuous : ndarray of int
+        Joints whose readings are looked at in any case.
     suspicious : float
         Evidence from which on more windows are looked at.
 
@@ -90,22 +349,40 @@ def explanations(
     list of Explanation
         Sorted by their gain.
     """
+    state = search, estimator.window, estimator.posterior
+    times = estimator.balance.clock[EPOCH], estimator.plan.interval
+    some, all_of_them = len(WINDOWS), len(search.contact)
+    best = evaluate(*state, *times, 0, some)
+    resting, speed = rest
     found: list[Explanation] = []
-    for seconds in WINDOWS:
-        last = round(seconds / estimator.plan.interval)
-        if len(estimator.window) > last:
-            found += _window(estimator, last, torque_prior)
-    if found and max(one.gain for one in found) > suspicious:
-        for seconds in MORE_WINDOWS:
-            last = round(seconds / estimator.plan.interval)
-            if len(estimator.window) > last:
-                found += _window(estimator, last, torque_prior)
-    for i in np.nonzero(resting)[0]:
-        found += [
-            stuck_explanation(estimator, int(i), count, 0.1 if count < resting[i] else speed[i])
-            for count in {min(count, int(resting[i])) for count in STUCK_FOR}
-        ]
+    if best > suspicious:
+        evaluate(*state, *times, some, all_of_them)
+        found = _found(search, estimator)
+        conspicuous = np.arange(estimator.joints)
+    for i in conspicuous:
+        if resting[i] > 0 and len(estimator) > 0:
+            found += [
+                stuck_explanation(estimator, int(i), one, 0.1 if one < resting[i] else speed[i])
+                for one in {min(one, int(resting[i])) for one in STUCK_FOR}
+            ]
+    if found and best <= suspicious:
+        found += _found(search, estimator, some)
     return sorted(found, key=lambda one: -one.gain)
+
+
+def _found(search: Search, estimator: OffsetEstimator, windows: int = 99) -> list[Explanation]:
+    """What was found in the windows."""
+    n, found = estimator.joints, []
+    for w in range(min(windows, len(search.contact))):
+        if search.contact[w] == -np.inf:
+            continue
+        begin = estimator.times(int(search.lengths[w]))[0] - estimator.plan.interval
+        for s in np.nonzero(search.gain[w] > -np.inf)[0]:
+            kind, sigma = KINDS[s // n], search.information[w, s] ** -0.5
+            found.append(Explanation(
+                kind, int(s % n), search.gain[w, s], search.size[w, s], sigma, begin))  # fmt: skip
+        found.append(Explanation(CONTACT, -1, search.contact[w], 0.0, 0.0, begin))
+    return found
 
 
 def stuck_explanation(
@@ -133,21 +410,24 @@ def stuck_explanation(
         Of kind ``stuck``; its size is the way that the joint has gone since [rad].
     """
     n, null, step = estimator.joints, estimator.posterior, estimator.plan.interval
-    count = min(balances, len(estimator.window))
-    rows = estimator.window.last_rows(count)
-    residual = estimator.residual(rows)
-    weights = estimator.weights(residual)
+    count = min(balances, len(estimator))
+    rows = last_rows(estimator.window, count)
+    set_residuals(estimator.window, null, count)
+    residual = null.residual[:count][::-1]
+    ratio = residual / (3.0 * null.noise)
+    weights = 1.0 / (null.noise**2 * null.inflation * np.sqrt(1.0 + ratio**2))
     columns = _rate_steps(rows, 1 + OFFSET * n + joint, 1 + RATE * n + joint, step)
     score = -np.einsum('kij,ki,ki->j', columns, weights, residual)
-    cross = np.einsum('kix,ki,kij->xj', rows[..., null.columns], weights, columns)
-    information = np.einsum('kia,ki,kib->ab', columns, weights, columns)
-    information -= cross.T @ null.covariance @ cross
+    unknowns = rows[..., rows.shape[2] - len(null.mean) :]
+    cross = np.einsum('kix,ki,kij->xj', unknowns, weights, columns)
+    whiten(null.factor, cross)
+    information = np.einsum('kia,ki,kib->ab', columns, weights, columns) - cross.T @ cross
     place = np.arange(1.0, count + 1.0)
     walk = (STUCK_ACCELERATION * step) ** 2 * np.minimum(place, place[:, None]) + speed**2
     scaled = walk @ information + np.eye(count)
     rates = np.linalg.solve(scaled, walk @ score)
     gain = 0.5 * (score @ rates - np.linalg.slogdet(scaled)[1])
-    begin = estimator.window.times[len(estimator.window) - count] - step
+    begin = estimator.times(count)[0] - step
     sigma = step * np.sqrt(max(float(np.linalg.solve(scaled, walk).sum()), 0.0))
     return Explanation('stuck', joint, float(gain), float(step * rates.sum()), float(sigma), begin)
 
@@ -164,83 +444,3 @@ def _rate_steps(rows: FloatArray, offset: int, rate: int, step: float) -> FloatA
     for j in range(count):
         columns[j, :, j] += rows[j, :, rate]
     return columns
-
-
-def _window(estimator: OffsetEstimator, last: int, torque_prior: FloatArray) -> list[Explanation]:
-    """Hypotheses of faults that began with the last balances."""
-    n, null = estimator.joints, estimator.posterior
-    products = estimator.window.products(last - ONSET)
-    begin = estimator.window.times[len(estimator.window) - last] - estimator.plan.interval
-    kinds = {**ENCODER_KINDS, **RATE_KINDS, **TORQUE_KINDS}
-    names = list(kinds)
-    selection = np.concatenate([1 + kinds[name] * n + np.arange(n) for name in names])
-    # A drift counts from the start of the window: ramp(t) - begin.
-    drift, offset = 1 + DRIFT * n + np.arange(n), 1 + OFFSET * n + np.arange(n)
-    products = products.copy()
-    products[:, drift] -= begin * products[:, offset]
-    products[drift, :] -= begin * products[offset, :]
-    cross = products[np.ix_(null.columns, selection)]
-    score = -(products[selection, 0] + cross.T @ null.mean)
-    reduced = null.covariance @ cross
-    prior = np.concatenate([np.full(n, PRIOR[k]) if k in PRIOR else torque_prior for k in names])
-    information = products[selection, selection] - (cross * reduced).sum(0) + prior**-2
-    gain = 0.5 * score**2 / information - 0.5 * np.log(information * prior**2)
-    gain += contact_evidence(estimator, last + 1, torque_prior, ONSET + 1)
-    size, sigma = score / information, information**-0.5
-    independent = estimator.balance.derived == 0.0
-    found = []
-    for k, name in enumerate(names):
-        for i in range(n):
-            if name not in RATE_KINDS or independent[i]:
-                j = k * n + i
-                found.append(Explanation(name, i, gain[j], size[j], sigma[j], begin))
-    gain_of_contact = contact_evidence(estimator, last, torque_prior, last)
-    found.append(Explanation(CONTACT, -1, gain_of_contact, 0.0, 0.0, begin))
-    return found
-
-
-def contact_evidence(
-    estimator: OffsetEstimator, last: int, torque_prior: FloatArray, count: int
-) -> float:
-    """Ratio of marginal likelihoods of torques from outside that come, change and go.
-
-    On each joint a torque of unknown amplitude a, correlated over `CONTACT_TIME`; joints that
-    need none have none.  With the eigenvalues l_k of the correlation and z_k the residuals along
-    its eigenvectors, sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).
-
-    Parameters
-    ----------
-    estimator : OffsetEstimator
-        Its posterior is the null hypothesis.
-    last : int
-        Length of the window [balances].
-    torque_prior : ndarray, shape (n,)
-        Largest of the amplitudes that are tried [N m].
-    count : int
-        Balances of the window that are looked at, from its start on.
-
-    Returns
-    -------
-    float
-        Log-likelihood ratio.
-    """
-    step = estimator.plan.interval
-    rows = estimator.window.last_rows(min(last, len(estimator.window)))[:count]
-    residual = estimator.residual(rows)
-    values, vectors = _correlation(len(rows), step)
-    along = (vectors.T @ residual) ** 2
-    noise = estimator.noise**2 * estimator.inflation
-    best = np.zeros(estimator.joints)
-    for share in CONTACT_SHARES:
-        signal = values[:, None] * (share * torque_prior * step) ** 2 / noise
-        ratio = 0.5 * (along / noise * signal / (1.0 + signal) - np.log1p(signal)).sum(0)
-        best = np.maximum(best, ratio - CONTACT_PENALTY)
-    return float(best.sum())
-
-
-@cache
-def _correlation(count: int, step: float) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues and eigenvectors of an exponential correlation."""
-    place = step * np.arange(count)
-    values, vectors = np.linalg.eigh(np.exp(-np.abs(place - place[:, None]) / CONTACT_TIME))
-    return values, vectors

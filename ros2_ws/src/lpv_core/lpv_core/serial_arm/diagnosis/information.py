@@ -1,114 +1,232 @@
 """Least squares over sliding windows of balances, from cumulative sums of their products.
 
 Every balance adds A^T W A of its rows A = [c, J]; the sum over the last L balances is a difference
-of two cumulative sums, so that any window costs the same.
+of two cumulative sums, so that any window costs the same.  Of A^T W A only what estimates and
+hypotheses need is kept: the rows of the constant part and of the unknowns, and the diagonal of the
+columns of faults.
 """
 
-from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import FloatArray
+from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.support.jit import njit
+
+NEXT, COUNT = range(2)
+"""Entries of `Window.counters`: balances that ever joined the window, balances in it."""
 
 
-class InformationWindow:
-    """The last balances of an arm.
+class Window(NamedTuple):
+    """The last balances of an arm; rings, except for ``past``.
+
+    Columns of a row are the constant part, h columns of faults, m columns of unknowns.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (capacity, n, 1 + h + m)
+        Of each balance.
+    times, trust : ndarray, shape (capacity,)
+        End of each [s]; factor of its weights, small where something acted from outside.
+    sums : ndarray, shape (capacity + 1, 1 + m, 1 + h + m)
+        Sum of A^T W A before each balance; rows of the constant part and of the unknowns.
+    squares : ndarray, shape (capacity + 1, h)
+        The same of the diagonal, columns of faults.
+    past : ndarray, shape (1 + m, 1 + h + m)
+        What is remembered of balances that have left; its columns of faults mean nothing.
+    counters : ndarray of int64, shape (2,)
+        Counters.
+    """
+
+    rows: FloatArray
+    times: FloatArray
+    trust: FloatArray
+    sums: FloatArray
+    squares: FloatArray
+    past: FloatArray
+    counters: IntArray
+
+
+def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window:
+    """Empty window of balances of n joints, with h columns of faults and m of unknowns."""
+    size = 1 + faults + unknowns
+    return Window(
+        np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
+        np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
+        np.zeros((1 + unknowns, size)), np.zeros(2, np.int64))  # fmt: skip
+
+
+@njit
+def slot(window: Window, back: int) -> int:
+    """Index in the ring of the balance ``back`` before the last one."""
+    return (window.counters[NEXT] - 1 - back) % window.times.shape[0]
+
+
+@njit
+def sum_slot(window: Window, last: int) -> int:
+    """Index in the ring of the sum before the last balances."""
+    return (window.counters[NEXT] - last) % (window.times.shape[0] + 1)
+
+
+@njit
+def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
+    """Append a balance; `add_products` adds its products.
 
     Parameters
     ----------
-    columns : int
-        Of a row: the constant part, then derivatives.
-    capacity : int
-        Balances that are kept.
-    past_weight : float
-        Factor of what has left the window, each time a balance joins it: 0 forgets at once.
+    window : Window
+        Changed.
+    time : float
+        [s].
+    rows : ndarray, shape (n, 1 + h + m)
+        Constant part and derivatives.
+    past : float
+        Factor of what was remembered, where a balance leaves the window, which is remembered,
+        too; if it is not, the factor is negative.
     """
+    capacity = window.times.shape[0]
+    if window.counters[COUNT] == capacity:
+        window.past[:] *= abs(past)
+        if past > 0.0:
+            window.past[:] += window.sums[sum_slot(window, capacity - 1)]
+            window.past[:] -= window.sums[sum_slot(window, capacity)]
+        window.counters[COUNT] -= 1
+    window.counters[NEXT] += 1
+    window.counters[COUNT] += 1
+    at = slot(window, 0)
+    window.rows[at] = rows
+    window.times[at] = time
+    window.trust[at] = 1.0
 
-    def __init__(self, columns: int, capacity: int, past_weight: float) -> None:
-        self.capacity = capacity
-        self.past = np.zeros((columns, columns))
-        self._past_weight = past_weight
-        self._rows: deque[FloatArray] = deque(maxlen=capacity)
-        self._sums: deque[FloatArray] = deque(maxlen=capacity + 1)
-        self._sums.append(np.zeros((columns, columns)))
-        self.times: deque[float] = deque(maxlen=capacity)
-        self._trust: deque[float] = deque(maxlen=capacity)
 
-    def __len__(self) -> int:
-        return len(self._rows)
+@njit
+def add_products(window: Window, back: int, weights: FloatArray) -> None:
+    """Write the sum behind a balance, from the sum before it.
 
-    @property
-    def rows(self) -> FloatArray:
-        """Rows of the balances, shape (L, n, columns), oldest first."""
-        return np.array(self._rows)
+    Parameters
+    ----------
+    window : Window
+        Changed.
+    back : int
+        Balances after it.
+    weights : ndarray, shape (n,)
+        Its inverse variances; its trust is a factor of them.
+    """
+    at, old, new = slot(window, back), sum_slot(window, back + 1), sum_slot(window, back)
+    unknowns, columns = window.past.shape
+    faults = columns - unknowns
+    window.sums[new] = window.sums[old]
+    window.squares[new] = window.squares[old]
+    for i in range(weights.shape[0]):
+        row, weight = window.rows[at, i], weights[i] * window.trust[at]
+        for a in range(unknowns):
+            entry = row[0] if a == 0 else row[faults + a]
+            factor, into = weight * entry, window.sums[new, a]
+            if factor != 0.0:
+                for b in range(columns):
+                    into[b] += factor * row[b]
+        for b in range(faults):
+            window.squares[new, b] += weight * row[1 + b] * row[1 + b]
 
-    def last_rows(self, count: int) -> FloatArray:
-        """Rows of the last balances, shape (count, n, columns), oldest first."""
-        return np.array([self._rows[k] for k in range(len(self._rows) - count, len(self._rows))])
 
-    @property
-    def trust(self) -> FloatArray:
-        """Factors of the weights, shape (L,): small where something acted from outside."""
-        return np.array(self._trust)
+@njit
+def forget_newest(window: Window, count: int) -> None:
+    """Drop the last balances."""
+    window.counters[NEXT] -= count
+    window.counters[COUNT] -= count
 
-    def add(
-        self, time: float, rows: FloatArray, weights: FloatArray, learn: bool, trust: float = 1.0
-    ) -> None:
-        """Append a balance.
 
-        Parameters
-        ----------
-        time : float
-            Of its middle [s].
-        rows : ndarray, shape (n, columns)
-            Constant part and derivatives.
-        weights : ndarray, shape (n,)
-            Inverse variances.
-        learn : bool
-            Whether the balance that leaves the window is remembered.
-        trust : float, optional
-            Factor of the weights.
-        """
-        if len(self._rows) == self.capacity:
-            self.past *= self._past_weight
-            if learn:
-                self.past += self._sums[1] - self._sums[0]
-        self._rows.append(rows.copy())
-        self.times.append(time)
-        self._trust.append(trust)
-        self._sums.append(self._sums[-1] + trust * rows.T @ (weights[:, None] * rows))
+@njit
+def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: float) -> None:
+    """Let drifts count from a moment that is later by ``shift``, and sums from the oldest balance.
 
-    def reset(self, rows: FloatArray, weights: FloatArray) -> None:
-        """Replace the rows in the window.
+    A drift's column is t - epoch times the offset's: both stay small over days.
 
-        Parameters
-        ----------
-        rows : ndarray, shape (L, n, columns)
-            As many as the window holds.
-        weights : ndarray, shape (L, n)
-            Inverse variances.
-        """
-        weights = weights * self.trust[:, None]
-        products = np.einsum('kia,ki,kib->kab', rows, weights, rows, optimize=True)
-        total = np.zeros_like(self.past)
-        self._sums.clear()
-        self._sums.append(total)
-        self._rows.clear()
-        for row, product in zip(rows, products):
-            total = total + product
-            self._rows.append(row)
-            self._sums.append(total)
+    Parameters
+    ----------
+    window : Window
+        Changed.
+    drift, offset : int
+        First columns of drifts and of offsets; the latter are the first unknowns.
+    joints : int
+        Number of joints.
+    shift : float
+        [s].
+    """
+    count, capacity = window.counters[COUNT], window.times.shape[0]
+    oldest = window.sums[sum_slot(window, count)].copy()
+    squares = window.squares[sum_slot(window, count)].copy()
+    for last in range(count + 1):
+        at = sum_slot(window, last)
+        sums, square = window.sums[at], window.squares[at]
+        sums -= oldest
+        square -= squares
+        for j in range(joints):
+            moved = shift * (2.0 * sums[1 + j, drift + j] - shift * sums[1 + j, offset + j])
+            square[drift - 1 + j] -= moved
+        for a in range(sums.shape[0]):
+            for j in range(joints):
+                sums[a, drift + j] -= shift * sums[a, offset + j]
+    for back in range(capacity):
+        for i in range(joints):
+            for j in range(joints):
+                window.rows[back, i, drift + j] -= shift * window.rows[back, i, offset + j]
 
-    def forget(self, keep: int) -> None:
-        """Drop all balances but the ``keep`` oldest ones."""
-        while len(self._rows) > keep:
-            self._rows.pop()
-            self._sums.pop()
-            self.times.pop()
-            self._trust.pop()
 
-    def products(self, last: int | None = None) -> FloatArray:
-        """Sum of A^T W A over the last balances (all of them by default)."""
-        count = len(self._rows)
-        last = count if last is None else min(last, count)
-        return self._sums[-1] - self._sums[count - last]
+def products(window: Window, last: int) -> FloatArray:
+    """Sum of A^T W A over the last balances, as `Window.sums`."""
+    return window.sums[sum_slot(window, 0)] - window.sums[sum_slot(window, last)]
+
+
+def last_rows(window: Window, last: int) -> FloatArray:
+    """Rows of the last balances, oldest first, shape (last, n, columns)."""
+    return window.rows[[slot(window, back) for back in range(last - 1, -1, -1)]]
+
+
+@njit
+def factorise(matrix: FloatArray, least: FloatArray) -> None:
+    """Factor U of A = U^T U, in place of the upper triangle of A.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (m, m)
+        A, positive definite.
+    least : ndarray, shape (m,)
+        Smallest pivots, against rounding errors.
+    """
+    m = least.shape[0]
+    for k in range(m):
+        pivot = np.sqrt(max(matrix[k, k], least[k]))
+        row = matrix[k]
+        for j in range(k + 1, m):
+            row[j] /= pivot
+        row[k] = pivot
+        for i in range(k + 1, m):
+            factor, other = row[i], matrix[i]
+            for j in range(i, m):
+                other[j] -= factor * row[j]
+
+
+@njit
+def solve_factorised(factor: FloatArray, right: FloatArray) -> None:
+    """Solve U^T U x = b in place of b, with U from `factorise`."""
+    m = right.shape[0]
+    whiten(factor, right.reshape((m, 1)))
+    for k in range(m - 1, -1, -1):
+        for i in range(k + 1, m):
+            right[k] -= factor[k, i] * right[i]
+        right[k] /= factor[k, k]
+
+
+@njit
+def whiten(factor: FloatArray, columns: FloatArray) -> None:
+    """Solve U^T Y = B in place of B."""
+    m, count = columns.shape
+    for k in range(m):
+        own = columns[k]
+        for c in range(count):
+            own[c] /= factor[k, k]
+        for i in range(k + 1, m):
+            share, other = factor[k, i], columns[i]
+            for c in range(count):
+                other[c] -= share * own[c]

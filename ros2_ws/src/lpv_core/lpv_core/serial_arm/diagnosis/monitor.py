@@ -12,8 +12,13 @@ import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
-from lpv_core.serial_arm.diagnosis.hypotheses import CONTACT, Explanation, explanations
+from lpv_core.serial_arm.diagnosis.estimator import (
+    NOISE_KNOWN_AFTER,
+    HorizonPlan,
+    OffsetEstimator,
+    take_balance,
+)
+from lpv_core.serial_arm.diagnosis.hypotheses import CONTACT, Explanation, explanations, new_search
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
 from lpv_core.serial_arm.diagnosis.sampling import (
     BLOCKS,
@@ -34,8 +39,9 @@ LONGEST_STEP = 10.0
 NAMED_AFTER = {'stuck': 0.0, 'drift': 0.6, 'scale': 0.6, 'slip': 1.7}
 """Shortest windows that tell a fault from a torque from outside [s]; a slip, which changes the
 torques of gravity only, takes longest."""
-NOISE_KNOWN_AFTER = 3.0
-"""Before, a torque from outside is not told from errors of the model [s]."""
+MARGINS = {'stuck': 4.0, 'drift': 6.0, 'scale': 10.0, 'slip': 12.0}
+"""By which a fault's evidence must exceed that of all that is not this sensor's: a slow push looks
+more like a slip or a scale error than like a drift."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
 RECENT = 1.0
@@ -68,9 +74,9 @@ class MonitorSettings:
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
-    dwell: int = 4  # balances in a row for which a decision must hold
+    dwell: int = 3  # balances in a row for which a decision must hold
     contact_dwell: int = 8  # the same for torques from outside
-    level_dwell: int = 10  # the same for the level
+    level_dwell: int = 20  # the same for the level
     horizon: float = 10.0  # [s]
 
 
@@ -152,6 +158,7 @@ class SerialMonitor:
             for joint in arm.joints
         ])  # fmt: skip
         self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        self.search = new_search(self.estimator, self._push)
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, 2.0 * noise,
             np.full(n, self.settings.smallest_step), self._capacity)  # fmt: skip
@@ -237,14 +244,26 @@ class SerialMonitor:
             k, complete = take_samples(
                 self.sampler, self.estimator.balance, times, samples, k, plan
             )
-            now = float(times[k - 1])
-            self._report_jumps(now)
-            if complete:
-                self._decide(now)
+            self.decide(float(times[k - 1]), complete)
+
+    def decide(self, now: float, complete: bool) -> None:
+        """Decide on what `take_samples` has found; for loops that call it themselves.
+
+        Parameters
+        ----------
+        now : float
+            Time of the last sample, from the first one on [s].
+        complete : bool
+            Whether a balance is complete.
+        """
+        self._report_jumps(now)
+        if complete:
+            self._decide(now)
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
-        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        posterior = self.estimator.posterior
+        offsets, sigma = posterior.mean[: self.joints], posterior.sigma
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
             if one is SensorState.OK and sigma[i] > self.settings.widest_level
@@ -289,15 +308,16 @@ class SerialMonitor:
     def _decide(self, now: float) -> None:
         """A balance is complete: estimate, compare explanations, decide."""
         if self._moving is not None:
-            self.estimator.take(now)
+            state = self.estimator.window, self.estimator.posterior, self.estimator.balance
+            take_balance(*state, now, False)
             follow(self._moving, self.estimator, self.sampler, now)
             return
         self.estimator.add(now, not self._suspects)
         if self.estimator.must_linearise():
-            self.estimator.linearise(self._blocks(len(self.estimator.window) + 1))
+            self.estimator.linearise(self._blocks(len(self.estimator) + 1))
         found = explanations(
-            self.estimator, self._push, *self._rest(), 0.5 * self.settings.evidence
-        )
+            self.search, self.estimator, self._rest(), np.nonzero(self._is_conspicuous())[0],
+            0.5 * self.settings.evidence)  # fmt: skip
         if not found or found[0].gain < self.settings.evidence:
             self._suspects = ()
             self._held.clear()
@@ -313,7 +333,7 @@ class SerialMonitor:
         kind = CONTACT if verdict.kind == CONTACT else 'encoder'
         self._held.append((kind, verdict.joint))
         if verdict.kind == CONTACT:
-            learned = len(self.estimator.window) * self.plan.interval > NOISE_KNOWN_AFTER
+            learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
             if learned and self._has_held(verdict, self.settings.contact_dwell):
                 self._report_contact(now)
         elif self._has_held(verdict, self.settings.dwell) and now > self._contact_until:
@@ -341,11 +361,12 @@ class SerialMonitor:
         if contact > max(3.0 * self.settings.evidence, *(2.0 * one.gain for one in encoder)):
             return next(one for one in found if one.kind == CONTACT)
         late = [one for one in encoder if self._last() - one.begin > NAMED_AFTER[one.kind]]
-        best = late[0] if late else None
-        if best is None or best.gain < self.settings.evidence:
+        if not late or late[0].gain < self.settings.evidence:
             return None
-        others = [one.gain for one in found if one.joint != best.joint or not one.is_encoder]
-        return best if best.gain > max(others) + self.settings.margin else None
+        joint = late[0].joint
+        rival = max(one.gain for one in found if one.joint != joint or not one.is_encoder)
+        own = [one for one in late if one.joint == joint]
+        return next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
 
     def _is_conspicuous(self) -> BoolArray:
         """Whether a reading froze while it moved, or jumped not long ago."""
@@ -381,7 +402,8 @@ class SerialMonitor:
 
     def _decide_level(self) -> None:
         """Offsets that gravity and motion show."""
-        offsets, sigma = self.estimator.posterior.offsets(self.joints)
+        posterior = self.estimator.posterior
+        offsets, sigma = posterior.mean[: self.joints], posterior.sigma
         beyond = np.abs(offsets) > np.maximum(
             self.settings.level_sigmas * sigma, self.settings.smallest_level
         )

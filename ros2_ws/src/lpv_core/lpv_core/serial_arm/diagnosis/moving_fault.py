@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray
-from lpv_core.serial_arm.diagnosis.balance import DRIFT, OFFSET
-from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator, balances_of
+from lpv_core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
+from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator
+from lpv_core.serial_arm.diagnosis.information import products, sum_slot
 from lpv_core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
 
 MEMORY = 1.0
@@ -65,12 +66,11 @@ def begin_moving_fault(
     MovingFault
         Without an estimate of the course yet.
     """
-    after = sum(time > begin for time in estimator.window.times)
-    before = estimator.window.products() - estimator.window.products(after)
-    before = before + estimator.window.past
-    columns = estimator.columns
-    known = before[np.ix_(columns, columns)] + np.diag(estimator.prior**-2)
-    right = -before[columns, 0]
+    window, count, m = estimator.window, len(estimator), len(estimator.prior)
+    after = int((estimator.times(count) > begin).sum())
+    before = products(window, count) - products(window, after) + window.past
+    known = before[1:, -m:] + np.diag(estimator.prior**-2)
+    right = -before[0, -m:]
     base = float(np.linalg.solve(known, right)[joint])
     return MovingFault(joint, kind, begin, known, right, base=base)
 
@@ -89,20 +89,16 @@ def follow(fault: MovingFault, estimator: OffsetEstimator, sampler: Sampler, now
     now : float
         Of the last sample [s].
     """
-    n, plan, i = estimator.joints, estimator.plan, fault.joint
+    plan, i = estimator.plan, fault.joint
     if fault.kind == 'stuck':
         # The reading says nothing any more, and the dynamics alone do not tell for long.
         fault.sigma = STUCK_RATE * (now - fault.begin)
         return
     start = max(fault.begin, now - MEMORY)
-    last = max(2, min(sum(time > start for time in estimator.window.times), len(estimator.window)))
-    products = estimator.window.products(last)
-    columns = np.append(estimator.columns, [1 + OFFSET * n + i, 1 + DRIFT * n + i])
-    transform = np.eye(len(columns))
+    last = int((estimator.times(len(estimator)) > start).sum())
+    last = max(2, min(last, len(estimator)))
     begin = now - last * plan.interval
-    transform[-2, -1] = -begin
-    information = transform.T @ products[np.ix_(columns, columns)] @ transform
-    right = -transform.T @ products[columns, 0]
+    information, right = _since(estimator, i, last, begin)
     m = len(fault.right)
     information[:m, :m] += fault.known
     right[:m] += fault.right
@@ -114,6 +110,29 @@ def follow(fault: MovingFault, estimator: OffsetEstimator, sampler: Sampler, now
     fault.course = np.clip(fault.course, -_LARGEST, _LARGEST)
     if abs(fault.course[0] + fault.course[1] * (now - begin)) > _CORRECT_BEYOND:
         _correct(fault, estimator, sampler, last)
+
+
+def _since(
+    estimator: OffsetEstimator, i: int, last: int, begin: float
+) -> tuple[FloatArray, FloatArray]:
+    """Information of the last balances on the unknowns, a further offset and a drift of sensor i.
+
+    The drift counts from ``begin``.  Matrix (m + 2, m + 2) and right side.
+    """
+    n, m, window = estimator.joints, len(estimator.prior), estimator.window
+    sums, shift = products(window, last), begin - estimator.balance.clock[EPOCH]
+    sum_of = window.squares[sum_slot(window, 0)] - window.squares[sum_slot(window, last)]
+    offset, drift = 1 + OFFSET * n + i, 1 + DRIFT * n + i
+    sums[:, drift] -= shift * sums[:, offset]
+    columns = np.append(np.arange(sums.shape[1] - m, sums.shape[1]), [offset, drift])
+    information = np.zeros((m + 2, m + 2))
+    information[:m] = sums[1:, columns]
+    information[m] = information[i]
+    information[m + 1, :m] = information[:m, m + 1]
+    information[m + 1, m] = information[m, m + 1]
+    whole = sum_of[drift - 1] - shift * (2.0 * sums[1 + i, drift] + shift * sums[1 + i, offset])
+    information[m + 1, m + 1] = whole
+    return information, -sums[0, columns]
 
 
 def _correct(fault: MovingFault, estimator: OffsetEstimator, sampler: Sampler, last: int) -> None:
@@ -132,6 +151,5 @@ def _correct(fault: MovingFault, estimator: OffsetEstimator, sampler: Sampler, l
     sampler.samples[:, 1, i] -= derived * drift
     sampler.correction[i] += offset + drift * (sampler.time[-1] - fault.reference)
     sampler.drift[i] += drift
-    rows = balances_of(estimator.balance, blocks, estimator.plan.blocks)
-    estimator.replace_last(rows[len(rows) - last :])
+    estimator.replace_last(blocks)
     fault.course = np.zeros(2)

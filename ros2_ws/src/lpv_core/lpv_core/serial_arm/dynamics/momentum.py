@@ -105,8 +105,16 @@ def momentum_balance(
     momentum, force : ndarray, shape (n,)
         Written: p [N m s] and C^T v - g [N m]; p' = force + tau - friction.
     """
-    n = q.shape[0]
     set_velocities(chain, q, v, work)
+    carried_momentum(chain, v, work, momentum, force)
+
+
+@njit
+def carried_momentum(
+    chain: Chain, v: FloatArray, work: FloatArray, momentum: FloatArray, force: FloatArray
+) -> None:
+    """As `momentum_balance`, where `set_velocities` has been called; bodies may be others since."""
+    n = v.shape[0]
     for i in range(n):
         _set_body_momentum(chain, i, work)
     for i in range(n - 1, -1, -1):
