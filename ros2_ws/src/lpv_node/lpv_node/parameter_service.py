@@ -13,7 +13,7 @@ class CheckedParameterService(ParameterService):
     """rclpy's services, but requests that would end the process are refused.
 
     With rclpy's own that are those of an unknown parameter type, and those that delete a parameter
-    which the node goes on to read.
+    which the node goes on to read.  rclpy also takes a parameter without a name.
     """
 
     def _set_parameters_callback(
@@ -30,6 +30,8 @@ class CheckedParameterService(ParameterService):
 
     def _set(self, messages: Sequence[ParameterMessage]) -> SetParametersResult:
         for message in messages:
+            if not message.name:
+                return SetParametersResult(successful=False, reason='a parameter needs a name')
             if message.value.type == ParameterType.PARAMETER_NOT_SET:
                 reason = f'{message.name} cannot be deleted'
                 return SetParametersResult(successful=False, reason=reason)
