@@ -115,7 +115,7 @@ class Inbox:
     def take(self) -> list[tuple[float, Any]]:
         """Steady times of reception [s] and messages since the last call."""
         waiting, self._waiting = self._waiting, []
-        messages = []
+        messages: list[tuple[float, Any]] = []
         for now, data in waiting:
             try:
                 messages.append((now, deserialize_message(data, self.topic.kind)))
