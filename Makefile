@@ -28,11 +28,19 @@ setup-bench:
 demo: setup ## design gains, run the graph on a 20 s scenario, record, report
 	@$(IN_ENV) lpv demo $(DEMO_ARGS)
 
-test: setup-test ## run all tests
+# What starts no nodes runs on all cores; the nodes of a graph need the machine for themselves.
+PARALLEL := -n auto --dist loadfile
+
+test: setup-test ## run all tests, or those that TEST_ARGS selects
+ifeq ($(TEST_ARGS),)
+	@$(IN_ENV) python -m pytest $(PARALLEL) -m "not ros"
+	@$(IN_ENV) python -m pytest -m ros
+else
 	@$(IN_ENV) python -m pytest $(TEST_ARGS)
+endif
 
 test-fast: setup-test ## run the tests that need neither nodes nor long runs (under two minutes)
-	@$(IN_ENV) python -m pytest -m "not slow and not ros" $(TEST_ARGS)
+	@$(IN_ENV) python -m pytest $(PARALLEL) -m "not slow and not ros" $(TEST_ARGS)
 
 fuzz: setup-test ## run the fuzzers, LPV_FUZZ_SECONDS (default 60) each
 	@$(IN_ENV) LPV_FUZZ_SECONDS=$${LPV_FUZZ_SECONDS:-60} python -m pytest -m fuzz --timeout=0 $(TEST_ARGS)

@@ -30,9 +30,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from lpv_cli.processes import Graph
+from lpv_core.support.discovery import stay_local
 from lpv_core.support.resources import bringup_file, executable
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
-from lpv_node.discovery import announce_often, stay_local
+from lpv_node.discovery import announce_often
 from lpv_node.managed import ManagedNode
 from lpv_node.qos import stream
 from lpv_node.stamps import set_stamp, to_nanoseconds
@@ -96,12 +97,24 @@ class Source(Node):
     def _publish(self) -> None:
         stamp = self.count * 10**9 // RATE
         clock, truth = Clock(), GroundTruth()
+        for name in ('position', 'velocity', 'torque', 'fault'):
+            setattr(truth, name, self._message.position)
         set_stamp(clock.clock, stamp)
         set_stamp(truth.header.stamp, stamp)
         set_stamp(self._message.header.stamp, stamp)
         self._clock.publish(clock)
         self._truth.publish(truth)
         self._states.publish(self._message)
+
+
+def _two_joints(kind: type) -> Any:
+    """A message whose arrays have two elements."""
+    message = kind()
+    for name, field in kind.get_fields_and_field_types().items():
+        element = {'double': 0.0, 'uint8': 0, 'boolean': False, 'string': 'x'}
+        if field.startswith('sequence<'):
+            setattr(message, name, [element[field[9:-1]]] * 2)
+    return message
 
 
 class Relay(Node):
@@ -111,7 +124,8 @@ class Relay(Node):
         super().__init__(name)
         qos = stream(True)
         self._outputs = [
-            (self.create_publisher(kind, topic, qos), kind()) for topic, kind in outputs.items()
+            (self.create_publisher(kind, topic, qos), _two_joints(kind))
+            for topic, kind in outputs.items()
         ]
         self.create_subscription(*source, self._answer, qos)
 

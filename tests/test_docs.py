@@ -106,3 +106,14 @@ def test_given_the_pages_when_the_site_is_built_then_each_is_in_its_contents():
 
 def test_given_the_readme_when_its_lines_are_counted_then_it_is_short():
     assert len((ROOT / 'README.md').read_text(encoding='utf-8').splitlines()) <= 120
+
+
+def test_given_everything_that_stops_or_alarms_when_looked_up_then_the_page_of_alarms_has_it():
+    from lpv_core.control.watchdog import BRAKE_TEXT, STOP_TEXT
+    from lpv_core.decision.diagnosis import SensorState
+    from lpv_core.decision.fault_kinds import KINDS
+
+    page = (ROOT / 'docs' / 'alarms.md').read_text(encoding='utf-8')
+    stops = [text.split(':')[0] for text in (*STOP_TEXT.values(), *BRAKE_TEXT.values())]
+    rows = [f'`{kind}`' for kind in KINDS] + [state.name for state in SensorState] + stops
+    assert [row for row in rows if row and f'| {row}' not in page] == []

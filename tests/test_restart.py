@@ -50,6 +50,8 @@ DRIVES = ('command_timeout:=0.2', 'max_mean_latency:=0.2')
 TRACKER = ('estimate_timeout:=0.2', 'max_latency:=0.2')
 RELEASED = ('simulator', 'brakes released')
 COMMANDS = ('simulator', 'commands flow')
+# Which of these comes first depends on the node that is held up, and on what is in its queue.
+HELD_UP = 'safe stop: (?:no estimates|estimates come too late|the arm does not follow)'
 
 
 def stamp_of(message):
@@ -289,7 +291,7 @@ def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_
             rig.drive()
             moment = rig.hold(name, 0.6)
             rig.logged('simulator', 'brakes engaged', moment)
-            rig.logged('tracker', 'safe stop: no estimates', moment)
+            rig.logged('tracker', HELD_UP, moment)
             rig.drive()
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
     assert_moves_as_an_arm_does(rig)

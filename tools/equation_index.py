@@ -59,8 +59,12 @@ def _documented(tree: ast.Module, module: str) -> Iterator[tuple[str, str]]:
     yield from walk(tree, module)
 
 
+def _link(name: str, file: Path) -> str:
+    return f'[`{name}`](../{file.relative_to(ROOT)})'
+
+
 def find_equations() -> dict[int, list[str]]:
-    """Dotted names by equation; a module only where none of its functions states the number."""
+    """Links to code by equation; a module only where none of its functions states the number."""
     index: dict[int, list[str]] = {}
     for folder in FOLDERS:
         for file in sorted((ROOT / folder).rglob('*.py')):
@@ -69,17 +73,14 @@ def find_equations() -> dict[int, list[str]]:
             inner = set().union(*(stated_equations(text) for _, text in entries[1:]), set())
             for position, (name, text) in enumerate(entries):
                 for number in stated_equations(text) - (inner if position == 0 else set()):
-                    index.setdefault(number, []).append(name)
+                    index.setdefault(number, []).append(_link(name, file))
     return index
 
 
 def page() -> str:
     """The page's text."""
     index = find_equations()
-    rows = [
-        f'| ({number}) | {", ".join(f"`{name}`" for name in index[number])} |'
-        for number in sorted(index)
-    ]
+    rows = [f'| ({number}) | {", ".join(index[number])} |' for number in sorted(index)]
     return _HEAD + '\n'.join(rows) + '\n'
 
 

@@ -18,6 +18,7 @@ setup(
         (f'share/{PACKAGE}/gains', glob('gains/*')),
         (f'share/{PACKAGE}/launch', glob('launch/*')),
         (f'share/{PACKAGE}/scenarios', glob('scenarios/*')),
+        (f'share/{PACKAGE}/urdf', glob('urdf/*')),
     ],
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},

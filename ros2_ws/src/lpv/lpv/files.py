@@ -3,15 +3,14 @@
 from pathlib import Path
 
 import lpv_core.certificate.gains
-import lpv_core.model.arm
 import lpv_core.simulation.scenario
 from lpv_core.certificate.gains import Gains
-from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.resources import bringup_file
 
 
-def load_arm(name: str | Path) -> ArmParameters:
+def load_arm(name: str | Path) -> Arm:
     """Read an arm file.
 
     Parameters
@@ -21,15 +20,15 @@ def load_arm(name: str | Path) -> ArmParameters:
 
     Returns
     -------
-    ArmParameters
-        Validated, in SI units.
+    ArmParameters or SerialArm
+        Of two links in a vertical plane or of n joints, validated, in SI units.
 
     Raises
     ------
     ConfigError
         Naming the field that is wrong, or the arms that are shipped.
     """
-    return lpv_core.model.arm.load_arm(bringup_file('arms', str(name)))
+    return load_any_arm(bringup_file('arms', str(name)))
 
 
 def load_gains(name: str | Path) -> Gains:

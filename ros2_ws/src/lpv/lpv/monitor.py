@@ -11,8 +11,10 @@ from lpv.recordings import recorded
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import Gains
 from lpv_core.decision.diagnosis import Alarm, DiagnosisParameters, SensorState
-from lpv_core.model.arm import ArmParameters
-from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.factory import Monitor as ArmMonitor
+from lpv_core.monitoring.factory import make_monitor
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 
 _NAME = '/uio'
 
@@ -48,10 +50,10 @@ class Monitor:
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         The arm.
-    gains : Gains
-        Its gains.
+    gains : Gains, optional
+        Its gains; a serial arm has none.
     parameters : DiagnosisParameters, optional
         Tuning of the diagnosis.
 
@@ -68,11 +70,10 @@ class Monitor:
     """
 
     def __init__(
-        self, arm: ArmParameters, gains: Gains, parameters: DiagnosisParameters | None = None
+        self, arm: Arm, gains: Gains | None = None, parameters: DiagnosisParameters | None = None
     ) -> None:
-        require(arm, gains, 'gains')
         self._names = arm.joint_names
-        self._monitor = SensorMonitor(_NAME, arm, gains, parameters)
+        self._monitor = _verified_monitor(arm, gains, parameters)
 
     def update(
         self,
@@ -124,17 +125,26 @@ class Monitor:
         self._monitor.reset()
 
 
+def _verified_monitor(
+    arm: Arm, gains: Gains | None, parameters: DiagnosisParameters | None
+) -> ArmMonitor:
+    """A monitor whose gains, if there are any, have a certificate that holds."""
+    if gains is not None and not isinstance(arm, SerialArm):
+        require(arm, gains, 'gains')
+    return make_monitor(_NAME, arm, gains, parameters)
+
+
 def diagnose(
-    arm: ArmParameters, gains: Gains, bag: str | Path, parameters: DiagnosisParameters | None = None
+    arm: Arm, gains: Gains | None, bag: str | Path, parameters: DiagnosisParameters | None = None
 ) -> Diagnosis:
     """Diagnose a whole recording at once.
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         The arm.
-    gains : Gains
-        Its gains.
+    gains : Gains or None
+        Its gains; None for a serial arm.
     bag : str or pathlib.Path
         As in `lpv.read_bag`.
     parameters : DiagnosisParameters, optional
@@ -150,11 +160,9 @@ def diagnose(
     LpvError
         If the bag cannot be read, or arm and gains do not belong together.
     """
-    require(arm, gains, 'gains')
+    monitor = _verified_monitor(arm, gains, parameters)
     stamps, position, velocity, effort = recorded(bag, arm)
-    answers = SensorMonitor(_NAME, arm, gains, parameters).take_many(
-        stamps, position, velocity, effort
-    )
+    answers = monitor.take_many(stamps, position, velocity, effort)
     known = answers.answered & answers.has_fault
     return Diagnosis(
         stamps[known],

@@ -13,26 +13,33 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv_arm_sim.services import FaultServices
+from lpv_core.control.computed_torque import BANDWIDTH, serial_loop_latency
+from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.watchdog import (
     BRAKE_TEXT,
+    UNKNOWN_LOOP,
     BrakeReason,
     DriveLimits,
+    LatencyLimits,
     check_drive,
     drive_watchdog,
+    latency_limits,
 )
-from lpv_core.model.arm import load_arm
-from lpv_core.simulation.arm_simulator import ArmSimulator, Measurement, Truth
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
+from lpv_core.simulation.arm_simulator import Measurement, Truth
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import GroundTruth, TorqueCommand
-from lpv_node.input_check import Refusals, all_finite
+from lpv_node.input_check import Refusals, all_finite, all_sized
+from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, required_text
+from lpv_node.parameters import Spec, declare_gains, read_gains_if_set, required_text
 from lpv_node.qos import stream
+from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
-_LIMITS = DriveLimits()
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML)', read_only=True),
@@ -54,18 +61,27 @@ SPECS = (
     ),
     Spec(
         'command_timeout',
-        _LIMITS.command_age,
-        'real time only: brake when the measurement that was answered last is this old [s]',
-        0.01,
+        0.0,
+        'real time only: brake when the measurement that was answered last is this old [s]; '
+        + FROM_GAINS,
+        0.0,
         60.0,
         read_only=True,
     ),
     Spec(
         'max_mean_latency',
-        _LIMITS.mean_latency,
-        'real time only: brake when commands are this old on average over 0.1 s [s]',
-        0.001,
+        0.0,
+        f'real time only: brake when commands are this old on average over 0.1 s [s]; {FROM_GAINS}',
+        0.0,
         60.0,
+        read_only=True,
+    ),
+    Spec(
+        'bandwidth',
+        BANDWIDTH,
+        'serial arms only: that of the tracker, which limits of latency follow from [rad/s]',
+        0.1,
+        100.0,
         read_only=True,
     ),
     Spec(
@@ -79,13 +95,13 @@ SPECS = (
 )
 
 _CATCH_UP = 5
-"""Most samples that a braked arm makes up for; beyond, its time slips and is counted."""
+"""Most samples that a braked arm makes up for; what is beyond is left out."""
 _PATIENCE = 1.0
 """Lockstep: how long an answer may take before the sample is sent again to newcomers [s]."""
 
 
 class SimulatorNode(ManagedNode):
-    """Simulated arm in real time, or in lockstep with /clock.
+    """Simulated arm of either kind in real time, or in lockstep with /clock.
 
     Topics: publishes ``joint_states`` (sensor_msgs/JointState), ``ground_truth``
     (lpv_msgs/GroundTruth, for recording only) and, in lockstep, ``/clock``; subscribes
@@ -101,6 +117,7 @@ class SimulatorNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('arm_sim', SPECS)
+        self._unset_gains = declare_gains(self)
         self._command_in: Subscription | None = None
         self._ticker: Timer | None = None
         self._command: TorqueCommand | None = None
@@ -112,21 +129,21 @@ class SimulatorNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and scenario, create publishers and services."""
-        self._arm = load_arm(required_text(self, 'arm_file'))
-        scenario = load_scenario(required_text(self, 'scenario_file'))
+        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
         seed = self.get_parameter('seed').value
         if seed >= 0:
             scenario = replace(scenario, seed=seed)
         self._scenario = scenario
         substeps = self.get_parameter('substeps').value
-        self._plant = ArmSimulator(self._arm, scenario, substeps)
-        limits = DriveLimits(
-            self.get_parameter('command_timeout').value,
-            self.get_parameter('max_mean_latency').value,
-        )
+        self._plant = new_simulator(self._arm, scenario, substeps)
+        limits = DriveLimits(self._latency_limits())
         self._watchdog = drive_watchdog(self._arm, limits)
         # Compile before the first step, not on it.
-        ArmSimulator(self._arm, scenario, substeps).step([0.0, 0.0])
+        trial = new_simulator(self._arm, scenario, substeps)
+        trial.sense()
+        trial.step([0.0] * len(self._arm.joint_names))
+        trial.hold()
         check_drive(drive_watchdog(self._arm, limits), 1, 0, True, self._plant.state.velocity)
         self._start = self._first = self._answered = 0  # stamps of samples [ns]
         self._refusals = Refusals(self)
@@ -145,6 +162,19 @@ class SimulatorNode(ManagedNode):
         self._state_message.header.frame_id = 'base_link'
         self._truth_message = GroundTruth()
         self._truth_message.header.frame_id = self._arm.name
+
+    def _latency_limits(self) -> LatencyLimits:
+        """As the gains of the loop allow, if they are known, or as parameters say."""
+        certified = UNKNOWN_LOOP
+        if not isinstance(self._arm, ArmParameters):
+            bandwidth = self.get_parameter('bandwidth').value
+            certified = latency_limits(serial_loop_latency(bandwidth, self._arm.sample_time))
+        elif gains := read_gains_if_set(self, self._arm, self._unset_gains):
+            certified = latency_limits(tolerated_latency(self._arm, gains))
+        return LatencyLimits(
+            chosen_limit(self, 'command_timeout', certified.single),
+            chosen_limit(self, 'max_mean_latency', certified.mean),
+        )
 
     def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before the first sample."""
@@ -206,6 +236,8 @@ class SimulatorNode(ManagedNode):
 
     def _refusal(self, message: TorqueCommand, stamp: int) -> str:
         """Why a command is ignored: it must answer a measurement of this arm."""
+        if not all_sized(len(self._arm.joint_names), message.torque):
+            return 'command with another number of joints than the arm'
         if not all_finite(message.torque):
             return 'command with values that are not finite'
         if self.lockstep:
@@ -272,7 +304,7 @@ class SimulatorNode(ManagedNode):
             elif self._reason is None or reason is BrakeReason.OVERSPEED:
                 self.get_logger().error(f'brakes engaged: {self._brake_text(reason)}')
             self._reason = reason
-        values = {'samples slipped': self._slips, **self._refusals.counts}
+        values = {'samples left out': self._slips, **self._refusals.counts}
         if reason is BrakeReason.NO_COMMAND:
             self._status.report(self._stamp, WARN, 'braked: no command yet', values)
         elif reason is not None:
@@ -316,9 +348,9 @@ class SimulatorNode(ManagedNode):
         self._publish_truth(stamp, truth, measurement)
         message = self._state_message
         set_stamp(message.header.stamp, stamp)
-        message.position = measurement.position.tolist()
-        message.velocity = measurement.velocity.tolist()
-        message.effort = measurement.effort.tolist()
+        message.position = doubles(measurement.position)
+        message.velocity = doubles(measurement.velocity)
+        message.effort = doubles(measurement.effort)
         self._joint_states_out.publish(message)
         self._sent = time.monotonic()
         self._report_progress()
@@ -326,8 +358,8 @@ class SimulatorNode(ManagedNode):
     def _publish_truth(self, stamp: int, truth: Truth, measurement: Measurement) -> None:
         message = self._truth_message
         set_stamp(message.header.stamp, stamp)
-        message.position, message.velocity = truth.position, truth.velocity
-        message.torque, message.fault = measurement.effort, truth.fault
+        message.position, message.velocity = doubles(truth.position), doubles(truth.velocity)
+        message.torque, message.fault = doubles(measurement.effort), doubles(truth.fault)
         message.disturbance = float(truth.disturbance)
         self._truth_out.publish(message)
 
@@ -337,9 +369,9 @@ class SimulatorNode(ManagedNode):
         if every_second and not self.lockstep:
             self._count_senders()
         if every_second and step <= self._last:
-            slipped = f', {self._slips} samples slipped' if self._slips else ''
+            left_out = f', {self._slips} samples left out: too slow' if self._slips else ''
             self.get_logger().info(
-                f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{slipped}'
+                f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{left_out}'
             )
         if step == self._last:
             self.get_logger().info('the scenario is over')

@@ -173,9 +173,10 @@ def replayed(bag, paper_arm, paper_gains, tmp_path_factory):
     """Result and output of a replay of the bag."""
     out = tmp_path_factory.mktemp('replayed') / 'bag'
     events = []
-    result = Replay(SensorMonitor('/anything', paper_arm, paper_gains), on_event=events.append).run(
-        bag, out
-    )
+    result = Replay(
+        SensorMonitor('/anything', paper_arm, paper_gains),
+        on_event=lambda event, _: events.append(event),
+    ).run(bag, out)
     assert events == result.events
     return result, out
 
@@ -345,6 +346,7 @@ def test_given_no_namespace_when_replayed_then_answers_are_at_the_top(loop, moni
         '/joint_states': 20,
         '/state_estimate': 20,
         '/fault_estimate': 20,
+        '/joint_states_corrected': 20,
         '/fault_alarm': 0,
         '/diagnostics': 1,
     }
@@ -884,7 +886,7 @@ def test_given_a_file_of_faults_when_the_command_is_run_then_they_are_added(
     faults.write_text('faults:\n  - {sensor: link2_angle, kind: bias, onset: 1.0, size: -0.3}\n')
     assert main(command(source, inject=faults)) == 0
     said = capsys.readouterr().out
-    assert 'ALARM, link2_angle: unclassified, -0.' in said
+    assert 'ALARM, link2_angle: error -0.' in said
     assert '1 of 1 injected faults found on the right sensor' in said
     assert re.search(r'link2_angle, bias from 1.000 s on: found after 0.\d+ s as \w+, -0.\d+', said)
     assert 'size error' in said

@@ -144,6 +144,10 @@ def troubled_bag(samples, tmp_path_factory):
     )
 
 
+def _named(fields):
+    return {'names': fields['name'], **{k: fields[k] for k in ('position', 'velocity')}}
+
+
 def expected_answers(bag, monitor, out):
     """The answers message by message, written by the plain writer."""
     messages = BagMessages(TYPESTORE, monitor.arm.name)
@@ -154,6 +158,7 @@ def expected_answers(bag, monitor, out):
     with AnyReader([bag]) as reader, BagWriter(out) as writer:
         for _, topic, msgtype in parts:
             writer.add_topic(topic, msgtype)
+        writer.add_topic('/lpv/joint_states_corrected', JOINT_STATE)
         writer.add_topic('/lpv/fault_alarm', 'lpv_msgs/msg/FaultAlarm')
         writer.add_topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
         for c, time, data in reader.messages():
@@ -169,6 +174,9 @@ def expected_answers(bag, monitor, out):
                 fields = getattr(answer, name)
                 if fields is not None:
                     writer.write(topic, time, messages.make(msgtype, stamp, fields))
+            if answer.corrected is not None:
+                corrected = messages.joint_state(stamp, effort=[], **_named(answer.corrected))
+                writer.write('/lpv/joint_states_corrected', time, corrected)
             for event in answer.events:
                 writer.write(
                     '/lpv/fault_alarm',
@@ -246,6 +254,27 @@ def test_given_faults_to_add_when_replayed_by_blocks_then_it_is_as_by_single_mes
     after = [d for topic, _, d in found[0] if topic == '/lpv/joint_states']
     assert len(after) == len(before)
     assert 200 < sum(a != b for a, b in zip(before, after)) < 400
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_drift_when_added_then_rates_differ_by_its_slope_where_they_are_derived(
+    samples, paper_arm, paper_gains, tmp_path, rates
+):
+    entries = [('/lpv/joint_states', s[0], cdr(measurement(s))) for s in samples]
+    bag = write(tmp_path / 'bag', entries, {'/lpv/joint_states': JOINT_STATE})
+    fault = Fault('link2_angle', 'drift', 0.5, 0.25, rate=0.4)
+    injector = FaultInjector(paper_arm.sensor_names, [fault], np.random.default_rng(0))
+    monitor = SensorMonitor('', replace(paper_arm, rates=rates), paper_gains)
+    Replay(monitor, injector=injector).run(bag, tmp_path / 'out')
+    before, after = (
+        load_run(place, joint_names=paper_arm.joint_names).streams['joint_states']
+        for place in (bag, tmp_path / 'out')
+    )
+    shift = np.cumsum(after['position'] - before['position'], axis=1)[:, 1]
+    rate = np.cumsum(after['velocity'] - before['velocity'], axis=1)[:, 1]
+    derived = np.diff(shift, prepend=0.0) / paper_arm.sample_time
+    assert shift[374] == pytest.approx(0.1, abs=1e-3)
+    np.testing.assert_allclose(rate, derived if rates == 'derived' else 0.0, atol=1e-9)
 
 
 def test_given_a_fault_of_a_rate_when_added_then_rates_differ_by_it_and_nothing_else_does(

@@ -1,6 +1,7 @@
 """Recorded runs as arrays: alignment by stamps, names, alarms; and the order of a recording."""
 
 import math
+import re
 import shutil
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lpv_bag.recorder.stamp_sorter import WINDOW, StampSorter
+from lpv_bag.rosbag.interfaces import message_text
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import ALARM_TYPE, STREAMS, BagError, load_run
@@ -435,6 +437,96 @@ def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts
     assert [k for _, _, k in released] == list(range(1749))  # older than the window of 0.5 s
     order.flush()
     assert [k for _, _, k in released] == list(range(2000))
+
+
+# ------------------------------------------------------------------ padding
+
+
+@pytest.mark.parametrize('attempts', [0, 32])
+def test_given_messages_without_efforts_that_end_in_padding_when_loaded_then_they_are_read(
+    tmp_path, monkeypatch, attempts
+):
+    monkeypatch.setattr('lpv_bag.run.stream_blocks._MOST_ATTEMPTS', attempts)
+    kind, names = 'sensor_msgs/msg/JointState', ('joint1', 'joint2')
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/joint_states', kind)
+        for k in range(3):
+            message = BagMessages(writer.typestore, 'arm').joint_state(k, names, [k, 1], [0, 0], [])
+            data = bytes(writer.typestore.serialize_cdr(message, kind))
+            padded = data + bytes(-len(data) % 4)
+            assert writer.without_garbage(kind, padded + b'junk') == padded
+            writer.write_raw('/joint_states', k, padded + b'junk')
+    record = load_run(tmp_path / 'bag')
+    assert list(record.get('joint_states', 'position')[:, 0]) == [0, 1, 2]
+    assert np.isnan(record.get('joint_states', 'effort')).all()
+
+
+# ------------------------------------------------------------------ numbers of joints
+
+
+def test_given_seven_joints_when_loaded_then_all_are_in_the_record(recorder):
+    names = tuple(f'j{i}' for i in range(7))
+    with recorder as bag:
+        for k in range(2):
+            bag.measure(k * MS, np.arange(7.0), names=names)
+            bag.stream(
+                'fault_estimate',
+                k * MS,
+                **{name: np.arange(7.0) for name in ('estimate', 'bound', 'threshold')},
+                sensor_names=names,
+                state=[0] * 7,
+                alarm=[False] * 7,
+            )
+    record = load_run(recorder.path)
+    assert record.sensor_names == record.joint_names == names
+    np.testing.assert_array_equal(record.get('fault_estimate', 'estimate'), [np.arange(7.0)] * 2)
+
+
+def test_given_one_joint_when_loaded_then_its_columns_stay_columns(recorder):
+    with recorder as bag:
+        for k in range(3):
+            bag.measure(k * MS, [0.5], names=('j',))
+            bag.stream('torque_command', k * MS, torque=[2.0])
+    record = load_run(recorder.path)
+    assert record.get('torque_command', 'torque').shape == (3, 1)
+    assert record.get('torque_command', 'safe_stop').shape == (3,)
+
+
+@pytest.mark.parametrize('fast', [False, True])
+def test_given_arrays_that_do_not_fit_when_loaded_then_they_are_left_out_with_a_warning(
+    recorder, monkeypatch, fast
+):
+    with recorder as bag:
+        for k in range(4):
+            bag.measure(k * MS, [0.0, 0.0])
+            torque = [0.0] * (2 if k != 2 else 3)
+            bag.stream('torque_command', k * MS, torque=torque)
+            bag.stream('fault_estimate', k * MS, bound=[0.1] * (2 if k else 1))
+    if not fast:
+        monkeypatch.setattr('lpv_bag.run.stream_blocks._MOST_ATTEMPTS', 0)
+    record = load_run(recorder.path, joint_names=('joint1', 'joint2'))
+    assert list(record.stamps['torque_command']) == [0, MS, 3 * MS]
+    assert list(record.stamps['fault_estimate']) == [MS, 2 * MS, 3 * MS]
+    assert [w for w in record.warnings if 'number of joints does not fit' in w and ': 1 ' in w]
+
+
+def test_given_a_bag_whose_arrays_have_a_fixed_length_when_loaded_then_it_is_as_ever(
+    tmp_path, monkeypatch
+):
+    def as_before(msgtype):
+        text = message_text(msgtype)
+        return re.sub(r'^(\w+)\[\] ', r'\1[2] ', text, flags=re.M) if 'lpv' in msgtype else text
+
+    with monkeypatch.context() as old:
+        old.setattr('lpv_bag.rosbag.interfaces.message_text', as_before)
+        bag = Recorder(tmp_path / 'bag')
+    with bag:
+        for k in range(3):
+            bag.measure(k * MS, [0.0, 0.0])
+            bag.stream('fault_estimate', k * MS, estimate=[k, 0.5])
+    assert b'float64[2] estimate' in next((tmp_path / 'bag').glob('*.mcap')).read_bytes()
+    record = load_run(tmp_path / 'bag')
+    np.testing.assert_array_equal(record.get('fault_estimate', 'estimate')[:, 0], range(3))
 
 
 # ------------------------------------------------------------------ many at a time

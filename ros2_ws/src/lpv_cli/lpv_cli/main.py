@@ -22,7 +22,7 @@ COMMANDS = {
     'import-csv': ('lpv_cli.commands.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replaying.replay', 'run observer and diagnosis offline on a bag'),
     'view': ('lpv_cli.commands.view', 'show the running graph: web page, Foxglove, markers'),
-    'init': ('lpv_cli.commands.init', 'write commented files of an arm to start from'),
+    'init': ('lpv_cli.initialising.init', 'write commented files of an arm to start from'),
     'urdf': ('lpv_cli.commands.urdf', 'print the URDF of an arm'),
     'recover': ('lpv_cli.commands.recover', 'repair a bag that is cut off or damaged'),
     'compare': ('lpv_cli.commands.compare', 'compare the answers in two bags of one recording'),
@@ -49,21 +49,13 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program name.
-
-    Returns
-    -------
-    int
-        Exit code; 2 for bad input.
-    """
+    """Entry point; exit code 2 for bad input."""
     complete(build_parser, COMMANDS)
     argv = sys.argv[1:] if argv is None else argv
     chosen = next((a for a in argv if a in COMMANDS), None)
+    if not argv:
+        build_parser().print_help()
+        return 0
     try:
         arguments = build_parser(chosen).parse_args(argv)
         return arguments.run(arguments)

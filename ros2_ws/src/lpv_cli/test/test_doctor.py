@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import ros
 from places import BRINGUP, ROOT
+from serial_bags import crane, crane_file, crane_run
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
@@ -20,6 +21,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from lpv_cli.doctor import environment, graph, signals  # noqa: E402
 from lpv_cli.doctor.files import check_arm, check_files, check_gains, check_scenario  # noqa: E402
 from lpv_cli.doctor.findings import Level  # noqa: E402
+from lpv_cli.doctor.measurements import check_values, needs_rates  # noqa: E402
 from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot  # noqa: E402
 from lpv_cli.main import main  # noqa: E402
 from lpv_core.certificate.gains import save_gains  # noqa: E402
@@ -114,6 +116,34 @@ def test_given_a_scenario_that_cannot_be_run_when_checked_then_it_says_why(
     finding = check_scenario(str(tmp_path / 'scenario.yaml'), paper_arm)
     assert finding.level == Level.ERROR
     assert named in finding.text
+
+
+def test_given_a_serial_arm_when_checked_then_it_needs_no_gains_and_refuses_some(tmp_path):
+    arm, findings = check_files(str(crane_file(tmp_path)), None, None)
+    assert arm.joint_names == ('joint1', 'joint2', 'joint3') and found(findings) == []
+    assert 'bounds are statistical' in findings[-1].text
+    refused = check_gains('paper', arm)
+    assert refused.level == Level.ERROR and 'leave the gains file out' in refused.text
+
+
+def test_given_a_serial_arm_when_its_driver_sends_no_rates_then_they_are_not_asked_for():
+    run, names = crane_run(0.6), list(crane().joint_names)
+    messages = [
+        JointState(name=names, position=q.tolist(), effort=tau.tolist())
+        for q, _, tau in run.samples
+    ]
+    assert check_values('/joint_states', messages, needs_rates(crane())) is None
+    assert check_values('/joint_states', messages).check == 'values'
+
+
+def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
+    run, messages = crane_run(0.6), []
+    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
+        names = list(crane().joint_names)
+        messages.append(JointState(name=names, position=q, velocity=v, effort=tau))
+        messages[-1].header.stamp.nanosec = int(stamp)
+    assert signals.check_units('/joint_states', messages, crane()) is None
+    assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
 
 
 # ------------------------------------------------------------------ environment

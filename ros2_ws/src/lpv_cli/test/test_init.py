@@ -4,13 +4,15 @@ import subprocess
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import BRINGUP, ROOT
 
-from lpv_cli.commands.urdf_arm import read_urdf_arm
+from lpv_cli.initialising.urdf_arm import read_urdf_arm
 from lpv_cli.main import main
 from lpv_cli.needs import remedy
 from lpv_core.export.urdf import arm_urdf
 from lpv_core.model.arm import load_arm
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_design.requirement import load_requirement
@@ -49,6 +51,21 @@ def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(tmp_path
     assert arm.joint_names == paper_arm.joint_names
     assert arm.zero_angle == pytest.approx(paper_arm.zero_angle)
     assert arm.torque_limit == pytest.approx(paper_arm.torque_limit)
+
+
+@pytest.mark.parametrize(('name', 'joints'), [('ur10', 6), ('panda', 7)])
+def test_given_the_urdf_of_a_serial_arm_when_initialised_then_arm_and_path_fit(
+    tmp_path, name, joints, capsys
+):
+    urdf = BRINGUP / 'urdf' / f'{name}.urdf'
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf), '--name', 'bench']) == 0
+    arm = load_any_arm(tmp_path / 'new' / 'arm.yaml')
+    assert arm.name == 'bench' and len(arm.joint_names) == joints
+    scenario = load_any_scenario(tmp_path / 'new' / 'scenario.yaml', arm)
+    assert (
+        np.ptp(scenario.path(arm).sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
+    )
+    assert 'lpv demo --arm' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize('zero', [0.0, np.pi / 3, np.pi])

@@ -39,7 +39,7 @@ def test_given_an_arm_at_the_start_when_guided_then_it_follows_the_path_from_the
     paper_arm, path
 ):
     start = 1_000_000_000
-    rows = follow(PathFollower(paper_arm, path), path.sample(0.0).position + 0.01, start, 3.0)
+    rows = follow(PathFollower(path), path.sample(0.0).position + 0.01, start, 3.0)
     times = (start + STEP * np.arange(1500) - start) / 1e9
     for name, values in rows.items():
         expected = np.array([getattr(path.sample(t), name) for t in times])
@@ -52,7 +52,7 @@ def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_not_
 ):
     there = path.sample(0.0).position + np.array(offset)
     approach = 1.875 * np.abs(offset).max() / 0.5
-    rows = follow(PathFollower(paper_arm, path), there, 0, approach + 4.0)
+    rows = follow(PathFollower(path), there, 0, approach + 4.0)
     np.testing.assert_allclose(rows['position'][0], there, atol=1e-12)
     np.testing.assert_allclose(rows['velocity'][0], 0.0, atol=1e-12)
     assert_smooth(rows)
@@ -67,7 +67,7 @@ def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_not_
 @pytest.mark.parametrize('offset', [(0.06, 0.0), (-0.1, 0.2)])
 def test_given_an_arm_near_its_path_when_guided_then_it_takes_its_time(paper_arm, path, offset):
     start = path.sample(0.0).position
-    rows = follow(PathFollower(paper_arm, path), start + np.array(offset), 0, 3.0)
+    rows = follow(PathFollower(path), start + np.array(offset), 0, 3.0)
     assert_smooth(rows)
     # A quintic from rest to rest in T: at most 5.774 d / T^2.
     greatest = 5.774 * np.abs(offset).max()
@@ -78,7 +78,7 @@ def test_given_an_arm_near_its_path_when_guided_then_it_takes_its_time(paper_arm
 def test_given_a_stop_on_the_way_when_it_goes_on_then_from_where_it_stopped_and_from_rest(
     paper_arm, path
 ):
-    guide = PathFollower(paper_arm, path)
+    guide = PathFollower(path)
     before = follow(guide, path.sample(0.0).position, 0, 3.0)
     assert np.abs(before['velocity'][-1]).max() > 0.05
     guide.stop()
@@ -100,7 +100,7 @@ def test_given_a_stop_on_the_way_when_it_goes_on_then_from_where_it_stopped_and_
 def test_given_a_stop_in_an_approach_when_it_goes_on_then_it_approaches_the_same_point(
     paper_arm, path
 ):
-    guide = PathFollower(paper_arm, path)
+    guide = PathFollower(path)
     target = path.sample(0.0).position
     half = follow(guide, target + 0.6, 0, 1.0)['position'][-1]
     guide.stop()
@@ -111,7 +111,7 @@ def test_given_a_stop_in_an_approach_when_it_goes_on_then_it_approaches_the_same
 
 
 def test_given_a_reset_when_guided_again_then_the_path_starts_anew(paper_arm, path):
-    guide = PathFollower(paper_arm, path)
+    guide = PathFollower(path)
     follow(guide, path.sample(0.0).position, 0, 3.0)
     guide.reset()
     first = guide.reference(5 * 10**9, path.sample(0.0).position)
@@ -124,10 +124,10 @@ def test_given_any_zero_of_q1_when_approaching_then_the_tip_is_that_of_the_refer
 ):
     arm = replace(paper_arm, zero_angle=zero_angle)
     path = two_faults.path(arm)
-    rows = follow(PathFollower(arm, path), path.sample(0.0).position + 0.3, 0, 0.5)
+    rows = follow(PathFollower(path), path.sample(0.0).position + 0.3, 0, 0.5)
     absolute = rows['position'] + np.array([zero_angle + np.pi / 2, 0.0])
     np.testing.assert_allclose(rows['tip'], forward(absolute, arm.lengths), atol=1e-12)
-    on_path = PathFollower(arm, path).reference(0, path.sample(0.0).position)
+    on_path = PathFollower(path).reference(0, path.sample(0.0).position)
     np.testing.assert_allclose(
         forward(on_path.position + np.array([zero_angle + np.pi / 2, 0.0]), arm.lengths),
         on_path.tip,
@@ -139,7 +139,7 @@ def test_given_an_arm_that_stands_still_when_the_reference_moves_on_then_command
     paper_arm, path
 ):
     there = path.sample(0.0).position + 0.5
-    guide = PathFollower(paper_arm, path)
+    guide = PathFollower(path)
     first = guide.reference(0, there)
     assert not guide.arm_not_following(first)
     later = guide.reference(10**9, there)
@@ -156,7 +156,7 @@ def test_given_a_direct_start_beside_the_path_when_the_arm_has_not_moved_yet_the
     paper_arm, path
 ):
     beside = path.sample(0.0).position + 0.04
-    guide = PathFollower(paper_arm, path)
+    guide = PathFollower(path)
     assert not guide.arm_not_following(guide.reference(0, beside))
     assert not guide.arm_not_following(guide.reference(STEP, beside))
     assert guide.arm_not_following(guide.reference(3 * 10**9, beside))
@@ -166,7 +166,7 @@ def test_given_a_direct_start_beside_the_path_when_the_arm_has_not_moved_yet_the
 def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
     paper_arm, path, offset
 ):
-    guide, other = PathFollower(paper_arm, path), PathFollower(paper_arm, path)
+    guide, other = PathFollower(path), PathFollower(path)
     for begin, position in ((0, path.sample(0.0).position + offset), (10**10, (1.2, 1.3))):
         rows = follow(guide, position, begin, 4.0)
         other.reference(begin, position)
@@ -179,8 +179,8 @@ def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
 
 
 def test_given_an_arm_that_follows_slowly_when_watched_then_its_commands_are_heard(paper_arm, path):
-    guide = PathFollower(paper_arm, path)
+    guide = PathFollower(path)
     rows = follow(guide, path.sample(0.0).position, 0, 2.0)
-    guide = PathFollower(paper_arm, path)
+    guide = PathFollower(path)
     for k, late in enumerate(np.vstack([rows['position'][:1]] * 20 + [rows['position']])[:1000]):
         assert not guide.arm_not_following(guide.reference(k * STEP, late))

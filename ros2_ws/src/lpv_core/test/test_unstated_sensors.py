@@ -105,7 +105,8 @@ def test_given_a_reading_that_becomes_noisy_when_it_is_a_fault_then_it_is_one(re
 def test_given_a_warning_when_the_level_is_small_then_its_message_names_the_contradiction(
     paper_arm,
 ):
-    state = SimpleNamespace(mode=Mode.OBSERVING, trustworthy=True)
+    positions = {f'{name}_position': np.zeros(2) for name in ('compensated', 'measured')}
+    state = SimpleNamespace(mode=Mode.OBSERVING, trustworthy=True, **positions)
     fault = SimpleNamespace(
         estimate=[0.01, 0.2], threshold=[0.1, 0.1], bound=[0.1, 0.1], state=[SensorState.WARN] * 2
     )

@@ -15,6 +15,8 @@ from lpv_core.control.watchdog import (
     check_estimate,
     check_motion,
     drive_watchdog,
+    latency_limits,
+    mean_limit,
     note_stop,
     tracker_watchdog,
 )
@@ -22,6 +24,8 @@ from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.simulation.closed_loop import PARTS, Stall, Transport, run_closed_loop
 from lpv_core.support.errors import ConfigError
+from lpv_design.design_flow import design
+from lpv_design.requirement import load_requirement
 
 MS = 1_000_000
 STEP = 2 * MS
@@ -126,7 +130,29 @@ def test_given_the_shipped_arms_when_asked_then_drives_brake_before_the_loop_is_
     paper_arm, paper_gains, real_arm, real_gains
 ):
     for arm, gains in ((paper_arm, paper_gains), (real_arm, real_gains)):
-        assert DriveLimits().mean_latency < tolerated_latency(arm, gains) < 0.1
+        tolerated = tolerated_latency(arm, gains)
+        assert DriveLimits().latency.mean < tolerated < 0.1
+        assert latency_limits(tolerated).mean < tolerated
+
+
+@pytest.mark.parametrize('rate', [50, 200, 2000])
+def test_given_any_sample_rate_when_limits_follow_from_the_gains_then_they_are_below_the_tolerated(
+    paper_arm, rate
+):
+    arm = replace(paper_arm, sample_time=1.0 / rate)
+    gains = design(arm, load_requirement('paper')).gains
+    limits = latency_limits(tolerated_latency(arm, gains))
+    assert 0.5 / rate < limits.mean < tolerated_latency(arm, gains)
+    assert mean_limit(limits.single) == pytest.approx(limits.mean)
+
+
+def test_given_estimates_that_are_late_on_average_when_it_lasts_then_the_tracker_stops_for_a_while(
+    tracker,
+):
+    late = [check_estimate(tracker, k * STEP, 16 * MS, OBSERVING, True, STILL) for k in range(200)]
+    assert 0.05 < first(late, StopReason.LATENCY) * 0.002 < 0.2
+    back = [check_estimate(tracker, k * STEP, MS, OBSERVING, True, STILL) for k in range(200, 400)]
+    assert 0.2 <= first(back, StopReason.NONE) * 0.002 < 0.3
 
 
 def test_given_a_tolerated_latency_when_simulated_then_the_arm_follows_and_beyond_it_is_braked(

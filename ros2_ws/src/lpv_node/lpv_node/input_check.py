@@ -1,8 +1,8 @@
-"""Messages that a node refuses: values that are not finite, stamps that fit no stream."""
+"""Messages that a node refuses: wrong sizes, values that are not finite, foreign stamps."""
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sized
 
 from rclpy.node import Node
 
@@ -19,6 +19,16 @@ _CONFIRMATIONS = 3
 def all_finite(*fields: Iterable[float]) -> bool:
     """Whether all elements of some number fields are finite."""
     return all(math.isfinite(value) for field in fields for value in field)
+
+
+def all_within(largest: float, *fields: Iterable[float]) -> bool:
+    """Whether all elements of some number fields are at most so large; NaN is not."""
+    return all(abs(value) <= largest for field in fields for value in field)
+
+
+def all_sized(count: int, *fields: Sized) -> bool:
+    """Whether some fields have one element for each of the arm's joints."""
+    return all(len(field) == count for field in fields)
 
 
 class StampGuard:

@@ -197,6 +197,11 @@ def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
     return gains
 
 
+def read_gains_if_set(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains | None:
+    """As `read_gains`; None if no gains file was given."""
+    return None if 'observer.method' in unset else read_gains(node, arm, unset)
+
+
 def _gain(node: Node, name: str, unset: frozenset[str]) -> Any:
     if name in unset:
         raise ConfigError(

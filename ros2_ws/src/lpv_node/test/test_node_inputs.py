@@ -2,7 +2,9 @@
 
 import os
 import signal
+from array import array
 
+import numpy as np
 import pytest
 
 from lpv_node.signals import StopRequest, handled_signals
@@ -11,15 +13,16 @@ rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sour
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from rcl_interfaces.msg import Parameter as ParameterMessage  # noqa: E402
-from rcl_interfaces.msg import ParameterValue  # noqa: E402
+from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_core.support.resources import bringup_file  # noqa: E402
-from lpv_node.input_check import StampGuard, all_finite  # noqa: E402
+from lpv_node.input_check import StampGuard, all_finite, all_sized  # noqa: E402
 from lpv_node.parameter_service import CheckedParameterService  # noqa: E402
 from lpv_node.parameters import declare_gains, read_gains  # noqa: E402
+from lpv_node.sequences import doubles  # noqa: E402
 from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
 
 STEP = 2_000_000
@@ -83,6 +86,26 @@ def test_given_a_parameter_of_an_unknown_type_when_set_then_it_is_refused(make_n
         assert not result.successful and 'ValueError' in result.reason
 
 
+@pytest.mark.parametrize(
+    'name, kind, reason',
+    [
+        ('', ParameterType.PARAMETER_DOUBLE, 'needs a name'),
+        ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
+    ],
+)
+def test_given_a_parameter_without_a_name_or_value_when_set_then_it_is_refused(
+    make_node, name, kind, reason
+):
+    node = make_node()
+    node.declare_parameter('wait', 1.0)
+    hostile = ParameterMessage(name=name, value=ParameterValue(type=kind))
+    answer = CheckedParameterService(node)._set_parameters_callback(
+        SetParameters.Request(parameters=[hostile]), SetParameters.Response()
+    )
+    assert not answer.results[0].successful and reason in answer.results[0].reason
+    assert node.get_parameter('wait').value == 1.0
+
+
 @pytest.mark.parametrize('odd', [0, -1, FUTURE])
 def test_given_odd_stamps_in_a_stream_when_guarded_then_they_alone_are_refused(odd):
     guard = StampGuard()
@@ -122,3 +145,13 @@ def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order
         stop.defer()
         os.kill(os.getpid(), signal.SIGTERM)
         assert stop.is_set
+
+
+def test_given_fields_when_one_is_not_as_long_as_the_arm_has_joints_then_they_do_not_fit():
+    assert all_sized(2, [0.0, 1.0], np.zeros(2), array('d', [1.0, 2.0]))
+    assert not all_sized(2, [0.0, 1.0], [0.0, 1.0, 2.0]) and not all_sized(2, [])
+
+
+@pytest.mark.parametrize('values', [[1.5, -0.0], np.array([1.5, -0.0]), np.arange(6.0)[1::2]])
+def test_given_numbers_when_put_into_a_sequence_then_it_is_of_the_type_that_is_copied_whole(values):
+    assert doubles(values) == array('d', list(values)) and doubles(values).typecode == 'd'

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lpv_bag.run.streams import RunRecord
-from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.support.errors import LpvError
 from lpv_report.history.episodes import Episode, episodes
 from lpv_report.run.table import make_table
@@ -131,7 +131,7 @@ def _alarm(episode: Episode | None) -> dict[str, Any] | None:
 
 
 def compare_runs(
-    first: RunRecord, second: RunRecord, arm: ArmParameters, tolerances: Tolerances | None = None
+    first: RunRecord, second: RunRecord, arm: Arm, tolerances: Tolerances | None = None
 ) -> Comparison:
     """Compare the answers of two runs of one recording.
 
@@ -139,7 +139,7 @@ def compare_runs(
     ----------
     first, second : RunRecord
         The runs.
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         Their arm.
     tolerances : Tolerances, optional
         What still counts as the same.
@@ -191,9 +191,7 @@ def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:
     return result
 
 
-def _figures(
-    first: RunRecord, second: RunRecord, arm: ArmParameters, tolerance: float
-) -> list[Figure]:
+def _figures(first: RunRecord, second: RunRecord, arm: Arm, tolerance: float) -> list[Figure]:
     tables = [
         {(row.signal, row.meaning): row for row in make_table(record, arm)}
         for record in (first, second)

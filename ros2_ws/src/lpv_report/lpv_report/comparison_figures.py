@@ -9,22 +9,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lpv_bag.run.streams import RunRecord
-from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_report.history.episodes import episodes
 from lpv_report.style import INK, PALE, SENSOR, SETTINGS, thin
 
-_SIZE = (8.6, 5.2)
+_WIDTH, _HEIGHT = 8.6, 2.6
 
 
-def draw_comparison(
-    first: RunRecord, second: RunRecord, arm: ArmParameters
-) -> Iterator[tuple[str, Figure]]:
+def draw_comparison(first: RunRecord, second: RunRecord, arm: Arm) -> Iterator[tuple[str, Figure]]:
     """Fault estimates of both runs, and how far they are apart."""
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
     for name, draw in (('faults', _faults), ('differences', _differences)):
         with plt.rc_context(SETTINGS):
-            figure, axes = plt.subplots(2, sharex=True, figsize=_SIZE)
+            count = len(arm.sensor_names)
+            figure, axes = plt.subplots(
+                count, sharex=True, squeeze=False, figsize=(_WIDTH, _HEIGHT * count)
+            )
+            axes = axes[:, 0]
             for i, axis in enumerate(axes):
                 draw(axis, first, second, i)
                 axis.set_title(f'Sensor {i + 1}: {arm.sensor_names[i]}')

@@ -11,9 +11,11 @@ from matplotlib.axes import Axes
 matplotlib.use('Agg')
 
 # Okabe-Ito blue and vermilion: told apart by colour-blind readers, and in print by lightness.
-SENSOR = ('#0072b2', '#d55e00')
-"""Colour of sensor or joint 1 and 2, in every figure."""
-PALE = ('#9fcbe6', '#f3bc95')
+_SENSOR = ('#0072b2', '#d55e00', '#00795a', '#a5456f', '#7a5c2e', '#5b4ea8', '#4d4d4d', '#b8860b')
+SENSOR = _SENSOR * 4
+"""Colour of each sensor or joint, in every figure; from the ninth on, colours come again."""
+_PALE = ('#9fcbe6', '#f3bc95', '#96d3c0', '#e3b5c9', '#d3c1a3', '#c3bde3', '#c4c4c4', '#ecd79a')
+PALE = _PALE * 4
 """The same, for wide lines below the thin ones."""
 INK, SOFT, GRID, BAND = '#1b2733', '#5b6774', '#dde2e8', '#c3cad2'
 PAPER = '#ffffff'

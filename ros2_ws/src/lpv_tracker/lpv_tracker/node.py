@@ -8,31 +8,38 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
+from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController
 from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.path import Reference
 from lpv_core.control.path_follower import PathFollower
 from lpv_core.control.tracking import COMPENSATION, TrackingController, feedback_position
 from lpv_core.control.watchdog import (
     STOP_TEXT,
+    LatencyLimits,
     StopReason,
     TrackerLimits,
     check_estimate,
     check_motion,
+    latency_limits,
+    mean_limit,
     note_stop,
     tracker_watchdog,
 )
-from lpv_core.model.arm import load_arm
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, StampGuard, all_finite
+from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized, all_within
+from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import stream
+from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
+from lpv_tracker.upcoming import UpcomingReferences
 
-_LIMITS = TrackerLimits()
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
     Spec('scenario_file', '', 'scenario file (YAML); its path is tracked', read_only=True),
@@ -45,23 +52,33 @@ SPECS = (
     ),
     Spec(
         'estimate_timeout',
-        _LIMITS.silence,
-        'real time only: safe stop when no estimate came for this long [s]',
-        0.01,
+        0.0,
+        f'real time only: safe stop when no estimate came for this long [s]; {FROM_GAINS}',
+        0.0,
         60.0,
         read_only=True,
     ),
     Spec(
         'max_latency',
-        _LIMITS.latency,
-        'real time only: safe stop when an estimate answers a measurement that is older [s]',
-        0.001,
+        0.0,
+        'real time only: safe stop when an estimate answers a measurement that is older [s]; '
+        + FROM_GAINS,
+        0.0,
+        60.0,
+        read_only=True,
+    ),
+    Spec(
+        'max_mean_latency',
+        0.0,
+        'real time only: safe stop when measurements that estimates answer are older on average '
+        'over 0.1 s [s]; 0: in proportion to max_latency',
+        0.0,
         60.0,
         read_only=True,
     ),
     Spec(
         'max_tracking_error',
-        _LIMITS.tracking_error,
+        TrackerLimits.tracking_error,
         'safe stop, until ~/resume is called, when a joint is further from its reference '
         'for 0.05 s [rad]',
         0.01,
@@ -77,7 +94,19 @@ SPECS = (
         10.0,
         read_only=True,
     ),
+    Spec(
+        'bandwidth',
+        BANDWIDTH,
+        'serial arms only: distance from zero of the three poles of every joint [rad/s]; '
+        'the gains of a two-link arm are in its gains file',
+        0.1,
+        100.0,
+        read_only=True,
+    ),
 )
+_FARTHEST, _FASTEST = 100.0, 1e6
+"""Positions [rad] and rates [rad/s] that no arm has: sixteen turns; rates above the velocity limit
+are judged by the watchdog."""
 _OTHER_CLOCK = 10 * NANOSECONDS
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
 
@@ -104,17 +133,23 @@ class TrackerNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
-        self._arm = load_arm(required_text(self, 'arm_file'))
-        gains = read_gains(self, self._arm, self._unset_gains)
-        self._controller = TrackingController(self._arm, gains)
-        self._integrates_measurement = gains.controller.method == 'paper'
-        self._path = load_scenario(required_text(self, 'scenario_file')).path(self._arm)
+        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        self._make_controller()
+        scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
+        self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
-        self._follower = PathFollower(self._arm, self._path, speed)
-        self._tolerated = tolerated_latency(self._arm, gains)
+        period = round(self._arm.sample_time * NANOSECONDS)
+        self._follower = UpcomingReferences(PathFollower(self._path, speed), period)
+        certified = latency_limits(self._tolerated)
+        single = chosen_limit(self, 'max_latency', certified.single)
+        # The default of the mean follows a longer single latency, which was warned of.
+        own = self.get_parameter('max_mean_latency').value
+        mean = chosen_limit(self, 'max_mean_latency', certified.mean)
+        if not own and single > certified.single:
+            mean = mean_limit(single)
         self._limits = TrackerLimits(
-            silence=self.get_parameter('estimate_timeout').value,
-            latency=self.get_parameter('max_latency').value,
+            silence=chosen_limit(self, 'estimate_timeout', certified.single),
+            latency=LatencyLimits(single, mean),
             tracking_error=self.get_parameter('max_tracking_error').value,
         )
         self._compile()
@@ -132,9 +167,24 @@ class TrackerNode(ManagedNode):
         self._command, self._reference = TorqueCommand(), JointReference()
         self._command.header.frame_id = self._reference.header.frame_id = self._arm.name
 
+    def _make_controller(self) -> None:
+        """The law of the arm's kind: designed gains, or computed torque."""
+        self._controller: TrackingController | ComputedTorqueController
+        self._integrates_measurement = False
+        if isinstance(self._arm, ArmParameters):
+            gains = read_gains(self, self._arm, self._unset_gains)
+            self._controller = TrackingController(self._arm, gains)
+            self._integrates_measurement = gains.controller.method == 'paper'
+            self._tolerated = tolerated_latency(self._arm, gains)
+        else:
+            bandwidth = self.get_parameter('bandwidth').value
+            self._controller = ComputedTorqueController(self._arm, bandwidth)
+            self._tolerated = self._controller.tolerated_latency
+
     def _compile(self) -> None:
         """Compile before the first estimate, not on it."""
-        still, tilted = np.zeros(2), np.array([0.0, 0.1])
+        still = np.zeros(len(self._arm.joint_names))
+        tilted = still + 0.1
         self._controller.update(self._path.sample(0.0), tilted, still, tilted, 0.0)
         self._controller.reset()
         watchdog = tracker_watchdog(self._arm, self._limits)
@@ -202,14 +252,14 @@ class TrackerNode(ManagedNode):
 
     def _is_usable(self, message: StateEstimate, stamp: int) -> bool:
         """Whether an estimate can be one of the observer's; others are counted and ignored."""
-        if not all_finite(
-            message.position,
-            message.velocity,
-            message.compensated_position,
-            message.measured_position,
-            message.measured_velocity,
-        ):
+        positions = message.position, message.compensated_position, message.measured_position
+        rates = message.velocity, message.measured_velocity
+        if not all_sized(len(self._arm.joint_names), *positions, *rates):
+            self._refusals.add('estimate with another number of joints than the arm')
+        elif not all_finite(*positions, *rates):
             self._refusals.add('estimate with values that are not finite')
+        elif not (all_within(_FARTHEST, *positions) and all_within(_FASTEST, *rates)):
+            self._refusals.add('estimate with values that no arm has')
         elif stamp < 0:
             self._refusals.add('estimate with a negative stamp')
         elif not (self.lockstep or self._guard.accept(stamp)):
@@ -264,14 +314,16 @@ class TrackerNode(ManagedNode):
             reference, position, message.velocity, integrated, interval
         )
         set_stamp(self._command.header.stamp, stamp)
-        self._command.torque, self._command.safe_stop = command.torque, False
+        self._command.torque, self._command.safe_stop = doubles(command.torque), False
         self._command_out.publish(self._command)
 
     def _publish_reference(self, stamp: int, reference: Reference) -> None:
         message = self._reference
         set_stamp(message.header.stamp, stamp)
-        message.position, message.velocity = reference.position, reference.velocity
-        message.acceleration, message.tip_position = reference.acceleration, reference.tip
+        message.position = doubles(reference.position)
+        message.velocity = doubles(reference.velocity)
+        message.acceleration = doubles(reference.acceleration)
+        message.tip_position = doubles(reference.tip)
         self._reference_out.publish(message)
 
     def _check_silence(self) -> None:
@@ -293,7 +345,8 @@ class TrackerNode(ManagedNode):
             self._reason, self._stops = reason, self._stops + 1
             self.get_logger().error(f'safe stop: {self._stop_text()}')
         set_stamp(self._command.header.stamp, stamp)
-        self._command.torque, self._command.safe_stop = [0.0, 0.0], True
+        self._command.torque = doubles([0.0] * len(self._arm.joint_names))
+        self._command.safe_stop = True
         self._command_out.publish(self._command)
         self._report(stamp)
 

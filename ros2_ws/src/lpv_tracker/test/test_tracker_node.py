@@ -44,7 +44,10 @@ def node():
 
 
 def estimate(number, trustworthy=True):
-    message = StateEstimate(trustworthy=trustworthy, position=[0.1, 0.2])
+    names = ('position', 'velocity', 'compensated_position', 'measured_position')
+    message = StateEstimate(trustworthy=trustworthy, measured_velocity=[0.0, 0.0])
+    for name in names:
+        setattr(message, name, [0.0, 0.0] if name == 'velocity' else [0.1, 0.2])
     message.header.stamp.sec, message.header.stamp.nanosec = 1, number * 2_000_000
     return message
 
@@ -66,3 +69,12 @@ def test_given_the_same_estimate_again_when_in_lockstep_then_the_answer_is_repea
     node._on_estimate(estimate(1))
     node._on_estimate(estimate(1))
     assert node.sent.safe_stops == [False, False]
+
+
+@pytest.mark.parametrize('field', ['position', 'velocity', 'measured_velocity'])
+def test_given_an_estimate_of_three_joints_when_it_comes_then_it_is_refused(node, field):
+    message = estimate(1)
+    setattr(message, field, [0.0] * 3)
+    node._on_estimate(message)
+    assert node.sent.safe_stops == []
+    assert list(node._refusals.counts) == ['estimate with another number of joints than the arm']

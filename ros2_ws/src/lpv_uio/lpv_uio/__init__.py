@@ -1,1 +1,1 @@
-"""Unknown-input observer and sensor-fault diagnosis of a two-link arm."""
+"""Unknown-input observer and sensor-fault diagnosis of a robot arm."""

@@ -2,13 +2,16 @@
 
 from typing import Any, TypeVar
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
 
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
+from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp
 
 Fields = dict[str, Any]
-M = TypeVar('M', StateEstimate, FaultEstimate, FaultAlarm)
+M = TypeVar('M', StateEstimate, FaultEstimate, FaultAlarm, JointState)
 
 
 class OutputMessages:
@@ -23,6 +26,7 @@ class OutputMessages:
     def __init__(self, frame_id: str) -> None:
         self._frame_id = frame_id
         self._state, self._fault = self._headed(StateEstimate()), self._headed(FaultEstimate())
+        self._corrected = self._headed(JointState())
 
     def _headed(self, message: M) -> M:
         message.header.frame_id = self._frame_id
@@ -35,6 +39,10 @@ class OutputMessages:
     def fault(self, stamp: int, fields: Fields) -> FaultEstimate:
         """lpv_msgs/FaultEstimate with a stamp [ns] and fields."""
         return _fill(self._fault, stamp, fields)
+
+    def corrected(self, stamp: int, fields: Fields) -> JointState:
+        """sensor_msgs/JointState with a stamp [ns] and fields."""
+        return _fill(self._corrected, stamp, fields)
 
     def alarm(self, stamp: int, fields: Fields) -> FaultAlarm:
         """A new lpv_msgs/FaultAlarm with a stamp [ns] and fields."""
@@ -67,5 +75,5 @@ class OutputMessages:
 def _fill(message: M, stamp: int, fields: Fields) -> M:
     set_stamp(message.header.stamp, stamp)
     for name, value in fields.items():
-        setattr(message, name, value)
+        setattr(message, name, doubles(value) if isinstance(value, np.ndarray) else value)
     return message

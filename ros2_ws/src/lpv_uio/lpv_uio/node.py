@@ -16,13 +16,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv_core.decision.diagnosis import Alarm, AlarmEvent, DiagnosisParameters
-from lpv_core.model.arm import load_arm
-from lpv_core.monitoring.monitor import Answer, SensorMonitor, describe
+from lpv_core.monitoring.alarm_text import describe
+from lpv_core.monitoring.answers import Answer
+from lpv_core.monitoring.factory import Monitor, make_monitor, refuse_gains
 from lpv_core.observer.sampled_observer import Mode
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, all_finite
+from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
 from lpv_node.qos import latched, stream
@@ -158,8 +161,8 @@ class UioNode(ManagedNode):
     """Unknown-input observer and diagnosis.
 
     Topics: subscribes ``joint_states`` (and ``torque_command`` if torques come from there);
-    publishes ``state_estimate``, ``fault_estimate``, ``fault_alarm`` (latched) and
-    ``/diagnostics``.  Service: ``~/reset``.
+    publishes ``state_estimate``, ``fault_estimate``, ``joint_states_corrected``, ``fault_alarm``
+    (latched) and ``/diagnostics``.  Service: ``~/reset``.
     """
 
     def __init__(self) -> None:
@@ -171,15 +174,8 @@ class UioNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and gains, create publishers."""
-        self._arm = load_arm(required_text(self, 'arm_file'))
-        self._monitor = SensorMonitor(
-            self.get_fully_qualified_name(),
-            self._arm,
-            read_gains(self, self._arm, self._unset_gains),
-            self._diagnosis_parameters({}),
-            self.get_parameter('max_gap').value,
-            self.get_parameter('initial_samples').value,
-        )
+        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        self._monitor = self._make_monitor()
         note = threading.Timer(1.0, self.get_logger().info, [_COMPILING])
         note.start()
         try:
@@ -188,7 +184,7 @@ class UioNode(ManagedNode):
             note.cancel()
         self._messages = OutputMessages(self._arm.name)
         self._from_command = self.get_parameter('torque_source').value == 'command'
-        self._torque = [math.nan, math.nan]
+        self._torque = [math.nan] * len(self._arm.joint_names)
         self._received: int | None = None  # time of the last measurement that fits the arm [ns]
         self._answer: Answer | None = None
         self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
@@ -198,13 +194,35 @@ class UioNode(ManagedNode):
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
         self._fault_out = self.create_publisher(FaultEstimate, 'fault_estimate', qos)
+        self._corrected_out = self.create_publisher(JointState, 'joint_states_corrected', qos)
         self._alarm_out = self.create_publisher(FaultAlarm, 'fault_alarm', latched())
         self._diagnostics_out = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_service(Trigger, '~/reset', self._on_reset)
 
+    def _make_monitor(self) -> Monitor:
+        """Observer and diagnosis of the arm; a serial arm needs no gains."""
+        gains = None
+        if isinstance(self._arm, SerialArm):
+            refuse_gains(self._arm, 'arm_name' not in self._unset_gains)
+        else:
+            gains = read_gains(self, self._arm, self._unset_gains)
+        return make_monitor(
+            self.get_fully_qualified_name(),
+            self._arm,
+            gains,
+            self._diagnosis_parameters({}),
+            max_gap=self.get_parameter('max_gap').value,
+            initial_samples=self.get_parameter('initial_samples').value,
+        )
+
     def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before measurements are taken."""
-        return {self._state_out: 1, self._fault_out: 0, self._diagnostics_out: 0}
+        return {
+            self._state_out: 1,
+            self._fault_out: 0,
+            self._corrected_out: 0,
+            self._diagnostics_out: 0,
+        }
 
     def begin(self) -> None:
         """Subscribe."""
@@ -230,7 +248,9 @@ class UioNode(ManagedNode):
             self._watch = None
 
     def _on_command(self, message: TorqueCommand) -> None:
-        if not all_finite(message.torque):
+        if not all_sized(len(self._arm.joint_names), message.torque):
+            self._refusals.add('command with another number of joints than the arm')
+        elif not all_finite(message.torque):
             self._refusals.add('command with values that are not finite')
         elif to_nanoseconds(message.header.stamp) not in self._recent:
             self._refusals.add('command whose stamp answers no measurement')
@@ -280,6 +300,8 @@ class UioNode(ManagedNode):
         self._state_out.publish(self._messages.state(answer.stamp, answer.state))
         if answer.fault is not None:
             self._fault_out.publish(self._messages.fault(answer.stamp, answer.fault))
+        if answer.corrected is not None:
+            self._corrected_out.publish(self._messages.corrected(answer.stamp, answer.corrected))
 
     def _log(self, event: Alarm) -> None:
         if event.event == AlarmEvent.RAISED:

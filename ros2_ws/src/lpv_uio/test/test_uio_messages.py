@@ -1,5 +1,8 @@
 """Messages of the observer's topics, from plain fields."""
 
+from array import array
+
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
@@ -41,3 +44,14 @@ def test_given_a_status_when_put_into_diagnostics_then_level_and_values_are_thos
     assert array.header.stamp.sec == 3
     assert array.status[0].level == b'\x02'
     assert [(v.key, v.value) for v in array.status[0].values] == [('k', 'v')]
+
+
+@pytest.mark.parametrize('joints', [1, 2, 7])
+def test_given_estimates_of_any_number_of_joints_when_put_into_messages_then_all_are_in_them(
+    joints,
+):
+    messages = OutputMessages('some_arm')
+    fields = {'estimate': np.arange(float(joints)), 'state': [0] * joints}
+    message = messages.fault(STAMP, {**fields, 'alarm': [True] * joints})
+    assert message.estimate == array('d', range(joints))
+    assert list(message.state) == [0] * joints and message.alarm == [True] * joints

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from lpv_core.control.path import CartesianPath
-from lpv_core.export.urdf import frame_angles
-from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_view.alarm_list import AlarmList, seconds
+from lpv_view.skeleton import Skeleton
 
 Numbers = list[float | None]
 MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
@@ -23,15 +23,16 @@ WINDOW = 30.0
 QUIET = 1.0
 """A source that was silent for this long is no longer shown as live [s]."""
 _LAST_STAMP = 2**31 * NANOSECONDS - 1
-_MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 16, 300
-_SOURCES = (
-    'joint_states',
-    'state_estimate',
-    'fault_estimate',
-    'torque_command',
-    'ground_truth',
-    'reference',
-)
+_MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 14, 300
+_ARRAYS = {
+    'joint_states': (),
+    'state_estimate': ('position',),
+    'fault_estimate': ('sensor_names', 'estimate', 'bound', 'threshold', 'state', 'alarm'),
+    'torque_command': ('torque',),
+    'ground_truth': ('position', 'fault'),
+    'reference': (),
+}
+"""Fields that are shown and have one element for each joint, by source."""
 
 
 class LiveModel:
@@ -42,7 +43,7 @@ class LiveModel:
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         The arm that is shown.
     path : CartesianPath, optional
         Path of the scenario, with its obstacle.
@@ -53,11 +54,14 @@ class LiveModel:
         Alarms as one row each.
     services : dict
         Whether each of ``inject``, ``clear`` and ``reset`` is there to be called.
+    misfits : int
+        Messages that were left out: of another number of joints than the arm.
     """
 
-    def __init__(self, arm: ArmParameters, path: CartesianPath | None = None) -> None:
+    def __init__(self, arm: Arm, path: CartesianPath | None = None) -> None:
         self._arm, self._path = arm, path
-        self._order = JointOrder(arm.joint_names)
+        self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
+        self.misfits, self._skeleton = 0, Skeleton(arm)
         self.alarms = AlarmList()
         self.services = {'inject': False, 'clear': False, 'reset': False}
         self._latest: dict[str, Any] = {}
@@ -82,17 +86,26 @@ class LiveModel:
             self.alarms.add(message)
         elif source == 'diagnostics':
             self._take_statuses(message)
-        elif source in _SOURCES:
+        elif not self._fits(source, message):
+            self.misfits += 1
+        else:
             self._latest[source], self._received[source] = message, now
             if source == 'fault_estimate':
                 self.alarms.follow(message)
-        else:
-            raise KeyError(source)
+
+    def _fits(self, source: str, message: Any) -> bool:
+        """Whether a message is for as many joints as the arm has."""
+        if source == 'reference' and len(message.tip_position) not in (2, 3):
+            return False
+        return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
     def _take_statuses(self, message: Any) -> None:
         for status in message.status:
             level = _index(status.level)
-            if status.name not in self._statuses and len(self._statuses) >= _MOST_STATUSES:
+            if (
+                status.name not in self._statuses
+                and len(self._statuses) >= _MOST_STATUSES + self._joints
+            ):
                 continue
             self._statuses[status.name[:_MOST_TEXT]] = {
                 'name': status.name[:_MOST_TEXT],
@@ -106,7 +119,7 @@ class LiveModel:
         return {
             'type': 'hello',
             'arm': arm.name,
-            'lengths': list(arm.lengths),
+            'reach': round(self._skeleton.reach, 4),
             'joints': list(arm.joint_names),
             'sensors': list(arm.sensor_names),
             'torque_limit': [v if v < 1e8 else None for v in arm.torque_limit],
@@ -135,8 +148,8 @@ class LiveModel:
         Values are None where they are not known or not finite.
         """
         state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
-        angles = {
-            name: None if q is None else _numbers(frame_angles(self._arm, q), 5)
+        corners = {
+            name: None if q is None else [_numbers(c, 4) for c in self._skeleton.corners(q)]
             for name, q in self.arms(now).items()
         }
         result: dict[str, Any] = {
@@ -145,7 +158,7 @@ class LiveModel:
             'services': dict(self.services),
             'age': self._age(now),
             'sample': self._sample(now),
-            'arms': angles,
+            'arms': corners,
             'diagnostics': list(self._statuses.values()),
         }
         result['mode'] = _name(MODES, state.mode) if state is not None else None
@@ -153,7 +166,9 @@ class LiveModel:
         result['safe_stop'] = bool(command.safe_stop) if command is not None else None
         fault = self._latest.get('fault_estimate')
         result['states'] = (
-            [_name(STATES, int(s)) for s in fault.state] if fault is not None else [None, None]
+            [_name(STATES, int(s)) for s in fault.state]
+            if fault is not None
+            else [None] * self._joints
         )
         return result
 
@@ -187,7 +202,7 @@ class LiveModel:
 
     def _live(self, now: float) -> dict[str, bool]:
         return {
-            name: name in self._received and now - self._received[name] < QUIET for name in _SOURCES
+            name: name in self._received and now - self._received[name] < QUIET for name in _ARRAYS
         }
 
     def _age(self, now: float) -> float | None:
@@ -211,7 +226,6 @@ class LiveModel:
         """One point of the charts; enters the history when time has gone on."""
         live = self._live(now)
         stamp = self.stamp()
-        none = [None, None]
         fields = (
             ('estimate', 'fault_estimate', 'estimate'),
             ('bound', 'fault_estimate', 'bound'),
@@ -222,7 +236,10 @@ class LiveModel:
         )
         sample: dict[str, Any] = {'t': seconds(stamp) if stamp is not None else None}
         sample.update(
-            {name: self._field(source, field, live) or none for name, source, field in fields}
+            {
+                name: self._field(source, field, live) or [None] * self._joints
+                for name, source, field in fields
+            }
         )
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:

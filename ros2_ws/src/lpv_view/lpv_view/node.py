@@ -17,10 +17,12 @@ from visualization_msgs.msg import MarkerArray
 
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
 from lpv_core.export.urdf import arm_urdf
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
 from lpv_view.access import Access
@@ -30,6 +32,7 @@ from lpv_view.model import LiveModel
 from lpv_view.requests import Requests
 from lpv_view.scene import MARKERS, TRANSFORMS, Scene
 from lpv_view.server import ViewServer
+from lpv_view.skeleton import urdf_text
 from lpv_view.topics import TOPICS, Inbox, Topic
 
 SPECS = (
@@ -108,23 +111,30 @@ class ViewNode(ManagedNode):
 
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
-        arm = load_arm(required_text(self, 'arm_file'))
+        arm = load_any_arm(required_text(self, 'arm_file'))
         scenario = self.get_parameter('scenario_file').value
-        path = load_scenario(scenario).path(arm) if scenario else None
+        path = None
+        if scenario and not isinstance(arm, SerialArm):
+            path = load_scenario(scenario).path(arm)
         self._model = LiveModel(arm, path)
         typestore = make_typestore()
         add_type(typestore, MARKERS)
         self._scene = Scene(arm, typestore, path)
         self._ticks, self._alarms_due = 0, 0.0
         self._stamp: int | None = None
-        self._requests = Requests(self)
+        self._requests, self._refusals = Requests(self), Refusals(self)
         self._create_publishers()
         self._open(arm, self._requests)
         self._describe(arm)
         bridge = self._foxglove
         period = 1.0 / self.get_parameter('foxglove_rate').value
         self._inboxes = [
-            Inbox(topic, self._forwarder(bridge, topic) if bridge else None, period)
+            Inbox(
+                topic,
+                self._forwarder(bridge, topic) if bridge else None,
+                period,
+                self._refusals.add,
+            )
             for topic in TOPICS
         ]
         self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
@@ -147,7 +157,7 @@ class ViewNode(ManagedNode):
         else:
             self._outputs['/tf'] = (self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS)
 
-    def _open(self, arm: ArmParameters, requests: Requests) -> None:
+    def _open(self, arm: Arm, requests: Requests) -> None:
         """Open the ports; says once where they are."""
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
         address = value['address']
@@ -206,8 +216,11 @@ class ViewNode(ManagedNode):
 
         return forward
 
-    def _describe(self, arm: ArmParameters) -> None:
+    def _describe(self, arm: Arm) -> None:
         descriptions = []
+        if isinstance(arm, SerialArm):
+            self._describe_serial(arm)
+            return
         for colours in ((), (_GREEN,)):
             try:
                 descriptions.append(arm_urdf(arm, True, *colours))
@@ -215,6 +228,17 @@ class ViewNode(ManagedNode):
                 self.get_logger().warning(f'robot description without inertias: {error}')
                 descriptions.append(arm_urdf(arm, False, *colours))
         self._described = [self._scene.text(text) for text in descriptions]
+        self._describe_again()
+
+    def _describe_serial(self, arm: SerialArm) -> None:
+        """The URDF of the arm file, for both descriptions; none where there is no such file."""
+        try:
+            text = urdf_text(arm, self.get_parameter('arm_file').value)
+        except ConfigError as error:
+            self.get_logger().info(f'no robot description is published: {error}')
+            self._described = []
+            return
+        self._described = [self._scene.text(text)] * len(_DESCRIPTIONS)
         self._describe_again()
 
     def _describe_again(self) -> None:
@@ -269,6 +293,11 @@ class ViewNode(ManagedNode):
         if every_second:
             self._model.services = self._requests.available()
         frame = self._model.frame(now)
+        if self._refusals.is_recent:
+            count = sum(self._refusals.counts.values())
+            frame['diagnostics'].append(
+                {'name': self.get_name(), 'level': 'WARN', 'message': f'{count} messages refused'}
+            )
         # In a storm of alarms, no client is to drown in lists.
         if self._model.alarms.changed and now >= self._alarms_due:
             self._model.alarms.changed, self._alarms_due = False, now + _ALARM_INTERVAL

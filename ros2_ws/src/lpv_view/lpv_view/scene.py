@@ -7,9 +7,11 @@ import numpy as np
 from rosbags.typesys.store import Typestore
 
 from lpv_core.control.path import CartesianPath
-from lpv_core.export.urdf import BASE, points, transforms
+from lpv_core.export.urdf import BASE, transforms
 from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_view.skeleton import Skeleton
 
 Colour = tuple[float, float, float, float]
 """Red, green, blue, alpha."""
@@ -30,7 +32,7 @@ class Scene:
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         The arm.
     typestore : rosbags.typesys.store.Typestore
         As of `lpv_bag.rosbag.interfaces.make_typestore`.
@@ -38,12 +40,11 @@ class Scene:
         Path of the scenario, with its obstacle.
     """
 
-    def __init__(
-        self, arm: ArmParameters, typestore: Typestore, path: CartesianPath | None = None
-    ) -> None:
+    def __init__(self, arm: Arm, typestore: Typestore, path: CartesianPath | None = None) -> None:
         self._arm, self._store, self._types = arm, typestore, typestore.types
         self._path = path
-        self._width = 0.05 * sum(arm.lengths) / 2
+        self._skeleton = Skeleton(arm)
+        self._width = 0.025 * self._skeleton.reach
 
     def markers(self, arms: dict[str, Any], stamp: int, with_path: bool = False) -> bytes:
         """The arms as lines with dots on the joints.
@@ -68,9 +69,10 @@ class Scene:
             if q is None:
                 continue
             # Side by side, or they would hide each other where they agree.
-            corners = np.zeros((3, 3))
-            corners[1:, [0, 2]] = points(self._arm, q)
-            corners[:, 1] = 0.3 * self._width * (1 - depth)
+            found_corners = self._skeleton.corners(q)
+            corners = np.zeros((len(found_corners), 3))
+            corners[:, [0, 2] if found_corners.shape[1] == 2 else [0, 1, 2]] = found_corners
+            corners[:, 1] += 0.3 * self._width * (1 - depth)
             found.append(self._marker((name, 0), _LINE_STRIP, colour, self._width, stamp, corners))
             found.append(
                 self._marker((name, 1), _SPHERE_LIST, colour, 1.6 * self._width, stamp, corners)
@@ -109,12 +111,13 @@ class Scene:
     def tree(self, arms: dict[str, Any], stamp: int) -> bytes:
         """Transforms of the true and the estimated arm, with the frame prefixes of their names.
 
-        The bytes are a tf2_msgs/TFMessage in CDR.
+        The bytes are a tf2_msgs/TFMessage in CDR; without transforms for a serial arm, whose links
+        only a robot state publisher with its URDF knows.
         """
-        found = []
+        found: list[Any] = []
         for name in ('true', 'estimated'):
             q = arms.get(name)
-            if q is None:
+            if q is None or not isinstance(self._arm, ArmParameters):
                 continue
             found.append(
                 self._transform(stamp, BASE, f'{name}/{BASE}', (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))

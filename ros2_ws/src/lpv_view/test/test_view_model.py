@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from serial_bags import crane
 
 pytest.importorskip('lpv_view', reason='the workspace is not built')
 
@@ -60,6 +61,16 @@ def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_kno
     assert model.hello()['history'] == []
 
 
+def test_given_messages_of_other_arms_when_they_come_then_they_are_left_out(paper_arm):
+    model = LiveModel(paper_arm)
+    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
+    model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
+    model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
+    frame = model.frame(0.1)
+    assert model.misfits == 3
+    assert frame['sample']['estimate'] == frame['states'] == [None, None]
+
+
 def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them(paper_arm):
     model = LiveModel(paper_arm)
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
@@ -86,8 +97,25 @@ def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_
         ),
         0.0,
     )
-    # The paper's q1 counts from the x axis, and so do the angles of a frame.
-    assert model.frame(0.0)['arms']['measured'] == pytest.approx([1.0, 1.5])
+    # The paper's q1 counts from the x axis.
+    elbow = np.array([np.cos(1.0), np.sin(1.0)])
+    tip = elbow + [np.cos(1.5), np.sin(1.5)]
+    corners = np.array(model.frame(0.0)['arms']['measured'])
+    np.testing.assert_allclose(corners, [[0.0, 0.0], elbow, tip], atol=1e-4)
+
+
+def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place():
+    model = LiveModel(crane())
+    names = ['encoder1', 'encoder2', 'encoder3']
+    faults = fault_estimate(1.0, (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4))
+    faults.sensor_names, faults.bound, faults.threshold = names, np.ones(3), np.ones(3)
+    model.take('fault_estimate', faults, 0.0)
+    model.take('state_estimate', state_estimate(1.0, (0.0, np.pi / 2, 0.0)), 0.0)
+    frame, hello = model.frame(0.1), json.loads(json.dumps(model.hello(), allow_nan=False))
+    assert frame['states'] == ['OK', 'WARN', 'NOT_DIAGNOSABLE']
+    assert frame['sample']['estimate'] == [0.0, 0.1, 0.2]
+    assert hello['sensors'] == names and hello['reach'] == pytest.approx(1.0)
+    np.testing.assert_allclose(frame['arms']['estimated'][-1], [0.0, 0.0, 1.0], atol=1e-4)
 
 
 def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown(paper_arm):

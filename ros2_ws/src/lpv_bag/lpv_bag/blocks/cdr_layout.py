@@ -32,6 +32,9 @@ _SIZES = {
 }
 _HEADER = 4  # the representation identifier; alignment counts from behind it
 _LITTLE_ENDIAN = b'\x00\x01'
+_MOST_PADDING = 7
+"""Bytes behind a message: up to three, and four where an empty sequence of doubles is the last
+field."""
 _LARGEST = 4096
 """Messages with more bytes are read one by one: copying them is what takes the time."""
 
@@ -69,7 +72,7 @@ class Layout:
             raise _NoLayout
         self._position = _HEADER
         self._message('', msgtype)
-        if len(data) - self._position > 3:  # padding of a sample to four bytes
+        if len(data) - self._position > _MOST_PADDING:
             raise _NoLayout
         self._words = self._constant_words()
         del self._data, self._typestore, self._position

@@ -42,6 +42,7 @@ SPECS = (
             'torque_command',
             'state_estimate',
             'fault_estimate',
+            'joint_states_corrected',
             'fault_alarm',
             'reference',
             'ground_truth',

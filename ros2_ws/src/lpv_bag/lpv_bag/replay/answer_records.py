@@ -1,6 +1,5 @@
 """Answers as records of messages, thousands at once, byte for byte as one by one."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,10 @@ from lpv_bag.blocks.cdr_layout import Layout
 from lpv_bag.blocks.chunk_writing import OFFSETS, RECORD, record_head
 from lpv_bag.blocks.mcap_blocks import RECORD_HEADER
 from lpv_bag.rosbag.messages import BagMessages
-from lpv_core.monitoring.monitor import ANSWER, Answers
+from lpv_bag.run.measurements import MEASUREMENT_TYPE
+from lpv_core.monitoring.answers import Answers
+from lpv_core.monitoring.factory import Monitor
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.timestamps import NANOSECONDS
 
 STATE_TYPE, FAULT_TYPE = 'lpv_msgs/msg/StateEstimate', 'lpv_msgs/msg/FaultEstimate'
@@ -36,6 +38,8 @@ class RecordTemplate:
         self._record = record_head(channel, 0, len(data)) + data
         fields = {name: (RECORD[name], OFFSETS[name]) for name in OFFSETS}
         for name, field in layout.fields.items():
+            if not field.count:
+                continue
             # Vectors as one piece: one copy in place of one for every element.
             size = np.dtype(field.dtype).itemsize * field.count
             fields[name] = (np.dtype(f'V{size}'), RECORD_HEADER + field.offset)
@@ -104,6 +108,14 @@ def _piece(array: np.ndarray, offset: int, size: int) -> np.ndarray:
     )
 
 
+def is_corrected(answers: Answers) -> np.ndarray:
+    """Rows with corrected joint states, as `lpv_core.monitoring.message_fields.corrected_fields`.
+
+    The result has shape (n,).
+    """
+    return answers.answered & (answers.state.mode < Mode.STALE)
+
+
 class AnswerEncoder:
     """Encodes the answers of one monitor."""
 
@@ -111,15 +123,23 @@ class AnswerEncoder:
         self,
         messages: BagMessages,
         typestore: Typestore,
-        sensor_names: Sequence[str],
+        monitor: Monitor,
         channels: dict[str, int],
     ) -> None:
         self._messages, self._typestore, self.channels = messages, typestore, channels
+        self._answer_type, arm = monitor.answer_type, monitor.arm
         self._state = self._template(STATE_TYPE, 'state', {})
-        self._fault = self._template(FAULT_TYPE, 'fault', {'sensor_names': list(sensor_names)})
+        self._fault = self._template(FAULT_TYPE, 'fault', {'sensor_names': list(arm.sensor_names)})
+        zero = [0.0] * len(arm.joint_names)
+        self._corrected = RecordTemplate(
+            typestore,
+            messages.joint_state(0, arm.joint_names, zero, zero, []),
+            MEASUREMENT_TYPE,
+            channels['corrected'],
+        )
 
     def _template(self, msgtype: str, kind: str, fields: dict[str, Any]) -> RecordTemplate:
-        zero = np.zeros(1, ANSWER[kind])[0]
+        zero = np.zeros(1, self._answer_type[kind])[0]
         fields = {**fields, **{name: zero[name].tolist() for name in zero.dtype.names}}
         return RecordTemplate(
             self._typestore, self._messages.make(msgtype, 0, fields), msgtype, self.channels[kind]
@@ -136,6 +156,17 @@ class AnswerEncoder:
     ) -> np.ndarray:
         """Records of lpv_msgs/FaultEstimate for some rows of the answers."""
         return self._fault.fill(time[chosen], stamp[chosen], answers.fault[chosen])
+
+    def corrected(
+        self, time: np.ndarray, stamp: np.ndarray, answers: Answers, chosen: slice | np.ndarray
+    ) -> np.ndarray:
+        """Records of sensor_msgs/JointState with confirmed faults removed, for some rows."""
+        state = answers.state
+        values = {
+            'position': state.compensated_position[chosen],
+            'velocity': state.velocity[chosen],
+        }
+        return self._corrected.fill(time[chosen], stamp[chosen], values)
 
     def alarm(self, stamp: int, fields: dict[str, Any]) -> bytes:
         """CDR of an lpv_msgs/FaultAlarm."""

@@ -6,17 +6,15 @@ from typing import Any
 import numpy as np
 
 from lpv_bag.run.measurements import Measurements
-from lpv_core.monitoring.monitor import ANSWER, Answer, Answers, SensorMonitor
+from lpv_core.monitoring.answers import Answer, Answers
+from lpv_core.monitoring.factory import Monitor
 from lpv_core.support.errors import SampleError
 
 _ARRAYS = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault')
 
 
 def take_all(
-    monitor: SensorMonitor,
-    measured: Measurements,
-    torque: np.ndarray | None,
-    rejected: Counter[str],
+    monitor: Monitor, measured: Measurements, torque: np.ndarray | None, rejected: Counter[str]
 ) -> Answers:
     """Answers to the measurements of a block."""
     effort = measured.effort if torque is None else torque
@@ -47,22 +45,19 @@ def take_all(
 
 
 def _take_one(
-    monitor: SensorMonitor,
-    stamp: int,
-    message: Any,
-    torque: np.ndarray | None,
-    rejected: Counter[str],
+    monitor: Monitor, stamp: int, message: Any, torque: np.ndarray | None, rejected: Counter[str]
 ) -> Answers:
     try:
-        return _as_row(monitor.take(stamp, message, None if torque is None else list(torque)))
+        answer = monitor.take(stamp, message, None if torque is None else list(torque))
     except SampleError as error:
         rejected[str(error)] += 1
-        return _as_row(None)
+        answer = None
+    return _as_row(answer, monitor.answer_type)
 
 
-def _as_row(answer: Answer | None) -> Answers:
+def _as_row(answer: Answer | None, kind: np.dtype) -> Answers:
     """One answer, or None, as arrays of one row."""
-    row = np.zeros(1, ANSWER).view(np.recarray)
+    row = np.zeros(1, kind).view(np.recarray)
     arrays: dict[str, Any] = {name: row[name] for name in _ARRAYS}
     result = Answers(**arrays, events=[], reports=[])
     if answer is None:

@@ -8,7 +8,8 @@ from lpv_bag.blocks.cdr_layout import rows
 from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.run.measurements import Measurements
 from lpv_core.model.joints import JointMap
-from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.factory import Monitor
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.faults import FaultInjector, derived_rate_error, rate_bias
 
 CHANGED = ('position', 'velocity')
@@ -17,12 +18,30 @@ _RECENT = 10
 """A sample within so many sample times is the one before, if some were lost."""
 
 
+class _JointReadings:
+    """Readings of sensors that measure the joints themselves, in place of a `JointMap`."""
+
+    @staticmethod
+    def sensor_position(values: np.ndarray) -> np.ndarray:
+        """The same."""
+        return np.array(values, float)
+
+    joint_from_sensor = sensor_velocity = joint_velocity_from_sensor = sensor_position
+
+
 class BlockInjector:
     """Adds faults to the measurements of block after block."""
 
-    def __init__(self, injector: FaultInjector, monitor: SensorMonitor) -> None:
-        self._injector = injector
-        self._arm, self._joints = monitor.arm, JointMap(monitor.arm)
+    def __init__(self, injector: FaultInjector, monitor: Monitor) -> None:
+        self._injector, self._arm = injector, monitor.arm
+        self._joints: JointMap | _JointReadings
+        if isinstance(self._arm, SerialArm):
+            self._joints = _JointReadings()
+            rates = [joint.sensors.rates for joint in self._arm.joints]
+        else:
+            self._joints = JointMap(self._arm)
+            rates = [self._arm.rates] * 2
+        self._derived = np.array([rate == 'derived' for rate in rates])
         self._start: int | None = None
         self._active = False
         self._last: tuple[float, np.ndarray] | None = None
@@ -49,7 +68,7 @@ class BlockInjector:
         after = active | np.concatenate([[self._active], active[:-1]])
         self._active = bool(active[-1])
         # A rate that is a difference of positions shows the end of a fault, too.
-        written = after if self._arm.rates == 'derived' else active
+        written = after if self._derived.any() else active
         changed = {}
         for row in map(int, np.flatnonzero(after)):
             if row in measured.odd:
@@ -67,10 +86,10 @@ class BlockInjector:
     def _write(
         block: Block, measured: Measurements, places: dict[str, np.ndarray], active: np.ndarray
     ) -> None:
-        regular = np.flatnonzero(active & (places['position'][:, 0] >= 0))
-        if len(regular):
+        if active.any():
             block.data = block.data.copy()
             for name in CHANGED:
+                regular = np.flatnonzero(active & (places[name][:, 0] >= 0))
                 rows(block.data, '<f8')[places[name][regular]] = getattr(measured, name)[regular]
 
     def _faulty(
@@ -79,9 +98,10 @@ class BlockInjector:
         """Position and rate with the faults added."""
         reading = self._joints.sensor_position(position)
         faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
-        bias = np.array([rate_bias(self._injector.records, i, float(time)) for i in range(2)])
-        if self._arm.rates == 'derived':
-            bias += self._derived_rate_error(faulty - reading, time)
+        count = len(reading)
+        bias = np.array([rate_bias(self._injector.records, i, float(time)) for i in range(count)])
+        if self._derived.any():
+            bias += np.where(self._derived, self._derived_rate_error(faulty - reading, time), 0.0)
         if np.any(bias):
             velocity = self._joints.joint_velocity_from_sensor(
                 self._joints.sensor_velocity(velocity) + bias
@@ -90,21 +110,24 @@ class BlockInjector:
 
     def _derived_rate_error(self, fault: np.ndarray, time: float) -> np.ndarray:
         """What faults add to rates that are differences of the positions."""
-        before, last = self._last if self._last is not None else (time, np.zeros(2))
+        before, last = self._last if self._last is not None else (time, np.zeros_like(fault))
         self._last = time, fault
         # Faults begin from none: rows before them are not looked at.
         interval = time - before
         if not 0.0 < interval < _RECENT * self._arm.sample_time:
-            interval, last = self._arm.sample_time, np.zeros(2)
+            interval, last = self._arm.sample_time, np.zeros_like(fault)
         return np.array([derived_rate_error(*pair, interval) for pair in zip(fault, last)])
 
     def _odd(self, message: Any, time: float) -> bool:
         try:
             columns = [list(message.name).index(name) for name in self._arm.joint_names]
-            faulty = self._faulty(message.position[columns], message.velocity[columns], time)
+            rates = message.velocity[columns] if len(message.velocity) else np.zeros(len(columns))
+            faulty = self._faulty(message.position[columns], rates, time)
         except (ValueError, IndexError):
             return False  # the monitor will say what is wrong with this message
         for name, values in zip(CHANGED, faulty):
+            if not len(getattr(message, name)):
+                continue
             whole = getattr(message, name).copy()  # what is read from a bag is read-only
             whole[columns] = values
             setattr(message, name, whole)

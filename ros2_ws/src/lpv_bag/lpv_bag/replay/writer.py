@@ -16,6 +16,7 @@ from lpv_bag.replay.answer_records import (
     FAULT_TYPE,
     STATE_TYPE,
     AnswerEncoder,
+    is_corrected,
     padded_cdr,
 )
 from lpv_bag.replay.session import Batch, ReplayResult
@@ -23,27 +24,30 @@ from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.offered_qos import qos_profile
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
+from lpv_bag.run.record import CORRECTED
+from lpv_core.monitoring.answers import Answers
+from lpv_core.monitoring.factory import Monitor
 from lpv_core.monitoring.message_fields import alarm_fields
-from lpv_core.monitoring.monitor import Answers, SensorMonitor
 from lpv_core.support.errors import ConfigError
 
 OUTPUTS = {
     'state': ('state_estimate', STATE_TYPE),
     'fault': ('fault_estimate', FAULT_TYPE),
+    'corrected': (CORRECTED, MEASUREMENT_TYPE),
     'alarm': ('fault_alarm', ALARM_TYPE),
 }
 """Last parts and types of the topics of answers."""
 DIAGNOSTICS = '/diagnostics'
 MARK = 'lpv_replay'
 """Key of the bag's custom data by which results of replays are known."""
-_COPY, _STATE, _FAULT, _OTHERS = range(4)
-_SLOTS = 4
+_COPY, _STATE, _FAULT, _CORRECTED, _OTHERS = range(5)
+_SLOTS = 5
 
 
 class ReplayWriter:
     """Writes the new bag."""
 
-    def __init__(self, path: str | Path, monitor: SensorMonitor, prefix: str, preset: str) -> None:
+    def __init__(self, path: str | Path, monitor: Monitor, prefix: str, preset: str) -> None:
         self._monitor, self._prefix = monitor, prefix
         self._own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.values()}
         self._bag = ChunkBagWriter(
@@ -68,10 +72,7 @@ class ReplayWriter:
         channels['diagnostics'] = self._bag.channel(DIAGNOSTICS)
         arm = self._monitor.arm
         self._encoder = AnswerEncoder(
-            BagMessages(self._bag.typestore, arm.name),
-            self._bag.typestore,
-            arm.sensor_names,
-            channels,
+            BagMessages(self._bag.typestore, arm.name), self._bag.typestore, self._monitor, channels
         )
 
     def is_copied(self, connection: Connection) -> bool:
@@ -114,6 +115,7 @@ class ReplayWriter:
         for rank, chosen, encode in (
             (_STATE, answers.answered, self._encoder.state),
             (_FAULT, answers.has_fault, self._encoder.fault),
+            (_CORRECTED, is_corrected(answers), self._encoder.corrected),
         ):
             some = slice(None) if chosen.all() else chosen
             assembly.add_rows(_SLOTS * rows[some] + rank, encode(time, stamp, answers, some))

@@ -3,9 +3,11 @@
 import os
 import site
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -31,6 +33,21 @@ def message_text(msgtype: str) -> str:
         'message type',
         f'{msgtype} is not installed: no {package}/msg/{name}.msg below any sourced prefix',
     )
+
+
+_PADDING = 4
+"""More bytes that some publishers leave behind a message that ends with an empty sequence of
+doubles, as JointState without efforts: room for its alignment, beside the usual 0 to 3."""
+
+
+def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) -> Any:
+    """A message from its CDR by a typestore's or reader's method, whatever padding follows it."""
+    try:
+        return deserialize(data, msgtype)
+    except SerdeError as error:
+        if 'size mismatch' not in str(error):
+            raise
+        return deserialize(data[:-_PADDING], msgtype)
 
 
 def add_type(typestore: Typestore, msgtype: str) -> None:

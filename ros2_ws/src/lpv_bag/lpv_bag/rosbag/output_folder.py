@@ -3,9 +3,11 @@
 import os
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 from lpv_core.certificate.gains import load_gains
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.simulation.any_scenario import load_any_scenario
+from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 
 GAINS_NAME = 'gains.yaml'
@@ -24,9 +26,17 @@ def free_path(path: str | Path) -> Path:
 
 
 def read_gains_file(path: str | Path) -> bytes:
-    """Text of a gains file, for `copy_file`."""
-    load_gains(path)
+    """Text of a gains file, or of the bandwidth of a serial arm's loop, for `copy_file`."""
+    if not _states_bandwidth(read_yaml(path)):
+        load_gains(path)
     return _content(path)
+
+
+def _states_bandwidth(data: dict[str, Any]) -> bool:
+    """Whether a parameter file tunes the tracker of a serial arm, which has no designed gains."""
+    nodes = data.get('/**')
+    values = nodes.get('ros__parameters') if isinstance(nodes, dict) else None
+    return isinstance(values, dict) and set(values) == {'bandwidth'}
 
 
 def _content(path: str | Path) -> bytes:
@@ -38,7 +48,7 @@ def _content(path: str | Path) -> bytes:
 
 def read_scenario_file(path: str | Path) -> bytes:
     """Text of a scenario file, for `copy_file`."""
-    load_scenario(path)
+    load_any_scenario(path)
     return _content(path)
 
 

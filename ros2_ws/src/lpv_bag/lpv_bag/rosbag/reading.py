@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from lpv_bag.errors import BagError, DamageError
-from lpv_bag.rosbag.interfaces import make_typestore
+from lpv_bag.rosbag.interfaces import decode, make_typestore
 from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
 from lpv_core.support.errors import LpvError
@@ -114,8 +114,8 @@ class BagReader:
         """
         with damage(self.paths[0]):
             if isinstance(self._source, AnyReader):  # which knows ROS 1 as well
-                return self._source.deserialize(rawdata, typ)
-            return self.typestore_of(typ).deserialize_cdr(rawdata, typ)
+                return decode(self._source.deserialize, rawdata, typ)
+            return decode(self.typestore_of(typ).deserialize_cdr, rawdata, typ)
 
     def typestore_of(self, msgtype: str) -> Typestore:
         """Typestore that knows a type as this bag defines it.

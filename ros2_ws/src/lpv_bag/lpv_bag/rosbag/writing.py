@@ -10,7 +10,7 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from lpv_bag.mcap.writer import McapWriter
-from lpv_bag.rosbag.interfaces import add_type, make_typestore
+from lpv_bag.rosbag.interfaces import add_type, decode, make_typestore
 from lpv_bag.rosbag.message_loss import RECORD_NAME, Known, as_metadata, as_text
 from lpv_bag.rosbag.metadata import FILE_NAME, bag_information, dump, qos_data
 from lpv_bag.rosbag.offered_qos import offered_qos, qos_profile
@@ -198,7 +198,7 @@ class BagWriter:
         if len(data) < 4 or not data[1] & 1:
             return data
         try:
-            message = self.typestore.deserialize_cdr(data, msgtype)
+            message = decode(self.typestore.deserialize_cdr, data, msgtype)
             return _padded(bytes(self.typestore.serialize_cdr(message, msgtype)))
         except Exception:  # many kinds; such a message is recorded as it came
             return data

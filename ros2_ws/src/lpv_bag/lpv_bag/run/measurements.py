@@ -23,9 +23,9 @@ class Measurements:
     """Measurements of a block; n of them, joints in the order of the arm file."""
 
     stamp: np.ndarray  # header stamps [ns]; shape (n,)
-    position: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
-    velocity: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
-    effort: np.ndarray  # [rad], [rad/s], [N m]; zero for the odd ones; shape (n, 2)
+    position: np.ndarray  # [rad]; zero for the odd ones; shape (n, joints)
+    velocity: np.ndarray  # [rad/s]; likewise, NaN where a message carries none
+    effort: np.ndarray  # [N m]; likewise
     # deserialised messages by row, where joints are not those of the arm, sizes are wrong, or the
     # message is not like those before
     odd: dict[int, Any] = field(default_factory=dict)
@@ -34,20 +34,18 @@ class Measurements:
 class MeasurementReader:
     """Reads measurements of one arm."""
 
-    def __init__(self, reader: BagReader, joint_names: Sequence[str]) -> None:
-        self._reader = reader
-        self._order = JointOrder(joint_names)
+    def __init__(
+        self, reader: BagReader, joint_names: Sequence[str], needs_rates: bool = True
+    ) -> None:
+        self._reader, self._joints = reader, len(joint_names)
+        self._order = JointOrder(joint_names, needs_rates)
         self._layouts: list[tuple[Layout, list[int]]] = []
 
     def read(self, block: Block, positions: np.ndarray) -> Measurements:
         """Measurements at some positions of a block."""
         count = len(positions)
-        result = Measurements(
-            np.zeros(count, np.int64),
-            np.zeros((count, 2)),
-            np.zeros((count, 2)),
-            np.zeros((count, 2)),
-        )
+        position, velocity, effort = np.zeros((3, count, self._joints))
+        result = Measurements(np.zeros(count, np.int64), position, velocity, effort)
         left = np.arange(count)
         for layout, index in self._layouts:
             left = self._fill(result, block, positions, left, layout, index)
@@ -64,10 +62,12 @@ class MeasurementReader:
         return result
 
     def places(self, block: Block, positions: np.ndarray, name: str) -> np.ndarray:
-        """Offsets of the values of the arm's joints, for callers that change them."""
-        found = np.full((len(positions), 2), -1)
+        """Offsets of the values of the arm's joints, for callers that change them; or -1."""
+        found = np.full((len(positions), self._joints), -1)
         starts, sizes = block.start[positions], block.size[positions]
         for layout, index in self._layouts:
+            if not layout.fields[name].count:
+                continue
             rows = np.flatnonzero(layout.match(block.data, starts, sizes))
             first = starts[rows] + layout.fields[name].offset
             found[rows] = first[:, None] + 8 * np.array(index)
@@ -114,7 +114,7 @@ class MeasurementReader:
         same = layout.stamps(bytes_, np.zeros(1, int))[0] == stamp_of(message.header.stamp)
         for name, values in zip(_VECTORS, expected):
             found = layout.read(bytes_, np.zeros(1, int), name)[0]
-            found = found[index] if found.size else np.full(2, np.nan)
+            found = found[index] if found.size else np.full(self._joints, np.nan)
             same = same and np.array_equal(found, values, equal_nan=True)
         if same:
             self._layouts.append((layout, index))

@@ -16,6 +16,7 @@ from lpv_bag.run.streams import ALARM_TYPE, ALARMS, STREAMS, RecordedAlarm, RunR
 __all__ = [
     'BagError',
     'BagReader',
+    'CORRECTED',
     'RecordedAlarm',
     'RunRecord',
     'STREAMS',
@@ -25,6 +26,9 @@ __all__ = [
     'open_bag',
     'stamp_of',
 ]
+CORRECTED = 'joint_states_corrected'
+"""Last part of a topic's name that carries measurements with confirmed faults removed: an answer,
+and never taken for the measurements."""
 _LOG = logging.getLogger(__name__)
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
 _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
@@ -103,6 +107,8 @@ def find_connections(
     if namespace is not None:
         parent = '/' + namespace.strip('/')
         found = [c for c in found if _parent(c.topic) == parent]
+    if not wanted:
+        found = [c for c in found if c.topic.rsplit('/', 1)[-1] != CORRECTED]
     if wanted:
         found = [c for c in found if c.topic == wanted]
     elif len(found) > 1:

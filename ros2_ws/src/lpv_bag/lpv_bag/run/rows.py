@@ -1,14 +1,16 @@
 """Rows of a run's streams as they are read, and the arrays that are made of them."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from lpv_bag.errors import BagError
-from lpv_bag.run.streams import ALARMS, STREAMS, RecordedAlarm, RunRecord, stamp_of
+from lpv_bag.run.streams import ALARMS, STREAMS, RecordedAlarm, RunRecord, lengths, stamp_of
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.observer.sampled_observer import Mode
+from lpv_core.support.errors import SampleError
 
 
 class RunRows:
@@ -22,6 +24,9 @@ class RunRows:
         self._names: list[str] | None = None
         self._index: list[int] | None = None
         self._missing: tuple[str, str] | None = None
+        self._joints = len(record.joint_names)
+        self._lengths: dict[str, dict[str, int]] = {}  # of the arrays of each stream
+        self._misfits: Counter[str] = Counter()  # messages of other lengths by stream
         self.warnings: list[str] = []
 
     def add(self, name: str, number: int, message: Any) -> None:
@@ -31,7 +36,11 @@ class RunRows:
             # Latched events are delivered again to late subscribers.
             self._alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
             return
-        values = self.values(name, message)
+        try:
+            values = self.values(name, message)
+        except SampleError:
+            self._misfits[name] += 1
+            return
         if values is not None:
             self.add_many(
                 name,
@@ -41,15 +50,27 @@ class RunRows:
             )
 
     def values(self, name: str, message: Any) -> list[Any] | None:
-        """Fields of a message in the order of its stream; None if it is not to be taken."""
+        """Fields of a message in the order of its stream; None if it is not to be taken.
+
+        Raises SampleError if its arrays have other lengths than those of the arm.
+        """
         if name == 'state_estimate' and message.mode == Mode.NO_ESTIMATE:
             return None  # its values mean nothing
-        if name == 'fault_estimate' and not self._record.sensor_names:
-            self._record.sensor_names = tuple(message.sensor_names)
         if name == 'joint_states':
             index = self.pick(message.name)
             return None if index is None else _columns(message, index)
+        self._check_lengths(name, lengths(name, message))
+        if name == 'fault_estimate' and not self._record.sensor_names:
+            self._record.sensor_names = tuple(message.sensor_names)
         return [getattr(message, field) for field in STREAMS[name][1]]
+
+    def _check_lengths(self, name: str, found: dict[str, int]) -> None:
+        """All arrays are for the same joints, and as long as in the messages before."""
+        joints = {length for field, length in found.items() if field != 'tip_position'}
+        if len(joints) > 1 or (self._joints and joints != {self._joints}):
+            raise SampleError(f'{name} has arrays of {sorted(joints)} values')
+        if self._lengths.setdefault(name, found) != found:
+            raise SampleError(f'{name} has arrays of other lengths than before')
 
     def add_many(
         self,
@@ -99,6 +120,11 @@ class RunRows:
             columns = [np.concatenate(column)[rows] for column in zip(*(part[2] for part in parts))]
             self._record.stamps[name] = stamps
             self._record.streams[name] = dict(zip(STREAMS[name][1], columns))
+        for name, count in self._misfits.items():
+            self.warnings.append(
+                f'{self._record.topics[name]}: {count} messages whose number of joints does not '
+                'fit are left out'
+            )
         self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
         self._check_measurements(answers_only)
 

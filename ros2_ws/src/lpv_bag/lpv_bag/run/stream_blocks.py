@@ -11,7 +11,8 @@ from lpv_bag.blocks.prefetch import ahead
 from lpv_bag.rosbag.mcap_bag import McapBag
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.rows import RunRows
-from lpv_bag.run.streams import ALARMS, STREAMS, stamp_of
+from lpv_bag.run.streams import ALARMS, SCALARS, STREAMS, stamp_of
+from lpv_core.support.errors import SampleError
 
 JointIndex = list[int] | Literal[False] | None
 """Columns of the wanted joints; None for other streams, False for messages of other joints."""
@@ -86,7 +87,7 @@ class _StreamReader:
                     if values.shape[1] == self._joints(layout)
                     else np.full((len(starts), len(index)), np.nan)
                 )
-            elif values.shape[1] == 1:
+            elif field in SCALARS:
                 values = values[:, 0]
             columns.append(values)
         return columns
@@ -108,7 +109,10 @@ class _StreamReader:
         if layout is None:
             return False
         index: JointIndex = None
-        expected = self._rows.values(self._name, message)
+        try:
+            expected = self._rows.values(self._name, message)
+        except SampleError:
+            return False
         if self._name == 'joint_states':
             columns = self._rows.pick(message.name)
             index = False if columns is None else list(columns)

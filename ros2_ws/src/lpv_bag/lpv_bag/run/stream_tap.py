@@ -10,6 +10,7 @@ from lpv_bag.blocks.cdr_layout import Layout, find_layout
 from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.record import STREAMS, find_connections, stamp_of
+from lpv_bag.run.streams import lengths
 
 _NONE = np.empty(0, np.int64)
 
@@ -50,23 +51,27 @@ class StreamTap:
 
 
 class _StreamReader:
-    """Messages of one topic whose fields have a fixed size."""
+    """Messages of one topic; those whose arrays are longer or shorter than before are left out."""
 
     def __init__(self, reader: BagReader, name: str, topic: str) -> None:
-        self.topic, self._reader = topic, reader
+        self.topic, self._reader, self._name = topic, reader, name
         self._msgtype, self._fields = STREAMS[name]
+        self._lengths: dict[str, int] = {}
         self._layout: Layout | None = None
 
     def read(self, block: Block, positions: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         starts, sizes = block.start[positions], block.size[positions]
-        if self._layout is None:
+        if not self._lengths:
+            data = block.message(positions[0])
+            self._lengths = lengths(self._name, self._reader.deserialize(data, self._msgtype))
             self._layout = find_layout(
-                block.message(positions[0]), self._msgtype, self._reader.typestore_of(self._msgtype)
+                data, self._msgtype, self._reader.typestore_of(self._msgtype)
             )
         if self._layout is not None and self._layout.match(block.data, starts, sizes).all():
             values = {name: self._layout.read(block.data, starts, name) for name in self._fields}
             return self._layout.stamps(block.data, starts), values
         messages = [self._reader.deserialize(block.message(k), self._msgtype) for k in positions]
+        messages = [m for m in messages if lengths(self._name, m) == self._lengths]
         return (
             np.array([stamp_of(m.header.stamp) for m in messages], np.int64),
             {

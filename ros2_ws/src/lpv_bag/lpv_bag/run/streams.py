@@ -26,6 +26,9 @@ STREAMS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Streams of arrays; ground_truth and reference are absent in recordings of a real arm."""
 
+SCALARS = ('safe_stop', 'mode', 'disturbance')
+"""Fields with one value a message; the others have one for each joint or sensor."""
+
 ALARMS = 'fault_alarm'
 ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
 
@@ -35,6 +38,14 @@ class RecordedAlarm(Alarm):
     """An alarm event with the stamp of the measurement that decided."""
 
     stamp: int = 0  # [ns]
+
+
+def lengths(stream: str, message: Any) -> dict[str, int]:
+    """Lengths of the arrays in a message of a stream, by field."""
+    arrays = {name: getattr(message, name) for name in STREAMS[stream][1] if name not in SCALARS}
+    if stream == 'fault_estimate':
+        arrays['sensor_names'] = message.sensor_names
+    return {name: len(array) for name, array in arrays.items()}
 
 
 def stamp_of(stamp: Any) -> int:

@@ -21,6 +21,7 @@ from lpv_cli.replaying.observing import (
 )
 from lpv_core.certificate.conditions import require
 from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
 
 FAILED = 3
@@ -81,6 +82,8 @@ def replay_archive(arguments: argparse.Namespace) -> int:
 
 def _settings(arguments: argparse.Namespace, console: Console) -> FleetSettings:
     arm, gains = arm_and_gains(arguments, console)
+    if gains is None or isinstance(arm, SerialArm):
+        raise ConfigError('--arm', f'{arm.name!r} is a serial arm: lpv replay takes its bags')
     require(arm, gains, arguments.gains or 'gains')
     diagnosis, others = diagnosis_parameters(arguments.parameters)
     return FleetSettings(arm, gains, diagnosis, options=reading_options(arguments), **others)

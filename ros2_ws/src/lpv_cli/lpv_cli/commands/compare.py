@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from lpv_bag.run.record import BagError, RunRecord, load_run
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.formatting import number
 from lpv_core.support.resources import bringup_file
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare, show, write."""
     names = ('mise', 'delay', 'signal', 'flags', 'missing')
     tolerances = Tolerances(**{n: 0.0 if arguments.exact else getattr(arguments, n) for n in names})
-    arm = load_arm(bringup_file('arms', arguments.arm))
+    arm = load_any_arm(bringup_file('arms', arguments.arm))
     first, second = load_pair(arguments.bag, arguments.other, arm)
     result = compare_runs(first, second, arm, tolerances)
     text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
@@ -69,9 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if result.same else 3
 
 
-def load_pair(
-    bag: str | Path, other: str | Path, arm: ArmParameters
-) -> tuple[RunRecord, RunRecord]:
+def load_pair(bag: str | Path, other: str | Path, arm: Arm) -> tuple[RunRecord, RunRecord]:
     """Two runs of one recording."""
     records = [
         load_run(path, joint_names=arm.joint_names, answers_only=True) for path in (bag, other)
@@ -164,7 +162,7 @@ def _both(pair: AlarmPair, name: str) -> str:
     return texts[0] if pair.same and texts[0] == texts[1] else '\n'.join(texts)
 
 
-def _write(out: Path, text: str, first: RunRecord, second: RunRecord, arm: ArmParameters) -> None:
+def _write(out: Path, text: str, first: RunRecord, second: RunRecord, arm: Arm) -> None:
     from lpv_report.comparison_figures import draw_comparison
     from lpv_report.style import png
 

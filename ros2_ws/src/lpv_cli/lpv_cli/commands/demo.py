@@ -15,14 +15,16 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from lpv_cli.needs import require_ros
 from lpv_cli.processes import Graph, NodeFailure, NodeProcess, ended_by_signals
 from lpv_core.certificate.gains import save_gains
+from lpv_core.control.path import CartesianPath
 from lpv_core.control.tracking import COMPENSATION
-from lpv_core.model.arm import ArmParameters, load_arm
-from lpv_core.simulation.scenario import Scenario, load_scenario
+from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.simulation.any_scenario import AnyScenario, load_any_scenario, new_path
 from lpv_core.support.resources import bringup_file, executable
 
 NAMESPACE = '/lpv'
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
-_SILENCE = 120.0
+_SILENCE = 240.0
 """Longest time without progress before the run is given up [s]; the first start compiles."""
 
 
@@ -30,10 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
     parser.add_argument(
-        '--requirement', default='paper', help='shipped requirement or requirement file (paper)'
+        '--requirement',
+        default='paper',
+        help='shipped requirement or requirement file (paper); serial arms need none',
     )
     parser.add_argument(
-        '--scenario', default='two_faults', help='shipped scenario or scenario file (two_faults)'
+        '--scenario',
+        help='shipped scenario or scenario file (two_faults, or that of the same name as a '
+        'serial arm)',
     )
     parser.add_argument(
         '--mode',
@@ -59,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Design gains, run the graph, write and show the report.
+    """Design gains where the arm's kind has some, run the graph, write and show the report.
 
     Exit code: 0; 1 if a node failed or the design is infeasible.
     """
@@ -67,16 +73,20 @@ def run(arguments: argparse.Namespace) -> int:
 
     require_ros()
     console = Console(soft_wrap=True)
-    files = {
-        'arm': bringup_file('arms', arguments.arm),
-        'scenario': bringup_file('scenarios', arguments.scenario),
-    }
-    arm, scenario = load_arm(files['arm']), load_scenario(files['scenario'])
-    path = scenario.path(arm)
+    files = {'arm': bringup_file('arms', arguments.arm)}
+    arm = load_any_arm(files['arm'])
+    designed = isinstance(arm, ArmParameters)
+    default = 'two_faults' if designed else Path(arguments.arm).stem
+    files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
+    scenario = load_any_scenario(files['scenario'], arm)
+    path = new_path(arm, scenario)
     out = _fresh_folder(arguments.out)
-    files['gains'] = out / 'gains.yaml'
-    if not _design(arm, arguments.requirement, files['gains'], console):
-        return 1
+    if isinstance(arm, ArmParameters):
+        files['gains'] = out / 'gains.yaml'
+        if not _design(arm, arguments.requirement, files['gains'], console):
+            return 1
+    else:
+        console.print(f'arm {arm.name!r} is tracked by computed torque: no gains to design')
     try:
         _run_graph(arguments, files, out, scenario, console)
     except NodeFailure as error:
@@ -87,9 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
         out / 'bag',
         out / 'report',
         arm=arm,
-        path=path,
-        title=f'{scenario.name} on arm {arm.name}',
-        used=read_used_gains(files['gains']),
+        path=path if isinstance(path, CartesianPath) else None,
+        title=f'Scenario {scenario.name}, arm “{arm.name}”',
+        used=read_used_gains(files['gains']) if designed else None,
     )
     print_table(result.table, console)
     console.print(f'bag     {out / "bag"}\nreport  {result.html}', highlight=False)
@@ -131,7 +141,8 @@ def _commands(
     lockstep = str(arguments.mode == 'lockstep').lower()
     common = ['--ros-args', '-r', f'__ns:={NAMESPACE}', '-p', f'lockstep:={lockstep}']
     arm = ['-p', f'arm_file:={files["arm"]}', '-p', 'await_recorders:=1']
-    gains = ['--params-file', files['gains']]
+    gains = ['--params-file', files['gains']] if 'gains' in files else []
+    recorded = ['-p', f'gains_file:={files["gains"]}'] if gains else []
     scenario = ['-p', f'scenario_file:={files["scenario"]}']
     return {
         'recorder': [
@@ -139,8 +150,7 @@ def _commands(
             *common,
             '-p',
             f'output:={out / "bag"}',
-            '-p',
-            f'gains_file:={files["gains"]}',
+            *recorded,
             *scenario,
         ],
         'uio': [executable('lpv_uio', 'uio'), *common, *gains, *arm],
@@ -156,6 +166,7 @@ def _commands(
         'simulator': [
             executable('lpv_arm_sim', 'simulator'),
             *common,
+            *gains,
             *arm,
             *scenario,
             '-p',
@@ -170,7 +181,7 @@ def _run_graph(
     arguments: argparse.Namespace,
     files: dict[str, Path],
     out: Path,
-    scenario: Scenario,
+    scenario: AnyScenario,
     console: Console,
 ) -> None:
     domain = arguments.domain_id

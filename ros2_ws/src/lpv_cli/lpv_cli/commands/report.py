@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.monitoring.factory import refuse_gains
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.resources import bringup_file
+from lpv_core.support.resources import bringup_file, shipped_files
 
 if TYPE_CHECKING:  # drawing takes a second to import
     from lpv_report.guarantees.gains_source import UsedGains
@@ -51,31 +53,40 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = find_scenario(arguments.bag)
     if arguments.scenario:
         scenario = load_scenario(bringup_file('scenarios', arguments.scenario))
-    path = scenario.path(arm) if scenario is not None else None
+    path = None
+    if scenario is not None and not isinstance(arm, SerialArm):
+        path = scenario.path(arm)
     result = write_report(
         arguments.bag,
         Path(arguments.out),
         arm,
         path,
-        title=f'{Path(arguments.bag).name} on arm {arm.name}',
+        title=f'{Path(arguments.bag).name}, arm “{arm.name}”',
         used=used,
     )
     console = Console(soft_wrap=True, highlight=False)
     if result.table:
         print_table(result.table)
-    console.print(_said(result, used))
+    if not isinstance(arm, SerialArm):
+        console.print(_said(result, used))
     console.print(f'report  {result.html}')
     return 0
 
 
-def _arm(arguments: argparse.Namespace, used: 'UsedGains') -> ArmParameters:
-    from lpv_report.run import arm_of
+def _arm(arguments: argparse.Namespace, used: 'UsedGains') -> Arm:
+    from lpv_report.run import arm_of, named_arm
 
     if arguments.arm:
-        arm = load_arm(bringup_file('arms', arguments.arm))
-        if arguments.gains and used.gains:
+        arm = load_any_arm(bringup_file('arms', arguments.arm))
+        refuse_gains(arm, bool(arguments.gains))
+        if arguments.gains and used.gains and not isinstance(arm, SerialArm):
             used.gains.check_arm(arm, arguments.gains)
         return arm
+    shipped = shipped_files('arms').get(named_arm(arguments.bag))
+    if used.gains is None and shipped is not None:
+        arm = load_any_arm(shipped)
+        if isinstance(arm, SerialArm):
+            return arm
     if used.gains is None:
         raise ConfigError('--arm', f'is needed: {used.problem}')
     return arm_of(used.gains)
@@ -86,8 +97,12 @@ def _said(result: 'ReportResult', used: 'UsedGains') -> str:
     if certificate is None:
         return f'gains   not known: {used.problem}'
     if certificate.holds:
-        other = again is not None and not again.same
-        but = ', but the run had other gains or settings: see the report' if other else ''
+        but = ''
+        if again is not None and not again.same:
+            but = (
+                f'; whether the run had them is not known: run again, the fault estimates differ '
+                f'by up to {again.largest:.2g} rad (see the report)'
+            )
         return f'gains   {used.source}: the certificate holds{but}'
     why = certificate.problem or '; '.join(certificate.failed) or 'its margins were changed'
     return f'gains   {used.source}: the certificate does NOT hold: {why}'

@@ -8,7 +8,7 @@ from rich.console import Console
 from lpv_cli.doctor.environment import check_environment
 from lpv_cli.doctor.files import check_files
 from lpv_cli.doctor.findings import Finding, Level, as_dict, show
-from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import Arm
 
 FOUND = 3
 """Exit code where something was found."""
@@ -59,9 +59,7 @@ def _is_ok(findings: list[Finding]) -> bool:
     return all(f.level == Level.OK for f in findings)
 
 
-def _check_graph(
-    arm: ArmParameters | None, arguments: argparse.Namespace, alone: bool
-) -> list[Finding]:
+def _check_graph(arm: Arm | None, arguments: argparse.Namespace, alone: bool) -> list[Finding]:
     try:
         import rclpy  # noqa: F401
 

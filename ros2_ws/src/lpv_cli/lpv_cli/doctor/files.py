@@ -2,14 +2,13 @@
 
 from typing import Any
 
-import numpy as np
-
 from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import ArmParameters, load_arm
-from lpv_core.simulation.faults import FaultInjector
-from lpv_core.simulation.scenario import load_scenario
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 
@@ -24,6 +23,8 @@ def check_files(
         findings.append(finding)
     if gains_name:
         findings.append(check_gains(gains_name, arm, arm_name))
+    elif isinstance(arm, SerialArm):
+        findings.append(ok('gains', 'a serial arm needs none; its bounds are statistical'))
     elif arm is not None:
         findings.append(
             warn(
@@ -33,7 +34,7 @@ def check_files(
                 f'--arm {arm_name} --gains gains.yaml',
             )
         )
-    if scenario_name:
+    if scenario_name and not isinstance(arm, SerialArm):
         findings.append(check_scenario(scenario_name, arm))
     return arm, findings
 
@@ -41,14 +42,22 @@ def check_files(
 def check_arm(name: str) -> tuple[Any, ...]:
     """Whether an arm file can be read."""
     try:
-        arm = load_arm(bringup_file('arms', name))
+        arm = load_any_arm(bringup_file('arms', name))
+        if isinstance(arm, SerialArm):
+            SerialMonitor(arm)
     except LpvError as problem:
         return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
 
 
-def check_gains(name: str, arm: ArmParameters | None, arm_name: str | None = 'ARM') -> Finding:
+def check_gains(name: str, arm: Arm | None, arm_name: str | None = 'ARM') -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
+    if isinstance(arm, SerialArm):
+        return error(
+            'gains',
+            f'{arm.name!r} is a serial arm, which has none: leave the gains file out',
+            'start the observer without gains_file',
+        )
     again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
     try:
         gains = load_gains(name)
@@ -70,18 +79,13 @@ def check_gains(name: str, arm: ArmParameters | None, arm_name: str | None = 'AR
     return ok('gains', f'certificate for arm {arm.name!r} holds')
 
 
-def check_scenario(name: str, arm: ArmParameters | None) -> Finding:
+def check_scenario(name: str, arm: Arm | None) -> Finding:
     """Whether a scenario can be run with the arm."""
     remedy = 'correct the field; docs/scenario-file.md describes all'
     try:
-        scenario = load_scenario(bringup_file('scenarios', name))
+        scenario = load_any_scenario(bringup_file('scenarios', name), arm)
         if arm is not None:
-            scenario.path(arm)
-            FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
-            if scenario.plant == 'mujoco':
-                from lpv_core.simulation.mujoco_plant import MujocoPlant
-
-                MujocoPlant(scenario.true_arm(arm), scenario.coulomb)
+            new_simulator(arm, scenario)
     except LpvError as problem:
         return error('scenario', str(problem), remedy)
     return ok('scenario', f'{scenario.name!r}, {scenario.duration:g} s')

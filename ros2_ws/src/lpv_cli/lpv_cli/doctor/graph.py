@@ -7,7 +7,7 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_cli.doctor.measurements import check_measurements
 from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.support.errors import LpvError
 
 SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
@@ -15,9 +15,7 @@ SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
 _DEAD = 'a node that was killed is in the graph for some 20 s more'
 
 
-def check_graph(
-    shot: Snapshot, arm: ArmParameters | None = None, alone: bool = True
-) -> list[Finding]:
+def check_graph(shot: Snapshot, arm: Arm | None = None, alone: bool = True) -> list[Finding]:
     """Run all checks of a graph."""
     if not shot.ours() and not shot.measured:
         return [check_anybody(shot, alone)]
@@ -36,11 +34,11 @@ def check_graph(
     ]
 
 
-def running_arm(shot: Snapshot) -> ArmParameters | None:
+def running_arm(shot: Snapshot) -> Arm | None:
     """The arm of the running observer, or of any other node of ours; None if it is not known."""
     for _, values in sorted(shot.parameters.items(), key=lambda item: '/uio' not in item[0]):
         try:
-            return load_arm(values['arm_file'])
+            return load_any_arm(values['arm_file'])
         except (KeyError, TypeError, LpvError):
             continue  # a node of another machine, or one that could not read it either
     return None
@@ -157,7 +155,7 @@ def check_modes(shot: Snapshot) -> list[Finding]:
     ]
 
 
-def check_gains_in_use(shot: Snapshot, arm: ArmParameters | None) -> list[Finding]:
+def check_gains_in_use(shot: Snapshot, arm: Arm | None) -> list[Finding]:
     """Whether running nodes have gains of the arm."""
     hashes = {
         n: v['gains.arm_sha256'] for n, v in shot.parameters.items() if v.get('gains.arm_sha256')

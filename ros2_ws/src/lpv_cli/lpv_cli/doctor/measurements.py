@@ -8,8 +8,9 @@ import numpy as np
 from lpv_cli.doctor.findings import Finding, Level, error, ok, warn
 from lpv_cli.doctor.signals import check_rate_source, check_units
 from lpv_cli.doctor.watch import Snapshot
-from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import SampleError
 
 _FAR = 0.5
@@ -18,7 +19,7 @@ _UNEVEN = 1.5
 """Largest ratio of measured to expected interval."""
 
 
-def check_measurements(shot: Snapshot, arm: ArmParameters | None) -> list[Finding]:
+def check_measurements(shot: Snapshot, arm: Arm | None) -> list[Finding]:
     """Run all checks of the measurements."""
     findings = []
     for topic, heard in sorted(shot.measured.items()):
@@ -36,7 +37,7 @@ def check_measurements(shot: Snapshot, arm: ArmParameters | None) -> list[Findin
         problems = [
             check_joints(topic, messages[-1], arm),
             check_efforts(topic, messages, shot),
-            check_values(topic, messages),
+            check_values(topic, messages, needs_rates(arm)),
             check_stamps(topic, heard, shot),
             check_rate(topic, messages, arm, shot),
         ]
@@ -50,7 +51,7 @@ def check_measurements(shot: Snapshot, arm: ArmParameters | None) -> list[Findin
     return findings
 
 
-def check_joints(topic: str, message: Any, arm: ArmParameters | None) -> Finding | None:
+def check_joints(topic: str, message: Any, arm: Arm | None) -> Finding | None:
     """Names and sizes against the arm file."""
     if arm is None:
         return None
@@ -61,7 +62,7 @@ def check_joints(topic: str, message: Any, arm: ArmParameters | None) -> Finding
             'joints',
             f'{topic}: {problem}',
             'put the names of the driver into '
-            'joints.names of the arm file and design the gains again, or correct the driver',
+            'the arm file (and design the gains of a two-link arm again), or correct the driver',
         )
     return None
 
@@ -82,17 +83,24 @@ def check_efforts(topic: str, messages: list[Any], shot: Snapshot) -> Finding | 
     )
 
 
-def check_values(topic: str, messages: list[Any]) -> Finding | None:
-    """Whether positions and rates are there, and numbers."""
+def needs_rates(arm: Arm | None) -> bool:
+    """Whether an arm's sensors measure rates of their own, or its observer needs them."""
+    if isinstance(arm, SerialArm):
+        return any(joint.sensors.rates == 'independent' for joint in arm.joints)
+    return True
+
+
+def check_values(topic: str, messages: list[Any], rates: bool = True) -> Finding | None:
+    """Whether positions and, where they are needed, rates are there, and numbers."""
     count = len(messages)
     without = sum(not len(m.velocity) for m in messages)
-    if without:
+    if without and rates:
         return error(
             'values',
             f'{topic}: {without} of {count} messages carry no rates (velocity is empty)',
             'let the driver publish joint rates in velocity [rad/s]: samples without are not used',
         )
-    odd = sum({len(m.position), len(m.velocity)} != {len(m.name)} for m in messages)
+    odd = sum({len(m.position), len(m.velocity) or len(m.name)} != {len(m.name)} for m in messages)
     if odd:
         return error(
             'values',
@@ -144,9 +152,7 @@ def check_stamps(topic: str, heard: list[tuple[int, Any]], shot: Snapshot) -> Fi
     )
 
 
-def check_rate(
-    topic: str, messages: list[Any], arm: ArmParameters | None, shot: Snapshot
-) -> Finding | None:
+def check_rate(topic: str, messages: list[Any], arm: Arm | None, shot: Snapshot) -> Finding | None:
     """Whether samples come as often as the gains were designed for."""
     stamps = np.unique([_nanoseconds(m) for m in messages])
     if arm is None or len(stamps) < 10:

@@ -9,6 +9,8 @@ from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.model.joints import JointMap
 from lpv_core.residual.rate_independence import contradicts, rate_source
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import SampleError
 
 _DEGREES = 180.0 / np.pi
@@ -21,9 +23,9 @@ _BETTER = 0.3
 _IN_RADIANS = 'let the driver publish rad, rad/s and N m in sensor_msgs/JointState (REP-103)'
 
 
-def samples(messages: list[Any], arm: ArmParameters) -> tuple[np.ndarray, ...] | None:
+def samples(messages: list[Any], arm: Arm) -> tuple[np.ndarray, ...] | None:
     """Stamps [ns], positions, rates and efforts of the arm's joints; None without all of them."""
-    order = JointOrder(arm.joint_names)
+    order = JointOrder(arm.joint_names, needs_rates=not isinstance(arm, SerialArm))
     try:
         rows = [order.pick(message) for message in messages]
     except SampleError:
@@ -34,7 +36,7 @@ def samples(messages: list[Any], arm: ArmParameters) -> tuple[np.ndarray, ...] |
     return (np.array(stamps, np.int64)[place], *arrays)
 
 
-def check_units(topic: str, messages: list[Any], arm: ArmParameters) -> Finding | None:
+def check_units(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
     """Whether positions look like degrees: by size, by their rates, or by gravity."""
     found = samples(messages, arm)
     if found is None or len(found[0]) < 2:
@@ -62,6 +64,8 @@ def check_units(topic: str, messages: list[Any], arm: ArmParameters) -> Finding 
                     f'{topic}: {name} moves {ratio:.3g} times as far as its rate says: {text}?',
                     _IN_RADIANS,
                 )
+    if isinstance(arm, SerialArm):
+        return None
     return _against_gravity(topic, position, effort, arm)
 
 
@@ -90,7 +94,7 @@ def _against_gravity(
     )
 
 
-def check_rate_source(topic: str, messages: list[Any], arm: ArmParameters) -> Finding | None:
+def check_rate_source(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
     """Whether rates are what the arm file says: independent, or derived from the positions."""
     found = samples(messages, arm)
     if found is None or not np.isfinite(found[2]).all():
@@ -111,12 +115,20 @@ def check_rate_source(topic: str, messages: list[Any], arm: ArmParameters) -> Fi
     if all(source.source == 'undecided' for source in sources):
         return None  # at rest, or too few samples
     text = f'{topic}: ' + ', '.join(texts)
-    wrong = {s.source for s in sources if contradicts(arm.rates, s.source)}
+    if isinstance(arm, SerialArm):
+        stated = [joint.sensors.rates for joint in arm.joints]
+    else:
+        stated = [arm.rates] * len(sources)
+    wrong = {
+        s.source
+        for said, s in zip(stated, sources)
+        if said != 'none' and contradicts(said, s.source)
+    }
     if not wrong:
         return ok('rates', text)
     return warn(
         'rates',
-        f'{text}; the arm file says {arm.rates}',
+        f'{text}; the arm file says {", ".join(dict.fromkeys(stated))}',
         f'set sensors.rates of the arm file to {" or ".join(sorted(wrong))} and design the gains '
         'again: with derived rates an encoder and its rate go wrong together',
     )

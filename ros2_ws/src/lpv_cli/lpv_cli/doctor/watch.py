@@ -16,7 +16,8 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from lpv_cli.discovery import stay_on_this_machine
+from lpv_bag.run.record import CORRECTED
+from lpv_core.support.discovery import stay_local
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 OURS = ('arm_sim', 'uio', 'tracker', 'recorder')
@@ -65,7 +66,7 @@ class Snapshot:
 
 def watch(seconds: float) -> Snapshot:
     """Join the graph of this shell's domain and look around."""
-    stay_on_this_machine()
+    stay_local()
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node(
@@ -127,7 +128,7 @@ class _Watch:
         topics = [
             t
             for t, ends in sorted(shot.publishers.items())
-            if any(e.msgtype == JOINT_STATE for e in ends)
+            if any(e.msgtype == JOINT_STATE for e in ends) and not t.endswith(f'/{CORRECTED}')
         ]
         for topic in topics[:_MOST_TOPICS]:
             received = shot.measured[topic] = []

@@ -8,7 +8,10 @@ from rich.console import Console
 from lpv_bag.replay.replay import ReplayOptions
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.model.arm import ArmParameters
+from lpv_core.monitoring.factory import refuse_gains
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
@@ -76,13 +79,16 @@ def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptio
     )
 
 
-def arm_and_gains(arguments: argparse.Namespace, console: Console) -> tuple[ArmParameters, Gains]:
-    """Arm and gains as arguments say."""
+def arm_and_gains(arguments: argparse.Namespace, console: Console) -> tuple[Arm, Gains | None]:
+    """Arm and gains as arguments say; a serial arm has no gains."""
     gains = load_gains(arguments.gains) if arguments.gains else None
     name = arguments.arm or (gains and gains.arm_name)
     if not name:
         raise ConfigError('--arm', 'is needed where no gains are given')
-    arm = load_arm(bringup_file('arms', name))
+    arm = load_any_arm(bringup_file('arms', name))
+    refuse_gains(arm, bool(arguments.gains or arguments.requirement))
+    if isinstance(arm, SerialArm):
+        return arm, None
     return arm, gains or _design(arguments, arm, console)
 
 

@@ -24,12 +24,15 @@ from lpv_cli.replaying.observing import (
 )
 from lpv_cli.replaying.publish import add_publishing, publish
 from lpv_core.certificate.gains import save_gains
-from lpv_core.model.arm import ArmParameters
-from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.monitoring.alarm_text import COUNTER_TEXT, describe
+from lpv_core.monitoring.factory import Monitor, make_monitor
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check_out(out, Path(arguments.bag).resolve())
     arm, gains = arm_and_gains(arguments, console)
     diagnosis, others = diagnosis_parameters(arguments.parameters)
-    monitor = SensorMonitor('/uio', arm, gains, diagnosis, **others)
+    monitor = make_monitor('/uio', arm, gains, diagnosis, **others)
     faults = _faults(arguments.inject)
     injector = _injector(faults, arm)
     _remove(out)
@@ -87,9 +90,10 @@ def run(arguments: argparse.Namespace) -> int:
             arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
         ),
         injector,
-        lambda event: console.print(_alarm_line(event)),
+        lambda event, time: console.print(_alarm_line(event, time)),
     ).run(arguments.bag, out)
-    save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
+    if gains is not None:
+        save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
     if faults is not None:
         show_injected(judge(faults, result), console)
@@ -130,16 +134,18 @@ def _faults(path: str | None) -> Sequence[Fault] | None:
     return faults
 
 
-def _injector(faults: Sequence[Fault] | None, arm: ArmParameters) -> FaultInjector | None:
+def _injector(faults: Sequence[Fault] | None, arm: Arm) -> FaultInjector | None:
     if faults is None:
         return None
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
 
 
-def _alarm_line(event: RecordedAlarm) -> str:
-    """One alarm event with its three times: of the event, of the onset, of the confirmation."""
-    now, onset, confirmed = (s / 1e9 for s in (event.stamp, event.onset, event.detected))
-    return f'  {now:.3f} s: {describe(event)}; onset {onset:.3f} s, confirmed {confirmed:.3f} s'
+def _alarm_line(event: RecordedAlarm, time: float) -> str:
+    """One alarm event: its time [s], what it says, and how long before that the fault began."""
+    line = f'  {time:.3f} s: {describe(event)}'
+    if event.event == AlarmEvent.RAISED and event.onset < event.stamp:
+        line += f'; began {(event.stamp - event.onset) / NANOSECONDS:.3f} s before'
+    return line
 
 
 def show_injected(found: list[InjectedFault], console: Console) -> None:
@@ -157,27 +163,25 @@ def show_injected(found: list[InjectedFault], console: Console) -> None:
         console.print(text)
 
 
-def _summary(
-    result: ReplayResult, monitor: SensorMonitor, seconds: float, console: Console
-) -> None:
+def _summary(result: ReplayResult, monitor: Monitor, seconds: float, console: Console) -> None:
     console.print(
         f'{result.measurements} measurements, {len(result.events)} alarm events, {seconds:.2f} s'
     )
     for name, count in vars(monitor.counters).items():
         if count:
-            console.print(f'  {name.replace("_", " ")}: {count}')
+            console.print(f'  {count} {COUNTER_TEXT[name]}')
     for text, count in result.rejected.items():
-        console.print(f'  rejected {count} times: {text}')
+        console.print(f'  {count} measurements not used: {text}')
 
 
-def _report(arguments: argparse.Namespace, arm: ArmParameters, out: Path, console: Console) -> None:
+def _report(arguments: argparse.Namespace, arm: Arm, out: Path, console: Console) -> None:
     from lpv_report.run import print_table, write_report
 
     folder = Path(arguments.report).resolve()
     if folder == out:
         raise ConfigError('--report', 'must be another folder than the bag')
     report = write_report(
-        out, folder, arm, title=f'Replay of {Path(arguments.bag).name} on arm {arm.name}'
+        out, folder, arm, title=f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
     )
     if report.table:
         print_table(report.table, console)

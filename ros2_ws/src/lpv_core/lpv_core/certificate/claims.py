@@ -27,7 +27,7 @@ CLAIMS = (
         'Noise and white disturbance of the arm file give fault estimates the stated standard '
         'deviation at most.',
         'the same, links moved slowly; continuous-time noise model',
-        'eigenvalue (H2 inequality with the stored P), recomputed',
+        'exact arithmetic (--proof) and eigenvalue (H2 inequality with the stored P)',
     ),
     Claim(
         'A healthy arm stays below its threshold, but for noise beyond `sigmas` standard '

@@ -11,6 +11,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lpv_core.certificate.error_system import LinkError
 from lpv_core.certificate.gains import (
     ControllerGains,
     ExactObserverGains,
@@ -19,6 +20,7 @@ from lpv_core.certificate.gains import (
 )
 from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc
 from lpv_core.model.arm import ArmParameters
+from lpv_core.model.joints import JointMap
 
 _Point = tuple[Fraction, Fraction]
 _Pairs = Sequence[Sequence[Fraction]] | np.ndarray
@@ -100,7 +102,7 @@ def prove(arm: ArmParameters, gains: Gains) -> dict[str, bool]:
 
 
 def _prove_exact(arm: ArmParameters, observer: ExactObserverGains) -> dict[str, bool]:
-    xi_11, _, xi_22, _, g_1, g_2 = _constants(arm)
+    xi_11, b, xi_22, o, g_1, g_2 = _constants(arm)
     decay, fastest, dt = (Fraction(v) for v in (observer.decay, observer.fastest, arm.sample_time))
     q, r = (fastest + decay) / 2, (fastest - decay) / 2
     results = {}
@@ -120,7 +122,35 @@ def _prove_exact(arm: ArmParameters, observer: ExactObserverGains) -> dict[str, 
             _negative(a.T.dot(p).dot(a) - p) for a in sampled
         )
         results[f'{name}: real poles at every slope'] = 4 * kappa * slopes[1] < mu**2
+        noises = [_noise(arm, i, (inertia, off), kappa, mu) for off in (o - b, o + b)]
+        results[f'{name}: covariance under the noise of the arm file'] = all(
+            is_positive_definite(-(p.dot(n) + p.dot(n).T + p.dot(noise).dot(p)))
+            for n in closed
+            for noise in noises
+        )
     return results
+
+
+def _noise(
+    arm: ArmParameters, link: int, row: tuple[Fraction, Fraction], kappa: Fraction, mu: Fraction
+) -> np.ndarray:
+    """B B^T of the H2 inequality, in `LinkError.unit`: products of white inputs have no root.
+
+    ``row`` is (Xi_ii, Xi12).  The inequality is affine in the slope and convex in Xi12, so that
+    their ends prove it in between; cf. `lpv_core.certificate.noise.covariance_margin`.
+    """
+    inertia, off = row
+    momentum = [inertia, off] if link == 0 else [off, inertia]
+    sign, period = (1 if arm.sign > 0 else -1), Fraction(arm.sample_time)
+    rates = exact(np.linalg.inv(JointMap(arm).sensor_matrix))  # of whole numbers
+    total = np.full((2, 2), Fraction(0), dtype=object)
+    for j in range(2):
+        seen = sign * (momentum[0] * rates[0, j] + momentum[1] * rates[1, j]) / inertia
+        b = np.array([rates[link, j] + kappa * inertia * seen, mu * seen])
+        total += Fraction(arm.velocity_noise) ** 2 * period * np.outer(b, b)
+        push = momentum[j] * Fraction(arm.disturbance_direction[j]) / inertia
+        total[1, 1] += push**2 * Fraction(arm.disturbance_variance) * period
+    return total / Fraction(LinkError.unit) ** 2
 
 
 def _corners(constants: Sequence[Fraction]) -> tuple[_Point, ...]:

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
 from lpv_core.model.arm import ArmParameters
-from lpv_core.model.kinematics import ELBOWS, inverse, joint_motion
+from lpv_core.model.kinematics import ELBOWS, forward, inverse, joint_motion
 from lpv_core.support.errors import ConfigError
 
 
@@ -18,16 +19,29 @@ class Reference:
 
     Attributes
     ----------
-    position, velocity, acceleration : ndarray, shape (..., 2)
+    position, velocity, acceleration : ndarray, shape (..., n)
         Joint references [rad], [rad/s], [rad/s2], ROS joint coordinates.
-    tip : ndarray, shape (..., 2)
-        The point of the path [m].
+    tip : ndarray, shape (..., 2) or (..., 3)
+        The point of the path [m]: x, y in the plane of a two-link arm, x, y, z of others.
     """
 
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
     tip: np.ndarray
+
+
+class TimedPath(Protocol):
+    """A path in time, at rest at both ends."""
+
+    start: float  # of the motion [s]
+    end: float  # of the motion [s]
+
+    def sample(self, times: ArrayLike) -> Reference:
+        """References at times on the path's clock [s]."""
+
+    def tip(self, position: np.ndarray) -> np.ndarray:
+        """Where joint positions, shape (..., n) [rad], bring the tip [m]."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +158,10 @@ class CartesianPath:
             q, self._rate(clock), self._curvature(clock), self._arm.lengths
         )
         return Reference(self._continuous(q + self._offset, clock), rate, acceleration, tip)
+
+    def tip(self, position: np.ndarray) -> np.ndarray:
+        """Where joint positions, shape (..., 2) [rad], bring the tip, shape (..., 2) [m]."""
+        return forward(position - self._offset, self._arm.lengths)
 
     def _continuous(self, q: np.ndarray, times: np.ndarray) -> np.ndarray:
         """q with the turn of q1 that the path is in: atan2 jumps on the negative x-axis."""

@@ -1,13 +1,9 @@
 """References along a path for an arm that is not where the path is: approach, then follow."""
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv_core.control.path import CartesianPath, Reference
-from lpv_core.model.arm import ArmParameters
-from lpv_core.model.kinematics import forward
+from lpv_core.control.path import Reference, TimedPath
 from lpv_core.support.timestamps import NANOSECONDS
 
 _NEAR = 0.05
@@ -35,16 +31,14 @@ class PathFollower:
 
     Parameters
     ----------
-    arm : ArmParameters
-        The arm.
-    path : CartesianPath
-        Its path.
+    path : TimedPath
+        Of an arm of any number of joints n.
     speed : float, optional
         Fastest joint rate of an approach [rad/s].
     """
 
-    def __init__(self, arm: ArmParameters, path: CartesianPath, speed: float = 0.5) -> None:
-        self._arm, self._path, self._speed = arm, path, speed
+    def __init__(self, path: TimedPath, speed: float = 0.5) -> None:
+        self._path, self._speed = path, speed
         self.reset()
 
     def reset(self) -> None:
@@ -84,13 +78,13 @@ class PathFollower:
         ----------
         stamp : int
             Time, never less than before except after `reset` or `stop` [ns].
-        position : array_like, shape (2,)
+        position : array_like, shape (n,)
             Where the arm is, in joint coordinates [rad].
 
         Returns
         -------
         Reference
-            Arrays of shape (2,).
+            Of one time.
         """
         found = np.asarray(position, float)
         start = self._start
@@ -108,13 +102,13 @@ class PathFollower:
 
         Parameters
         ----------
-        stamps : ndarray of int64, shape (n,)
+        stamps : ndarray of int64, shape (m,)
             Times [ns].
 
         Returns
         -------
         Reference
-            Arrays of shape (n, 2).
+            Of m times.
         """
         time = (stamps - self._start) / NANOSECONDS - self._approach
         result = self._on_path(*self._progress(np.maximum(time, 0.0)))
@@ -163,12 +157,8 @@ class PathFollower:
         rate = -30.0 * (share * (1.0 - share)) ** 2 / self._approach
         bend = -60.0 * share * (1.0 - share) * (1.0 - 2.0 * share) / self._approach**2
         position = self._path.sample(self._from).position + left * self._offset
-        return Reference(position, rate * self._offset, bend * self._offset, self._tip(position))
-
-    def _tip(self, position: np.ndarray) -> np.ndarray:
-        # Kinematics count q1 from the x-axis, which is -pi/2 from the upper vertical.
-        turned = position + np.array([self._arm.zero_angle + 0.5 * math.pi, 0.0])
-        return forward(turned, self._arm.lengths)
+        tip = self._path.tip(position)
+        return Reference(position, rate * self._offset, bend * self._offset, tip)
 
     def _follow(self, time: float) -> Reference:
         """Along the path, at a time after the approach [s]."""

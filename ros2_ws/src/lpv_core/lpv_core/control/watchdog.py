@@ -10,8 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import Mode
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
@@ -74,12 +74,47 @@ _BRAKE_SAFE_STOP, _BRAKE_LATE, _BRAKE_LATENCY, _BRAKE_OVERSPEED = (
 )
 
 
+_MEAN_SHARE = 0.9
+"""Largest mean latency over the constant latency with which the loop is stable: what is slower than
+the sampling is seen by the mean only after it has happened."""
+_SINGLE_SHARE = 4.0
+"""Largest single latency over the same.  It lasts once: where it repeats, the mean grows."""
+_LONGEST = 0.1
+"""Largest single latency of any loop: a torque that is held moves the arm all that time [s]."""
+
+
+@dataclass(frozen=True)
+class LatencyLimits:
+    """What tracker and drives tolerate from a measurement to the command that answers it."""
+
+    single: float  # once [s]
+    mean: float  # on average over `MEAN_TIME` [s]
+
+
+def latency_limits(tolerated: float) -> LatencyLimits:
+    """Limits for a loop that is stable with constant latencies up to ``tolerated`` [s].
+
+    See `lpv_core.control.latency.tolerated_latency`.
+    """
+    single = min(_SINGLE_SHARE * tolerated, _LONGEST)
+    return LatencyLimits(single, min(_MEAN_SHARE * tolerated, single))
+
+
+def mean_limit(single: float) -> float:
+    """Limit of the mean that belongs to a limit of single latencies [s]."""
+    return single * _MEAN_SHARE / _SINGLE_SHARE
+
+
+UNKNOWN_LOOP = latency_limits(0.013)
+"""Of drives that know no gains: below what the loops of all shipped gains tolerate."""
+
+
 @dataclass(frozen=True)
 class TrackerLimits:
     """What the tracker tolerates."""
 
-    silence: float = 0.06  # between estimates [s]
-    latency: float = 0.06  # from a measurement to its command [s]
+    silence: float = UNKNOWN_LOOP.single  # between estimates [s]
+    latency: LatencyLimits = UNKNOWN_LOOP
     unusable: float = 0.05  # without a usable measurement [s]
     overspeed: float = 0.02  # above the velocity limit [s]
     tracking_error: float = 0.5  # of a joint [rad]
@@ -90,80 +125,97 @@ class TrackerLimits:
 class DriveLimits:
     """What the drives tolerate."""
 
-    command_age: float = 0.06  # from a measurement to the end of its command's effect [s]
-    mean_latency: float = 0.012  # mean age of commands when they act, over `_MEAN_TIME` [s]
+    latency: LatencyLimits = UNKNOWN_LOOP  # from a measurement to the end of its command's effect
     overspeed: float = 0.02  # above the velocity limit [s]
 
 
-_MEAN_TIME = 0.1
-"""Time constant of the mean age of commands [s]."""
-_SHORTEST_BRAKE = 200_000_000
-"""How long commands must be in time before the drives go on by themselves [ns]."""
+MEAN_TIME = 0.1
+"""Time constant of mean latencies [s]."""
+_SHORTEST_STOP = 200_000_000
+"""How long latencies must be in time before tracker and drives go on by themselves [ns]."""
 _ARM_MOVED = 0.01
 """Motion of an arm that follows: above the noise of estimates [rad]."""
 _REFERENCE_MOVED = 0.02, 0.03
 """Motion of the reference with the arm at rest from which the arm is not following [rad]: before
 its first motion after a start, and later, when friction and faults may hold it back."""
 
-TRACKER_WATCHDOG = record_type(
-    ('silence', 'i8'),  # limits, see `TrackerLimits` [ns]
-    ('latency', 'i8'),
-    ('unusable', 'i8'),
-    ('overspeed', 'i8'),
-    ('error_time', 'i8'),
-    ('tracking_error', 'f8'),  # [rad]
-    ('velocity_limit', 'f8', (2,)),  # of the arm file [rad/s]
-    ('usable', 'i8'),  # stamp of the last usable measurement, or NEVER
-    ('in_speed', 'i8'),  # stamp of the last estimate within the speed limits, or NEVER
-    ('in_reach', 'i8'),  # stamp of the last tracking error within its limit, or NEVER
-    ('latched', 'i8'),  # reason that lasts until reset
-    ('started', '?'),  # whether there was a reference since the last stop
-    ('moved', '?'),  # whether the arm has moved since the last stop
-    ('arm', 'f8', (2,)),  # where the arm was, and its reference, when it last moved [rad]
-    ('reference', 'f8', (2,)),
-)
-DRIVE_WATCHDOG = record_type(
-    ('command_age', 'i8'),  # limits, see `DriveLimits` [ns]
-    ('overspeed', 'i8'),
-    ('mean_latency', 'f8'),  # [ns]
-    ('velocity_limit', 'f8', (2,)),  # of the arm file [rad/s]
-    ('share', 'f8'),  # of the newest age in the mean
-    ('mean_age', 'f8'),  # [ns]
-    ('braked', 'i8'),  # time of the last command that was too late, or NEVER
-    ('in_speed', 'i8'),  # time at which the joints were last within the speed limits, or NEVER
-    ('latched', 'i8'),  # reason that lasts until reset
-)
+
+def tracker_watchdog_type(joints: int) -> np.dtype:
+    """Record type of the tracker's watchdog."""
+    return record_type(
+        ('silence', 'i8'),  # limits, see `TrackerLimits` [ns]
+        ('latency', 'i8'),
+        ('unusable', 'i8'),
+        ('overspeed', 'i8'),
+        ('error_time', 'i8'),
+        ('mean_latency', 'f8'),  # [ns]
+        ('tracking_error', 'f8'),  # [rad]
+        ('velocity_limit', 'f8', (joints,)),  # of the arm file [rad/s]
+        ('share', 'f8'),  # of the newest latency in the mean
+        ('mean_age', 'f8'),  # [ns]
+        ('late', 'i8'),  # stamp of the last estimate that was late on average, or NEVER
+        ('usable', 'i8'),  # stamp of the last usable measurement, or NEVER
+        ('in_speed', 'i8'),  # stamp of the last estimate within the speed limits, or NEVER
+        ('in_reach', 'i8'),  # stamp of the last tracking error within its limit, or NEVER
+        ('latched', 'i8'),  # reason that lasts until reset
+        ('started', '?'),  # whether there was a reference since the last stop
+        ('moved', '?'),  # whether the arm has moved since the last stop
+        ('arm', 'f8', (joints,)),  # where the arm was when it last moved [rad]
+        ('reference', 'f8', (joints,)),  # where its reference was then [rad]
+    )
 
 
-def tracker_watchdog(arm: ArmParameters, limits: TrackerLimits) -> np.record:
-    """Watchdog of the tracker, of type `TRACKER_WATCHDOG`."""
+def drive_watchdog_type(joints: int) -> np.dtype:
+    """Record type of the drives' watchdog."""
+    return record_type(
+        ('command_age', 'i8'),  # limits, see `DriveLimits` [ns]
+        ('overspeed', 'i8'),
+        ('mean_latency', 'f8'),  # [ns]
+        ('velocity_limit', 'f8', (joints,)),  # of the arm file [rad/s]
+        ('share', 'f8'),  # of the newest age in the mean
+        ('mean_age', 'f8'),  # [ns]
+        ('braked', 'i8'),  # time of the last command that was too late, or NEVER
+        ('in_speed', 'i8'),  # time at which the joints were last within the speed limits, or NEVER
+        ('latched', 'i8'),  # reason that lasts until reset
+    )
+
+
+def tracker_watchdog(arm: Arm, limits: TrackerLimits) -> np.record:
+    """Watchdog of the tracker of an arm, see `tracker_watchdog_type`."""
     return new_record(
-        TRACKER_WATCHDOG,
+        tracker_watchdog_type(len(arm.joint_names)),
         silence=_nanoseconds(limits.silence),
-        latency=_nanoseconds(limits.latency),
+        latency=_nanoseconds(limits.latency.single),
+        mean_latency=_nanoseconds(limits.latency.mean),
         unusable=_nanoseconds(limits.unusable),
         overspeed=_nanoseconds(limits.overspeed),
         error_time=_nanoseconds(limits.error_time),
         tracking_error=limits.tracking_error,
         velocity_limit=arm.velocity_limit,
+        share=_share(arm),
+        late=NEVER,
         usable=NEVER,
         in_speed=NEVER,
         in_reach=NEVER,
     )
 
 
-def drive_watchdog(arm: ArmParameters, limits: DriveLimits) -> np.record:
-    """Watchdog of the drives, of type `DRIVE_WATCHDOG`."""
+def drive_watchdog(arm: Arm, limits: DriveLimits) -> np.record:
+    """Watchdog of the drives of an arm, see `drive_watchdog_type`."""
     return new_record(
-        DRIVE_WATCHDOG,
-        command_age=_nanoseconds(limits.command_age),
+        drive_watchdog_type(len(arm.joint_names)),
+        command_age=_nanoseconds(limits.latency.single),
         overspeed=_nanoseconds(limits.overspeed),
-        mean_latency=_nanoseconds(limits.mean_latency),
+        mean_latency=_nanoseconds(limits.latency.mean),
         velocity_limit=arm.velocity_limit,
-        share=min(1.0, arm.sample_time / _MEAN_TIME),
+        share=_share(arm),
         in_speed=NEVER,
         braked=NEVER,
     )
+
+
+def _share(arm: Arm) -> float:
+    return min(1.0, arm.sample_time / MEAN_TIME)
 
 
 def _nanoseconds(seconds: float) -> int:
@@ -179,7 +231,7 @@ def check_estimate(
     Parameters
     ----------
     dog : numpy.record
-        Of type `TRACKER_WATCHDOG`.
+        Of `tracker_watchdog`.
     stamp, latency : int
         Of the measurement; time from it until now, 0 where it is not known [ns].
     mode, trustworthy, velocity
@@ -197,7 +249,20 @@ def check_estimate(
         return _NOT_TRUSTWORTHY
     if dog.usable == NEVER or stamp - dog.usable > dog.unusable:
         return _UNUSABLE
-    return _LATENCY if latency > dog.latency else _NONE
+    return _LATENCY if _is_late(dog, stamp, latency) else _NONE
+
+
+@njit
+def _is_late(dog: np.record, stamp: int, latency: int) -> bool:
+    """Whether this latency is too long, or the mean is or was shortly before."""
+    # As for the drives: an outage ends with the first estimate that is in time.
+    dog.mean_age += dog.share * (min(latency, dog.latency) - dog.mean_age)
+    if dog.mean_age > dog.mean_latency:
+        dog.late = stamp
+    if dog.late != NEVER and stamp - dog.late < _SHORTEST_STOP:
+        return True
+    dog.late = NEVER
+    return latency > dog.latency
 
 
 @njit
@@ -206,9 +271,8 @@ def check_motion(dog: np.record, stamp: int, reference: np.ndarray, position: np
     error = moved = led = 0.0
     if not dog.started:
         dog.started, dog.moved, dog.in_reach = True, False, stamp
-        dog.arm[0], dog.arm[1] = position[0], position[1]
-        dog.reference[0], dog.reference[1] = reference[0], reference[1]
-    for i in range(2):
+        _set_place(dog, reference, position)
+    for i in range(position.shape[0]):
         error = max(error, abs(reference[i] - position[i]))
         moved = max(moved, abs(position[i] - dog.arm[i]))
         led = max(led, abs(reference[i] - dog.reference[i]))
@@ -219,11 +283,16 @@ def check_motion(dog: np.record, stamp: int, reference: np.ndarray, position: np
         return _ERROR
     if moved > _ARM_MOVED:
         dog.moved = True
-        dog.arm[0], dog.arm[1] = position[0], position[1]
-        dog.reference[0], dog.reference[1] = reference[0], reference[1]
+        _set_place(dog, reference, position)
     elif led > _REFERENCE_MOVED[1 if dog.moved else 0]:
         return _NOT_FOLLOWING
     return _NONE
+
+
+@njit
+def _set_place(dog: np.record, reference: np.ndarray, position: np.ndarray) -> None:
+    for i in range(position.shape[0]):
+        dog.arm[i], dog.reference[i] = position[i], reference[i]
 
 
 @njit
@@ -239,12 +308,12 @@ def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: n
     Parameters
     ----------
     dog : numpy.record
-        Of type `DRIVE_WATCHDOG`.
+        Of `drive_watchdog`.
     now, age : int
         Time of the sample; age of the measurement that the command answers, 0 in lockstep [ns].
     safe_stop : bool
         Whether the command asks for the brakes.
-    velocity : ndarray, shape (2,)
+    velocity : ndarray, shape (n,)
         Joint rates as the motors' own sensors read them [rad/s].
     """
     # An outage counts as its limit only: it ends with the first fresh command.
@@ -261,7 +330,7 @@ def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: n
     if age > dog.command_age or dog.mean_age > dog.mean_latency:
         dog.braked = now
         return _BRAKE_LATE if age > dog.command_age else _BRAKE_LATENCY
-    if dog.braked != NEVER and now - dog.braked < _SHORTEST_BRAKE:
+    if dog.braked != NEVER and now - dog.braked < _SHORTEST_STOP:
         return _BRAKE_LATENCY
     dog.braked = NEVER
     return _NONE
@@ -269,5 +338,7 @@ def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: n
 
 @njit
 def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
-    # Written so that NaN is too fast.
-    return not (abs(velocity[0]) <= limit[0] and abs(velocity[1]) <= limit[1])
+    fast = False
+    for i in range(velocity.shape[0]):
+        fast = fast or not abs(velocity[i]) <= limit[i]  # so that NaN is too fast
+    return fast

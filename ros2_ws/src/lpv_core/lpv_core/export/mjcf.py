@@ -49,35 +49,35 @@ def mjcf(arm: ArmParameters, coulomb: str = 'smooth') -> str:
         If a link is no rigid body: its inertia about the centre of mass is negative.
     """
     root = ElementTree.Element('mujoco', model=arm.name)
-    _add(root, 'compiler', angle='radian', autolimits='true')
+    add_element(root, 'compiler', angle='radian', autolimits='true')
     # Fourth order like the built-in simulator: a semi-implicit Euler step would have to be a
     # thousand times shorter for the same accuracy.
-    option = _add(
+    option = add_element(
         root,
         'option',
         integrator='RK4',
         timestep=0.5 * arm.sample_time,
         gravity=(0.0, 0.0, -arm.gravity),
     )
-    _add(option, 'flag', contact='disable')
+    add_element(option, 'flag', contact='disable')
     # q1 = 0 puts link 1 at zero_angle from the vertical, that is pi/2 more from the x-axis.
     half = 0.5 * (arm.zero_angle + 0.5 * math.pi)
-    upper = _add(
-        _add(root, 'worldbody'),
+    upper = add_element(
+        add_element(root, 'worldbody'),
         'body',
         name='link1',
         quat=(math.cos(half), 0.0, -math.sin(half), 0.0),
     )
     _fill_link(upper, arm, 0, coulomb)
-    lower = _add(upper, 'body', name='link2', pos=(arm.links[0].length, 0.0, 0.0))
+    lower = add_element(upper, 'body', name='link2', pos=(arm.links[0].length, 0.0, 0.0))
     _fill_link(lower, arm, 1, coulomb)
-    _add(lower, 'site', name='tip', pos=(arm.links[1].length, 0.0, 0.0))
+    add_element(lower, 'site', name='tip', pos=(arm.links[1].length, 0.0, 0.0))
     _add_drives(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding='unicode') + '\n'
 
 
-def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
+def add_element(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
     """A child element; numbers keep every digit."""
     return ElementTree.SubElement(
         parent, tag, {name: _text(value) for name, value in attributes.items()}
@@ -94,7 +94,7 @@ def _text(value: str | float | tuple[float, ...]) -> str:
 
 def _fill_link(body: ElementTree.Element, arm: ArmParameters, index: int, coulomb: str) -> None:
     link = arm.links[index]
-    _add(
+    add_element(
         body,
         'inertial',
         pos=(link.center_of_mass, 0.0, 0.0),
@@ -112,7 +112,7 @@ def _fill_link(body: ElementTree.Element, arm: ArmParameters, index: int, coulom
         if friction
         else {}
     )
-    _add(
+    add_element(
         body,
         'joint',
         name=arm.joint_names[index],
@@ -122,7 +122,7 @@ def _fill_link(body: ElementTree.Element, arm: ArmParameters, index: int, coulom
         damping=arm.viscous[index],
         **stiff,
     )
-    _add(
+    add_element(
         body,
         'geom',
         type='capsule',
@@ -155,9 +155,11 @@ def _central_inertia(arm: ArmParameters, index: int) -> float:
 def _add_drives(root: ElementTree.Element, arm: ArmParameters) -> None:
     first, second = arm.joint_names
     if arm.rotor_inertia:
-        tendon = _add(_add(root, 'tendon'), 'fixed', name='rotor2', armature=arm.rotor_inertia)
-        _add(tendon, 'joint', joint=first, coef=1.0)
-        _add(tendon, 'joint', joint=second, coef=-arm.gear_ratio)
-    motors = _add(root, 'actuator')
+        tendon = add_element(
+            add_element(root, 'tendon'), 'fixed', name='rotor2', armature=arm.rotor_inertia
+        )
+        add_element(tendon, 'joint', joint=first, coef=1.0)
+        add_element(tendon, 'joint', joint=second, coef=-arm.gear_ratio)
+    motors = add_element(root, 'actuator')
     for name, limit in zip(arm.joint_names, arm.torque_limit):
-        _add(motors, 'motor', name=name, joint=name, ctrlrange=(-limit, limit))
+        add_element(motors, 'motor', name=name, joint=name, ctrlrange=(-limit, limit))

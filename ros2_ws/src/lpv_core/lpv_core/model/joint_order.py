@@ -1,6 +1,7 @@
-"""From sensor_msgs/JointState, with joints in any order, to the arm's two joints."""
+"""From sensor_msgs/JointState, with joints in any order, to the arm's joints."""
 
 import math
+import reprlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,12 +13,14 @@ class JointOrder:
 
     Parameters
     ----------
-    joint_names : sequence of two str
+    joint_names : sequence of str
         Joints of the arm file.
+    needs_rates : bool, optional
+        Whether messages without rates are refused.
     """
 
-    def __init__(self, joint_names: Sequence[str]) -> None:
-        self._wanted = tuple(joint_names)
+    def __init__(self, joint_names: Sequence[str], needs_rates: bool = True) -> None:
+        self._wanted, self._needs_rates = tuple(joint_names), needs_rates
         self._names: tuple[str, ...] = ()
         self._index: tuple[int, ...] = ()
 
@@ -29,7 +32,7 @@ class JointOrder:
                 if names.count(joint) != 1:
                     raise SampleError(
                         f'joint {joint!r} occurs {names.count(joint)} times in the message, which '
-                        f'names {list(names)}; the arm file has {list(self._wanted)}'
+                        f'names {reprlib.repr(list(names))}; the arm file has {list(self._wanted)}'
                     )
             self._index = tuple(names.index(joint) for joint in self._wanted)
             self._names = names
@@ -46,21 +49,23 @@ class JointOrder:
         Returns
         -------
         tuple of list
-            position, velocity, effort; effort is NaN where the message carries none.
+            position, velocity, effort; NaN where the message carries none.
 
         Raises
         ------
         SampleError
             If joints are unknown or an array has the wrong size.
         """
-        index = self.indices(message.name)
-        count = len(message.name)
-        for field in ('position', 'velocity'):
-            if len(getattr(message, field)) != count:
-                raise SampleError(
-                    f'{field} has {len(getattr(message, field))} values for {count} joints'
-                )
-        if len(message.effort) not in (0, count):
-            raise SampleError(f'effort has {len(message.effort)} values for {count} joints')
-        effort = [message.effort[i] for i in index] if len(message.effort) else [math.nan] * 2
-        return ([message.position[i] for i in index], [message.velocity[i] for i in index], effort)
+        index, count = self.indices(message.name), len(message.name)
+        picked = []
+        for field, needed in (
+            ('position', True),
+            ('velocity', self._needs_rates),
+            ('effort', False),
+        ):
+            values = getattr(message, field)
+            if len(values) != count and (needed or len(values)):
+                raise SampleError(f'{field} has {len(values)} values for {count} joints')
+            missing = [math.nan] * len(index)
+            picked.append([values[i] for i in index] if len(values) else missing)
+        return tuple(picked)

@@ -13,6 +13,7 @@ import numpy as np
 from lpv_core.decision.diagnosis import Alarm, SensorState
 from lpv_core.model.arm import ArmParameters
 from lpv_core.observer.sampled_observer import Mode
+from lpv_core.serial_arm.description import SerialArm
 
 # Levels of diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR, STALE = range(4)
@@ -47,11 +48,14 @@ class Findings:
         The arm rests, and the measured torques do not hold it.
     warnings : tuple
         For each sensor, what contradicts the arm file, by subject.
+    note : str
+        What the observer's message says where it would say that all is well.
     """
 
     inconsistent: bool
     unsupported: bool
     warnings: tuple[dict[str, str], ...]
+    note: str = ''
 
 
 def state_fields(state: np.record) -> dict[str, Any]:
@@ -76,8 +80,8 @@ def state_fields(state: np.record) -> dict[str, Any]:
     )
     return {
         **{name: state[name].copy() for name in names},
-        'mode': int(state.mode),
-        'trustworthy': bool(state.trustworthy),
+        'mode': int(state['mode']),
+        'trustworthy': bool(state['trustworthy']),
     }
 
 
@@ -99,8 +103,22 @@ def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any
     return {
         'sensor_names': list(sensor_names),
         **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
-        'state': fault.state.tolist(),
-        'alarm': [bool(a) for a in fault.alarm],
+        'state': fault['state'].tolist(),
+        'alarm': [bool(a) for a in fault['alarm']],
+    }
+
+
+def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, Any] | None:
+    """Fields of sensor_msgs/JointState with confirmed faults removed; None without an estimate.
+
+    Positions are those measured less confirmed faults, rates those of the estimate.
+    """
+    if state['mode'] >= Mode.STALE:
+        return None
+    return {
+        'name': list(joint_names),
+        'position': state['compensated_position'].copy(),
+        'velocity': state['velocity'].copy(),
     }
 
 
@@ -111,7 +129,7 @@ def alarm_fields(alarm: Alarm) -> dict[str, Any]:
 
 def diagnostic_fields(
     name: str,
-    arm: ArmParameters,
+    arm: ArmParameters | SerialArm,
     state: np.record,
     fault: np.record | None,
     findings: Findings,
@@ -123,8 +141,8 @@ def diagnostic_fields(
     ----------
     name : str
         Fully qualified node name.
-    arm : ArmParameters
-        Names of arm and sensors.
+    arm : ArmParameters or SerialArm
+        Names of arm, joints and sensors.
     state, fault : numpy.record
         `lpv_core.monitoring.monitor.ANSWER`'s; ``fault`` is None without an estimate.
     findings : Findings
@@ -141,10 +159,14 @@ def diagnostic_fields(
     if fault is not None and level < STALE:
         if not state.trustworthy:
             level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
+        elif findings.note:
+            level, message = WARN, findings.note
         elif findings.inconsistent:
             level, message = WARN, _INCONSISTENT
         elif findings.unsupported:
             level, message = WARN, _UNSUPPORTED
+        corrected = np.flatnonzero(state.compensated_position != state.measured_position)
+        values['corrected joints'] = ', '.join(arm.joint_names[i] for i in corrected) or 'none'
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
     for i, sensor in enumerate(arm.sensor_names):
         sensor_state, values, above = SensorState.STALE, {}, False

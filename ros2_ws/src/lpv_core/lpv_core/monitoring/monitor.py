@@ -6,7 +6,7 @@ many at a time; both run `monitor_step`.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,6 @@ from lpv_core.decision.diagnosis import (
     DIAGNOSIS_CONSTANTS,
     DIAGNOSIS_STATE,
     Alarm,
-    AlarmEvent,
     DiagnosisParameters,
     SensorState,
     diagnose,
@@ -31,6 +30,7 @@ from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.model.joints import joint_angle
 from lpv_core.monitoring import message_fields
+from lpv_core.monitoring.answers import Answer, Answers, answer_type
 from lpv_core.observer.sampled_observer import (
     COUNTERS,
     ESTIMATE,
@@ -49,7 +49,7 @@ from lpv_core.residual.rate_independence import RATE_SOURCES, UNDECIDED, contrad
 from lpv_core.residual.sample_buffer import RATE, READING, SampleBuffer, buffer_of
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import new_record, plain, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _REPORT_INTERVAL = NANOSECONDS
@@ -58,6 +58,8 @@ _LONGEST_STALE = 50_000_000
 """Time without a usable measurement after which the last estimate is not trustworthy [ns]."""
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 _SENSOR_STALE = int(SensorState.STALE)
+
+__all__ = ['ANSWER', 'Answer', 'Answers', 'SensorMonitor', 'monitor_step']
 
 MONITOR_CONSTANTS = record_type(
     ('observer', OBSERVER_CONSTANTS), ('diagnosis', DIAGNOSIS_CONSTANTS)
@@ -71,32 +73,7 @@ MONITOR_STATE = record_type(
     ('rates', 'u1', (2,)),  # what rates are, of `lpv_core.residual.rate_independence`
 )
 
-_STATE = record_type(  # lpv_msgs/StateEstimate
-    ('position', 'f8', (2,)),
-    ('velocity', 'f8', (2,)),
-    ('compensated_position', 'f8', (2,)),
-    ('measured_position', 'f8', (2,)),
-    ('measured_velocity', 'f8', (2,)),
-    ('mode', 'u1'),
-    ('trustworthy', '?'),
-)
-_FAULT = record_type(  # lpv_msgs/FaultEstimate
-    ('estimate', 'f8', (2,)),
-    ('bound', 'f8', (2,)),
-    ('threshold', 'f8', (2,)),
-    ('state', 'u1', (2,)),
-    ('alarm', 'u1', (2,)),
-)
-ANSWER = record_type(
-    ('answered', '?'),  # False for a sample with an old stamp, which needs no answer
-    ('has_fault', '?'),  # whether there is a fault estimate; a state there is always
-    ('restarted', '?'),  # the clock was set back: observer and alarms restarted
-    ('has_events', '?'),  # alarms changed
-    ('due', '?'),  # a diagnostics report is due
-    ('inconsistent', '?'),  # rates, torques and model contradict each other
-    ('state', _STATE),
-    ('fault', _FAULT),
-)
+ANSWER = answer_type(2)
 """What one measurement leads to."""
 _REPORT = record_type(
     ('row', 'i8'),  # of the measurement
@@ -245,6 +222,8 @@ def _report(state: np.record, answer: np.record, report: np.record) -> None:
     to.state.trustworthy = answer.state.trustworthy
     to.inconsistent = state.diagnosis.decision.inconsistent
     for i in range(2):
+        to.state.compensated_position[i] = answer.state.compensated_position[i]
+        to.state.measured_position[i] = answer.state.measured_position[i]
         to.fault.estimate[i], to.fault.bound[i] = answer.fault.estimate[i], answer.fault.bound[i]
         to.fault.threshold[i], to.fault.state[i] = answer.fault.threshold[i], answer.fault.state[i]
         noise = state.diagnosis.sensors[i].noise
@@ -306,69 +285,6 @@ def copy_event(event: np.record, to: np.record) -> None:
     to.kind, to.by_change, to.inconsistent = event.kind, event.by_change, event.inconsistent
 
 
-@dataclass
-class Answer:
-    """What one measurement leads to; each entry holds the fields of one message.
-
-    Attributes
-    ----------
-    stamp : int
-        Of the measurement [ns]; of every message, too.
-    state : dict
-        lpv_msgs/StateEstimate.
-    fault : dict or None
-        lpv_msgs/FaultEstimate.
-    alarms : list of dict
-        lpv_msgs/FaultAlarm.
-    status : list of dict or None
-        diagnostic_msgs/DiagnosticArray's statuses where a report is due.
-    events : list of Alarm
-        The alarm events themselves.
-    warnings : list of str
-        What contradicts the arm file and was not said before.
-    restarted : bool
-        The clock was set back: observer and alarms restarted.
-    inconsistent : bool
-        Rates, torques and model contradict each other.
-    """
-
-    stamp: int
-    state: dict[str, Any]
-    fault: dict[str, Any] | None = None
-    alarms: list[dict[str, Any]] = field(default_factory=list)
-    status: list[dict[str, Any]] | None = None
-    events: list[Alarm] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    restarted: bool = False
-    inconsistent: bool = False
-
-
-@dataclass
-class Answers:
-    """What many measurements lead to, one row per measurement.
-
-    Attributes
-    ----------
-    answered, has_fault, restarted, inconsistent : ndarray of bool, shape (n,)
-        As in `ANSWER`.
-    state, fault : numpy.recarray, shape (n,)
-        Fields of lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate as attributes, one row each.
-    events : list of tuple
-        Row and `Alarm` of each alarm event.
-    reports : list of tuple
-        Row and diagnostic_msgs/DiagnosticArray's statuses of each report that is due.
-    """
-
-    answered: np.ndarray
-    has_fault: np.ndarray
-    restarted: np.ndarray
-    inconsistent: np.ndarray
-    state: np.recarray
-    fault: np.recarray
-    events: list[tuple[int, Alarm]]
-    reports: list[tuple[int, list[dict[str, Any]]]]
-
-
 class SensorMonitor:
     """Diagnosis of one arm's position sensors.
 
@@ -393,12 +309,18 @@ class SensorMonitor:
         Messages that did not fit the arm.
     method : str
         Of the observer.
+    answer_type : numpy.dtype
+        Of a row of `take_many`'s answers.
+    needs_rates : bool
+        Whether measurements without rates are refused: the observer needs them.
 
     Raises
     ------
     ConfigError
         If the gains belong to another arm.
     """
+
+    needs_rates = True
 
     def __init__(
         self,
@@ -410,11 +332,12 @@ class SensorMonitor:
         initial_samples: int = 1,
     ) -> None:
         self.name, self.arm, self._gains = name, arm, gains
-        self.method, self.rejected = gains.observer.method, 0
+        self.method, self.rejected, self.answer_type = gains.observer.method, 0, ANSWER
         self._constants = new_record(
             MONITOR_CONSTANTS, observer=observer_constants(arm, gains, initial_samples, max_gap)
         )
         self._state, self._answer = new_record(MONITOR_STATE), new_record(ANSWER)
+        self._shown = plain(self._answer)
         self._buffers = diagnosis_buffers(arm)
         self._order = JointOrder(arm.joint_names)
         self.retune(parameters or DiagnosisParameters())
@@ -492,25 +415,26 @@ class SensorMonitor:
             self.rejected += 1
             raise
         self._step(stamp, *measured)
-        now = self._answer
-        if not now.answered:
+        now = self._shown
+        if not now['answered']:
             return None
         answer = Answer(
             stamp,
-            message_fields.state_fields(now.state),
-            restarted=bool(now.restarted),
-            inconsistent=bool(now.inconsistent),
+            message_fields.state_fields(now['state']),
+            restarted=bool(now['restarted']),
+            inconsistent=bool(now['inconsistent']),
         )
-        if now.has_fault:
-            answer.fault = message_fields.fault_fields(now.fault, self.arm.sensor_names)
-        if now.has_events:
+        answer.corrected = message_fields.corrected_fields(now['state'], self.arm.joint_names)
+        if now['has_fault']:
+            answer.fault = message_fields.fault_fields(now['fault'], self.arm.sensor_names)
+        if now['has_events']:
             answer.events = self.alarms(
                 event
                 for event in self._state.diagnosis.decision.events
                 if event.happened != NOTHING
             )
             answer.alarms = [message_fields.alarm_fields(event) for event in answer.events]
-        if now.due:
+        if now['due']:
             report = self._report_now()
             answer.status = self._status(report)
             answer.warnings = self._new_warnings(report)
@@ -638,16 +562,3 @@ class SensorMonitor:
             ),
             values,
         )
-
-
-def describe(event: Alarm) -> str:
-    """An alarm event as one line of text: sensor, kind, size, bound and confidence."""
-    words = {
-        AlarmEvent.RAISED: 'ALARM',
-        AlarmEvent.UPDATED: 'alarm updated',
-        AlarmEvent.CLEARED: 'alarm cleared',
-    }
-    return (
-        f'{words[event.event]}, {event.sensor}: {event.kind}, {event.size:+.3f} rad within '
-        f'{event.bound:.3f} rad, confidence {event.confidence:.3f}'
-    )

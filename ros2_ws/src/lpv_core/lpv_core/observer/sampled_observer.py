@@ -13,7 +13,7 @@ import numpy as np
 from lpv_core.certificate.gains import Gains
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.dynamics import acceleration
-from lpv_core.model.joints import JointMap, joint_angle, row_dot
+from lpv_core.model.joints import joint_angle, row_dot
 from lpv_core.observer.observer_step import (
     RECURSION_CONSTANTS,
     RECURSION_STATE,
@@ -36,6 +36,8 @@ _NEARLY_VERTICAL = 0.05
 """A link within this angle of the vertical needs no torque [rad]."""
 _REST = 0.02
 """An arm is held by something that is not measured if it seems so for this long [s]."""
+_STILL = 4.0 * math.sqrt(2.0)
+"""Readings that differ by less, in standard deviations of their noise, have not moved."""
 _EFFORT_MARGIN = 10.0
 """A torque so many times above the arm's limit is no torque of this arm."""
 
@@ -76,6 +78,30 @@ class Counters:
 
 COUNTERS = record_type(*((name, 'i8') for name in Counters.__dataclass_fields__))
 
+
+class Stop(IntEnum):
+    """What is known of an arm that came to rest faster than measured torques explain.
+
+    It was braked, or its rate sensors read nothing while it moves on: its position sensors tell
+    which, once an arm that moves on would have moved by twice their noise.
+    """
+
+    NONE = 0
+    RESTING = 1
+    SUDDEN = 2  # not known yet
+    BRAKED = 3  # found at this sample
+
+
+_NONE, _RESTING, _SUDDEN, _BRAKED = (int(s) for s in Stop)
+
+STOP_STATE = record_type(
+    ('stop', 'u1'),  # of `Stop`
+    ('lasted', 'f8'),  # since the arm came to rest [s]
+    ('rate', 'f8'),  # by which the estimate was faster then [rad/s]
+    ('angle', 'f8', (2,)),  # theta^ then [rad]
+    ('reading', 'f8', (2,)),  # of the position sensors then [rad]
+)
+
 OBSERVER_CONSTANTS = record_type(
     ('recursion', RECURSION_CONSTANTS),
     ('sample_time', 'f8'),  # [s]
@@ -86,12 +112,14 @@ OBSERVER_CONSTANTS = record_type(
     ('rest_rate', 'f8'),  # rates of an arm at rest stay below [rad/s]
     ('rest_samples', 'i8'),  # at rest without torque, after which it is held by something else
     ('torque_tolerance', 'f8', (2,)),  # generalised torques at rest that the model may miss [N m]
+    ('still', 'f8'),  # largest change of a reading at rest [rad]
 )
 OBSERVER_STATE = record_type(
     ('recursion', RECURSION_STATE),
     ('stamp', 'i8'),  # of the last sample [ns]
     ('started', 'i8'),  # samples since the start
     ('unsupported', 'i8'),  # samples at rest without the torque that gravity needs
+    ('stopping', STOP_STATE),
     ('counters', COUNTERS),
     # Outputs in sensor coordinates, positions [rad] and rates [rad/s]:
     ('y', 'f8', (4,)),  # of the last sample
@@ -121,6 +149,7 @@ ESTIMATE = record_type(
     ('innovation', 'f8', (2,)),  # estimated minus measured theta' [rad/s]
     ('held', 'u1', (2,)),  # the configuration carries no gravity information: dead reckoning
     ('unsupported', '?'),  # at rest, and not held by the measured torques: brakes, for example
+    ('stop', 'u1'),  # of `Stop`
     ('bridged', '?'),  # the interval was too long: angles went on by the encoders' increments
 )
 """One estimate."""
@@ -129,7 +158,26 @@ ESTIMATE = record_type(
 def observer_constants(
     arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
 ) -> np.record:
-    """Constants of `observe`, of type `OBSERVER_CONSTANTS`; see `UnknownInputObserver`."""
+    """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm; its hash must match the gains.
+    gains : Gains
+        Designed gains.
+    initial_samples : int, optional
+        Samples over which the start value is averaged.  The observer takes their mean for free of
+        faults: a constant bias at the start is only found at the certified decay rate.
+    max_gap : float, optional
+        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
+        encoder's increment and hold the fault estimate.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
     gains.check_arm(arm)
     return new_record(
         OBSERVER_CONSTANTS,
@@ -142,6 +190,7 @@ def observer_constants(
         rest_rate=_AT_REST * arm.velocity_noise,
         rest_samples=max(5, math.ceil(_REST / arm.sample_time)),
         torque_tolerance=np.asarray(arm.torque_tolerance) + sum(arm.coulomb),
+        still=_STILL * arm.position_noise,
     )
 
 
@@ -149,6 +198,7 @@ def observer_constants(
 def reset_observer(state: np.record) -> None:
     """Forget everything but the counters; the observer restarts with the next sample."""
     state.stamp, state.started, state.unsupported = NEVER, 0, 0
+    state.stopping.stop = _NONE
     state.recursion.held[:] = False
     state.y[:] = 0.0
 
@@ -163,14 +213,15 @@ def observe(
     velocity: np.ndarray,
     effort: np.ndarray,
 ) -> bool:
-    """Use one measurement; the estimate at its time goes into ``estimate``.
+    """Sampled unknown-input observer, eqs. (38)-(53): one measurement into ``estimate``.
 
     Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s back
     means that the clock was set back: the observer restarts; a position that is not finite, or
     absurd, is carried on by the rates of that sensor (the state estimate does not need it); a
     velocity or effort that is not finite, or beyond what the arm can do, drops the sample; an
     interval above ``max_gap`` re-anchors the estimate; an arm at rest whose measured torques do not
-    hold it against gravity is held by something else: nothing is learnt from them.
+    hold it against gravity is held by something else: nothing is learnt from them; an arm that was
+    stopped by a torque that is not measured (brakes) goes on from the angles it had then.
 
     Parameters
     ----------
@@ -203,11 +254,16 @@ def observe(
             return False  # a start value needs both sensors
         _start(params, state)
     elif interval > params.max_gap:
+        state.stopping.stop = _NONE
         _bridge(params, state)
     elif _is_unsupported(params, state, missing):
+        state.stopping.stop = _RESTING
         _hold(params, state, interval)
     else:
+        _note_stop(params, state, interval, missing)
         _advance(params, state, interval)
+        if state.stopping.stop == _BRAKED:
+            _take_stop(params, state)
     if state.started < params.initial_samples:
         _average_start(params, state)
     for i in range(6):
@@ -222,6 +278,7 @@ def observe(
     estimate.stamp, estimate.interval, estimate.bridged = stamp, interval, interval > params.max_gap
     estimate.missing[0], estimate.missing[1] = missing_1, missing_2
     estimate.unsupported = state.unsupported >= params.rest_samples
+    estimate.stop = state.stopping.stop
     _fill(params, state, estimate)
     return True
 
@@ -336,12 +393,59 @@ def _is_unsupported(params: np.record, state: np.record, missing: bool) -> bool:
         tolerated = params.torque_tolerance[i] + _NEARLY_VERTICAL * arm.gravity[i]
         beyond = max(beyond, gravity - tolerated)
         measured = max(measured, abs(state.torque[i]))
-    at_rest = abs(y[2]) <= params.rest_rate and abs(y[3]) <= params.rest_rate
-    if not missing and at_rest and beyond > 0.0 and measured <= _SUPPORTED * needed:
+    if not missing and _is_at_rest(params, y) and beyond > 0.0 and measured <= _SUPPORTED * needed:
         state.unsupported += 1
     else:
         state.unsupported = 0
     return state.unsupported >= params.rest_samples
+
+
+@njit
+def _is_at_rest(params: np.record, y: np.ndarray) -> bool:
+    return abs(y[2]) <= params.rest_rate and abs(y[3]) <= params.rest_rate
+
+
+@njit
+def _note_stop(params: np.record, state: np.record, interval: float, missing: bool) -> None:
+    """Whether the arm was braked, see `Stop`; method ``exact`` only.
+
+    Brakes take the momentum away with a torque that nobody measures.  The observer would explain
+    what is missing by gravity, and so by a wrong angle.
+    """
+    stopping, x, y = state.stopping, state.recursion.x, state.y_new
+    if missing or not params.recursion.is_exact:
+        stopping.stop = _NONE
+    elif not _is_at_rest(params, y):
+        # It starts from rest: rate sensors that had read nothing for a moment would jump back.
+        starts = max(abs(y[2]), abs(y[3])) < 0.5 * stopping.rate
+        stopping.stop = _BRAKED if stopping.stop == _SUDDEN and starts else _NONE
+    elif stopping.stop == _NONE:
+        stopping.rate = stopping.lasted = 0.0
+        for i in range(2):
+            rate = row_dot(params.recursion.joints.angle, i, y[2], y[3])
+            stopping.rate = max(stopping.rate, abs(x[2 + i] - rate))
+            stopping.angle[i], stopping.reading[i] = x[i], y[i]
+        stopping.stop = _SUDDEN if stopping.rate > params.rest_rate else _RESTING
+    elif stopping.stop == _SUDDEN:
+        stopping.lasted += interval
+        moved = max(abs(y[0] - stopping.reading[0]), abs(y[1] - stopping.reading[1]))
+        if moved > params.still:
+            stopping.stop = _RESTING
+        elif stopping.rate * stopping.lasted > 2.0 * params.still:
+            stopping.stop = _BRAKED
+    else:
+        stopping.stop = _RESTING
+
+
+@njit
+def _take_stop(params: np.record, state: np.record) -> None:
+    """The arm is where it was stopped: undo what was learnt from the missing momentum."""
+    r, y, joints = state.recursion, state.y_new, params.recursion.joints
+    for i in range(2):
+        r.x[i] = state.stopping.angle[i]
+        r.x[2 + i] = row_dot(joints.angle, i, y[2], y[3])
+    for i in range(2):
+        r.x[4 + i] = y[i] - row_dot(joints.sensor, i, r.x[0], r.x[1])
 
 
 @njit
@@ -401,86 +505,6 @@ def _fill(params: np.record, state: np.record, estimate: np.record) -> None:
         state.torque[1],
         params.recursion.arm,
     )
-
-
-class UnknownInputObserver:
-    """Sampled unknown-input observer, eqs. (38)-(53).
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm; its hash must match the gains.
-    gains : Gains
-        Designed gains.
-    initial_samples : int, optional
-        Samples over which the start value is averaged.  The observer takes their mean for free of
-        faults: a constant bias at the start is only found at the certified decay rate.
-    max_gap : float, optional
-        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
-        encoder's increment and hold the fault estimate.
-
-    Raises
-    ------
-    ConfigError
-        If the gains belong to another arm.
-    """
-
-    def __init__(
-        self, arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
-    ) -> None:
-        self._constants = observer_constants(arm, gains, initial_samples, max_gap)
-        self._state, self._estimate = new_record(OBSERVER_STATE), new_record(ESTIMATE)
-        self.arm, self.joints = arm, JointMap(arm)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything but the counters; the observer restarts with the next sample."""
-        reset_observer(self._state)
-
-    @property
-    def counters(self) -> Counters:
-        """What was not usable so far, as `Counters`."""
-        return counters(self._state.counters)
-
-    @property
-    def stamp(self) -> int | None:
-        """Stamp of the last accepted sample [ns], or None."""
-        return None if self._state.stamp == NEVER else int(self._state.stamp)
-
-    def update(
-        self,
-        stamp: int,
-        position: Sequence[float],
-        velocity: Sequence[float],
-        effort: Sequence[float],
-    ) -> np.record | None:
-        """Use one measurement and return the estimate at its time, see :func:`observe`.
-
-        Parameters
-        ----------
-        stamp, position, velocity, effort
-            As `observe`; any sequences of two floats.
-
-        Returns
-        -------
-        numpy.record or None
-            `ESTIMATE`; None if the sample was dropped.
-
-        Raises
-        ------
-        SampleError
-            If a vector has not two elements.
-        """
-        used = observe(
-            self._constants,
-            self._state,
-            self._estimate,
-            stamp,
-            pair(position, 'position'),
-            pair(velocity, 'velocity'),
-            pair(effort, 'effort'),
-        )
-        return self._estimate.copy() if used else None
 
 
 def counters(record: np.record) -> Counters:

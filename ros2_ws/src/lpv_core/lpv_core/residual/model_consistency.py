@@ -5,6 +5,9 @@ rate errors leave behind: a position fault does not touch it.  A healthy arm kee
 reachable set and noise.  Where it leaves them, a rate sensor, a torque sensor or the model is
 wrong, and which one cannot be told from two encoders and two rates.
 
+Brakes stop an arm with a torque that is not measured.  Until it is known whether an arm that came
+to rest was braked, or its rate sensors read nothing, no verdict is given.
+
 A rate that goes wrong suddenly shows for as long as the observer takes to follow, 1/mu.  Smaller
 errors of the rates stay unseen.
 """
@@ -16,6 +19,7 @@ import numpy as np
 from lpv_core.certificate.gains import ExactObserverGains, Gains
 from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import coupling
+from lpv_core.observer.sampled_observer import Stop
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
@@ -24,6 +28,8 @@ _FILTERS = (0.02, 0.2)
 """Time constants of the averages [s]: a jump of a rate, and a lasting contradiction."""
 _HOLD = NANOSECONDS
 """An inconsistency is believed to last for this long after it was seen [ns]."""
+
+_SUDDEN, _BRAKED = int(Stop.SUDDEN), int(Stop.BRAKED)
 
 CONSISTENCY_CONSTANTS = record_type(
     ('used', '?'),  # whether the test is made
@@ -95,15 +101,15 @@ def update_consistency(
     """
     if not params.used:
         return
+    if estimate.stop == _BRAKED:
+        state.means[:] = 0.0
     off = coupling(estimate.absolute_position[0], estimate.absolute_position[1], params.arm)
     for f in range(len(_FILTERS)):
         share = min(1.0, estimate.interval / _FILTERS[f])
         for i in range(2):
             momentum = estimate.innovation[i] + off * estimate.innovation[1 - i] / params.inertia[i]
             state.means[f, i] += share * (momentum - state.means[f, i])
-            if (
-                abs(state.means[f, i])
-                > healthy[i] + params.tolerance[i] + noise * params.noise[f, i]
-            ):
+            limit = healthy[i] + params.tolerance[i] + noise * params.noise[f, i]
+            if abs(state.means[f, i]) > limit and estimate.stop != _SUDDEN:
                 state.until = estimate.stamp + _HOLD
     state.inconsistent = estimate.stamp < state.until

@@ -251,6 +251,16 @@ class SerialArm:
         """Names of the position sensors, one for each joint."""
         return tuple(joint.sensors.name for joint in self.joints)
 
+    @property
+    def velocity_limit(self) -> tuple[float, ...]:
+        """Largest joint rates, one for each joint [rad/s]."""
+        return tuple(joint.limits.velocity for joint in self.joints)
+
+    @property
+    def torque_limit(self) -> tuple[float, ...]:
+        """Largest joint torques, one for each joint [N m]."""
+        return tuple(joint.limits.torque for joint in self.joints)
+
     def gravity_vector(self) -> np.ndarray:
         """Acceleration of gravity in the base's frame, shape (3,) [m/s2]."""
         return -self.gravity * rotation_from_rpy(self.base_orientation)[2]

@@ -142,7 +142,7 @@ class SerialSimulator:
         self.plant = self.model if plant is None else plant
         self.joints = len(arm.joints)
         self._rng = np.random.default_rng(seed)
-        self._step, self._count = _integration_step(self.plant, arm.sample_time)
+        self._step, self._count = integration_step(self.plant, arm.sample_time)
 
     def random_path(self, speed: float = 0.5) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Sums of sines in the middle of the joints' ranges.
@@ -208,7 +208,7 @@ class SerialSimulator:
         samples, positions = np.zeros((count, 3, n)), np.zeros((count, n))
         state = np.ascontiguousarray(np.stack([centre, (amplitude * frequency).sum(1)]))
         torque = np.zeros(n)
-        scratch, matrix, work = _scratch(self.plant), np.empty((n, n)), workspace(self.model)
+        scratch, matrix, work = plant_scratch(self.plant), np.empty((n, n)), workspace(self.model)
         wanted, friction = np.empty(n), np.empty(n)
         for k in range(count):
             time = k * period
@@ -292,12 +292,26 @@ def _outside(pushes: Sequence[Push], time: float, joints: int) -> FloatArray:
     return total
 
 
-def _scratch(chain: Chain) -> FloatArray:
+def plant_scratch(chain: Chain) -> FloatArray:
+    """Scratch memory of `plant_step`."""
     return np.zeros((11 * len(chain.translation), workspace(chain).shape[1]))
 
 
-def _integration_step(chain: Chain, period: float) -> tuple[float, int]:
-    """Step and steps a sample for which the friction at rest, the stiffest part, is stable."""
+def integration_step(chain: Chain, period: float) -> tuple[float, int]:
+    """Step and steps a sample for which the friction at rest, the stiffest part, is stable.
+
+    Parameters
+    ----------
+    chain : Chain
+        The true arm.
+    period : float
+        Sample time [s].
+
+    Returns
+    -------
+    tuple
+        Length of a Runge-Kutta step [s], and their number, 2 to `MAX_SUBSTEPS`.
+    """
     n, model = len(chain.translation), SerialModel(chain)
     rng = np.random.default_rng(0)
     inertia = np.min([

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.certificate.gains import Gains
-from lpv_core.control.path import Reference
-from lpv_core.control.path_follower import PathFollower
+from lpv_core.control.latency import tolerated_latency
+from lpv_core.control.path_references import PathReferences
 from lpv_core.control.tracking import (
     COMPENSATION,
     TRACKING_STATE,
@@ -27,6 +27,7 @@ from lpv_core.control.watchdog import (
     check_estimate,
     check_motion,
     drive_watchdog,
+    latency_limits,
     note_stop,
     tracker_watchdog,
 )
@@ -511,7 +512,7 @@ def run_closed_loop(
         external=simulator.engine is not None,
     )
     count = round(scenario.duration / arm.sample_time) + 1
-    references = _References(arm, scenario, count)
+    references = PathReferences(scenario.path(arm), arm.sample_time, count)
     plant = _Plant(
         simulator.constants,
         simulator.state,
@@ -521,12 +522,13 @@ def run_closed_loop(
         simulator.injector.generator,
     )
     monitor = _Monitor._make([*sensor_monitor.parts, np.empty((3, 2))])
+    latency = latency_limits(tolerated_latency(arm, gains))
     tracker = _Tracker(
         tracking_constants(arm, gains),
         new_record(TRACKING_STATE),
         references.motion,
-        tracker_watchdog(arm, TrackerLimits()),
-        drive_watchdog(arm, DriveLimits()),
+        tracker_watchdog(arm, TrackerLimits(latency.single, latency)),
+        drive_watchdog(arm, DriveLimits(latency)),
     )
     log = _Log(
         np.zeros(count, _ROW).view(np.recarray),
@@ -551,39 +553,3 @@ def run_closed_loop(
         alarms=alarms,
         path=np.stack([*np.moveaxis(references.motion, 1, 0), references.tip]),
     )
-
-
-class _References:
-    """References of all samples; rows count the samples in which the clock of the path runs.
-
-    Attributes
-    ----------
-    motion : ndarray, shape (n, 3, 2)
-        Joint positions, rates and accelerations [rad], [rad/s], [rad/s2].
-    tip : ndarray, shape (n, 2)
-        [m].
-    """
-
-    def __init__(self, arm: ArmParameters, scenario: Scenario, count: int) -> None:
-        path = scenario.path(arm)
-        self._follower = PathFollower(arm, path)
-        # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
-        times = np.rint(np.arange(count) * arm.sample_time * NANOSECONDS)
-        self._stamps = times.astype(np.int64)
-        self._period = arm.sample_time
-        self.motion, self.tip = np.empty((count, 3, 2)), np.empty((count, 2))
-        self._set(0, path.sample(self._stamps / NANOSECONDS))
-
-    def restart(self, first: int, position: np.ndarray) -> None:
-        """From row ``first`` on, references of a loop that starts, or goes on after a stop."""
-        if self._follower.running:
-            self._follower.stop(round((first - 1) * self._period * NANOSECONDS))
-        self._follower.reference(int(self._stamps[first]), position)
-        if first > 0 or not self._follower.is_on_path:
-            self._set(first, self._follower.ahead(self._stamps[first:]))
-
-    def _set(self, first: int, reference: Reference) -> None:
-        self.motion[first:, 0] = reference.position
-        self.motion[first:, 1] = reference.velocity
-        self.motion[first:, 2] = reference.acceleration
-        self.tip[first:] = reference.tip

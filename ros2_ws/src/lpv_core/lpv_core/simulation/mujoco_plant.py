@@ -45,7 +45,7 @@ class MujocoPlant:
     """
 
     def __init__(self, arm: ArmParameters, coulomb: str = 'smooth') -> None:
-        self._mujoco = _load_mujoco()
+        self._mujoco = load_mujoco()
         text = mjcf(arm, coulomb)
         try:
             self.model = self._mujoco.MjModel.from_xml_string(text)
@@ -112,7 +112,8 @@ class MujocoPlant:
         data.qfrc_passive += self._forces - self._coulomb * np.arctan(self._slope * data.qvel)
 
 
-def _load_mujoco() -> ModuleType:
+def load_mujoco() -> ModuleType:
+    """The module; LpvError with what to install where it is missing."""
     try:
         import mujoco
     except ImportError as error:

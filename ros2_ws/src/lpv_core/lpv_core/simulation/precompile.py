@@ -10,11 +10,21 @@ from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.control.tracking import TrackingController
 from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.scenario import Scenario, load_scenario
+from lpv_core.simulation.serial_closed_loop import run_serial_loop
+from lpv_core.simulation.serial_scenario import SerialScenario
+from lpv_core.simulation.serial_simulator import SerialArmSimulator
 from lpv_core.support.jit import COMPILED
 from lpv_core.support.resources import bringup_file
+
+_FIRST_DECISIONS = 1.0
+"""Length of a run in which the diagnosis of a serial arm calls all that it has [s]."""
 
 
 def precompile(arm: ArmParameters, gains: Gains, scenario: Scenario) -> None:
@@ -38,9 +48,22 @@ def precompile(arm: ArmParameters, gains: Gains, scenario: Scenario) -> None:
     plant.hold()
 
 
+def precompile_serial(arm: SerialArm, scenario: SerialScenario) -> None:
+    """Run the compiled functions of a serial arm once; some are per number of joints."""
+    plant = SerialArmSimulator(arm, scenario)
+    plant.sense()
+    plant.hold()
+    run_serial_loop(arm, replace(scenario, duration=_FIRST_DECISIONS))
+    SerialSensorMonitor('precompile', arm).warm_up()
+
+
 def main() -> None:
     """Entry point."""
     if COMPILED:
+        serial = bringup_file('arms', 'ur10'), bringup_file('scenarios', 'ur10')
+        ur10, motion = load_any_arm(serial[0]), load_any_scenario(serial[1])
+        if isinstance(ur10, SerialArm) and isinstance(motion, SerialScenario):
+            precompile_serial(ur10, motion)
         arm = load_arm(bringup_file('arms', 'paper'))
         precompile(
             arm,

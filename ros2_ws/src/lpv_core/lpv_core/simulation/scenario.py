@@ -99,7 +99,7 @@ def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     ConfigError
         As `load_scenario`.
     """
-    top = Section(_expanded(data), source)
+    top = Section(expanded_plant(data), source)
     path = top.section('path')
     waypoints = path.sections('waypoints')
     times = tuple(w.number('t', low=0.0) for w in waypoints)
@@ -143,7 +143,7 @@ def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     return scenario
 
 
-def _expanded(data: Any) -> Any:
+def expanded_plant(data: Any) -> Any:
     """``plant: mujoco`` stands for ``plant: {model: mujoco}``."""
     if isinstance(data, dict) and isinstance(data.get('plant'), str):
         return {**data, 'plant': {'model': data['plant']}}

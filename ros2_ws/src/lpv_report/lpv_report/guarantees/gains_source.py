@@ -10,7 +10,8 @@ from lpv_bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
 from lpv_bag.rosbag.reading import open_bag
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.model.arm import ArmParameters, arm_from_json
-from lpv_core.simulation.scenario import Scenario, load_scenario
+from lpv_core.simulation.any_scenario import load_any_scenario
+from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import shipped_files
 
@@ -101,7 +102,7 @@ def _beside(bag: str | Path, name: str) -> Path | None:
 
 
 def find_scenario(bag: str | Path) -> Scenario | None:
-    """Scenario that lies in a bag; None where there is none, or none that can be used.
+    """Scenario that lies in a bag; None where there is none of a planar path that can be drawn.
 
     Parameters
     ----------
@@ -115,7 +116,8 @@ def find_scenario(bag: str | Path) -> Scenario | None:
     """
     file = _beside(bag, SCENARIO_NAME)
     try:
-        return None if file is None else load_scenario(file)
+        found = None if file is None else load_any_scenario(file)
+        return found if isinstance(found, Scenario) else None
     except ConfigError as error:
         _LOG.warning('%s', error)
         return None

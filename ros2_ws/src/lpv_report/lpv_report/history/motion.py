@@ -7,9 +7,14 @@ import numpy as np
 from lpv_bag.run.streams import RunRecord
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import forward
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv_report.history.episodes import intervals
 from lpv_report.history.phases import NO_COMMAND, TOO_FAST, Phase
 
+_MOST_TIPS = 5000
+"""Samples of a run of which a serial arm's tip is computed."""
 _SILENCE = 0.1
 """Measurements without a command for this long are an interval without commands [s]."""
 
@@ -26,14 +31,14 @@ class Motion:
     path_error: float | None  # largest distance of the true tip from the reference [m]
 
 
-def motion(record: RunRecord, arm: ArmParameters) -> Motion:
+def motion(record: RunRecord, arm: Arm) -> Motion:
     """Extremes of the motion: of the true arm where it is recorded, else as measured.
 
     Parameters
     ----------
     record : RunRecord
         The run, with the joints of the arm.
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         Its arm.
 
     Returns
@@ -64,24 +69,35 @@ def _rates(record: RunRecord) -> tuple[str, np.ndarray, np.ndarray]:
     return source, time, record.streams[stream]['velocity']
 
 
-def _path_error(record: RunRecord, arm: ArmParameters) -> float | None:
+def _path_error(record: RunRecord, arm: Arm) -> float | None:
     truth = record.aligned('ground_truth', 'position')
     reference = record.aligned('reference', 'tip_position')
     if truth is None or reference is None:
         return None
-    tip = forward(truth + np.array([arm.zero_angle + np.pi / 2, 0.0]), arm.lengths)
-    error = np.hypot(*(tip - reference).T)
+    error = np.linalg.norm(_tips(truth, reference, arm), axis=1)
     return float(np.nanmax(error)) if np.isfinite(error).any() else None
 
 
-def motion_phases(record: RunRecord, arm: ArmParameters) -> list[Phase]:
+def _tips(position: np.ndarray, reference: np.ndarray, arm: Arm) -> np.ndarray:
+    """Positions of the tip less those of the reference, in its coordinates [m]."""
+    if isinstance(arm, ArmParameters):
+        zero = np.array([arm.zero_angle + np.pi / 2, 0.0])
+        return forward(position + zero, arm.lengths) - reference
+    rows = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(reference).all(1))
+    rows = rows[:: max(1, len(rows) // _MOST_TIPS)]
+    chain = compile_chain(arm)
+    tips = [forward_kinematics(chain, q)[1] for q in position[rows]]
+    return np.array(tips).reshape(-1, 3) - reference[rows]
+
+
+def motion_phases(record: RunRecord, arm: Arm) -> list[Phase]:
     """Intervals in which a joint was above its speed limit, or the drives had no command.
 
     Parameters
     ----------
     record : RunRecord
         The run, with the joints of the arm.
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         Its arm.
 
     Returns

@@ -5,6 +5,7 @@ from lpv_report.guarantees.gains_source import (
     find_scenario,
     find_shipped_gains,
     find_used_gains,
+    named_arm,
     read_used_gains,
 )
 from lpv_report.run.table import print_table
@@ -16,6 +17,7 @@ __all__ = [
     'find_scenario',
     'find_shipped_gains',
     'find_used_gains',
+    'named_arm',
     'print_table',
     'read_used_gains',
     'write_report',

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv_bag.run.streams import RunRecord
-from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.guarantees.detectability import Detectability, summary
 from lpv_report.guarantees.examination import Certificate
@@ -46,7 +47,7 @@ class Findings:
     """All that a report is made of."""
 
     record: RunRecord  # the run
-    arm: ArmParameters  # its arm
+    arm: Arm  # its arm
     title: str  # heading
     table: list[Row]  # of `lpv_report.run.table.make_table`
     used: UsedGains  # gains of the run, or why they are not known
@@ -86,6 +87,7 @@ def content(findings: Findings) -> dict[str, Any]:
         'table': findings.table,
         'compare': any(row.paper is not None for row in findings.table),
         'errors': any(row.signal in PAPER for row in findings.table),
+        'statistical': isinstance(arm, SerialArm),
         'detectable': summary(able, arm.sensor_names) if able is not None else [],
         'resting': able is not None and able.gains is not None,
         'certificate': certificate,
@@ -173,6 +175,8 @@ def _tiles(findings: Findings, alarms: list[Episode], missed: list[Interval]) ->
     tiles.append(Tile('fastest joint', f'{move.speed:.3g} rad/s', limit, look))
     if move.path_error is not None:
         tiles.append(Tile('farthest from path', f'{move.path_error:.3g} m', 'true tip'))
+    if isinstance(findings.arm, SerialArm):
+        return [*tiles, Tile('bounds', 'statistical', 'no certificate')]
     return [*tiles, _certificate_tile(findings.certificate, findings.reproduction)]
 
 
@@ -185,7 +189,7 @@ def _certificate_tile(certificate: Certificate | None, again: Reproduction | Non
     if certificate is None:
         return Tile('certificate of the gains', 'unknown', look='warn')
     if certificate.holds and again is not None and not again.same:
-        return Tile('certificate of the gains', 'holds', 'but the run had others', 'warn')
+        return Tile('certificate of the gains', 'holds', 'the run may have had others', 'warn')
     if certificate.holds:
         return Tile(
             'certificate of the gains', 'holds', f'{len(certificate.checks)} checks', 'good'
@@ -194,11 +198,17 @@ def _certificate_tile(certificate: Certificate | None, again: Reproduction | Non
     return Tile('certificate of the gains', word, look='bad')
 
 
-def _arm_facts(arm: ArmParameters) -> list[tuple[str, str]]:
-    return [
-        ('name', arm.name),
-        ('SHA-256', arm.sha256()),
-        ('joints', ', '.join(arm.joint_names)),
+def _arm_facts(arm: Arm) -> list[tuple[str, str]]:
+    facts = [('name', arm.name), ('SHA-256', arm.sha256()), ('joints', ', '.join(arm.joint_names))]
+    if isinstance(arm, SerialArm):
+        rates = sorted({joint.sensors.rates for joint in arm.joints})
+        return facts + [
+            ('position sensors', f'{", ".join(arm.sensor_names)} (of the joints)'),
+            ('rates', ', '.join(rates)),
+            ('unknown payload', f'up to {arm.uncertainty.payload:g} kg'),
+            ('sample time', f'{1000.0 * arm.sample_time:g} ms'),
+        ]
+    return facts + [
         ('position sensors', f'{", ".join(arm.sensor_names)} ({arm.arrangement} angles)'),
         ('stated model error, payload', f'{100.0 * arm.model_error:g} %, {arm.payload:g} kg'),
         ('sample time', f'{1000.0 * arm.sample_time:g} ms'),

@@ -1,7 +1,7 @@
 """Counterparts of the paper's figures 4 to 8; one function per figure.
 
 Every function returns a Matplotlib figure, or None where the run has nothing to show in it.
-Joint or sensor 1 is blue and 2 is vermilion throughout; wide pale lines are the truth or the
+Each joint or sensor has one colour throughout; wide pale lines are the truth or the
 reference, thin lines what is measured or estimated.
 """
 
@@ -139,13 +139,15 @@ def _mark_ends(axis: Axes, points: np.ndarray) -> None:
         )
 
 
-def faults(record: RunRecord, sensor_names: Sequence[str] | None = None) -> Figure | None:
-    """Fig. 5: sensor faults and their estimates, thresholds and alarms."""
+def faults(
+    record: RunRecord, sensor_names: Sequence[str] | None = None, banded: bool = False
+) -> Figure | None:
+    """Fig. 5: sensor faults and their estimates, thresholds and alarms; with the bounds' band."""
     if 'fault_estimate' not in record.streams:
         return None
     names = sensor_names or record.sensor_names
     time, alarms = record.time, episodes(record)
-    figure, axes = _axes(2, height=2.5)
+    figure, axes = _axes(len(names), height=2.5)
     for i, axis in enumerate(axes[:, 0]):
         threshold = _column(record, 'fault_estimate', 'threshold', i)
         if threshold is not None:
@@ -161,10 +163,32 @@ def faults(record: RunRecord, sensor_names: Sequence[str] | None = None) -> Figu
             SENSOR[i],
             **_THIN,
         )
+        if banded:
+            _band(axis, record, i)
         _shade(axis, record, i, alarms)
         axis.set_ylabel('fault [rad]')
         _finish(axis, record, f'Sensor {i + 1}: {names[i]}')
     return figure
+
+
+def _band(axis: Axes, record: RunRecord, i: int) -> None:
+    """Estimate with its bound, where the sensor is diagnosable; the axis shows that alone."""
+    estimate, bound, state, threshold = (
+        _column(record, 'fault_estimate', name, i)
+        for name in ('estimate', 'bound', 'state', 'threshold')
+    )
+    if estimate is None or bound is None or state is None or threshold is None:
+        return
+    known = state != SensorState.NOT_DIAGNOSABLE
+    width = np.where(known, bound, np.nan)
+    at, low = thin(record.time, estimate - width)
+    axis.fill_between(
+        at, low, thin(record.time, estimate + width)[1], color=PALE[i], alpha=0.5, linewidth=0,
+        label='bound',
+    )  # fmt: skip
+    shown = np.abs(np.concatenate([estimate, threshold[known], (np.abs(estimate) + bound)[known]]))
+    highest = np.nanpercentile(shown, 99.0) if np.isfinite(shown).any() else 1.0
+    axis.set_ylim(-1.1 * highest - 1e-6, 1.1 * highest + 1e-6)
 
 
 def _shade(axis: Axes, record: RunRecord, sensor: int, alarms: list[Episode]) -> None:
@@ -181,7 +205,7 @@ def _shade(axis: Axes, record: RunRecord, sensor: int, alarms: list[Episode]) ->
 
 def measured(record: RunRecord) -> Figure:
     """Fig. 6: measured joint positions, with faults, and their references."""
-    figure, axes = _axes(2, height=2.4)
+    figure, axes = _axes(len(record.joint_names), height=2.4)
     for i, axis in enumerate(axes[:, 0]):
         _draw(
             axis,
@@ -218,7 +242,12 @@ def states(record: RunRecord) -> Figure | None:
         return None
     truth = 'ground_truth' if 'ground_truth' in record.streams else 'joint_states'
     label = 'true' if truth == 'ground_truth' else 'measured'
-    figure, axes = _axes(2, 2, height=2.35)
+    joints = len(record.joint_names)
+    if joints <= 2:
+        figure, axes = _axes(2, joints, height=2.35)
+    else:
+        figure, axes = _axes(joints, 2, height=2.0)
+        axes = axes.T
     for row, field, unit in zip(axes, ('position', 'velocity'), ('rad', 'rad/s')):
         for i, axis in enumerate(row):
             _draw(axis, record.time, _column(record, truth, field, i), label, PALE[i], **_WIDE)
@@ -236,8 +265,8 @@ def states(record: RunRecord) -> Figure | None:
 
 
 def torques(record: RunRecord) -> Figure | None:
-    """Fig. 8: torques of both joints."""
-    figure, axes = _axes(2, height=2.2)
+    """Fig. 8: torques of all joints."""
+    figure, axes = _axes(len(record.joint_names), height=2.2)
     drawn = False
     for i, axis in enumerate(axes[:, 0]):
         drawn |= _draw(

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lpv_bag.run.record import load_run
+from lpv_bag.run.streams import RunRecord
 from lpv_core.control.path import CartesianPath
-from lpv_core.model.arm import ArmParameters
-from lpv_report.guarantees.detectability import detectability
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_report.guarantees.detectability import Detectability, detectability
 from lpv_report.guarantees.examination import Certificate, examine
 from lpv_report.guarantees.gains_source import UsedGains, find_used_gains
 from lpv_report.guarantees.reproduction import Reproduction, reproduce
@@ -48,7 +50,7 @@ class ReportResult:
 def write_report(
     bag: str | Path,
     out: str | Path,
-    arm: ArmParameters,
+    arm: Arm,
     path: CartesianPath | None = None,
     title: str = 'Run',
     used: UsedGains | None = None,
@@ -61,7 +63,7 @@ def write_report(
         Recorded run.
     out : str or pathlib.Path
         Folder for ``report.html`` and the PNG files.
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         The arm.
     path : CartesianPath, optional
         Reference path with its obstacle.
@@ -82,17 +84,13 @@ def write_report(
     """
     record = load_run(bag, joint_names=arm.joint_names)
     used = used or find_used_gains(bag)
-    certificate = examine(used, arm)
-    gains = used.gains if certificate is not None and not certificate.problem else None
     findings = Findings(
         record,
         arm,
         title,
         make_table(record, arm),
         used,
-        certificate,
-        reproduce(record, arm, gains) if gains is not None else None,
-        detectability(record, arm, gains if certificate and certificate.holds else None),
+        *_guarantees(record, arm, used),
         sorted(
             [*phases(record, bag, arm.sensor_names), *motion_phases(record, arm)],
             key=lambda p: (p.start, p.what, p.sensor),
@@ -109,4 +107,19 @@ def write_report(
         figures[name] = {'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()}
     html = out / 'report.html'
     html.write_text(render(content(findings), figures), encoding='utf-8')
-    return ReportResult(html, pictures, findings.table, certificate, findings.reproduction)
+    return ReportResult(html, pictures, findings.table, findings.certificate, findings.reproduction)
+
+
+def _guarantees(
+    record: RunRecord, arm: Arm, used: UsedGains
+) -> tuple[Certificate | None, Reproduction | None, Detectability | None]:
+    """What is certified of a two-link arm's run; nothing of a serial arm's."""
+    if isinstance(arm, SerialArm):
+        return None, None, None
+    certificate = examine(used, arm)
+    gains = used.gains if certificate is not None and not certificate.problem else None
+    return (
+        certificate,
+        reproduce(record, arm, gains) if gains is not None else None,
+        detectability(record, arm, gains if certificate and certificate.holds else None),
+    )

@@ -1,4 +1,4 @@
-// The arm, drawn from the angles of its links: true, estimated, measured.
+// The arm, drawn from the corners of its links: true, estimated, measured.
 
 import { colour, surface } from '/theme.js';
 
@@ -17,7 +17,7 @@ export class ArmDrawing {
 
   start(hello) {
     this.hello = hello;
-    this.reach = hello.lengths[0] + hello.lengths[1];
+    this.reach = hello.reach;
     // Fractions of the reach that are shown to the sides, below and above.
     this.box = { side: 0.55, low: 0.2, high: 0.2 };
     const { path, obstacle } = hello.scene;
@@ -35,21 +35,15 @@ export class ArmDrawing {
     box.low = Math.max(box.low, -y / reach + 0.06);
   }
 
-  corners(angles) {
-    const [one, two] = this.hello.lengths;
-    const elbow = [one * Math.cos(angles[0]), one * Math.sin(angles[0])];
-    return [[0, 0], elbow,
-      [elbow[0] + two * Math.cos(angles[1]), elbow[1] + two * Math.sin(angles[1])]];
-  }
-
   draw(frame) {
     if (!this.hello) return;
     const { context, width, height } = surface(this.canvas);
-    const arms = Object.entries(frame?.arms ?? {}).filter(([, angles]) => angles)
-      .map(([name, angles]) => [name, this.corners(angles)]);
+    const arms = Object.entries(frame?.arms ?? {}).filter(([, corners]) => corners)
+      .map(([name, corners]) => [name, corners.map(flat)]);
     const place = this.fit(arms, width, height);
     this.drawGround(context, place, width);
-    this.drawScene(context, place, frame?.sample?.tip);
+    const tip = frame?.sample?.tip;
+    this.drawScene(context, place, tip?.[0] == null ? null : flat(tip));
     for (const name of ['true', 'estimated', 'measured']) {
       const found = arms.find(([other]) => other === name);
       if (found) this.drawArm(context, found[1].map(place), name);
@@ -141,6 +135,14 @@ export class ArmDrawing {
     context.fillStyle = colour('card');
     context.fill();
   }
+}
+
+// A point of the plane as it is; one of space (x, y, z up) as seen from the front right, from above.
+function flat(point) {
+  if (point.length < 3) return point;
+  const [x, y, z] = point, turn = Math.PI / 5, tilt = Math.PI / 9;
+  const side = x * Math.cos(turn) - y * Math.sin(turn), depth = x * Math.sin(turn) + y * Math.cos(turn);
+  return [side, z * Math.cos(tilt) + depth * Math.sin(tilt)];
 }
 
 function line(context, points) {

@@ -110,7 +110,7 @@ function showVerdict(frame, alarms, hello, silent) {
     const names = hello.sensors.filter((_, i) => frame.states[i] !== 'OK').join(', ');
     verdict('stale', '?', 'No alarm, but not all can be diagnosed', ` ${names}`);
   } else {
-    verdict('ok', '✓', 'No sensor fault', ' Both estimates are below their thresholds.');
+    verdict('ok', '✓', 'No sensor fault', ' All estimates are below their thresholds.');
   }
 }
 

@@ -16,9 +16,12 @@ const LABELS = { size: { drift: 'Up to [rad], 0: no end', scale: 'Factor minus 1
   rate_bias: 'Size [rad/s]' },
   rate: { drift: 'Rate [rad/s]', spike: 'Spikes a second' } };
 
+const DASHES = [[], [7, 4], [2, 3], [12, 4], [7, 3, 2, 3], [3, 6], [14, 3, 3, 3]];
+
 let hello = null, frame = null, samples = [], alarms = [], waiting = false, token = null;
 const arm = new ArmDrawing(byId('arm'));
-const charts = [0, 1].map((i) => new Chart(document.querySelector(`#sensor-${i} canvas`), {
+let charts = [];
+const sensorChart = (canvas, i) => new Chart(canvas, {
   unit: 'rad', smallest: 0.1,
   series: [
     { values: (s) => s.threshold[i], colour: 'threshold', dash: [6, 5], width: 1.5 },
@@ -30,12 +33,32 @@ const charts = [0, 1].map((i) => new Chart(document.querySelector(`#sensor-${i} 
     : [s.estimate[i] - s.bound[i], s.estimate[i] + s.bound[i]]),
   marks: () => alarms.filter((row) => row.sensor === hello?.sensors[i])
     .map((row) => [row.detected, row.ended]),
-}));
-charts.push(new Chart(byId('torque'), {
+});
+const torqueChart = (joints) => new Chart(byId('torque'), {
   unit: 'N m', smallest: 1,
-  series: [0, 1].map((i) => ({ values: (s) => s.torque[i], colour: `torque${i}`,
-    dash: i ? [7, 4] : [] })),
-}));
+  series: joints.map((_, i) => ({ values: (s) => s.torque[i], colour: `torque${i % 2}`,
+    dash: DASHES[i % DASHES.length] })),
+});
+
+// One card and one chart for each sensor, one line for each joint.
+function layOut({ sensors, joints }) {
+  const cards = sensors.map((name, i) => {
+    const card = byId('sensor-card').content.firstElementChild.cloneNode(true);
+    card.id = `sensor-${i}`;
+    card.querySelector('h2').textContent = name;
+    return card;
+  });
+  byId('sensors').replaceChildren(...cards);
+  byId('sensors').classList.toggle('many', sensors.length > 2);
+  byId('joints').replaceChildren(...joints.map((name, i) => {
+    const item = document.createElement('li'), key = document.createElement('i');
+    key.className = `key torque${i % 2}`;
+    item.append(key, name);
+    return item;
+  }));
+  charts = cards.map((card, i) => sensorChart(card.querySelector('canvas'), i));
+  charts.push(torqueChart(joints));
+}
 
 function draw() {
   waiting = false;
@@ -56,8 +79,7 @@ function start(message) {
   samples = message.history;
   byId('arm-name').textContent = message.arm;
   document.title = `${message.arm}, live`;
-  message.sensors.forEach((name, i) => { byId(`sensor-${i}-name`).textContent = name; });
-  message.joints.forEach((name, i) => { byId(`joint-${i}`).textContent = name; });
+  layOut(message);
   byId('key-path').hidden = !message.scene.path.length;
   options(byId('sensor'), message.sensors);
   options(byId('kind'), message.kinds);

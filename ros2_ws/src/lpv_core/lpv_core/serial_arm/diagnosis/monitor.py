@@ -266,10 +266,21 @@ class SerialMonitor:
             k, complete = take_samples(
                 self.sampler, self.estimator.balance, times, samples, k, plan
             )
-            now = float(times[k - 1])
-            self._report_jumps(now)
-            if complete and self.arm.effort_includes_gravity:
-                self._decide(now)
+            self.decide(float(times[k - 1]), complete)
+
+    def decide(self, now: float, complete: bool) -> None:
+        """Decide on what `take_samples` has found; for loops that call it themselves.
+
+        Parameters
+        ----------
+        now : float
+            Time of the last sample, from the first one on [s].
+        complete : bool
+            Whether a balance is complete.
+        """
+        self._report_jumps(now)
+        if complete and self.arm.effort_includes_gravity:
+            self._decide(now)
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""

@@ -8,7 +8,8 @@ from string import Template
 
 import numpy as np
 
-from lpv_cli.commands.urdf_arm import EXAMPLE, read_urdf_arm
+from lpv_cli.initialising.serial_files import write_serial_files
+from lpv_cli.initialising.urdf_arm import EXAMPLE, count_joints, read_urdf_arm
 from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.model.kinematics import forward
 from lpv_core.simulation.scenario import load_scenario
@@ -24,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'folder', nargs='?', default='.', help='where the files are written (this folder)'
     )
     parser.add_argument('--name', help="name of the arm (the URDF's, or my_arm)")
-    parser.add_argument('--urdf', help='URDF of an arm with two revolute joints')
+    parser.add_argument(
+        '--urdf', help='URDF of the arm: two links in a plane, or a serial arm of n joints'
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -34,10 +37,13 @@ def run(arguments: argparse.Namespace) -> int:
     for path in paths:
         if path.exists():
             raise ConfigError('folder', f'{path} exists already: nothing was written')
+    if arguments.name:
+        _check_name(arguments.name)
+    if arguments.urdf and count_joints(arguments.urdf) > 2:
+        return _run_serial(folder, arguments)
     described = read_urdf_arm(arguments.urdf) if arguments.urdf else EXAMPLE
     name = arguments.name or described.name
-    if not re.fullmatch(r'[A-Za-z_]\w*', name):
-        raise ConfigError('--name', f'must be letters, digits and underscores, got {name!r}')
+    _check_name(name)
     values = described.values(
         name,
         'those of an example'
@@ -56,6 +62,20 @@ def run(arguments: argparse.Namespace) -> int:
     gains = folder / 'gains.yaml'
     print(f'  lpv design --arm {arm} --requirement {requirement} --out {gains}')
     print(f'  lpv demo --arm {arm} --requirement {requirement} --scenario {scenario}')
+    return 0
+
+
+def _check_name(name: str) -> None:
+    if not re.fullmatch(r'[A-Za-z_]\w*', name):
+        raise ConfigError('--name', f'must be letters, digits and underscores, got {name!r}')
+
+
+def _run_serial(folder: Path, arguments: argparse.Namespace) -> int:
+    arm, scenario = write_serial_files(folder, Path(arguments.urdf), arguments.name)
+    print(f'written: {arm}, {scenario}')
+    print('next: a URDF knows no friction, rotors and sensors; identify them from a recording')
+    print(f'  lpv identify recording_bag --arm {arm} --out {arm}')
+    print(f'  lpv demo --arm {arm} --scenario {scenario}')
     return 0
 
 

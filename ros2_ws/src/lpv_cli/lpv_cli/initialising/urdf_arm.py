@@ -76,7 +76,7 @@ def read_urdf_arm(path: str | Path) -> UrdfArm:
     """
     root = _parse(Path(path))
     source = str(path)
-    joints = [j for j in root.iter('joint') if j.get('type') in ('revolute', 'continuous')]
+    joints = _revolute(root)
     if len(joints) != 2:
         raise ConfigError('joint', f'must be two revolute joints, there are {len(joints)}', source)
     if _end(joints[0], 'parent', source) == _end(joints[1], 'child', source):
@@ -101,6 +101,15 @@ def read_urdf_arm(path: str | Path) -> UrdfArm:
         for joint, step, place in zip(joints, along, (one, two))
     )
     return UrdfArm(root.get('name') or 'my_arm', (links[0], links[1]), angles[0])
+
+
+def count_joints(path: str | Path) -> int:
+    """Number of joints of a URDF that turn; ConfigError if it cannot be read."""
+    return len(_revolute(_parse(Path(path))))
+
+
+def _revolute(root: ElementTree.Element) -> list[ElementTree.Element]:
+    return [j for j in root.iter('joint') if j.get('type') in ('revolute', 'continuous')]
 
 
 def _parse(path: Path) -> ElementTree.Element:

@@ -1,0 +1,53 @@
+"""References of all samples of an offline run, from the path follower of the tracker node."""
+
+import numpy as np
+
+from lpv_core.control.path import Reference, TimedPath
+from lpv_core.control.path_follower import PathFollower
+from lpv_core.support.timestamps import NANOSECONDS
+
+
+class PathReferences:
+    """References of all samples; rows count the samples in which the clock of the path runs.
+
+    Parameters
+    ----------
+    path : TimedPath
+        Of an arm of n joints.
+    sample_time : float
+        [s].
+    count : int
+        Number of samples m.
+
+    Attributes
+    ----------
+    motion : ndarray, shape (m, 3, n)
+        Joint positions, rates and accelerations [rad], [rad/s], [rad/s2].
+    tip : ndarray, shape (m, 2) or (m, 3)
+        [m].
+    """
+
+    def __init__(self, path: TimedPath, sample_time: float, count: int) -> None:
+        self._follower = PathFollower(path)
+        # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
+        times = np.rint(np.arange(count) * sample_time * NANOSECONDS)
+        self._stamps = times.astype(np.int64)
+        self._period = sample_time
+        whole = path.sample(self._stamps / NANOSECONDS)
+        self.motion = np.empty((count, 3, whole.position.shape[-1]))
+        self.tip = np.empty(whole.tip.shape)
+        self._set(0, whole)
+
+    def restart(self, first: int, position: np.ndarray) -> None:
+        """From row ``first`` on, references of a loop that starts, or goes on after a stop."""
+        if self._follower.running:
+            self._follower.stop(round((first - 1) * self._period * NANOSECONDS))
+        self._follower.reference(int(self._stamps[first]), position)
+        if first > 0 or not self._follower.is_on_path:
+            self._set(first, self._follower.ahead(self._stamps[first:]))
+
+    def _set(self, first: int, reference: Reference) -> None:
+        self.motion[first:, 0] = reference.position
+        self.motion[first:, 1] = reference.velocity
+        self.motion[first:, 2] = reference.acceleration
+        self.tip[first:] = reference.tip

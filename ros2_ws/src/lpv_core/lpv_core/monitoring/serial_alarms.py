@@ -1,0 +1,82 @@
+"""Alarms of a serial arm in the form of the messages."""
+
+import math
+
+import numpy as np
+
+from lpv_core.decision.diagnosis import Alarm, AlarmEvent
+from lpv_core.monitoring.stepped_monitor import Snapshot
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm
+
+_SPIKE, _BIAS, _DRIFT = 'spike', 'bias', 'drift'
+
+
+class AlarmConverter:
+    """Alarm events of one arm.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Names of the sensors.
+    """
+
+    def __init__(self, arm: SerialArm) -> None:
+        self._names = arm.sensor_names
+        self._raised = np.zeros(len(self._names), bool)
+
+    def convert(self, known: Snapshot, onset: list[int], stamp: int, sigmas: float) -> list[Alarm]:
+        """Events of the alarms of a snapshot that name a sensor.
+
+        Parameters
+        ----------
+        known : Snapshot
+            What is known at the sample.
+        onset : list of int
+            Of each alarm [ns].
+        stamp : int
+            Of the sample [ns].
+        sigmas : float
+            Standard deviations in a bound.
+
+        Returns
+        -------
+        list of Alarm
+            In the order in which they were found; a spike is raised and cleared at once.
+        """
+        events = []
+        for alarm, begin in zip(known.alarms, onset):
+            if not alarm.sensor:
+                continue
+            i = self._names.index(alarm.sensor)
+            event = AlarmEvent.UPDATED if self._raised[i] else AlarmEvent.RAISED
+            size, sigma = _fault_at(alarm, known, i)
+            fields = (
+                i, alarm.sensor, begin, stamp, size, sigmas * sigma, alarm.kind,
+                confidence(alarm),
+            )  # fmt: skip
+            if alarm.kind == _SPIKE:
+                if not self._raised[i]:
+                    events += [Alarm(one, *fields) for one in (event, AlarmEvent.CLEARED)]
+                continue
+            self._raised[i] = True
+            events.append(Alarm(event, *fields))
+        return events
+
+
+def _fault_at(alarm: SerialAlarm, known: Snapshot, i: int) -> tuple[float, float]:
+    """Size of a fault and its standard deviation when it is named [rad]."""
+    if alarm.kind in (_BIAS, _SPIKE):
+        return alarm.size, alarm.sigma
+    size, sigma = float(known.fault[i]), float(known.sigma[i])
+    grown = known.time - alarm.onset
+    if alarm.kind == _DRIFT:  # its size is a rate
+        return size + alarm.size * grown, math.hypot(sigma, alarm.sigma * grown)
+    return size, sigma
+
+
+def confidence(alarm: SerialAlarm) -> float:
+    """One minus the probability of an alarm like this on a healthy arm, as far as sigmas hold."""
+    if alarm.kind == _BIAS and alarm.sigma > 0.0:
+        return math.erf(abs(alarm.size) / alarm.sigma / math.sqrt(2.0))
+    return 1.0 - math.exp(-MonitorSettings().evidence)

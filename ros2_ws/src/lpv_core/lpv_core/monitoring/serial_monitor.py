@@ -1,0 +1,450 @@
+"""Observer and diagnosis of a serial arm of n joints, behind the interface of `SensorMonitor`.
+
+`lpv_core.serial_arm.diagnosis` finds faults in samples that are in order.  What is here decides
+which measurements are, and turns what was found into messages.  The node takes measurements one by
+one, a replay many at a time; both go through `SerialSensorMonitor.take_many`, and the answers do
+not depend on how measurements are divided.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
+from lpv_core.model.joint_order import JointOrder
+from lpv_core.monitoring import message_fields
+from lpv_core.monitoring.answers import Answer, Answers, answer_type
+from lpv_core.monitoring.compensation import (
+    AnswerRows,
+    Flags,
+    Known,
+    answer_rows,
+    fill_answers,
+    new_compensation,
+)
+from lpv_core.monitoring.serial_alarms import AlarmConverter
+from lpv_core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
+from lpv_core.observer.sampled_observer import Mode
+from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv_core.support.errors import SampleError
+from lpv_core.support.timestamps import NANOSECONDS, NEVER
+
+METHOD = 'momentum balances'
+_REPORT_INTERVAL = NANOSECONDS
+"""A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
+_LONGEST_STALE = 50_000_000
+"""Time without a usable measurement after which the last estimate is not trustworthy, and without
+efforts after which the diagnosis goes on without them [ns]."""
+_LARGEST = (1e3, 1e4, 1e9)
+"""Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
+_MOST_AT_ONCE = 2048
+"""Samples between which nothing is looked for that is not in order."""
+_WARM_UP = 0.3
+"""Motion that makes every compiled function run [s]."""
+_CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
+_NO_EFFORT = 'no efforts: jumps of readings are found, offsets and drifts are not diagnosable'
+
+
+@dataclass
+class SerialCounters:
+    """How many samples were not usable as they came."""
+
+    duplicates: int = 0  # with the stamp of the one before
+    out_of_order: int = 0  # with an older stamp
+    restarts: int = 0  # the clock was set back by more than 1 s
+    not_finite: int = 0  # NaN or infinite readings, or rates of a sensor of their own
+    implausible: int = 0  # values that no arm has
+    gaps: int = 0  # intervals after which the balances restart
+    without_effort: int = 0  # efforts were missing that had been there before
+
+
+class _Batch(NamedTuple):
+    """Measurements that were handed over together, and their answers."""
+
+    stamps: IntArray
+    samples: FloatArray
+    records: np.recarray
+    rows: AnswerRows
+
+
+class SerialSensorMonitor:
+    """Diagnosis of the position sensors of a serial arm; bounds are statistical.
+
+    Degraded modes: without rates, those of sensors that have none of their own are differences of
+    the readings; without efforts, jumps are found and offsets are NOT_DIAGNOSABLE; a sample with
+    values that are not finite is answered with the last estimate, marked STALE.
+
+    Parameters
+    ----------
+    name : str
+        Name in diagnostics: the node's fully qualified name.
+    arm : SerialArm
+        The arm.
+    parameters : DiagnosisParameters, optional
+        Tuning; ``sigmas``, ``minimum_threshold``, ``safe_stop_bound`` and ``compensation_rate``
+        are used.
+
+    Attributes
+    ----------
+    rejected : int
+        Messages that did not fit the arm.
+    counters : SerialCounters
+        Samples that were not usable as they came.
+    method : str
+        How faults are found.
+
+    Raises
+    ------
+    ConfigError
+        If the arm cannot be monitored.
+    """
+
+    method = METHOD
+    needs_rates = False
+
+    def __init__(
+        self, name: str, arm: SerialArm, parameters: DiagnosisParameters | None = None
+    ) -> None:
+        self.name, self.arm, self.rejected = name, arm, 0
+        self.counters = SerialCounters()
+        self._joints = len(arm.joints)
+        self.answer_type = answer_type(self._joints)
+        self._order = JointOrder(arm.joint_names, self.needs_rates)
+        rates = [joint.sensors.rates for joint in arm.joints]
+        self._independent = np.array([rate == 'independent' for rate in rates])
+        self._is_derived = ~self._independent
+        self._without_rates = np.array([rate == 'none' for rate in rates])
+        self._monitor = SteppedMonitor(arm)
+        self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
+        self.retune(parameters or DiagnosisParameters())
+        self.reset()
+
+    def retune(self, parameters: DiagnosisParameters) -> None:
+        """Change the tuning while running; alarms stay as they are."""
+        self._parameters = parameters
+        self._monitor.tune(parameters.minimum_threshold)
+        if hasattr(self, '_snapshot'):
+            self._know(self._snapshot, self._flags.stamp)
+
+    def reset(self) -> None:
+        """Forget estimates and alarms; counters stay."""
+        self._monitor.reset()
+        self._blind: bool | None = None  # whether efforts are missing
+        self._stamp = NEVER  # of the last usable sample [ns]
+        self._reading = np.zeros(self._joints)  # of that sample [rad]
+        self._next_report = NEVER
+        self._know(self._monitor.snapshot(), 0)
+        self._compensation = new_compensation(self._joints)
+        self._alarms = AlarmConverter(self.arm)
+        self._last = np.zeros(1, self.answer_type).view(np.recarray)  # row with the last estimate
+        self._warned: set[str] = set()
+
+    def warm_up(self) -> None:
+        """Compile with a made-up motion, and forget it: the first real samples must not wait."""
+        other = SerialSensorMonitor(self.name, self.arm, self._parameters)
+        step = round(self.arm.sample_time * NANOSECONDS)
+        stamps = 1 + step * np.arange(max(20, round(_WARM_UP / self.arm.sample_time)))
+        t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
+        other.take_many(stamps, np.sin(t), np.cos(t), np.zeros_like(t))
+        other._monitor.estimator.linearise(other._monitor._blocks(2))  # noqa: SLF001
+
+    def take(
+        self, stamp: int, message: Any, torque: Sequence[float] | None = None
+    ) -> Answer | None:
+        """Use one measurement; as `lpv_core.monitoring.monitor.SensorMonitor.take`."""
+        try:
+            position, velocity, effort = (np.array(v) for v in self._order.pick(message))
+            if torque is not None:
+                effort = np.array(torque, dtype=float)
+            if effort.shape != (self._joints,):
+                raise SampleError(f'torque has {len(effort)} values for {self._joints} joints')
+        except SampleError:
+            self.rejected += 1
+            raise
+        answers = self.take_many(np.array([stamp]), position[None], velocity[None], effort[None])
+        return self._one(stamp, answers) if answers.answered[0] else None
+
+    def _one(self, stamp: int, answers: Answers) -> Answer:
+        """The answer of one row."""
+        state = answers.state[0]
+        events = [event for _, event in answers.events]
+        return Answer(
+            stamp,
+            message_fields.state_fields(state),
+            message_fields.corrected_fields(state, self.arm.joint_names),
+            message_fields.fault_fields(answers.fault[0], self.arm.sensor_names)
+            if answers.has_fault[0]
+            else None,
+            [message_fields.alarm_fields(event) for event in events],
+            answers.reports[0][1] if answers.reports else None,
+            events,
+            self._new_warnings() if answers.reports else [],
+            bool(answers.restarted[0]),
+            bool(answers.inconsistent[0]),
+        )
+
+    def take_many(
+        self, stamps: IntArray, position: FloatArray, velocity: FloatArray, effort: FloatArray
+    ) -> Answers:
+        """Use many measurements; as `lpv_core.monitoring.monitor.SensorMonitor.take_many`."""
+        samples = np.empty((len(stamps), 3, self._joints))
+        samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
+        records: Any = np.zeros(len(stamps), self.answer_type)
+        rows = answer_rows(records)
+        stamps, records = np.ascontiguousarray(stamps, np.int64), records.view(np.recarray)
+        batch = _Batch(stamps, samples, records, rows)
+        answers = Answers(
+            rows.answered,
+            rows.has_fault,
+            records.restarted,
+            rows.inconsistent,
+            records.state,
+            records.fault,
+            events=[],
+            reports=[],
+        )
+        begin = 0
+        while begin < len(stamps):
+            count = self._regular(stamps[begin:], samples[begin:])
+            row = records[begin : begin + 1]
+            if count or self._prepare(int(stamps[begin]), samples[begin], row):
+                self._run(batch, begin, begin + max(1, count), answers)
+            elif rows.answered[begin] and self._is_due(int(stamps[begin])):
+                self._report(int(stamps[begin]), begin, answers)
+            begin += max(1, count)
+        return answers
+
+    def _regular(self, stamps: IntArray, samples: FloatArray) -> int:
+        """Number of samples at the beginning that can be used as they are, after the last one."""
+        if self._blind is None:
+            return 0
+        stamps, samples = stamps[:_MOST_AT_ONCE], samples[:_MOST_AT_ONCE]
+        before = np.concatenate([[self._stamp], stamps[:-1]])
+        derives = self._derives(samples)
+        good = (stamps > before) & self._plausible(samples)
+        good &= (stamps - before <= self._gap) | ~derives
+        good &= np.isfinite(samples[:, 2]).all(1) != self._blind
+        return len(good) if good.all() else int(np.argmin(good))
+
+    def _derives(self, samples: FloatArray) -> np.ndarray:
+        """Whether rates have to be made of the readings."""
+        missing = ~np.isfinite(samples[:, 1]) | self._without_rates
+        return missing.any(1)
+
+    def _plausible(self, samples: FloatArray) -> np.ndarray:
+        """Whether readings, and rates of sensors of their own, are finite and of an arm."""
+        reading, rate, effort = samples[:, 0], samples[:, 1], samples[:, 2]
+        good = (np.abs(reading) <= _LARGEST[0]).all(1)
+        good &= (np.abs(rate[:, self._independent]) <= _LARGEST[1]).all(1)
+        good &= ~(np.abs(rate) > _LARGEST[1]).any(1)
+        good &= ~(np.abs(effort) > _LARGEST[2]).any(1)
+        return np.asarray(good)
+
+    def _prepare(self, stamp: int, sample: FloatArray, row: np.recarray) -> bool:
+        """Get ready for a sample that does not simply follow; False if it is used up so.
+
+        ``row`` receives the answer in this case.
+        """
+        if not self._is_new(stamp, row):
+            return False
+        if not self._plausible(sample[None])[0]:
+            needed = np.concatenate([sample[0], sample[1, self._independent]])
+            finite = bool(np.isfinite(needed).all())
+            self.counters.implausible += finite
+            self.counters.not_finite += not finite
+            self._answer_stale(stamp, row)
+            return False
+        blind = not np.isfinite(sample[2]).all()
+        if blind and not self._blind and self._stamp != NEVER:
+            self.counters.without_effort += 1
+            if stamp - self._stamp <= _LONGEST_STALE:
+                self._answer_stale(stamp, row)
+                return False
+        if blind is not self._blind:
+            self._blind = self._monitor.blind = blind
+            self._monitor.begin_again()
+            self._know(self._snapshot, self._flags.stamp)
+        gap = self._stamp == NEVER or stamp - self._stamp > self._gap
+        self.counters.gaps += self._stamp != NEVER and gap
+        if gap and self._derives(sample[None])[0]:
+            # The first difference needs two readings.
+            self._monitor.begin_again()
+            self._answer_stale(stamp, row)
+            self._stamp, self._reading = stamp, sample[0].copy()
+            return False
+        return True
+
+    def _is_new(self, stamp: int, row: np.recarray) -> bool:
+        """Whether a stamp is later than the last one, or of a clock that was set back."""
+        delta = stamp - self._stamp
+        if self._stamp == NEVER or delta > 0:
+            return True
+        if delta < -NANOSECONDS:
+            self.counters.restarts += 1
+            self.reset()
+            row.restarted[0] = True
+            return True
+        self.counters.duplicates += delta == 0
+        self.counters.out_of_order += delta < 0
+        return False
+
+    def _run(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
+        """Use samples that are in order."""
+        stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
+        self._add_rates(stamps, samples)
+        self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
+        if self._blind:
+            samples[:, 2] = 0.0
+        first = begin
+        for snapshot in self._monitor.run(stamps, samples):
+            # What was decided at a sample counts from this sample on.
+            self._fill(batch, begin, first + snapshot.row, answers)
+            begin = first + snapshot.row
+            self._decide(snapshot, int(batch.stamps[begin]), begin, answers)
+        self._fill(batch, begin, end, answers)
+        self._last = batch.records[end - 1 : end].copy()
+
+    def _decide(self, snapshot: Snapshot, stamp: int, row: int, answers: Answers) -> None:
+        """Take note of what has been decided at a sample, and of its alarms."""
+        onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
+        events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
+        answers.events += [(row, event) for event in events]
+        self._compensation.applied[:] += snapshot.jump
+        self._know(snapshot, stamp)
+        if events:
+            self._next_report = NEVER
+
+    def _add_rates(self, stamps: IntArray, samples: FloatArray) -> None:
+        """Rates that are missing are differences of the readings."""
+        missing = ~np.isfinite(samples[:, 1]) | self._without_rates
+        if missing.any():
+            before = np.concatenate([self._reading[None], samples[:-1, 0]])
+            interval = np.diff(stamps, prepend=self._stamp) / NANOSECONDS
+            rates = (samples[:, 0] - before) / interval[:, None]
+            samples[:, 1] = np.where(missing, rates, samples[:, 1])
+
+    def _know(self, snapshot: Snapshot, stamp: int) -> None:
+        """What holds from a sample on, in the form of compiled functions."""
+        self._snapshot, tuning = snapshot, self._parameters
+        self._arrays = Known(
+            snapshot.fault,
+            snapshot.rate,
+            snapshot.removed,
+            tuning.sigmas * snapshot.sigma,
+            snapshot.threshold,
+            snapshot.jump_limit,
+            snapshot.state,
+            snapshot.is_error,
+            snapshot.is_level,
+            self._is_derived,
+        )
+        self._flags = Flags(
+            stamp,
+            int(self._mode()),
+            self._is_trustworthy(),
+            bool(snapshot.suspects),
+            tuning.compensation_rate,
+            self.arm.sample_time,
+        )
+
+    def _fill(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
+        """Answers to samples between two decisions, and reports that are due."""
+        if begin < end:
+            fill_answers(
+                self._compensation,
+                batch.rows,
+                (begin, end),
+                batch.stamps,
+                batch.samples,
+                self._arrays,
+                self._flags,
+            )
+            self._report_due(batch.stamps[begin:end], answers, begin)
+
+    def _mode(self) -> Mode:
+        if self._blind:
+            return Mode.HOLDING
+        return Mode.OBSERVING if self._snapshot.balances else Mode.INITIALISING
+
+    def _is_trustworthy(self) -> bool:
+        """Whether what is removed of confirmed faults is known well enough to go on."""
+        known = self._snapshot
+        sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
+        uncertain = self._parameters.sigmas * sigma > self._parameters.safe_stop_bound
+        return not (known.is_error & uncertain).any()
+
+    def _answer_stale(self, stamp: int, row: np.recarray) -> None:
+        """Answer an unusable sample with the last estimate; never with silence."""
+        restarted = bool(row.restarted[0])
+        row[0] = self._last[0]
+        row.restarted, row.answered = restarted, True
+        row.state.mode = Mode.STALE if row.has_fault[0] else Mode.NO_ESTIMATE
+        row.fault.state = SensorState.STALE
+        if not row.has_fault[0] or stamp - self._stamp > _LONGEST_STALE:
+            row.state.trustworthy = False
+
+    def _is_due(self, stamp: int) -> bool:
+        return self._next_report == NEVER or stamp >= self._next_report
+
+    def _report_due(self, stamps: IntArray, answers: Answers, first: int) -> None:
+        """Diagnostics reports of samples between two decisions."""
+        k = 0
+        while k < len(stamps):
+            if self._next_report != NEVER:
+                k += int(np.searchsorted(stamps[k:], self._next_report))
+            if k < len(stamps):
+                self._report(int(stamps[k]), first + k, answers)
+
+    def _report(self, stamp: int, row: int, answers: Answers) -> None:
+        self._next_report = stamp + _REPORT_INTERVAL
+        answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
+        answers.reports.append((row, self._status(*answer)))
+
+    def stale_fault(self) -> dict[str, Any] | None:
+        """Fields of a FaultEstimate that says that its values are the last ones, if there are."""
+        if not self._last.has_fault[0]:
+            return None
+        last = self._last.copy()
+        last.fault.state = SensorState.STALE
+        return message_fields.fault_fields(last.fault[0], self.arm.sensor_names)
+
+    def status(self, mode: Mode) -> list[dict[str, Any]]:
+        """Statuses for /diagnostics; as `lpv_core.monitoring.monitor.SensorMonitor.status`."""
+        last = self._last.copy()
+        last.state.mode = mode
+        if mode == Mode.STALE:
+            last.fault.state = SensorState.STALE
+        return self._status(last.state[0], last.fault[0] if last.has_fault[0] else None)
+
+    def _status(self, state: np.record, fault: np.record | None) -> list[dict[str, Any]]:
+        values = {
+            **asdict(self.counters),
+            'rejected messages': self.rejected,
+            'method': self.method,
+            'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
+        }
+        findings = message_fields.Findings(
+            bool(self._snapshot.suspects), False, ({},) * self._joints, self._note()
+        )
+        return message_fields.diagnostic_fields(self.name, self.arm, state, fault, findings, values)
+
+    def _note(self) -> str:
+        """What else is to be said of the diagnosis as a whole."""
+        if self._blind:
+            return _NO_EFFORT
+        if self._snapshot.contact:
+            return _CONTACT
+        if self._snapshot.suspects:
+            return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
+        return ''
+
+    def _new_warnings(self) -> list[str]:
+        """What was not warned of before."""
+        note = self._note()
+        new = [note] if note and note not in self._warned else []
+        self._warned.add(note)
+        return new

@@ -1,0 +1,162 @@
+"""A serial arm's monitor that says after which samples it knows more, and what."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lpv_core.decision.diagnosis import SensorState
+from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm, SerialMonitor
+from lpv_core.serial_arm.diagnosis.sampling import JUMP_SCALE, restart, take_samples
+
+_STATES = {
+    'ok': int(SensorState.OK),
+    'warn': int(SensorState.WARN),
+    'error': int(SensorState.ERROR),
+    'not_diagnosable': int(SensorState.NOT_DIAGNOSABLE),
+}
+_WARN, _ERROR = _STATES['warn'], _STATES['error']
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What is known from a sample on, until the next decision; arrays of shape (n,)."""
+
+    row: int  # of the sample among those that were taken together
+    time: float  # of the sample since the first one [s]
+    fault: FloatArray  # estimated faults of the sensors [rad]
+    rate: FloatArray  # at which they go on to change [rad/s]
+    sigma: FloatArray  # their standard deviations [rad]
+    removed: FloatArray  # jumps and drifts that are beyond doubt: part of fault [rad]
+    removed_sigma: FloatArray  # standard deviations of these [rad]
+    jump: FloatArray  # by which readings were found to have jumped at this sample [rad]
+    threshold: FloatArray  # beyond which an offset is a fault [rad]
+    jump_limit: FloatArray  # change of a reading that may be a jump [rad]
+    state: npt.NDArray[np.uint8]  # of `SensorState`
+    is_level: npt.NDArray[np.bool_]  # whether all of fault is confirmed, not only what is removed
+    suspects: tuple[str, ...]  # what explains a contradiction
+    contact: bool  # whether torques act from outside
+    balances: int  # that were used so far
+    alarms: tuple[SerialAlarm, ...]  # found at this sample
+
+    @property
+    def is_error(self) -> npt.NDArray[np.bool_]:
+        """Whether each sensor has a confirmed fault."""
+        return self.state == _ERROR
+
+
+class SteppedMonitor(SerialMonitor):
+    """`SerialMonitor` for samples by the thousand, each of which is answered.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+
+    Attributes
+    ----------
+    blind : bool
+        Efforts are missing: only jumps of readings are looked for.
+    """
+
+    def __init__(self, arm: SerialArm) -> None:
+        self.blind = False
+        super().__init__(arm)
+
+    def reset(self) -> None:
+        """Forget samples, estimates, faults and the time of the first sample."""
+        super().reset()
+        self._first = None
+        self.alarms = []
+        self._balances, self._row, self._snapshots = 0, 0, list[Snapshot]()
+        self._is_level = np.zeros(self.joints, bool)
+        self._removed, self._removed_variance = np.zeros(self.joints), np.zeros(self.joints)
+
+    def tune(self, smallest_level: float) -> None:
+        """Offsets below ``smallest_level`` [rad] are no faults."""
+        smallest = max(smallest_level, MonitorSettings().smallest_level)
+        self.settings = replace(self.settings, smallest_level=smallest)
+
+    def begin_again(self) -> None:
+        """Begin new balances, as after a gap in the samples."""
+        restart(self.sampler, self.estimator.balance)
+        self.estimator.restart()
+
+    def run(self, stamps: IntArray, samples: FloatArray) -> list[Snapshot]:
+        """Take samples as `update_many`; what is known from which of them on."""
+        self._row, self._snapshots = 0, []
+        self.update_many(stamps, samples)
+        return self._snapshots
+
+    def stamp_of(self, seconds: float) -> int:
+        """Stamp [ns] of a time since the first sample [s]."""
+        return (self._first or 0) + round(seconds * 1e9)
+
+    def _take(self, times: FloatArray, samples: FloatArray) -> None:
+        k, plan = 0, (self.plan.per_block, self.plan.blocks)
+        while k < len(times):
+            k, complete = take_samples(
+                self.sampler, self.estimator.balance, times, samples, k, plan
+            )
+            jumped = bool(self.sampler.found.any())
+            self._report_jumps(float(times[k - 1]))
+            if complete and not self.blind:
+                self._decide(float(times[k - 1]))
+                self._balances += 1
+            if complete or jumped:
+                self._snapshots.append(self.snapshot(self._row + k - 1))
+        self._row += len(times)
+
+    def snapshot(self, row: int = 0) -> Snapshot:
+        """What is known now."""
+        now, settings, moving = self._last(), self.settings, self._moving
+        estimate = self.estimate(0)
+        state = np.array([_STATES[one.value] for one in estimate.state], np.uint8)
+        suspected = [
+            any(one.startswith(f'{name}:') for one in estimate.suspects)
+            for name in self.arm.sensor_names
+        ]
+        state[np.array(suspected) & (state != _ERROR)] = _WARN
+        removed, rate = self.sampler.correction.copy(), self.sampler.drift.copy()
+        threshold = np.maximum(settings.level_sigmas * estimate.sigma, settings.smallest_level)
+        beyond = np.abs(estimate.fault - removed) > threshold
+        self._is_level |= beyond & (estimate.sigma < settings.widest_level)
+        self._is_level &= state == _ERROR
+        sigma = estimate.sigma.copy()
+        if moving is not None:
+            if moving.sigma == 0.0:  # named just now, and not followed yet
+                sigma[moving.joint] = self.estimator.posterior.sigma[moving.joint]
+            rate[moving.joint] += moving.course[1]
+            self._is_level[moving.joint] = True
+        alarms = tuple(self.alarms)
+        self.alarms = []
+        jump = np.zeros(self.joints)
+        for alarm in alarms:
+            if alarm.kind == 'bias' and alarm.sensor:
+                i = self.arm.sensor_names.index(alarm.sensor)
+                change = removed[i] - self._removed[i]
+                # An offset from the start was not removed at once.
+                if abs(change - alarm.size) < 0.5 * abs(alarm.size):
+                    jump[i] = alarm.size
+                    self._removed_variance[i] += alarm.sigma**2
+        self._removed = removed
+        return Snapshot(
+            row,
+            now,
+            estimate.fault.copy(),
+            rate,
+            sigma,
+            removed,
+            np.sqrt(self._removed_variance),
+            jump,
+            threshold,
+            np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest),
+            state,
+            self._is_level.copy(),
+            estimate.suspects,
+            self._contact_until > now,
+            self._balances,
+            alarms,
+        )

@@ -1,0 +1,128 @@
+"""The loop of a serial arm: simulator, diagnosis and computed torque."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm
+
+from lpv_core.control.computed_torque import ComputedTorqueController
+from lpv_core.control.watchdog import BrakeReason, StopReason
+from lpv_core.simulation.faults import Fault
+from lpv_core.simulation.serial_closed_loop import run_serial_loop
+from lpv_core.simulation.serial_scenario import SerialScenario
+from lpv_core.simulation.serial_simulator import SerialArmSimulator
+from lpv_core.support.errors import ConfigError
+
+SCENARIO = SerialScenario(
+    name='test',
+    duration=4.0,
+    seed=1,
+    plant='nonlinear',
+    parameter_error=0.05,
+    payload=0.3,
+    friction_factor=1.1,
+    noise=True,
+    noise_factor=1.0,
+    times=(0.2, 2.0, 4.0),
+    waypoints=((0.0, 0.5, -1.0), (0.5, 0.9, -1.5), (-0.2, 0.4, -0.8)),
+    faults=(),
+)
+STEP = Fault('encoder2', 'bias', 1.0, size=0.1)
+
+
+@pytest.fixture(scope='module')
+def arm():
+    return shoulder_arm('independent')
+
+
+@pytest.fixture(scope='module')
+def healthy(arm):
+    return run_serial_loop(arm, SCENARIO)
+
+
+@pytest.fixture(scope='module')
+def faulty(arm):
+    return run_serial_loop(arm, replace(SCENARIO, faults=(STEP,)))
+
+
+def test_given_a_wrong_model_when_nothing_fails_then_the_arm_follows_and_nothing_is_said(healthy):
+    assert np.abs(healthy.position - healthy.reference).max() < 0.02
+    assert healthy.alarms == [] and not healthy.alarm.any()
+    assert not healthy.stop_reason.any() and not healthy.brake_reason.any()
+
+
+def test_given_a_step_when_it_comes_then_its_sensor_is_named_within_20_ms(faulty):
+    first = faulty.alarms[0]
+    assert (first.sensor, first.kind) == ('encoder2', 'bias')
+    assert first.size == pytest.approx(0.1, abs=2e-3) and first.detected < 1.02
+
+
+def test_given_a_step_when_compensated_then_the_true_arm_stays_on_its_path(arm, faulty):
+    assert np.abs(faulty.position - faulty.reference).max() < 0.06
+    off = run_serial_loop(arm, replace(SCENARIO, faults=(STEP,)), compensation='off')
+    assert np.abs(off.position[-200:, 1] - off.reference[-200:, 1]).min() > 0.08
+
+
+def test_given_one_seed_when_run_twice_then_every_number_is_the_same(arm, healthy):
+    again = run_serial_loop(arm, SCENARIO)
+    np.testing.assert_array_equal(again.torque, healthy.torque)
+    other = run_serial_loop(arm, replace(SCENARIO, seed=2))
+    assert np.abs(other.torque - healthy.torque).max() > 0.1
+
+
+def test_given_a_fault_beyond_all_limits_when_fed_back_then_the_arm_is_stopped_for_good(arm):
+    wild = replace(STEP, size=2.0, sensor='encoder1')
+    run = run_serial_loop(arm, replace(SCENARIO, faults=(wild,)), compensation='off')
+    last = run.stop_reason[-1], run.brake_reason[-1]
+    assert StopReason(last[0]) in (StopReason.TRACKING_ERROR, StopReason.OVERSPEED)
+    assert BrakeReason(last[1]) in (BrakeReason.SAFE_STOP, BrakeReason.OVERSPEED)
+    assert np.ptp(run.position[-100:], axis=0).max() == 0.0
+
+
+@pytest.mark.parametrize('kind', ['dropout', 'stuck', 'spike', 'noise'])
+def test_given_other_faults_when_they_act_then_no_number_is_nan(arm, kind):
+    fault = Fault('encoder3', kind, 0.5, duration=0.3, size=0.01, rate=20.0)
+    run = run_serial_loop(arm, replace(SCENARIO, duration=1.2, faults=(fault,)))
+    assert np.isfinite(run.torque).all() and np.isfinite(run.compensated).all()
+    assert np.isnan(run.measured).any() == (kind == 'dropout')
+
+
+@pytest.mark.parametrize(('rates', 'jump'), [('derived', 50.0), ('independent', 0.0)])
+def test_given_a_derived_rate_when_its_encoder_jumps_then_it_jumps_too(rates, jump):
+    scenario = replace(SCENARIO, faults=(replace(STEP, onset=0.01),))
+    simulator = SerialArmSimulator(shoulder_arm(rates), scenario)
+    readings = [simulator.sense()[0]]
+    for _ in range(5):
+        simulator.hold()
+        readings.append(simulator.sense()[0])
+    rates_read = np.array([reading.velocity[1] for reading in readings])
+    assert np.abs(np.diff(rates_read)).max() == pytest.approx(jump, abs=1.0)
+
+
+def test_given_brakes_when_they_hold_then_the_arm_stands_and_efforts_carry_it(arm):
+    simulator = SerialArmSimulator(arm, SCENARIO)
+    simulator.hold()
+    measurement, truth = simulator.sense()
+    np.testing.assert_array_equal(truth.velocity, 0.0)
+    assert abs(measurement.effort[1]) > 10.0
+
+
+def test_given_a_torque_beyond_the_limit_when_applied_then_it_is_clipped(arm):
+    simulator = SerialArmSimulator(arm, SCENARIO)
+    simulator.step([1e3, -1e3, 0.0])
+    np.testing.assert_array_equal(simulator.sense()[0].effort, [60.0, -80.0, 0.0])
+    with pytest.raises(ValueError, match='3 finite numbers'):
+        simulator.step([0.0, np.nan, 0.0])
+
+
+def test_given_a_bandwidth_when_the_samples_are_too_few_for_it_then_it_is_refused(arm):
+    assert ComputedTorqueController(arm, 10.0).tolerated_latency > 0.02
+    with pytest.raises(ConfigError, match='bandwidth: 900 rad/s is unstable'):
+        ComputedTorqueController(arm, 900.0)
+
+
+def test_given_mujoco_as_the_plant_when_run_then_it_agrees_with_the_built_in_one(arm, healthy):
+    pytest.importorskip('mujoco')
+    other = run_serial_loop(arm, replace(SCENARIO, plant='mujoco', duration=1.0))
+    np.testing.assert_allclose(other.position, healthy.position[:501], atol=1e-6)

@@ -1,0 +1,103 @@
+"""Scenario files of serial arms, and the shipped ones."""
+
+import copy
+
+import numpy as np
+import pytest
+from places import BRINGUP
+from serial_arms import shoulder_arm
+
+from lpv_core.control.serial_path import PoseWaypoints
+from lpv_core.model.arm import load_arm
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
+from lpv_core.simulation.serial_scenario import parse_serial_scenario
+from lpv_core.support.errors import ConfigError
+
+DATA = {
+    'kind': 'serial_arm',
+    'name': 'test',
+    'duration': 5.0,
+    'plant': {'parameter_error': 0.05, 'payload': 0.4, 'friction_factor': 1.2},
+    'path': {
+        'waypoints': [
+            {'t': 0.5, 'joints': [0.0, 0.5, -1.0]},
+            {'t': 4.0, 'joints': [0.6, 0.9, -1.4]},
+        ]
+    },
+    'faults': [{'sensor': 'encoder2', 'kind': 'bias', 'onset': 1.0, 'size': 0.1}],
+}
+POSES = {
+    'start': [0.0, 0.6, -1.2],
+    'waypoints': [
+        {'t': 0.5, 'position': [0.5, 0.0, 0.2], 'rpy': [0.0, 0.0, 0.0]},
+        {'t': 4.0, 'position': [0.4, 0.3, 0.4], 'rpy': [0.0, 0.0, 0.1]},
+    ],
+}
+
+
+@pytest.mark.parametrize('name', ['ur10', 'panda'])
+def test_given_a_shipped_arm_when_its_scenario_is_read_then_the_arm_can_do_it(name):
+    arm = load_any_arm(BRINGUP / 'arms' / f'{name}.yaml')
+    scenario = load_any_scenario(BRINGUP / 'scenarios' / f'{name}.yaml', arm)
+    assert scenario.path(arm).end <= scenario.duration
+    assert {fault.kind for fault in scenario.faults} == {'bias', 'drift'}
+    new_simulator(arm, scenario)
+
+
+def test_given_errors_when_the_true_arm_is_drawn_then_by_the_seed_and_within_them():
+    arm, scenario = shoulder_arm(), parse_serial_scenario(DATA)
+    true, nominal = scenario.true_arm(arm), compile_chain(arm)
+    factor = true.inertial[:2, 0] / nominal.inertial[:2, 0]
+    assert np.all(np.abs(factor - 1.0) <= 0.05) and np.ptp(factor) > 0.0
+    np.testing.assert_array_equal(true.inertial, scenario.true_arm(arm).inertial)
+    np.testing.assert_allclose(true.friction[:, 1], 1.2 * nominal.friction[:, 1])
+
+
+def test_given_poses_when_read_then_position_orientation_and_posture_are_kept():
+    scenario = parse_serial_scenario({**DATA, 'path': POSES})
+    assert isinstance(scenario.waypoints, PoseWaypoints)
+    assert scenario.waypoints.start == (0.0, 0.6, -1.2)
+    assert scenario.waypoints.orientations[1] == (0.0, 0.0, 0.1)
+
+
+def change(data, *keys, value):
+    data = copy.deepcopy(data)
+    level = data
+    for key in keys[:-1]:
+        level = level[key]
+    level[keys[-1]] = value
+    return data
+
+
+@pytest.mark.parametrize(
+    ('data', 'field'),
+    [
+        (change(DATA, 'path', 'waypoints', value=[]), 'path.waypoints'),
+        (change(DATA, 'path', 'waypoints', 1, 't', value=0.1), 'path.waypoints'),
+        (change(DATA, 'path', 'waypoints', 0, value={'t': 0.0}), r'waypoints\[0\].joints'),
+        (change(DATA, 'plant', 'parameter_error', value=0.9), 'plant.parameter_error'),
+        (change(DATA, 'plant', 'model', value='lpv'), 'plant.model'),
+        (change(DATA, 'plant', 'mass_factors', value=1.0), 'plant.mass_factors'),
+        (change(DATA, 'disturbance', value=True), 'disturbance'),
+        ({**DATA, 'path': {**POSES, 'start': 'anywhere'}}, 'path.start'),
+    ],
+)
+def test_given_a_bad_value_when_read_then_its_field_is_named(data, field):
+    with pytest.raises(ConfigError, match=field):
+        parse_serial_scenario(data)
+
+
+def test_given_a_path_of_another_arm_when_made_then_the_waypoint_is_named():
+    data = change(DATA, 'path', 'waypoints', 1, 'joints', value=[0.0, 0.1])
+    with pytest.raises(ConfigError, match=r'path.waypoints\[1\].joints'):
+        parse_serial_scenario(data).path(shoulder_arm())
+
+
+def test_given_arm_and_scenario_of_two_kinds_when_read_then_the_kind_is_refused():
+    arm = load_arm(BRINGUP / 'arms' / 'paper.yaml')
+    with pytest.raises(ConfigError, match='kind: is of a scenario for a serial arm'):
+        load_any_scenario(BRINGUP / 'scenarios' / 'ur10.yaml', arm)
+    with pytest.raises(ConfigError, match='kind: is of a scenario for the two-link arm'):
+        load_any_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml', shoulder_arm())

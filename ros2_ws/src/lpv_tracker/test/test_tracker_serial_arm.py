@@ -1,0 +1,96 @@
+"""Answers of the tracker node of a serial arm to single estimates, without a graph."""
+
+import numpy as np
+import pytest
+from places import BRINGUP
+
+rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+import ros  # noqa: E402
+
+from lpv_core.support.errors import ConfigError  # noqa: E402
+from lpv_msgs.msg import StateEstimate  # noqa: E402
+from lpv_tracker.node import TrackerNode  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+START = np.array([0.0, -1.6, 1.5, -1.4, -1.5, 0.0])
+
+
+class Publisher:
+    """Keeps copies of what is published."""
+
+    def __init__(self):
+        self.torques, self.safe_stops = [], []
+
+    def publish(self, message):
+        self.torques.append(list(getattr(message, 'torque', ())))
+        self.safe_stops.append(getattr(message, 'safe_stop', None))
+
+
+def start_node(scenario, *words):
+    """A tracker of the UR10 in lockstep, not configured yet."""
+    files = ('arm_file', BRINGUP / 'arms' / 'ur10.yaml'), ('scenario_file', scenario)
+    given = [word for name, value in files for word in ('-p', f'{name}:={value}')]
+    rclpy.init(
+        args=['--ros-args', '-p', 'lockstep:=true', *given, *words], domain_id=ros.next_domain()
+    )
+    return TrackerNode()
+
+
+@pytest.fixture
+def node():
+    """A configured tracker; its commands are in ``node.sent``."""
+    tracker = start_node(BRINGUP / 'scenarios' / 'ur10.yaml')
+    tracker.setup()
+    tracker.sent = tracker._command_out = Publisher()
+    tracker._reference_out = Publisher()
+    yield tracker
+    tracker.destroy_node()
+    rclpy.shutdown()
+
+
+def estimate(number, offset=0.0):
+    message = StateEstimate(trustworthy=True)
+    for name in ('position', 'compensated_position', 'measured_position'):
+        setattr(message, name, (START + offset).tolist())
+    message.velocity = message.measured_velocity = [0.0] * 6
+    message.header.stamp.sec, message.header.stamp.nanosec = 1, number * 2_000_000
+    return message
+
+
+def test_given_an_arm_at_rest_on_its_path_when_estimated_then_the_torques_carry_it(node):
+    for number in (1, 2, 3):
+        node._on_estimate(estimate(number))
+    assert node.sent.safe_stops == [False] * 3
+    shoulder, elbow = node.sent.torques[0][1:3]
+    assert 20.0 < abs(shoulder) < 120.0 and 5.0 < abs(elbow) < 80.0
+
+
+def test_given_an_arm_far_from_its_reference_when_estimated_then_it_is_stopped_for_good(node):
+    node._on_estimate(estimate(1))
+    for number in range(2, 40):
+        node._on_estimate(estimate(number, 0.8))
+    assert node.sent.safe_stops[-1] and node._watchdog.latched
+    assert node.sent.torques[-1] == [0.0] * 6
+
+
+@pytest.mark.parametrize(('scenario', 'field'), [('two_faults', 'kind'), ('panda', 'path.start')])
+def test_given_a_scenario_of_another_arm_when_configured_then_the_field_is_named(scenario, field):
+    tracker = start_node(BRINGUP / 'scenarios' / f'{scenario}.yaml')
+    try:
+        with pytest.raises(ConfigError, match=field):
+            tracker.setup()
+    finally:
+        tracker.destroy_node()
+        rclpy.shutdown()
+
+
+def test_given_a_bandwidth_when_configured_then_the_latency_that_it_tolerates_is_known():
+    tracker = start_node(BRINGUP / 'scenarios' / 'ur10.yaml', '-p', 'bandwidth:=40.0')
+    try:
+        tracker.setup()
+        assert tracker._tolerated < 0.015
+    finally:
+        tracker.destroy_node()
+        rclpy.shutdown()
