@@ -275,7 +275,9 @@ def ur10_arm(rates: str) -> SerialArm:
             joint, friction=JointFriction(0.0, 0.01 * limit, 0.01 * limit, 50.0),
             rotor_inertia=0.002 * limit,
             sensors=JointSensors(f'{joint.name}_encoder', 1e-4, 0.0, rates, 1e-2)))  # fmt: skip
-    return replace(arm, joints=tuple(joints), uncertainty=Uncertainty(2.0, 0.3), sample_time=0.002)
+    return replace(
+        arm, joints=tuple(joints), uncertainty=Uncertainty(2.0, 0.3), sample_time=0.002
+    )
 
 
 def wrong_plant(arm: SerialArm, rng: np.random.Generator, payload: float) -> Chain:
@@ -421,9 +423,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--size', type=int, default=20, help='injections of each kind')
     parser.add_argument('--peers', type=int, default=4, help='injections for EKF and UKF')
-    parser.add_argument(
-        '--arms', nargs='+', default=['real_arm', 'ur10', 'panda', 'kr300', 'simulated']
-    )
+    arms = ['real_arm', 'ur10', 'panda', 'kr300', 'simulated']
+    parser.add_argument('--arms', nargs='+', default=arms, choices=arms)
     options = parser.parse_args()
     console, rng = Console(width=150), np.random.default_rng(0)
     recorded = DATA.is_dir()
