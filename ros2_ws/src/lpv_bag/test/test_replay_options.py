@@ -256,6 +256,27 @@ def test_given_faults_to_add_when_replayed_by_blocks_then_it_is_as_by_single_mes
     assert 200 < sum(a != b for a, b in zip(before, after)) < 400
 
 
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_drift_when_added_then_rates_differ_by_its_slope_where_they_are_derived(
+    samples, paper_arm, paper_gains, tmp_path, rates
+):
+    entries = [('/lpv/joint_states', s[0], cdr(measurement(s))) for s in samples]
+    bag = write(tmp_path / 'bag', entries, {'/lpv/joint_states': JOINT_STATE})
+    fault = Fault('link2_angle', 'drift', 0.5, 0.25, rate=0.4)
+    injector = FaultInjector(paper_arm.sensor_names, [fault], np.random.default_rng(0))
+    monitor = SensorMonitor('', replace(paper_arm, rates=rates), paper_gains)
+    Replay(monitor, injector=injector).run(bag, tmp_path / 'out')
+    before, after = (
+        load_run(place, joint_names=paper_arm.joint_names).streams['joint_states']
+        for place in (bag, tmp_path / 'out')
+    )
+    shift = np.cumsum(after['position'] - before['position'], axis=1)[:, 1]
+    rate = np.cumsum(after['velocity'] - before['velocity'], axis=1)[:, 1]
+    derived = np.diff(shift, prepend=0.0) / paper_arm.sample_time
+    assert shift[374] == pytest.approx(0.1, abs=1e-3)
+    np.testing.assert_allclose(rate, derived if rates == 'derived' else 0.0, atol=1e-9)
+
+
 def test_given_a_fault_of_a_rate_when_added_then_rates_differ_by_it_and_nothing_else_does(
     samples, paper_arm, monitor, tmp_path
 ):

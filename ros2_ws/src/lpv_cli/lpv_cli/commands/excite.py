@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out',
         required=True,
-        help='folder to create: trajectory.csv, trajectory.yaml, reference bag',
+        help='folder to create: trajectory.csv, trajectory.yaml, reference bag, scenario.yaml',
     )
     parser.add_argument('--duration', type=float, default=30.0, help='in seconds (30)')
     parser.add_argument('--rate', type=float, default=100.0, help='samples per second (100)')

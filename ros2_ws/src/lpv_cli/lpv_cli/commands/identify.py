@@ -86,15 +86,26 @@ def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='K',
         help='joint torque per unit of effort, one for all joints or one each',
     )
-    parser.add_argument(
+    weight = parser.add_mutually_exclusive_group()
+    weight.add_argument(
         '--without-gravity',
         action='store_true',
-        help='efforts do not contain the torque that holds the weight',
+        help='efforts do not contain the torque that holds the weight (found from the data)',
+    )
+    weight.add_argument(
+        '--with-gravity', action='store_true', help='efforts contain it, whatever the data say'
     )
 
 
 def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--topic', help='topic of the joint states, if there are several')
+    parser.add_argument(
+        '--second-encoder',
+        action='append',
+        default=[],
+        metavar='JOINT=NAME',
+        help='second position sensor of a joint, as a joint of the messages or a CSV column',
+    )
     parser.add_argument('--columns', help='column map of CSV files (a YAML file or a shipped one)')
 
 
@@ -118,12 +129,45 @@ def run(arguments: argparse.Namespace) -> int:
     result = identify(
         arm,
         recordings,
-        Options(arguments.train_share, arguments.refit),
+        Options(
+            arguments.train_share,
+            arguments.refit,
+            arguments.without_gravity or arguments.with_gravity,
+        ),
         [read(path) for path in arguments.test],
     )
     _print(result)
+    result = _with_second_encoders(arguments, result, columns)
     _write(arguments, result)
     return 0
+
+
+def _with_second_encoders(
+    arguments: argparse.Namespace, result: 'Identification', columns: Any
+) -> 'Identification':
+    """The result with the second encoders that were named; says what they are."""
+    from dataclasses import replace
+
+    from lpv_identify.sensors.second_encoder import (
+        describe,
+        find_second_encoders,
+        with_second_encoders,
+    )
+
+    pairs = dict(_second_encoder(text) for text in arguments.second_encoder)
+    if not pairs:
+        return result
+    found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
+    for reading in found:
+        print(describe(reading))
+    return replace(result, arm=with_second_encoders(result.arm, found))
+
+
+def _second_encoder(text: str) -> tuple[str, str]:
+    joint, _, name = text.partition('=')
+    if not joint or not name:
+        raise ConfigError('--second-encoder', f'{text!r} is not JOINT=NAME')
+    return joint, name
 
 
 def _arm(arguments: argparse.Namespace) -> 'SerialArm':
@@ -135,8 +179,8 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
         arm = replace(arm, name=arguments.name)
     if arguments.base_rpy:
         arm = replace(arm, base_orientation=tuple(arguments.base_rpy))
-    if arguments.without_gravity:
-        arm = replace(arm, effort_includes_gravity=False)
+    if arguments.without_gravity or arguments.with_gravity:
+        arm = replace(arm, effort_includes_gravity=arguments.with_gravity)
     if arguments.gain:
         arm = _with_gains(arm, arguments.gain)
     if arguments.effort_unit == 'A':

@@ -62,11 +62,14 @@ def _map_check(arm: ArmParameters, gains: Gains) -> list[Check]:
     if stored is None:
         return []
     found = guarantee(arm, gains).to_dict()
-    same = stored.keys() == found.keys() and all(
-        len(stored[name]) == len(found[name])
-        and np.allclose(stored[name], found[name], rtol=1e-6, atol=0.0)
-        for name in found
-    )
+    try:
+        same = stored.keys() == found.keys() and all(
+            len(stored[name]) == len(found[name])
+            and np.allclose(stored[name], found[name], rtol=1e-6, atol=0.0)
+            for name in found
+        )
+    except (AttributeError, TypeError, ValueError):  # no map of numbers at all
+        same = False
     return [Check('information: map of thresholds at rest as recomputed', -1.0 if same else 1.0)]
 
 
