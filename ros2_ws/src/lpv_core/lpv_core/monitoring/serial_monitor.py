@@ -443,8 +443,9 @@ class SerialSensorMonitor:
         return ''
 
     def _new_warnings(self) -> list[str]:
-        """What was not warned of before."""
+        """What was not warned of before, whatever its details."""
         note = self._note()
-        new = [note] if note and note not in self._warned else []
-        self._warned.add(note)
+        subject = note.partition(';')[0]
+        new = [note] if note and subject not in self._warned else []
+        self._warned.add(subject)
         return new
