@@ -30,9 +30,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from lpv_cli.processes import Graph
+from lpv_core.support.discovery import stay_local
 from lpv_core.support.resources import bringup_file, executable
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
-from lpv_node.discovery import announce_often, stay_local
+from lpv_node.discovery import announce_often
 from lpv_node.managed import ManagedNode
 from lpv_node.qos import stream
 from lpv_node.stamps import set_stamp, to_nanoseconds

@@ -7,7 +7,6 @@ driven again.  LPV_FUZZ_SECONDS makes it long, LPV_FUZZ_SEED another one.
 
 import asyncio
 import json
-import math
 import os
 import re
 import socket
@@ -20,8 +19,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from hostile import damaged_bytes, fill, parameter  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
@@ -41,20 +40,10 @@ from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 
-SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '6'))
+SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '3'))
 SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 NODES = ('uio', 'tracker', 'simulator', 'view')
-FLOATS = (0.0, -1.0, 1e300, -1e300, 5e-324, math.nan, math.inf, -math.inf)
-STAMPS = (
-    (0, 0),
-    (-(2**31), 0),
-    (-1, 999_999_999),
-    (2**31 - 1, 0),
-    (5, 2**32 - 1),
-    (2**31 - 1, 2**32 - 1),
-)
-TEXTS = ('', 'x', 'link1_angle', 'joint1', '\u2603' * 50, '<script>', 'a' * 10_000, '%s%n')
 INPUTS = {
     'joint_states': JointState,
     'state_estimate': StateEstimate,
@@ -71,50 +60,9 @@ NUMBERS = {
     'torque_command': (TorqueCommand, ('torque',)),
     'reference': (JointReference, ('position', 'velocity', 'acceleration')),
 }
+PARAMETERS = ('diagnosis.minimum_threshold', 'compensation', 'arm_file', 'lockstep')
 MEMORY = 150e6
 """Most that a process may grow [byte]."""
-
-
-def fill(rng, message):
-    """Put anything into the fields of a message that its types allow."""
-    for name, kind in message.get_fields_and_field_types().items():
-        value = getattr(message, name)
-        if name == 'stamp':
-            value.sec, value.nanosec = STAMPS[rng.integers(len(STAMPS))]
-        elif hasattr(value, 'get_fields_and_field_types'):
-            fill(rng, value)
-        elif kind in ('double', 'float'):
-            setattr(message, name, float(rng.choice(FLOATS)))
-        elif kind.startswith('double['):
-            setattr(message, name, rng.choice(FLOATS, len(value)))
-        elif kind == 'sequence<double>':
-            setattr(message, name, rng.choice(FLOATS, rng.integers(0, 5)).tolist())
-        elif kind == 'sequence<uint8>':
-            setattr(message, name, rng.integers(0, 256, rng.integers(0, 5)).tolist())
-        elif kind == 'sequence<boolean>':
-            setattr(message, name, [bool(rng.integers(2)) for _ in range(rng.integers(0, 5))])
-        elif kind == 'string':
-            setattr(message, name, TEXTS[rng.integers(len(TEXTS))])
-        elif kind == 'sequence<string>':
-            count = rng.integers(0, 5)
-            setattr(message, name, [TEXTS[rng.integers(len(TEXTS))] for _ in range(count)])
-        elif kind == 'sequence<diagnostic_msgs/DiagnosticStatus>':
-            setattr(message, name, [fill(rng, DiagnosticStatus()) for _ in range(3)])
-        elif kind == 'boolean':
-            setattr(message, name, bool(rng.integers(2)))
-        elif kind == 'uint8':
-            setattr(message, name, int(rng.integers(256)))
-        elif kind == 'octet':
-            setattr(message, name, bytes([rng.integers(256)]))
-    return message
-
-
-def parameter(rng):
-    """A parameter that no node should take."""
-    name = rng.choice(['diagnosis.minimum_threshold', 'compensation', 'arm_file', 'lockstep', 'x'])
-    value = ParameterValue(type=int(rng.integers(0, 12)), string_value=TEXTS[rng.integers(6)])
-    value.double_value = float(rng.choice(FLOATS[2:]))
-    return Parameter(name=str(name), value=value)
 
 
 class Fuzzer:
@@ -137,16 +85,17 @@ class Fuzzer:
         ]
 
     def messages(self, count):
-        """Some messages on each topic; what fits its type and is wrong."""
+        """Some messages on each topic: what fits its type and is wrong, and bytes that do not."""
         for publisher, kind in self._publishers:
             for _ in range(count):
                 publisher.publish(fill(self._rng, kind()))
-                self.sent += 1
+                publisher.publish(damaged_bytes(self._rng, kind()))
+                self.sent += 2
 
     def requests(self):
         """A parameter for each node, and a fault that cannot be injected."""
         for setter in self._setters:
-            setter.call_async(SetParameters.Request(parameters=[parameter(self._rng)]))
+            setter.call_async(SetParameters.Request(parameters=[parameter(self._rng, PARAMETERS)]))
         for client, request in self._services:
             hostile = fill(self._rng, request())
             hostile.sensor = 'no such sensor'
@@ -210,8 +159,7 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
             rig.spin(0.05)
             fuzzer.sent += asyncio.run(attack_sockets(rng, ports))
         rig.spin(1.0)
-        release(rig)
-        assert_goes_on(rig)
+        assert_recovers_in_a_second(rig)
         grown = {name: memory(rig, name) - before[name] for name in NODES}
         assert max(grown.values()) < MEMORY, grown
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
@@ -221,6 +169,17 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
     for name in NODES:
         assert 'Traceback' not in rig.log(name), rig.log(name)[-3000:]
     print(f'{fuzzer.sent} hostile inputs; grown by {max(grown.values()) / 1e6:.0f} MB')
+
+
+def assert_recovers_in_a_second(rig):
+    """After an operator's release a second is enough, but for brakes of a busy machine."""
+    first, known = len(rig.heard['ground_truth']), len(rig.log('simulator'))
+    release(rig)
+    assert_goes_on(rig)
+    driven = (np.any(m.velocity != 0.0) for m in rig.heard['ground_truth'][first:])
+    samples = next((k for k, moves in enumerate(driven) if moves), 0)
+    late = any(text in rig.log('simulator')[known:] for text in ('stay away', 'are late'))
+    assert samples * 0.005 <= 1.0 or late, f'{samples} samples until the arm is driven'
 
 
 def release(rig):

@@ -7,7 +7,7 @@ fi
 export PATH="$_lpv_venv/bin:$PATH"
 # Tab completion; a real ros2 has its own.
 if [[ -o interactive && -x "$_lpv_venv/bin/register-python-argcomplete" ]]; then
-  autoload -Uz bashcompinit && bashcompinit
+  (( $+functions[compdef] )) || { autoload -Uz compinit && compinit -i }
   eval "$("$_lpv_venv/bin/register-python-argcomplete" lpv)"
   [[ ! -x "$_lpv_venv/bin/ros2" ]] || eval "$("$_lpv_venv/bin/register-python-argcomplete" ros2)"
 fi

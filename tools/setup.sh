@@ -131,7 +131,7 @@ build_workspace() {
     cat "$build/colcon.txt" >&2
     fail "the workspace did not build; see $build/log"
   fi
-  say "compiling the recursions"
+  say "compiling the numerical code, which takes a minute or two"
   "$venv/bin/python" -m lpv_core.simulation.precompile
   mark_done workspace "$id"
 }

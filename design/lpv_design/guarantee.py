@@ -1,7 +1,6 @@
 """What a design guarantees, configuration by configuration: thresholds and detectable faults."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -98,42 +97,3 @@ def at_rest(arm: ArmParameters, gains: Gains, theta: np.ndarray) -> tuple[np.nda
     constants = error_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
     bound = np.reshape([static_bound(constants, one) for one in theta.reshape(-1, 2)], theta.shape)
     return bound, np.maximum(tuning.threshold_factor * bound, tuning.minimum_threshold)
-
-
-def draw(found: Guarantee, arm: ArmParameters, path: str | Path) -> None:
-    """Picture of the map: smallest lasting fault that is detected whatever the error."""
-    import matplotlib
-
-    matplotlib.use('Agg')
-    import matplotlib.pyplot as plt
-
-    degrees = np.degrees(found.deviation)
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.2), layout='constrained')
-    levels = [0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0]
-    for i, axis in enumerate(axes):
-        values = np.minimum(found.detectable[:, :, i], 10.0)
-        shades = axis.contourf(
-            degrees,
-            degrees,
-            values.T,
-            levels=[*levels, 10.0],
-            cmap='viridis',
-            norm=matplotlib.colors.LogNorm(levels[0], levels[-1]),
-            extend='both',
-        )
-        lines = axis.contour(
-            degrees, degrees, values.T, levels=levels, colors='white', linewidths=0.7
-        )
-        axis.clabel(lines, fontsize=8)
-        axis.set(
-            title=arm.sensor_names[i],
-            xlabel='link 1 from the vertical [deg]',
-            ylabel='link 2 from the vertical [deg]',
-        )
-        axis.set_aspect('equal')
-    bar = figure.colorbar(shades, ax=axes, ticks=levels, shrink=0.9)
-    bar.set_label('smallest lasting fault that is detected at rest [rad]')
-    bar.ax.set_yticklabels([f'{v:g}' for v in levels])
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)

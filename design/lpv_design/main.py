@@ -11,7 +11,7 @@ from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import NotDetectableError, design
-from lpv_design.guarantee import Guarantee, draw
+from lpv_design.guarantee import Guarantee
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
 
@@ -33,11 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "real_arm); without, the one with the arm's name",
     )
     parser.add_argument(
-        '--map',
-        metavar='MAP.png',
-        help='picture to write: smallest surely detectable fault over the region',
-    )
-    parser.add_argument(
         '--proof',
         action='store_true',
         help='also prove the inequalities in exact rational arithmetic',
@@ -48,9 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(
-    arguments: argparse.Namespace, draw: Callable[[Guarantee, ArmParameters, str], None] = draw
+    arguments: argparse.Namespace, draw: Callable[[Guarantee, ArmParameters], None] | None = None
 ) -> int:
-    """Design, report, write; ``draw`` makes the map."""
+    """Design, report, write; ``draw`` makes a picture of what is guaranteed."""
     try:
         arm = load_arm(bringup_file('arms', arguments.arm))
         requirement = load_requirement(arguments.requirement or arm.name)
@@ -79,9 +74,8 @@ def run(
     print('\n'.join(result.lines))
     if arguments.proof and not _prove(arm, result.gains):
         return EXIT_INFEASIBLE
-    if arguments.map:
-        draw(result.guarantee, arm, arguments.map)
-        print(f'map written to {arguments.map}')
+    if draw is not None:
+        draw(result.guarantee, arm)
     print(f'gains written to {arguments.out}')
     return 0
 

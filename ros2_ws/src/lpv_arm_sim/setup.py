@@ -17,5 +17,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Simulated two-link arm with faulty joint sensors.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['simulator = lpv_arm_sim.node:main']},
+    entry_points={'console_scripts': ['simulator = lpv_arm_sim.main:main']},
 )

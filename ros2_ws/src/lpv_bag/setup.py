@@ -17,5 +17,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Recording and reading of bags.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['recorder = lpv_bag.recorder.node:main']},
+    entry_points={'console_scripts': ['recorder = lpv_bag.recorder.main:main']},
 )

@@ -17,5 +17,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Tracking controller of a two-link arm.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['tracker = lpv_tracker.node:main']},
+    entry_points={'console_scripts': ['tracker = lpv_tracker.main:main']},
 )

@@ -17,5 +17,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Unknown-input observer and sensor-fault diagnosis of a two-link arm.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['uio = lpv_uio.node:main']},
+    entry_points={'console_scripts': ['uio = lpv_uio.main:main']},
 )

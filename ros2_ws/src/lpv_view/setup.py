@@ -21,5 +21,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Live view: web page, Foxglove protocol, markers and transforms.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['view = lpv_view.node:main']},
+    entry_points={'console_scripts': ['view = lpv_view.main:main']},
 )

@@ -95,7 +95,7 @@ SPECS = (
 )
 
 _CATCH_UP = 5
-"""Most samples that a braked arm makes up for; beyond, its time slips and is counted."""
+"""Most samples that a braked arm makes up for; what is beyond is left out."""
 _PATIENCE = 1.0
 """Lockstep: how long an answer may take before the sample is sent again to newcomers [s]."""
 
@@ -304,7 +304,7 @@ class SimulatorNode(ManagedNode):
             elif self._reason is None or reason is BrakeReason.OVERSPEED:
                 self.get_logger().error(f'brakes engaged: {self._brake_text(reason)}')
             self._reason = reason
-        values = {'samples slipped': self._slips, **self._refusals.counts}
+        values = {'samples left out': self._slips, **self._refusals.counts}
         if reason is BrakeReason.NO_COMMAND:
             self._status.report(self._stamp, WARN, 'braked: no command yet', values)
         elif reason is not None:
@@ -369,9 +369,9 @@ class SimulatorNode(ManagedNode):
         if every_second and not self.lockstep:
             self._count_senders()
         if every_second and step <= self._last:
-            slipped = f', {self._slips} samples slipped' if self._slips else ''
+            left_out = f', {self._slips} samples left out: too slow' if self._slips else ''
             self.get_logger().info(
-                f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{slipped}'
+                f'scenario time {self._plant.time:.1f} of {self._scenario.duration:.1f} s{left_out}'
             )
         if step == self._last:
             self.get_logger().info('the scenario is over')

@@ -49,21 +49,13 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program name.
-
-    Returns
-    -------
-    int
-        Exit code; 2 for bad input.
-    """
+    """Entry point; exit code 2 for bad input."""
     complete(build_parser, COMMANDS)
     argv = sys.argv[1:] if argv is None else argv
     chosen = next((a for a in argv if a in COMMANDS), None)
+    if not argv:
+        build_parser().print_help()
+        return 0
     try:
         arguments = build_parser(chosen).parse_args(argv)
         return arguments.run(arguments)

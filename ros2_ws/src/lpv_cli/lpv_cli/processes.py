@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpv_cli.discovery import stay_on_this_machine
+from lpv_core.support.discovery import stay_local
 from lpv_core.support.errors import LpvError
 
 
@@ -65,7 +65,7 @@ class Graph:
     def __init__(self, log_dir: Path, domain_id: int) -> None:
         self._log_dir = Path(log_dir)
         self._log_dir.mkdir(parents=True, exist_ok=True)
-        stay_on_this_machine()
+        stay_local()
         self._environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_id), PYTHONUNBUFFERED='1')
         self.nodes: list[NodeProcess] = []
         self.lines: queue.Queue[tuple[str, str]] = queue.Queue()

@@ -15,8 +15,13 @@ from rich.progress import (
 
 
 @contextmanager
-def counted(console: Console, name: str, total: int, done: int) -> Iterator[Callable[[int], None]]:
-    """Bar of a work whose finished part is kept when it is interrupted."""
+def counted(
+    console: Console, name: str, total: int, done: int, note: str = ''
+) -> Iterator[Callable[..., None]]:
+    """Bar of a work whose finished part is kept when it is interrupted.
+
+    Yields a function that advances the bar, by 1 if not said, and may change the note behind it.
+    """
     columns = (
         TextColumn('{task.description}'),
         BarColumn(),
@@ -24,11 +29,16 @@ def counted(console: Console, name: str, total: int, done: int) -> Iterator[Call
         TimeElapsedColumn(),
         TextColumn('left'),
         TimeRemainingColumn(),
+        TextColumn('{task.fields[note]}'),
     )
     with Progress(*columns, console=console) as progress:
-        task = progress.add_task(name, total=total, completed=done)
+        task = progress.add_task(name, total=total, completed=done, note=note)
+
+        def advance(count: int = 1, note: str = note) -> None:
+            progress.update(task, advance=count, note=note)
+
         try:
-            yield lambda count: progress.advance(task, count)
+            yield advance
         except KeyboardInterrupt:
             console.print('finished work is kept; run the same command again to resume')
             raise

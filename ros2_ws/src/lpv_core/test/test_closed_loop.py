@@ -241,7 +241,6 @@ import sys, warnings
 import numpy as np
 from lpv_core.model.arm import load_arm
 from lpv_core.certificate.gains import load_gains
-from lpv_core.observer.sampled_observer import UnknownInputObserver
 warnings.simplefilter('ignore')
 arm, gains = load_arm(sys.argv[1]), load_gains(sys.argv[2])
 rng = np.random.default_rng(0)

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from parts import History, Swing, make_estimate
+from stepwise import Diagnoser, UnknownInputObserver
 
-from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser
+from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import UnknownInputObserver
 from lpv_core.residual.dead_reckoning import (
     RATE_BIAS,
     RECKONING_STATE,

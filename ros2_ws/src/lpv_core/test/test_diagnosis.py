@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from parts import ErrorBound, make_estimate
+from stepwise import Diagnoser, UnknownInputObserver
 
-from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
+from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters, SensorState
 from lpv_core.model.dynamics import coupling, inverse_dynamics, rk4_step
 from lpv_core.model.joints import JointMap
-from lpv_core.observer.sampled_observer import Mode, UnknownInputObserver
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.residual.change_detection import sigmas_for
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault

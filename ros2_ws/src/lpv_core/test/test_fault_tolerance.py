@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from parts import make_estimate
+from stepwise import Diagnoser
 
-from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser, DiagnosisParameters, SensorState
+from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters, SensorState
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault

@@ -1,17 +1,19 @@
 """The monitor that node and replay share: an answer to every sample, on the clock of the data."""
 
 import math
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from lpv_core.decision.diagnosis import AlarmEvent, SensorState
+from lpv_core.decision.diagnosis import Alarm, AlarmEvent, SensorState
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JointMap
+from lpv_core.monitoring.alarm_text import COUNTER_TEXT, describe
 from lpv_core.monitoring.message_fields import OK
 from lpv_core.monitoring.message_fields import STALE as STALE_LEVEL
-from lpv_core.monitoring.monitor import SensorMonitor, describe
+from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.observer.sampled_observer import Counters, Mode
 from lpv_core.support.errors import ConfigError, SampleError
 from lpv_core.support.timestamps import NANOSECONDS
@@ -374,5 +376,28 @@ def test_given_an_alarm_when_raised_and_cleared_then_both_are_answered_with_a_st
     assert answers[200].state['compensated_position'] == pytest.approx(
         sample(200).position, abs=0.01
     )
-    assert describe(raised.events[0]).startswith('ALARM, link2_angle: unclassified, -0.3')
+    assert describe(raised.events[0]).startswith('ALARM, link2_angle: error -0.3')
+    assert describe(raised.events[0]).endswith('kind not known yet, confidence > 99.9%')
     assert describe(cleared.events[0]).startswith('alarm cleared, link2_angle: ')
+
+
+@pytest.mark.parametrize(
+    ('fields', 'text'),
+    [
+        ({'kind': 'dropout'}, 'ALARM, a: no readings (dropout)'),
+        ({'kind': 'stuck'}, 'reading stands still (stuck), confidence 95.0%'),
+        (
+            {'kind': 'inconsistent', 'confidence': 0.475},
+            '(bound 0.010 rad) if it is this sensor, confidence 47.5%',
+        ),
+        ({'event': AlarmEvent.CLEARED}, 'bias is over, remaining error +0.250 rad'),
+        ({'event': AlarmEvent.UPDATED}, 'alarm updated, a: error +0.250 rad (bound 0.010 rad), b'),
+    ],
+)
+def test_given_an_alarm_when_described_then_the_line_says_what_an_operator_needs(fields, text):
+    alarm = Alarm(AlarmEvent.RAISED, 0, 'a', 1, 2, 0.25, 0.01, 'bias', 0.95)
+    assert text in describe(replace(alarm, **fields))
+
+
+def test_given_the_counters_when_shown_then_each_has_a_text():
+    assert set(COUNTER_TEXT) == set(asdict(Counters()))

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import Swing
+from stepwise import UnknownInputObserver
 
 from lpv_core.model.joints import JointMap
-from lpv_core.observer.sampled_observer import Counters, Mode, UnknownInputObserver
+from lpv_core.observer.sampled_observer import Counters, Mode
 from lpv_core.support.errors import ConfigError, SampleError
 from lpv_core.support.timestamps import NANOSECONDS
 

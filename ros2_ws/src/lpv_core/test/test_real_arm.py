@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import DATA, RECORDINGS
+from stepwise import Diagnoser, UnknownInputObserver
 
-from lpv_core.decision.diagnosis import AlarmEvent, Diagnoser
-from lpv_core.observer.sampled_observer import Counters, UnknownInputObserver
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.observer.sampled_observer import Counters
 
 FOLDER = Path(os.environ.get('LPV_REAL_ARM_DATA') or RECORDINGS / 'real_arm')
 FILES = {

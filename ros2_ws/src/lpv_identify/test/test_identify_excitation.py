@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from scipy.interpolate import make_interp_spline
 
 from lpv_identify.errors import IdentificationError
 from lpv_identify.motions.excitation import Bounds, plan_excitation
@@ -56,12 +57,27 @@ def test_given_limits_that_no_motion_keeps_when_planned_then_it_is_said(arm):
 
 
 def test_given_a_motion_when_written_then_files_and_bag_hold_it(arm, plan, tmp_path):
-    table, message, bag = write_reference(arm, plan.trajectory, 50.0, tmp_path / 'out')
+    table, message, bag, _ = write_reference(arm, plan.trajectory, 50.0, tmp_path / 'out')
     points = yaml.safe_load(message.read_text())['points']
     assert points[0]['positions'] == pytest.approx(plan.trajectory.center)
     read = read_recording(bag, arm.joint_names)
     assert read.position == pytest.approx(plan.trajectory.sample(read.time)[0], abs=1e-6)
     assert np.loadtxt(table, delimiter=',', skiprows=1).shape[0] == len(read.time)
+
+
+def test_given_a_motion_when_written_as_a_scenario_then_a_quintic_spline_repeats_it(
+    arm, plan, tmp_path
+):
+    *_, scenario = write_reference(arm, plan.trajectory, 50.0, tmp_path / 'out')
+    data = yaml.safe_load(scenario.read_text())
+    assert (data['kind'], data['duration']) == ('serial_arm', 12.0)
+    time, joints = zip(*((p['t'], p['joints']) for p in data['path']['waypoints']))
+    rest = [(1, np.zeros(3)), (2, np.zeros(3))]
+    spline = make_interp_spline(time, joints, k=5, bc_type=(rest, rest))
+    between = np.arange(0.03, 12.0, 0.07)
+    position, rate, _ = plan.trajectory.sample(between)
+    assert spline(between) == pytest.approx(position, abs=1e-3)
+    assert spline.derivative()(between) == pytest.approx(rate, abs=2e-2)
 
 
 def test_given_the_same_seed_when_planned_again_then_the_motion_is_the_same(arm):

@@ -71,11 +71,36 @@ def test_given_no_rates_when_identified_then_they_come_from_positions(arm, recor
     assert np.all(blind.figures.rms < 1.1 * result.figures.rms)
 
 
-def test_given_efforts_without_gravity_when_said_so_then_they_are_predicted(arm, motion):
-    floating = replace(arm, gravity=0.0)
-    recording = simulate(floating, motion, 100.0, SensorNoise(), np.random.default_rng(2))
-    found = identify(replace(arm, effort_includes_gravity=False), [recording])
+@pytest.fixture(scope='module')
+def floating(arm, motion):
+    """A recording whose efforts do not contain the weight."""
+    noise, rng = SensorNoise(), np.random.default_rng(2)
+    return simulate(replace(arm, gravity=0.0), motion, 60.0, noise, rng)
+
+
+def test_given_efforts_without_gravity_when_not_said_so_then_it_is_found_and_said(arm, floating):
+    found = identify(arm, [floating])
     assert np.all(found.figures.r2 > 0.98)
+    assert not found.arm.effort_includes_gravity
+    assert any('not to contain the weight' in text for text in found.warnings)
+
+
+def test_given_efforts_without_gravity_when_said_otherwise_then_only_a_warning_comes(arm, floating):
+    workshop = Workshop(arm, [floating])
+    assert workshop.check_weight(0.6, may_change=False).contains_weight is False
+    assert workshop.arm.effort_includes_gravity
+    assert any('not to contain the weight' in text for text in workshop.warnings)
+
+
+def test_given_efforts_with_gravity_when_identified_then_they_stay_so(result):
+    assert result.weight.contains_weight
+    assert result.arm.effort_includes_gravity
+
+
+def test_given_a_planar_arm_when_weighed_then_the_data_do_not_tell(arm, motion):
+    flat = replace(arm, gravity=1e-3)
+    recording = simulate(flat, motion, 60.0, SensorNoise(), np.random.default_rng(2))
+    assert Workshop(flat, [recording]).check_weight(0.6, True).contains_weight is None
 
 
 def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm, motion):

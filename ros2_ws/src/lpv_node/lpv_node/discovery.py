@@ -1,10 +1,8 @@
-"""How nodes find each other: how soon, and on which machines. Needs no ROS."""
+"""How soon nodes find each other. Needs no ROS."""
 
 import os
-from collections.abc import MutableMapping
 from pathlib import Path
 
-DISCOVERY_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
 
 
@@ -15,14 +13,3 @@ def announce_often() -> None:
     """
     if not any(os.environ.get(name) for name in _PROFILE_VARIABLES):
         os.environ[_PROFILE_VARIABLES[0]] = str(Path(__file__).with_name('fastdds.xml'))
-
-
-def stay_local(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Restrict discovery to this machine, unless the user has chosen a range.
-
-    Parameters
-    ----------
-    environment : mutable mapping, optional
-        Environment of the process, or of one that is about to be started.
-    """
-    environment.setdefault(DISCOVERY_RANGE, 'LOCALHOST')

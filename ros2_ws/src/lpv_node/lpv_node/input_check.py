@@ -21,6 +21,11 @@ def all_finite(*fields: Iterable[float]) -> bool:
     return all(math.isfinite(value) for field in fields for value in field)
 
 
+def all_within(largest: float, *fields: Iterable[float]) -> bool:
+    """Whether all elements of some number fields are at most so large; NaN is not."""
+    return all(abs(value) <= largest for field in fields for value in field)
+
+
 def all_sized(count: int, *fields: Sized) -> bool:
     """Whether some fields have one element for each of the arm's joints."""
     return all(len(field) == count for field in fields)

@@ -159,7 +159,7 @@ class ManagedNode(LifecycleNode):
         if waiting:
             self.get_logger().warning(
                 f'waiting for subscribers of {", ".join(waiting)}'
-                + (f': {recorders} recorders must be there' if recorders else ''),
+                + (f' (await_recorders is {recorders}: is it running?)' if recorders else ''),
                 throttle_duration_sec=5.0,
                 skip_first=True,
             )

@@ -3,16 +3,17 @@
 from collections.abc import Sequence
 
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
 
 class CheckedParameterService(ParameterService):
-    """rclpy's services, but a request that rclpy raises an exception on is refused.
+    """rclpy's services, but requests that would end the process are refused.
 
-    With rclpy's own, one request of an unknown parameter type ends the process.
+    With rclpy's own that are those of an unknown parameter type, and those that delete a parameter
+    which the node goes on to read.  rclpy also takes a parameter without a name.
     """
 
     def _set_parameters_callback(
@@ -28,6 +29,12 @@ class CheckedParameterService(ParameterService):
         return response
 
     def _set(self, messages: Sequence[ParameterMessage]) -> SetParametersResult:
+        for message in messages:
+            if not message.name:
+                return SetParametersResult(successful=False, reason='a parameter needs a name')
+            if message.value.type == ParameterType.PARAMETER_NOT_SET:
+                reason = f'{message.name} cannot be deleted'
+                return SetParametersResult(successful=False, reason=reason)
         try:
             return self._get_node().set_parameters_atomically(
                 [Parameter.from_parameter_msg(message) for message in messages]

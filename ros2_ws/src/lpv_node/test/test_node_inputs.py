@@ -13,7 +13,7 @@ rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sour
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from rcl_interfaces.msg import Parameter as ParameterMessage  # noqa: E402
-from rcl_interfaces.msg import ParameterValue  # noqa: E402
+from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
@@ -84,6 +84,26 @@ def test_given_a_parameter_of_an_unknown_type_when_set_then_it_is_refused(make_n
         )
         result = answer.results[0] if kind is SetParameters else answer.result
         assert not result.successful and 'ValueError' in result.reason
+
+
+@pytest.mark.parametrize(
+    'name, kind, reason',
+    [
+        ('', ParameterType.PARAMETER_DOUBLE, 'needs a name'),
+        ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
+    ],
+)
+def test_given_a_parameter_without_a_name_or_value_when_set_then_it_is_refused(
+    make_node, name, kind, reason
+):
+    node = make_node()
+    node.declare_parameter('wait', 1.0)
+    hostile = ParameterMessage(name=name, value=ParameterValue(type=kind))
+    answer = CheckedParameterService(node)._set_parameters_callback(
+        SetParameters.Request(parameters=[hostile]), SetParameters.Response()
+    )
+    assert not answer.results[0].successful and reason in answer.results[0].reason
+    assert node.get_parameter('wait').value == 1.0
 
 
 @pytest.mark.parametrize('odd', [0, -1, FUTURE])

@@ -494,7 +494,7 @@ def test_given_the_command_when_run_then_table_and_place_of_the_report_are_shown
     said = capsys.readouterr().out
     assert 'e_t2' in said
     assert str(tmp_path / 'report' / 'report.html') in said
-    assert 'bag on arm paper' in (tmp_path / 'report' / 'report.html').read_text()
+    assert 'bag, arm “paper”' in (tmp_path / 'report' / 'report.html').read_text()
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,10 @@ from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_design.guarantee import guarantee
 from lpv_report.guarantees.detectability import configurations, detectability, summary
 from lpv_report.guarantees.gains_source import find_used_gains
+from lpv_report.guarantees.region_figure import draw_region
 from lpv_report.history.phases import Phase, listed, phases
 from lpv_report.page import css_string
 from lpv_report.run import read_used_gains, write_report
@@ -532,7 +534,7 @@ def test_given_gains_when_the_command_is_run_then_the_arm_is_theirs_and_the_verd
         == 0
     )
     assert 'my_gains.yaml: the certificate holds' in capsys.readouterr().out
-    assert 'bag on arm paper' in (tmp_path / 'report' / 'report.html').read_text()
+    assert 'bag, arm “paper”' in (tmp_path / 'report' / 'report.html').read_text()
 
 
 def test_given_tampered_gains_when_the_command_is_run_then_the_verdict_is_shown(
@@ -607,3 +609,8 @@ def test_given_a_bag_of_another_arm_when_the_command_is_run_then_it_asks_for_its
     said = capsys.readouterr().err
     assert "the bag is of arm 'mine!', which is not a shipped one" in said
     assert '--arm mine!.yaml --gains gains.yaml' in said and said.count('\n') == 1
+
+
+def test_given_a_map_when_drawn_then_it_is_a_picture(paper_arm, paper_gains, tmp_path):
+    draw_region(guarantee(paper_arm, paper_gains, points=5), paper_arm, tmp_path / 'a' / 'map.png')
+    assert (tmp_path / 'a' / 'map.png').read_bytes().startswith(b'\x89PNG')

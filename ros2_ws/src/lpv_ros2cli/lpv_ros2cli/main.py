@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 
-from lpv_node.discovery import stay_local
+from lpv_core.support.discovery import stay_local
 from lpv_node.signals import raising_signals
 from lpv_ros2cli.command_line.completion import complete
 from lpv_ros2cli.command_line.parsing import parse

@@ -30,7 +30,7 @@ from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized
+from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized, all_within
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
@@ -38,6 +38,7 @@ from lpv_node.qos import stream
 from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
+from lpv_tracker.upcoming import UpcomingReferences
 
 SPECS = (
     Spec('arm_file', '', 'arm file (YAML)', read_only=True),
@@ -103,6 +104,9 @@ SPECS = (
         read_only=True,
     ),
 )
+_FARTHEST, _FASTEST = 100.0, 1e6
+"""Positions [rad] and rates [rad/s] that no arm has: sixteen turns; rates above the velocity limit
+are judged by the watchdog."""
 _OTHER_CLOCK = 10 * NANOSECONDS
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
 
@@ -134,7 +138,8 @@ class TrackerNode(ManagedNode):
         scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
         self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
-        self._follower = PathFollower(self._path, speed)
+        period = round(self._arm.sample_time * NANOSECONDS)
+        self._follower = UpcomingReferences(PathFollower(self._path, speed), period)
         certified = latency_limits(self._tolerated)
         single = chosen_limit(self, 'max_latency', certified.single)
         # The default of the mean follows a longer single latency, which was warned of.
@@ -247,17 +252,14 @@ class TrackerNode(ManagedNode):
 
     def _is_usable(self, message: StateEstimate, stamp: int) -> bool:
         """Whether an estimate can be one of the observer's; others are counted and ignored."""
-        fields = (
-            message.position,
-            message.velocity,
-            message.compensated_position,
-            message.measured_position,
-            message.measured_velocity,
-        )
-        if not all_sized(len(self._arm.joint_names), *fields):
+        positions = message.position, message.compensated_position, message.measured_position
+        rates = message.velocity, message.measured_velocity
+        if not all_sized(len(self._arm.joint_names), *positions, *rates):
             self._refusals.add('estimate with another number of joints than the arm')
-        elif not all_finite(*fields):
+        elif not all_finite(*positions, *rates):
             self._refusals.add('estimate with values that are not finite')
+        elif not (all_within(_FARTHEST, *positions) and all_within(_FASTEST, *rates)):
+            self._refusals.add('estimate with values that no arm has')
         elif stamp < 0:
             self._refusals.add('estimate with a negative stamp')
         elif not (self.lockstep or self._guard.accept(stamp)):

@@ -16,7 +16,8 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv_core.decision.diagnosis import Alarm, AlarmEvent, DiagnosisParameters
-from lpv_core.monitoring.answers import Answer, describe
+from lpv_core.monitoring.alarm_text import describe
+from lpv_core.monitoring.answers import Answer
 from lpv_core.monitoring.factory import Monitor, make_monitor, refuse_gains
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.any_arm import load_any_arm

@@ -22,6 +22,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
 from lpv_node.parameters import Spec, required_text
 from lpv_view.access import Access
@@ -121,14 +122,19 @@ class ViewNode(ManagedNode):
         self._scene = Scene(arm, typestore, path)
         self._ticks, self._alarms_due = 0, 0.0
         self._stamp: int | None = None
-        self._requests = Requests(self)
+        self._requests, self._refusals = Requests(self), Refusals(self)
         self._create_publishers()
         self._open(arm, self._requests)
         self._describe(arm)
         bridge = self._foxglove
         period = 1.0 / self.get_parameter('foxglove_rate').value
         self._inboxes = [
-            Inbox(topic, self._forwarder(bridge, topic) if bridge else None, period)
+            Inbox(
+                topic,
+                self._forwarder(bridge, topic) if bridge else None,
+                period,
+                self._refusals.add,
+            )
             for topic in TOPICS
         ]
         self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
@@ -287,6 +293,11 @@ class ViewNode(ManagedNode):
         if every_second:
             self._model.services = self._requests.available()
         frame = self._model.frame(now)
+        if self._refusals.is_recent:
+            count = sum(self._refusals.counts.values())
+            frame['diagnostics'].append(
+                {'name': self.get_name(), 'level': 'WARN', 'message': f'{count} messages refused'}
+            )
         # In a storm of alarms, no client is to drown in lists.
         if self._model.alarms.changed and now >= self._alarms_due:
             self._model.alarms.changed, self._alarms_due = False, now + _ALARM_INTERVAL

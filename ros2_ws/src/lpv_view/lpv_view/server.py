@@ -15,6 +15,7 @@ from lpv_core.support.errors import ConfigError
 from lpv_view.access import Access
 from lpv_view.commands import Command, CommandError, Reply, parse_command
 from lpv_view.hub import Client, Hub, encode
+from lpv_view.request_log import request_logger
 
 LARGEST_MESSAGE = 4096
 """Largest message of a client [byte]."""
@@ -107,7 +108,11 @@ class ViewServer:
 
     async def _open(self, application: web.Application, address: str, port: int) -> int:
         runner = web.AppRunner(
-            application, access_log=None, handle_signals=False, shutdown_timeout=1.0
+            application,
+            access_log=None,
+            logger=request_logger(),
+            handle_signals=False,
+            shutdown_timeout=1.0,
         )
         await runner.setup()
         self._runners.append(runner)

@@ -20,6 +20,9 @@ from lpv_msgs.msg import (
 )
 from lpv_node.qos import latched
 
+_SHORTEST = 16
+"""Least size of a message with a header, in CDR [bytes]."""
+
 
 @dataclass(frozen=True)
 class Topic:
@@ -78,17 +81,28 @@ class Inbox:
         Called with the bytes of a message.
     period : float
         Shortest time between two that are forwarded, unless every one counts [s].
+    refuse : callable
+        Called with the reason for which a message is ignored.
     """
 
-    def __init__(self, topic: Topic, forward: Callable[..., Any] | None, period: float) -> None:
+    def __init__(
+        self,
+        topic: Topic,
+        forward: Callable[..., Any] | None,
+        period: float,
+        refuse: Callable[[str], None],
+    ) -> None:
         self.topic = topic
-        self._forward, self._period = forward, period
+        self._forward, self._period, self._refuse = forward, period, refuse
         self._waiting: list[tuple[float, bytes]] = []
         self._due = 0.0
 
     def store(self, data: bytes) -> None:
         """Callback of the subscription."""
         now = time.monotonic()
+        if len(data) < _SHORTEST:
+            self._refuse(f'bytes on {self.topic.name} that are no message')
+            return
         if self.topic.every:
             self._waiting.append((now, data))
             del self._waiting[:-100]
@@ -101,4 +115,10 @@ class Inbox:
     def take(self) -> list[tuple[float, Any]]:
         """Steady times of reception [s] and messages since the last call."""
         waiting, self._waiting = self._waiting, []
-        return [(now, deserialize_message(data, self.topic.kind)) for now, data in waiting]
+        messages: list[tuple[float, Any]] = []
+        for now, data in waiting:
+            try:
+                messages.append((now, deserialize_message(data, self.topic.kind)))
+            except Exception:  # the middleware's own kind
+                self._refuse(f'bytes on {self.topic.name} that are no message')
+        return messages

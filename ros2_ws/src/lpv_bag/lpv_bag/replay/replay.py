@@ -25,6 +25,7 @@ from lpv_core.monitoring.answers import Answers
 from lpv_core.monitoring.factory import Monitor
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
 
@@ -41,7 +42,7 @@ class Replay:
     injector : FaultInjector, optional
         Faults to add to the measurements, to see what the diagnosis makes of them.
     on_event : callable, optional
-        Called with every alarm event.
+        Called with every alarm event, and its time since the first measurement [s].
     **changes
         Fields of ``options`` by name.
     """
@@ -51,12 +52,12 @@ class Replay:
         monitor: Monitor,
         options: ReplayOptions | None = None,
         injector: FaultInjector | None = None,
-        on_event: Callable[[RecordedAlarm], None] | None = None,
+        on_event: Callable[[RecordedAlarm, float], None] | None = None,
         **changes: Any,
     ) -> None:
         self._monitor, self._injector = monitor, injector
         self._options = replace(options or ReplayOptions(), **changes)
-        self._on_event = on_event or (lambda event: None)
+        self._on_event = on_event or (lambda event, time: None)
 
     def run(self, bag: str | Path, out: str | Path) -> ReplayResult:
         """Replay one bag.
@@ -150,7 +151,8 @@ class Replay:
         result.answered += int(np.count_nonzero(answers.answered))
         for row, event in answers.events:
             result.events.append(RecordedAlarm(**vars(event), stamp=int(stamps[row])))
-            self._on_event(result.events[-1])
+            since = (stamps[row] - result.first_stamp) / NANOSECONDS
+            self._on_event(result.events[-1], float(since))
         return answers
 
     def _run(

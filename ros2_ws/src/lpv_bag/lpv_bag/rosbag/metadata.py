@@ -11,12 +11,13 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from lpv_bag.errors import DamageError
+from lpv_core.support.config import load_yaml
+from lpv_core.support.errors import ConfigError
 
 FILE_NAME = 'metadata.yaml'
 VERSION = 9
 """Of the format that is written, that of rosbag2 since Jazzy."""
 _MAX_BYTES = 1 << 26
-_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 
 
@@ -36,16 +37,10 @@ class BagMetadata:
 
 def read_metadata(folder: str | Path) -> BagMetadata:
     """Read the metadata of a bag."""
-    path = Path(folder) / FILE_NAME
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise DamageError(f'{FILE_NAME} is larger than {_MAX_BYTES} bytes')
-        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_LOADER)  # noqa: S506
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
-        if isinstance(error, DamageError):
-            raise
-        text = ' '.join(str(error).split())
-        raise DamageError(f'{FILE_NAME} cannot be read ({text})') from None
+        data = load_yaml(Path(folder) / FILE_NAME, _MAX_BYTES)
+    except ConfigError as error:
+        raise DamageError(f'{FILE_NAME} {error.reason}') from None
     try:
         return _parse(data['rosbag2_bagfile_information'])
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -154,16 +154,5 @@ class Search:
             self._found.tell(trial, (entry['cost'], outcome.healthy_score))
 
 
-def first_outcome(trials: list[dict[str, Any]]) -> Outcome | None:
-    """Outcome of the first trial that has gains.
-
-    Returns None if there is none.
-    """
-    for trial in trials:
-        if trial['state'] != 'infeasible':
-            return Outcome('', trial['figures'], trial['healthy_score'], trial['false_alarms'])
-    return None
-
-
 def _rounded(value: float, part: Range) -> float:
     return min(max(float(f'{value:.{_DIGITS}g}'), part.low), part.high)

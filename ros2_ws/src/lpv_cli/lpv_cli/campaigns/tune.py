@@ -5,14 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from lpv_campaign.execution.execute import software, worker_pool
@@ -21,6 +13,7 @@ from lpv_campaign.tune.result import conclude, write
 from lpv_campaign.tune.search import Search
 from lpv_campaign.tune.study_file import MOST_TRIALS, Study, load_study
 from lpv_campaign.tune.trial import Bench
+from lpv_cli.progress import counted
 from lpv_core.support.config import sha256_of
 from lpv_core.support.errors import ConfigError
 
@@ -98,22 +91,10 @@ def _search(search: Search, bench: Bench, trials: int, console: Console) -> None
     done = len(search.trials)
     if done:
         console.print(f'{done} trials are here already')
-    columns = (
-        TextColumn('{task.description}'),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn('left'),
-        TimeRemainingColumn(),
-        TextColumn('{task.fields[best]}'),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(
-            bench.study.name, total=trials, completed=done, best=_best(search.trials)
-        )
+    with counted(console, bench.study.name, trials, done, _best(search.trials)) as advance:
         for _ in range(done, trials):
             search.step(bench)
-            progress.update(task, advance=1, best=_best(search.trials))
+            advance(note=_best(search.trials))
 
 
 def _best(trials: list[dict[str, Any]]) -> str:

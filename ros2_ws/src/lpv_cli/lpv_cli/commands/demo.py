@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
         out / 'report',
         arm=arm,
         path=path if isinstance(path, CartesianPath) else None,
-        title=f'{scenario.name} on arm {arm.name}',
+        title=f'Scenario {scenario.name}, arm “{arm.name}”',
         used=read_used_gains(files['gains']) if designed else None,
     )
     print_table(result.table, console)

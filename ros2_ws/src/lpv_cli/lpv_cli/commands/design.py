@@ -1,13 +1,23 @@
-"""``lpv design``: that of lpv_design, with the map in the look of the reports."""
+"""``lpv design``: that of lpv_design, and a map of what is detected."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from lpv_design import main as design
+
+if TYPE_CHECKING:
+    from lpv_core.model.arm import ArmParameters
+    from lpv_design.guarantee import Guarantee
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     design.add_arguments(parser)
+    parser.add_argument(
+        '--map',
+        metavar='MAP.png',
+        help='picture to write: smallest fault that is always detected, over the region',
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -17,4 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
     # Only here: a design without a picture need not wait for plotting.
     from lpv_report.guarantees.region_figure import draw_region
 
-    return design.run(arguments, draw_region)
+    def draw(found: 'Guarantee', arm: 'ArmParameters') -> None:
+        draw_region(found, arm, arguments.map)
+        print(f'map written to {arguments.map}')
+
+    return design.run(arguments, draw)

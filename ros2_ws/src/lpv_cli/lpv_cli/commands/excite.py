@@ -3,30 +3,17 @@
 import argparse
 from pathlib import Path
 
+from lpv_cli import arm_choice
 from lpv_core.support.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
-    arm = parser.add_mutually_exclusive_group(required=True)
-    arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
-    arm.add_argument('--arm', help='arm file, of n joints or of two links')
-    parser.add_argument(
-        '--joints',
-        nargs='+',
-        metavar='JOINT',
-        help='joints of the arm; all others of the URDF are locked',
-    )
+    """Declare the command's arguments."""
+    arm_choice.add_arguments(parser)
     parser.add_argument(
         '--out',
         required=True,
-        help='folder to create: trajectory.csv, trajectory.yaml, reference bag',
+        help='folder to create: trajectory.csv, trajectory.yaml, reference bag, scenario.yaml',
     )
     parser.add_argument('--duration', type=float, default=30.0, help='in seconds (30)')
     parser.add_argument('--rate', type=float, default=100.0, help='samples per second (100)')
@@ -68,31 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Plan and write.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; bad input is an error.
-    """
+    """Plan and write."""
     _check(arguments)
     import numpy as np
 
-    from lpv_core.serial_arm.urdf_chain import read_urdf_chain
     from lpv_identify.motions.excitation import Bounds, plan_excitation
     from lpv_identify.motions.reference import write_reference
-    from lpv_identify.results.starting_arm import load_any_arm
 
-    arm = (
-        read_urdf_chain(arguments.urdf, None, arguments.joints)
-        if arguments.urdf
-        else load_any_arm(arguments.arm)
-    )
+    arm = arm_choice.chosen_arm(arguments)
     center = None if arguments.center is None else np.array(arguments.center)
     if center is not None and len(center) != len(arm.joints):
         raise ConfigError('--center', f'needs {len(arm.joints)} angles')

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lpv_cli import arm_choice
 from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -14,22 +15,14 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Receives them.
-    """
+    """Declare the command's arguments."""
     parser.add_argument(
         'recordings',
         nargs='+',
         metavar='BAG|CSV',
         help='recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv',
     )
-    arm = parser.add_mutually_exclusive_group(required=True)
-    arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
-    arm.add_argument('--arm', help='arm file to start from, of n joints or of two links')
+    arm_choice.add_arguments(parser)
     parser.add_argument('--out', help='arm file to write')
     parser.add_argument('--report', metavar='DIR', help='folder for the report with pictures')
     _add_arm_arguments(parser)
@@ -68,12 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--name', help="name of the arm (the URDF's)")
     parser.add_argument(
-        '--joints',
-        nargs='+',
-        metavar='JOINT',
-        help='joints of the arm; all others of the URDF are locked',
-    )
-    parser.add_argument(
         '--lock',
         action='append',
         default=[],
@@ -99,31 +86,31 @@ def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='K',
         help='joint torque per unit of effort, one for all joints or one each',
     )
-    parser.add_argument(
+    weight = parser.add_mutually_exclusive_group()
+    weight.add_argument(
         '--without-gravity',
         action='store_true',
-        help='efforts do not contain the torque that holds the weight',
+        help='efforts do not contain the torque that holds the weight (found from the data)',
+    )
+    weight.add_argument(
+        '--with-gravity', action='store_true', help='efforts contain it, whatever the data say'
     )
 
 
 def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--topic', help='topic of the joint states, if there are several')
+    parser.add_argument(
+        '--second-encoder',
+        action='append',
+        default=[],
+        metavar='JOINT=NAME',
+        help='second position sensor of a joint, as a joint of the messages or a CSV column',
+    )
     parser.add_argument('--columns', help='column map of CSV files (a YAML file or a shipped one)')
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Identify.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add_arguments`.
-
-    Returns
-    -------
-    int
-        0; bad input is an error.
-    """
+    """Identify, show, write."""
     if not 0.2 <= arguments.train_share <= 0.9:
         raise ConfigError('--train-share', 'must lie within [0.2, 0.9]')
     from lpv_identify.recordings.recording import read_recording
@@ -142,32 +129,58 @@ def run(arguments: argparse.Namespace) -> int:
     result = identify(
         arm,
         recordings,
-        Options(arguments.train_share, arguments.refit),
+        Options(
+            arguments.train_share,
+            arguments.refit,
+            arguments.without_gravity or arguments.with_gravity,
+        ),
         [read(path) for path in arguments.test],
     )
     _print(result)
+    result = _with_second_encoders(arguments, result, columns)
     _write(arguments, result)
     return 0
+
+
+def _with_second_encoders(
+    arguments: argparse.Namespace, result: 'Identification', columns: Any
+) -> 'Identification':
+    """The result with the second encoders that were named; says what they are."""
+    from dataclasses import replace
+
+    from lpv_identify.sensors.second_encoder import (
+        describe,
+        find_second_encoders,
+        with_second_encoders,
+    )
+
+    pairs = dict(_second_encoder(text) for text in arguments.second_encoder)
+    if not pairs:
+        return result
+    found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
+    for reading in found:
+        print(describe(reading))
+    return replace(result, arm=with_second_encoders(result.arm, found))
+
+
+def _second_encoder(text: str) -> tuple[str, str]:
+    joint, _, name = text.partition('=')
+    if not joint or not name:
+        raise ConfigError('--second-encoder', f'{text!r} is not JOINT=NAME')
+    return joint, name
 
 
 def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     """The arm that the fit starts from."""
     from dataclasses import replace
 
-    from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-    from lpv_identify.results.starting_arm import load_any_arm
-
-    if arguments.urdf:
-        locked = dict(_locked(text) for text in arguments.lock)
-        arm = read_urdf_chain(arguments.urdf, locked, arguments.joints)
-    else:
-        arm = load_any_arm(arguments.arm)
+    arm = arm_choice.chosen_arm(arguments, dict(_locked(text) for text in arguments.lock))
     if arguments.name:
         arm = replace(arm, name=arguments.name)
     if arguments.base_rpy:
         arm = replace(arm, base_orientation=tuple(arguments.base_rpy))
-    if arguments.without_gravity:
-        arm = replace(arm, effort_includes_gravity=False)
+    if arguments.without_gravity or arguments.with_gravity:
+        arm = replace(arm, effort_includes_gravity=arguments.with_gravity)
     if arguments.gain:
         arm = _with_gains(arm, arguments.gain)
     if arguments.effort_unit == 'A':

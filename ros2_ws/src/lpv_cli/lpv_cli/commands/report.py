@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
         Path(arguments.out),
         arm,
         path,
-        title=f'{Path(arguments.bag).name} on arm {arm.name}',
+        title=f'{Path(arguments.bag).name}, arm “{arm.name}”',
         used=used,
     )
     console = Console(soft_wrap=True, highlight=False)
@@ -97,8 +97,12 @@ def _said(result: 'ReportResult', used: 'UsedGains') -> str:
     if certificate is None:
         return f'gains   not known: {used.problem}'
     if certificate.holds:
-        other = again is not None and not again.same
-        but = ', but the run had other gains or settings: see the report' if other else ''
+        but = ''
+        if again is not None and not again.same:
+            but = (
+                f'; whether the run had them is not known: run again, the fault estimates differ '
+                f'by up to {again.largest:.2g} rad (see the report)'
+            )
         return f'gains   {used.source}: the certificate holds{but}'
     why = certificate.problem or '; '.join(certificate.failed) or 'its margins were changed'
     return f'gains   {used.source}: the certificate does NOT hold: {why}'

@@ -4,8 +4,8 @@ import argparse
 import os
 
 from lpv_cli.completion import completed, packages, programs
-from lpv_cli.discovery import stay_on_this_machine
 from lpv_cli.needs import require_ros
+from lpv_core.support.discovery import stay_local
 from lpv_core.support.resources import executable
 
 
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Become the program; returns only where it cannot be started."""
-    stay_on_this_machine()
+    stay_local()
     require_ros()
     path = executable(arguments.package, arguments.program)
     os.execv(path, [str(path), *arguments.rest])

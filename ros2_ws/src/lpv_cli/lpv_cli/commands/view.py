@@ -3,8 +3,8 @@
 import argparse
 import os
 
-from lpv_cli.discovery import stay_on_this_machine
 from lpv_cli.needs import require_ros
+from lpv_core.support.discovery import stay_local
 from lpv_core.support.resources import bringup_file, executable
 
 
@@ -51,5 +51,5 @@ def run(arguments: argparse.Namespace) -> None:
         line += ['-p', f'{name}:={value}']
     if arguments.domain_id is not None:
         os.environ['ROS_DOMAIN_ID'] = str(arguments.domain_id)
-    stay_on_this_machine()
+    stay_local()
     os.execv(program, line)

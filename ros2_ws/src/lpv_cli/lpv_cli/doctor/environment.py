@@ -99,10 +99,10 @@ def check_compiler() -> Finding:
     from lpv_core.support.jit import COMPILED
 
     if COMPILED:
-        return ok('compiler', 'recursions are compiled')
+        return ok('compiler', 'the numerical code is compiled')
     return warn(
         'compiler',
-        'recursions run as plain Python: real time is out of reach',
+        'the numerical code runs as plain Python, too slowly for real time',
         'unset LPV_NO_JIT, and install numba',
     )
 

@@ -66,7 +66,7 @@ def show(findings: list[Finding], console: Console) -> None:
     console.print(table)
     bad = [f for f in findings if f.level != Level.OK]
     console.print(
-        f'{len(bad)} findings in {len(findings)} checks'
+        f'{len(bad)} of {len(findings)} checks found something'
         if bad
         else f'{len(findings)} checks, nothing found'
     )

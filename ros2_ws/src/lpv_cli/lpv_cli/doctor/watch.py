@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from lpv_bag.run.record import CORRECTED
-from lpv_cli.discovery import stay_on_this_machine
+from lpv_core.support.discovery import stay_local
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 OURS = ('arm_sim', 'uio', 'tracker', 'recorder')
@@ -66,7 +66,7 @@ class Snapshot:
 
 def watch(seconds: float) -> Snapshot:
     """Join the graph of this shell's domain and look around."""
-    stay_on_this_machine()
+    stay_local()
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node(

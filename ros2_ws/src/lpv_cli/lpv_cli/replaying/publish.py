@@ -4,8 +4,8 @@ import argparse
 
 from rich.console import Console
 
-from lpv_cli.discovery import stay_on_this_machine
 from lpv_cli.needs import require_ros
+from lpv_core.support.discovery import stay_local
 
 
 def add_publishing(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +37,7 @@ def add_publishing(parser: argparse.ArgumentParser) -> None:
 
 
 def publish(arguments: argparse.Namespace, console: Console) -> int:
-    stay_on_this_machine()
+    stay_local()
     require_ros()
     from lpv_bag.replay.player import Player
 

@@ -24,13 +24,15 @@ from lpv_cli.replaying.observing import (
 )
 from lpv_cli.replaying.publish import add_publishing, publish
 from lpv_core.certificate.gains import save_gains
-from lpv_core.monitoring.answers import describe
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.monitoring.alarm_text import COUNTER_TEXT, describe
 from lpv_core.monitoring.factory import Monitor, make_monitor
 from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.timestamps import NANOSECONDS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
         ),
         injector,
-        lambda event: console.print(_alarm_line(event)),
+        lambda event, time: console.print(_alarm_line(event, time)),
     ).run(arguments.bag, out)
     if gains is not None:
         save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
@@ -138,10 +140,12 @@ def _injector(faults: Sequence[Fault] | None, arm: Arm) -> FaultInjector | None:
     return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
 
 
-def _alarm_line(event: RecordedAlarm) -> str:
-    """One alarm event with its three times: of the event, of the onset, of the confirmation."""
-    now, onset, confirmed = (s / 1e9 for s in (event.stamp, event.onset, event.detected))
-    return f'  {now:.3f} s: {describe(event)}; onset {onset:.3f} s, confirmed {confirmed:.3f} s'
+def _alarm_line(event: RecordedAlarm, time: float) -> str:
+    """One alarm event: its time [s], what it says, and how long before that the fault began."""
+    line = f'  {time:.3f} s: {describe(event)}'
+    if event.event == AlarmEvent.RAISED and event.onset < event.stamp:
+        line += f'; began {(event.stamp - event.onset) / NANOSECONDS:.3f} s before'
+    return line
 
 
 def show_injected(found: list[InjectedFault], console: Console) -> None:
@@ -165,9 +169,9 @@ def _summary(result: ReplayResult, monitor: Monitor, seconds: float, console: Co
     )
     for name, count in vars(monitor.counters).items():
         if count:
-            console.print(f'  {name.replace("_", " ")}: {count}')
+            console.print(f'  {count} {COUNTER_TEXT[name]}')
     for text, count in result.rejected.items():
-        console.print(f'  rejected {count} times: {text}')
+        console.print(f'  {count} measurements not used: {text}')
 
 
 def _report(arguments: argparse.Namespace, arm: Arm, out: Path, console: Console) -> None:
@@ -177,7 +181,7 @@ def _report(arguments: argparse.Namespace, arm: Arm, out: Path, console: Console
     if folder == out:
         raise ConfigError('--report', 'must be another folder than the bag')
     report = write_report(
-        out, folder, arm, title=f'Replay of {Path(arguments.bag).name} on arm {arm.name}'
+        out, folder, arm, title=f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
     )
     if report.table:
         print_table(report.table, console)

@@ -12,7 +12,7 @@ from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JOINT_MAP, JointMap
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import new_record, plain, record_type
 
 COMPENSATION = ('off', 'confirmed', 'always')
 """Which position the loop closes on: measured, with confirmed faults removed, or estimated."""
@@ -161,6 +161,7 @@ class TrackingController:
     def __init__(self, arm: ArmParameters, gains: Gains) -> None:
         self._constants = tracking_constants(arm, gains)
         self._state = new_record(TRACKING_STATE)
+        self._shown = plain(self._state)
 
     @property
     def integral(self) -> np.ndarray:
@@ -206,7 +207,7 @@ class TrackingController:
             np.ascontiguousarray(integrated_position, dtype=float),
             float(interval),
         )
-        return Command(self._state.torque.copy(), bool(self._state.saturated))
+        return Command(self._shown['torque'].copy(), bool(self._shown['saturated']))
 
 
 def feedback_position(compensation: str, estimate: Any) -> np.ndarray:

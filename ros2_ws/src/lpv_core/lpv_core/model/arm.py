@@ -315,7 +315,7 @@ def arm_from_json(text: str) -> ArmParameters:
             name: tuple(value) if isinstance(value, list) else value for name, value in data.items()
         }
         return ArmParameters(**fields)
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise ConfigError('arm', f'is not the description of an arm ({error})') from error
 
 

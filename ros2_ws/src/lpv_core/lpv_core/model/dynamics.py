@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from lpv_core.model.runge_kutta import State, ahead, weighted
 from lpv_core.support.jit import njit
 
 _TWO_OVER_PI = 2.0 / math.pi
@@ -148,19 +149,11 @@ def energy(
 
 
 @njit
-def _nonlinear_rates(
-    theta_1: float,
-    theta_2: float,
-    rate_1: float,
-    rate_2: float,
-    torque_1: float,
-    torque_2: float,
-    push_1: float,
-    push_2: float,
-    params: np.record,
-) -> tuple[float, float, float, float]:
-    acc_1, acc_2 = acceleration(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, params)
-    return rate_1, rate_2, acc_1 + push_1, acc_2 + push_2
+def _slope(
+    x: State, torque: tuple[float, float], push: tuple[float, float], params: np.record
+) -> State:
+    acc_1, acc_2 = acceleration(x[0], x[1], x[2], x[3], torque[0], torque[1], params)
+    return x[2], x[3], acc_1 + push[0], acc_2 + push[1]
 
 
 @njit
@@ -196,47 +189,10 @@ def rk4_step(
     tuple of float
         The absolute state after ``dt``.
     """
-    a1, a2, a3, a4 = _nonlinear_rates(
-        theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, push_1, push_2, params
-    )
-    h = 0.5 * dt
-    b1, b2, b3, b4 = _nonlinear_rates(
-        theta_1 + h * a1,
-        theta_2 + h * a2,
-        rate_1 + h * a3,
-        rate_2 + h * a4,
-        torque_1,
-        torque_2,
-        push_1,
-        push_2,
-        params,
-    )
-    d1, d2, d3, d4 = _nonlinear_rates(
-        theta_1 + h * b1,
-        theta_2 + h * b2,
-        rate_1 + h * b3,
-        rate_2 + h * b4,
-        torque_1,
-        torque_2,
-        push_1,
-        push_2,
-        params,
-    )
-    e1, e2, e3, e4 = _nonlinear_rates(
-        theta_1 + dt * d1,
-        theta_2 + dt * d2,
-        rate_1 + dt * d3,
-        rate_2 + dt * d4,
-        torque_1,
-        torque_2,
-        push_1,
-        push_2,
-        params,
-    )
-    s = dt / 6.0
-    return (
-        theta_1 + s * (a1 + 2.0 * b1 + 2.0 * d1 + e1),
-        theta_2 + s * (a2 + 2.0 * b2 + 2.0 * d2 + e2),
-        rate_1 + s * (a3 + 2.0 * b3 + 2.0 * d3 + e3),
-        rate_2 + s * (a4 + 2.0 * b4 + 2.0 * d4 + e4),
-    )
+    x = (theta_1, theta_2, rate_1, rate_2)
+    torque, push = (torque_1, torque_2), (push_1, push_2)
+    k1 = _slope(x, torque, push, params)
+    k2 = _slope(ahead(x, k1, 0.5 * dt), torque, push, params)
+    k3 = _slope(ahead(x, k2, 0.5 * dt), torque, push, params)
+    k4 = _slope(ahead(x, k3, dt), torque, push, params)
+    return weighted(x, k1, k2, k3, k4, dt)

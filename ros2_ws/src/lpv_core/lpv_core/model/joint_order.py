@@ -1,6 +1,7 @@
 """From sensor_msgs/JointState, with joints in any order, to the arm's joints."""
 
 import math
+import reprlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -31,7 +32,7 @@ class JointOrder:
                 if names.count(joint) != 1:
                     raise SampleError(
                         f'joint {joint!r} occurs {names.count(joint)} times in the message, which '
-                        f'names {list(names)}; the arm file has {list(self._wanted)}'
+                        f'names {reprlib.repr(list(names))}; the arm file has {list(self._wanted)}'
                     )
             self._index = tuple(names.index(joint) for joint in self._wanted)
             self._names = names

@@ -5,6 +5,7 @@ import numpy as np
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_core.model.polytope import paper_scheduling, paper_vertices, paper_weights
+from lpv_core.model.runge_kutta import State, ahead, weighted
 from lpv_core.support.jit import njit
 
 
@@ -187,6 +188,20 @@ def lpv_rates(
 
 
 @njit
+def _slope(
+    x: State,
+    torque: tuple[float, float],
+    push: tuple[float, float],
+    a: np.ndarray,
+    b: np.ndarray,
+    box: np.ndarray,
+    rho: np.ndarray,
+) -> State:
+    acc_1, acc_2 = lpv_rates(x[0], x[1], x[2], x[3], torque[0], torque[1], a, b, box, rho)
+    return x[2], x[3], acc_1 + push[0], acc_2 + push[1]
+
+
+@njit
 def lpv_rk4_step(
     theta_1: float,
     theta_2: float,
@@ -222,32 +237,10 @@ def lpv_rk4_step(
     tuple of float
         The state after ``dt``.
     """
-    h = 0.5 * dt
-    a3, a4 = lpv_rates(theta_1, theta_2, rate_1, rate_2, torque_1, torque_2, a, b, box, rho)
-    a3 += push_1
-    a4 += push_2
-    b1, b2 = rate_1 + h * a3, rate_2 + h * a4
-    b3, b4 = lpv_rates(
-        theta_1 + h * rate_1, theta_2 + h * rate_2, b1, b2, torque_1, torque_2, a, b, box, rho
-    )
-    b3 += push_1
-    b4 += push_2
-    d1, d2 = rate_1 + h * b3, rate_2 + h * b4
-    d3, d4 = lpv_rates(
-        theta_1 + h * b1, theta_2 + h * b2, d1, d2, torque_1, torque_2, a, b, box, rho
-    )
-    d3 += push_1
-    d4 += push_2
-    e1, e2 = rate_1 + dt * d3, rate_2 + dt * d4
-    e3, e4 = lpv_rates(
-        theta_1 + dt * d1, theta_2 + dt * d2, e1, e2, torque_1, torque_2, a, b, box, rho
-    )
-    e3 += push_1
-    e4 += push_2
-    s = dt / 6.0
-    return (
-        theta_1 + s * (rate_1 + 2.0 * b1 + 2.0 * d1 + e1),
-        theta_2 + s * (rate_2 + 2.0 * b2 + 2.0 * d2 + e2),
-        rate_1 + s * (a3 + 2.0 * b3 + 2.0 * d3 + e3),
-        rate_2 + s * (a4 + 2.0 * b4 + 2.0 * d4 + e4),
-    )
+    x = (theta_1, theta_2, rate_1, rate_2)
+    torque, push = (torque_1, torque_2), (push_1, push_2)
+    k1 = _slope(x, torque, push, a, b, box, rho)
+    k2 = _slope(ahead(x, k1, 0.5 * dt), torque, push, a, b, box, rho)
+    k3 = _slope(ahead(x, k2, 0.5 * dt), torque, push, a, b, box, rho)
+    k4 = _slope(ahead(x, k3, dt), torque, push, a, b, box, rho)
+    return weighted(x, k1, k2, k3, k4, dt)

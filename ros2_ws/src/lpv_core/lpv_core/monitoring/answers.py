@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent
+from lpv_core.decision.diagnosis import Alarm
 from lpv_core.support.records import record_type
 
 
@@ -104,16 +104,3 @@ class Answers:
     fault: np.recarray
     events: list[tuple[int, Alarm]]
     reports: list[tuple[int, list[dict[str, Any]]]]
-
-
-def describe(event: Alarm) -> str:
-    """An alarm event as one line of text: sensor, kind, size, bound and confidence."""
-    words = {
-        AlarmEvent.RAISED: 'ALARM',
-        AlarmEvent.UPDATED: 'alarm updated',
-        AlarmEvent.CLEARED: 'alarm cleared',
-    }
-    return (
-        f'{words[event.event]}, {event.sensor}: {event.kind}, {event.size:+.3f} rad within '
-        f'{event.bound:.3f} rad, confidence {event.confidence:.3f}'
-    )

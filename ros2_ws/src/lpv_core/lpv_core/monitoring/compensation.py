@@ -125,23 +125,18 @@ def fill_answers(
     """
     for k in range(part[0], part[1]):
         elapsed = (stamps[k] - flags.stamp) / NANOSECONDS
-        follows = work.stamp[0] != NEVER
-        interval = (stamps[k] - work.stamp[0]) / NANOSECONDS if follows else 0.0
-        follows = follows and interval < _LONGEST_STEP * flags.sample_time
+        step = _step(work, stamps[k], flags.fading, flags.sample_time)
         for i in range(known.fault.shape[0]):
             grown = elapsed * known.rate[i]
             fault, confirmed, drift = known.fault[i] + grown, 0.0, 0.0
             if known.is_error[i]:
                 confirmed = fault if known.is_level[i] else known.removed[i] + grown
                 drift = known.rate[i] if known.is_derived[i] else 0.0
-            step = (flags.fading + abs(drift)) * interval
-            work.applied[i] += min(max(confirmed - work.applied[i], -step), step)
-            reading = samples[k, 0, i] - work.applied[i], samples[k, 1, i] - drift
-            _bridge(work, i, reading, known.limit[i], (interval, follows))
+            measured = samples[k, 0, i], samples[k, 1, i]
+            _correct(work, i, measured, (confirmed, drift), known.limit[i], step)
             rows.compensated[k, i], rows.velocity[k, i] = work.position[i], work.velocity[i]
             rows.position[k, i] = work.position[i] + work.applied[i] - fault
-            rows.measured[k, i] = samples[k, 0, i]
-            rows.measured_velocity[k, i] = samples[k, 1, i]
+            rows.measured[k, i], rows.measured_velocity[k, i] = measured
             rows.estimate[k, i], rows.bound[k, i] = fault, known.bound[i]
             rows.threshold[k, i], rows.state[k, i] = known.threshold[i], known.state[i]
             rows.alarm[k, i] = known.is_error[i]
@@ -152,12 +147,71 @@ def fill_answers(
 
 
 @njit
-def _bridge(
-    work: Compensation, i: int, reading: tuple[float, float], limit: float, step: tuple[float, bool]
+def compensate(
+    work: Compensation,
+    stamps: IntArray,
+    measured: FloatArray,
+    fault: FloatArray,
+    drift: FloatArray,
+    limits: FloatArray,
+    tuning: tuple[float, float],
+    result: FloatArray,
 ) -> None:
-    """Position and rate of a joint; a reading that jumps is carried on by its rate."""
-    position, velocity = reading
-    interval, follows = step
+    """Corrected positions and rates of samples in a row, the same as of `fill_answers`.
+
+    Parameters
+    ----------
+    work : Compensation
+        Changed.
+    stamps : ndarray of int64, shape (N,)
+        [ns].
+    measured : ndarray, shape (N, 2, n)
+        Readings and rates [rad], [rad/s].
+    fault : ndarray, shape (N, n)
+        Confirmed faults [rad].
+    drift : ndarray, shape (n,)
+        Error of the rates that are derived from the readings [rad/s].
+    limits : ndarray, shape (n,)
+        Change of a reading that may be a jump [rad].
+    tuning : tuple
+        Rate at which a fault is faded in and out [rad/s]; sample time [s].
+    result : ndarray, shape (N, 3, n)
+        Receives corrected positions and rates, and what was removed.
+    """
+    for k in range(stamps.shape[0]):
+        step = _step(work, stamps[k], tuning[0], tuning[1])
+        for i in range(fault.shape[1]):
+            one = measured[k, 0, i], measured[k, 1, i]
+            _correct(work, i, one, (fault[k, i], drift[i]), limits[i], step)
+            result[k, 0, i], result[k, 1, i] = work.position[i], work.velocity[i]
+            result[k, 2, i] = work.applied[i]
+        work.stamp[0] = stamps[k]
+
+
+@njit
+def _step(
+    work: Compensation, stamp: int, fading: float, sample_time: float
+) -> tuple[float, bool, float]:
+    """Time since the sample before, whether it is near, and the rate of fading."""
+    follows = work.stamp[0] != NEVER
+    interval = (stamp - work.stamp[0]) / NANOSECONDS if follows else 0.0
+    return interval, follows and interval < _LONGEST_STEP * sample_time, fading
+
+
+@njit
+def _correct(
+    work: Compensation,
+    i: int,
+    measured: tuple[float, float],
+    fault: tuple[float, float],
+    limit: float,
+    step: tuple[float, bool, float],
+) -> None:
+    """Reading and rate of a joint without the fault; a jump is carried on by the rate."""
+    interval, follows, fading = step
+    most = (fading + abs(fault[1])) * interval
+    work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)
+    position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
     largest = limit + 2.0 * interval * abs(work.change[i])
     carried = work.position[i] + interval * work.velocity[i]
     if abs(position - carried) <= largest:

@@ -80,8 +80,8 @@ def state_fields(state: np.record) -> dict[str, Any]:
     )
     return {
         **{name: state[name].copy() for name in names},
-        'mode': int(state.mode),
-        'trustworthy': bool(state.trustworthy),
+        'mode': int(state['mode']),
+        'trustworthy': bool(state['trustworthy']),
     }
 
 
@@ -103,8 +103,8 @@ def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any
     return {
         'sensor_names': list(sensor_names),
         **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
-        'state': fault.state.tolist(),
-        'alarm': [bool(a) for a in fault.alarm],
+        'state': fault['state'].tolist(),
+        'alarm': [bool(a) for a in fault['alarm']],
     }
 
 
@@ -113,12 +113,12 @@ def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, 
 
     Positions are those measured less confirmed faults, rates those of the estimate.
     """
-    if state.mode >= Mode.STALE:
+    if state['mode'] >= Mode.STALE:
         return None
     return {
         'name': list(joint_names),
-        'position': state.compensated_position.copy(),
-        'velocity': state.velocity.copy(),
+        'position': state['compensated_position'].copy(),
+        'velocity': state['velocity'].copy(),
     }
 
 

@@ -30,7 +30,7 @@ from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.model.joints import joint_angle
 from lpv_core.monitoring import message_fields
-from lpv_core.monitoring.answers import Answer, Answers, answer_type, describe
+from lpv_core.monitoring.answers import Answer, Answers, answer_type
 from lpv_core.observer.sampled_observer import (
     COUNTERS,
     ESTIMATE,
@@ -49,7 +49,7 @@ from lpv_core.residual.rate_independence import RATE_SOURCES, UNDECIDED, contrad
 from lpv_core.residual.sample_buffer import RATE, READING, SampleBuffer, buffer_of
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import new_record, plain, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _REPORT_INTERVAL = NANOSECONDS
@@ -59,7 +59,7 @@ _LONGEST_STALE = 50_000_000
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 _SENSOR_STALE = int(SensorState.STALE)
 
-__all__ = ['ANSWER', 'Answer', 'Answers', 'SensorMonitor', 'describe', 'monitor_step']
+__all__ = ['ANSWER', 'Answer', 'Answers', 'SensorMonitor', 'monitor_step']
 
 MONITOR_CONSTANTS = record_type(
     ('observer', OBSERVER_CONSTANTS), ('diagnosis', DIAGNOSIS_CONSTANTS)
@@ -337,6 +337,7 @@ class SensorMonitor:
             MONITOR_CONSTANTS, observer=observer_constants(arm, gains, initial_samples, max_gap)
         )
         self._state, self._answer = new_record(MONITOR_STATE), new_record(ANSWER)
+        self._shown = plain(self._answer)
         self._buffers = diagnosis_buffers(arm)
         self._order = JointOrder(arm.joint_names)
         self.retune(parameters or DiagnosisParameters())
@@ -414,26 +415,26 @@ class SensorMonitor:
             self.rejected += 1
             raise
         self._step(stamp, *measured)
-        now = self._answer
-        if not now.answered:
+        now = self._shown
+        if not now['answered']:
             return None
         answer = Answer(
             stamp,
-            message_fields.state_fields(now.state),
-            restarted=bool(now.restarted),
-            inconsistent=bool(now.inconsistent),
+            message_fields.state_fields(now['state']),
+            restarted=bool(now['restarted']),
+            inconsistent=bool(now['inconsistent']),
         )
-        answer.corrected = message_fields.corrected_fields(now.state, self.arm.joint_names)
-        if now.has_fault:
-            answer.fault = message_fields.fault_fields(now.fault, self.arm.sensor_names)
-        if now.has_events:
+        answer.corrected = message_fields.corrected_fields(now['state'], self.arm.joint_names)
+        if now['has_fault']:
+            answer.fault = message_fields.fault_fields(now['fault'], self.arm.sensor_names)
+        if now['has_events']:
             answer.events = self.alarms(
                 event
                 for event in self._state.diagnosis.decision.events
                 if event.happened != NOTHING
             )
             answer.alarms = [message_fields.alarm_fields(event) for event in answer.events]
-        if now.due:
+        if now['due']:
             report = self._report_now()
             answer.status = self._status(report)
             answer.warnings = self._new_warnings(report)

@@ -13,7 +13,7 @@ import numpy as np
 from lpv_core.certificate.gains import Gains
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.dynamics import acceleration
-from lpv_core.model.joints import JointMap, joint_angle, row_dot
+from lpv_core.model.joints import joint_angle, row_dot
 from lpv_core.observer.observer_step import (
     RECURSION_CONSTANTS,
     RECURSION_STATE,
@@ -158,7 +158,26 @@ ESTIMATE = record_type(
 def observer_constants(
     arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
 ) -> np.record:
-    """Constants of `observe`, of type `OBSERVER_CONSTANTS`; see `UnknownInputObserver`."""
+    """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm; its hash must match the gains.
+    gains : Gains
+        Designed gains.
+    initial_samples : int, optional
+        Samples over which the start value is averaged.  The observer takes their mean for free of
+        faults: a constant bias at the start is only found at the certified decay rate.
+    max_gap : float, optional
+        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
+        encoder's increment and hold the fault estimate.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
     gains.check_arm(arm)
     return new_record(
         OBSERVER_CONSTANTS,
@@ -194,7 +213,7 @@ def observe(
     velocity: np.ndarray,
     effort: np.ndarray,
 ) -> bool:
-    """Use one measurement; the estimate at its time goes into ``estimate``.
+    """Sampled unknown-input observer, eqs. (38)-(53): one measurement into ``estimate``.
 
     Degraded modes: a duplicate or older stamp is dropped and counted; a stamp more than 1 s back
     means that the clock was set back: the observer restarts; a position that is not finite, or
@@ -486,86 +505,6 @@ def _fill(params: np.record, state: np.record, estimate: np.record) -> None:
         state.torque[1],
         params.recursion.arm,
     )
-
-
-class UnknownInputObserver:
-    """Sampled unknown-input observer, eqs. (38)-(53).
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm; its hash must match the gains.
-    gains : Gains
-        Designed gains.
-    initial_samples : int, optional
-        Samples over which the start value is averaged.  The observer takes their mean for free of
-        faults: a constant bias at the start is only found at the certified decay rate.
-    max_gap : float, optional
-        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
-        encoder's increment and hold the fault estimate.
-
-    Raises
-    ------
-    ConfigError
-        If the gains belong to another arm.
-    """
-
-    def __init__(
-        self, arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
-    ) -> None:
-        self._constants = observer_constants(arm, gains, initial_samples, max_gap)
-        self._state, self._estimate = new_record(OBSERVER_STATE), new_record(ESTIMATE)
-        self.arm, self.joints = arm, JointMap(arm)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything but the counters; the observer restarts with the next sample."""
-        reset_observer(self._state)
-
-    @property
-    def counters(self) -> Counters:
-        """What was not usable so far, as `Counters`."""
-        return counters(self._state.counters)
-
-    @property
-    def stamp(self) -> int | None:
-        """Stamp of the last accepted sample [ns], or None."""
-        return None if self._state.stamp == NEVER else int(self._state.stamp)
-
-    def update(
-        self,
-        stamp: int,
-        position: Sequence[float],
-        velocity: Sequence[float],
-        effort: Sequence[float],
-    ) -> np.record | None:
-        """Use one measurement and return the estimate at its time, see :func:`observe`.
-
-        Parameters
-        ----------
-        stamp, position, velocity, effort
-            As `observe`; any sequences of two floats.
-
-        Returns
-        -------
-        numpy.record or None
-            `ESTIMATE`; None if the sample was dropped.
-
-        Raises
-        ------
-        SampleError
-            If a vector has not two elements.
-        """
-        used = observe(
-            self._constants,
-            self._state,
-            self._estimate,
-            stamp,
-            pair(position, 'position'),
-            pair(velocity, 'velocity'),
-            pair(effort, 'effort'),
-        )
-        return self._estimate.copy() if used else None
 
 
 def counters(record: np.record) -> Counters:

@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -18,14 +17,12 @@ from lpv_core.serial_arm.description import (
     SerialArm,
     SerialJoint,
 )
+from lpv_core.serial_arm.urdf_text import ENDLESS, read_urdf_text
 from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
     import pinocchio
 
-MAX_BYTES = 16 << 20
-"""Largest URDF that is read [bytes]."""
-_ENDLESS = 1e6  # limits of continuous joints, which the parser wants [rad]
 MAX_JOINTS = 32
 """Largest number of moving joints of an arm."""
 
@@ -80,7 +77,7 @@ def read_urdf_model(
     import pinocchio
 
     held = dict(locked or {})
-    text = _read(Path(path))
+    text = read_urdf_text(Path(path))
     try:
         with _quiet():
             model = pinocchio.buildModelFromXML(text)
@@ -105,43 +102,6 @@ def read_urdf_model(
             model, [model.getJointId(name) for name in held], reference
         )
     return model, held
-
-
-def _read(path: Path) -> str:
-    """Text of a URDF whose continuous joints are revolute ones without limits."""
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ConfigError('urdf', f'is larger than {MAX_BYTES} bytes', str(path))
-        root = ElementTree.fromstring(path.read_bytes())
-    except OSError as error:
-        raise ConfigError('urdf', f'cannot be read ({error.strerror})', str(path)) from error
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise ConfigError('urdf', f'is not XML ({error})', str(path)) from error
-    if root.tag != 'robot':
-        raise ConfigError('urdf', f'must have the root element robot, has {root.tag!r}', str(path))
-    for joint in root.iter('joint'):
-        if joint.get('type') == 'continuous':
-            # Pinocchio gives a continuous joint two coordinates, cosine and sine.
-            joint.set('type', 'revolute')
-            limit = joint.find('limit')
-            if limit is None:
-                limit = ElementTree.SubElement(joint, 'limit', effort='1e9', velocity='100')
-            limit.set('lower', f'{-_ENDLESS}')
-            limit.set('upper', f'{_ENDLESS}')
-        if joint.get('type') in ('revolute', 'prismatic'):
-            _check_limit(joint, path)
-        for mimic in joint.findall('mimic'):
-            joint.remove(mimic)
-    for link in root.iter('link'):
-        for part in ('visual', 'collision'):
-            for element in link.findall(part):
-                link.remove(element)
-    return ElementTree.tostring(root, encoding='unicode')
-
-
-def _check_limit(joint: ElementTree.Element, path: Path) -> None:
-    if joint.find('limit') is None:
-        raise ConfigError('urdf', f'joint {joint.get("name")!r} has no limit', str(path))
 
 
 @contextlib.contextmanager
@@ -185,6 +145,8 @@ def _joint(model: 'pinocchio.Model', index: int, source: str) -> SerialJoint:
     pinocchio.computeJointJacobians(model, data, np.zeros(model.nq))
     jacobian = pinocchio.getJointJacobian(model, data, index, pinocchio.LOCAL)
     axis = np.reshape(jacobian, (6, -1))[3:, index - 1]
+    if not abs(np.linalg.norm(axis) - 1.0) < 1e-6:
+        raise ConfigError('urdf', f'joint {name!r} has an axis without a direction', source)
     return SerialJoint(
         name=name,
         position=_triple(placement.translation),
@@ -197,7 +159,7 @@ def _joint(model: 'pinocchio.Model', index: int, source: str) -> SerialJoint:
 
 
 def _endless(value: float) -> float:
-    return float(value) if abs(value) < _ENDLESS else math.copysign(math.inf, value)
+    return float(value) if abs(value) < ENDLESS else math.copysign(math.inf, value)
 
 
 def _positive(value: Any, default: float) -> float:

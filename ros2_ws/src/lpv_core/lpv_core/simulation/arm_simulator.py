@@ -24,7 +24,7 @@ from lpv_core.simulation.faults import (
 from lpv_core.simulation.mujoco_plant import MujocoPlant
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import new_record, plain, record_type
 
 _LPV = record_type(
     ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
@@ -241,6 +241,7 @@ class ArmSimulator:
         if scenario.plant == 'mujoco':
             self.engine = MujocoPlant(true_arm, scenario.coulomb)
         self.state = new_record(PLANT_STATE)
+        self._shown = plain(self.state)
         self.state.state[:2] = self.joints.absolute_position(
             scenario.path(arm).sample(0.0).position
         )
@@ -249,7 +250,7 @@ class ArmSimulator:
     @property
     def step_count(self) -> int:
         """Number of the present sample."""
-        return int(self.state.step_count)
+        return int(self._shown['step_count'])
 
     @property
     def time(self) -> float:
@@ -299,20 +300,24 @@ class ArmSimulator:
 
     def sense(self) -> tuple[Measurement, Truth]:
         """Readings and truth at the present sample; the same ones when asked again."""
-        state = self.state
         if not self._sensed:
             read_sensors(
-                self.constants, state, self.injector.records, self.noise, self.injector.generator
+                self.constants,
+                self.state,
+                self.injector.records,
+                self.noise,
+                self.injector.generator,
             )
             self._sensed = True
+        now = self._shown
         measurement = Measurement(
-            state.measured_position.copy(), state.measured_velocity.copy(), state.torque.copy()
+            now['measured_position'].copy(), now['measured_velocity'].copy(), now['torque'].copy()
         )
         return measurement, Truth(
-            state.position.copy(),
-            state.velocity.copy(),
-            state.fault.copy(),
-            float(state.disturbance),
+            now['position'].copy(),
+            now['velocity'].copy(),
+            now['fault'].copy(),
+            float(now['disturbance']),
         )
 
 

@@ -1,6 +1,7 @@
 """Faults of the physical sensors, as the simulator injects them."""
 
 import math
+import reprlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,11 @@ _NEEDED = {
     'rate_bias': 'size',
 }
 """Field of `Fault` that must not be zero, by kind."""
+
+_LARGEST = 1e6
+"""Largest size [rad] and rate [rad/s] of a fault, and its longest time [s]."""
+MAX_FAULTS = 200
+"""Most faults at a time: each costs time at every sample."""
 
 _FAULT = record_type(
     ('kind', 'i8'),  # index in KINDS
@@ -146,14 +152,19 @@ def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
     """Refuse a fault that the simulator cannot apply: ConfigError naming the field."""
     if fault.sensor not in sensor_names:
         raise ConfigError(
-            'fault.sensor', f'{fault.sensor!r} is unknown; the arm has ' + ', '.join(sensor_names)
+            'fault.sensor',
+            f'{reprlib.repr(fault.sensor)} is unknown; the arm has ' + ', '.join(sensor_names),
         )
     if fault.kind not in KINDS:
-        raise ConfigError('fault.kind', f'{fault.kind!r} must be one of ' + ', '.join(KINDS))
+        raise ConfigError(
+            'fault.kind', f'{reprlib.repr(fault.kind)} must be one of ' + ', '.join(KINDS)
+        )
     for name in ('onset', 'duration', 'size', 'rate'):
         value = getattr(fault, name)
-        if not math.isfinite(value):
-            raise ConfigError(f'fault.{name}', f'must be finite, got {value}')
+        if not abs(value) <= _LARGEST:
+            raise ConfigError(
+                f'fault.{name}', f'must be at most {_LARGEST:g} in magnitude, got {value}'
+            )
     not_negative = {'noise': ('duration', 'size'), 'spike': ('duration', 'rate')}
     for name in not_negative.get(fault.kind, ('duration',)):
         if getattr(fault, name) < 0.0:
@@ -209,6 +220,8 @@ class FaultInjector:
             If it is not valid.
         """
         check_fault(fault, self._names)
+        if len(self.faults) >= MAX_FAULTS:
+            raise ConfigError('fault', f'there are {MAX_FAULTS} already: clear some first')
         row = np.zeros(1, _FAULT)
         row['kind'], row['sensor'] = KINDS.index(fault.kind), self._names.index(fault.sensor)
         row['onset'], row['duration'] = fault.onset, fault.duration
@@ -236,7 +249,8 @@ class FaultInjector:
         """
         if sensor and sensor not in self._names:
             raise ConfigError(
-                'fault.sensor', f'{sensor!r} is unknown; the arm has ' + ', '.join(self._names)
+                'fault.sensor',
+                f'{reprlib.repr(sensor)} is unknown; the arm has ' + ', '.join(self._names),
             )
         kept = [bool(sensor) and f.sensor != sensor for f in self.faults]
         removed = kept.count(False)

@@ -10,6 +10,7 @@ from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.control.tracking import TrackingController
 from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.any_scenario import load_any_scenario
@@ -53,6 +54,7 @@ def precompile_serial(arm: SerialArm, scenario: SerialScenario) -> None:
     plant.sense()
     plant.hold()
     run_serial_loop(arm, replace(scenario, duration=_FIRST_DECISIONS))
+    SerialSensorMonitor('precompile', arm).warm_up()
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 import hashlib
 import math
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ MAX_INTEGER = 2**63 - 1
 """Largest integer, as a ROS parameter has it; all of these are finite floats, too."""
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
     """Safe loader that refuses equal keys: the last one would win in silence."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -45,6 +45,44 @@ def _short(value: object) -> str:
         return f'a huge {type(value).__name__}'
 
 
+def load_yaml(path: str | Path, max_bytes: int | None = None) -> Any:
+    """Load a YAML file of other software through the safe loader, whatever its values are.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The file.
+    max_bytes : int, optional
+        Largest file that is read, ``MAX_BYTES`` if not given.
+
+    Returns
+    -------
+    object
+        Its content, of at most ``MAX_VALUES`` values.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, too large, not YAML, nested too deeply, or has too many values.
+    """
+    path, limit = Path(path), MAX_BYTES if max_bytes is None else max_bytes
+    try:
+        if path.stat().st_size > limit:
+            raise ConfigError('file', f'is larger than {limit} bytes', str(path))
+        # A safe loader with one check more.
+        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)  # noqa: S506
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
+    except ConfigError:
+        raise
+    except Exception as error:  # constructors of tags raise many kinds
+        text = ' '.join(str(error).split())[:300]
+        raise ConfigError('file', f'is not valid YAML ({text})', str(path)) from error
+    for _ in _values(data, str(path)):
+        pass  # counts them
+    return data
+
+
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML mapping through the safe loader.
 
@@ -61,50 +99,46 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If the file is missing, too large, not YAML, or not a mapping, or if it holds what no file
-        of this software needs: keys that are not text, dates, binary data, NaN, huge integers,
-        deep nesting.
+        As `load_yaml`, and if the file holds what no file of this software needs: no mapping, keys
+        that are not text, dates, binary data, NaN, huge integers.
     """
-    path = Path(path)
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ConfigError('file', f'is larger than {MAX_BYTES} bytes', str(path))
-        # A SafeLoader with one check more.
-        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)  # noqa: S506
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
-    except ConfigError:
-        raise
-    except Exception as error:  # constructors of tags raise many kinds
-        text = ' '.join(str(error).split())[:300]
-        raise ConfigError('file', f'is not valid YAML ({text})', str(path)) from error
+    data = load_yaml(path)
     if not isinstance(data, dict):
         raise ConfigError('file', 'must hold a mapping at its top level', str(path))
     _check_values(data, str(path))
     return data
 
 
-def _check_values(data: dict[str, Any], source: str) -> None:
-    """Refuse what no file may hold, before anything else looks at it."""
-    left, count = [('', data, 0)], 0
+def _values(data: object, source: str) -> Iterator[tuple[str, Any]]:
+    """Values with their names; those that aliases repeat come as often."""
+    left: list[tuple[str, Any, int]] = [('', data, 0)]
+    count = 0
     while left:
         name, value, depth = left.pop()
         count += 1
         if count > MAX_VALUES or depth > MAX_DEPTH:
             limit = f'{MAX_VALUES} values' if count > MAX_VALUES else f'{MAX_DEPTH} levels'
             raise ConfigError(name or 'file', f'has more than {limit}', source)
-        items: Iterable[tuple[object, Any]] = ()
+        yield name, value
+        items: Iterable[tuple[str, Any]] = ()
         if isinstance(value, dict):
-            items = ((f'{name}.{key}' if name else key, item) for key, item in value.items())
+            keys = [key if isinstance(key, str) else _short(key) for key in value]
+            items = ((f'{name}.{k}' if name else k, v) for k, v in zip(keys, value.values()))
+        elif isinstance(value, (list, tuple, set)):
+            items = ((f'{name}[{i}]', item) for i, item in enumerate(value))
+        left += [(label, item, depth + 1) for label, item in items]
+
+
+def _check_values(data: dict[str, Any], source: str) -> None:
+    """Refuse what no file may hold, before anything else looks at it."""
+    for name, value in _values(data, source):
+        if isinstance(value, dict):
             wrong = [key for key in value if not isinstance(key, str)]
             if wrong:
                 reason = f'has a key that is not text: {_short(wrong[0])}; put it in quotes'
                 raise ConfigError(name or 'file', reason, source)
-        elif isinstance(value, list):
-            items = ((f'{name}[{i}]', item) for i, item in enumerate(value))
-        elif reason := _wrong_scalar(value):
+        elif not isinstance(value, list) and (reason := _wrong_scalar(value)):
             raise ConfigError(name, reason, source)
-        left += [(str(key), item, depth + 1) for key, item in items]
 
 
 def _wrong_scalar(value: object) -> str:

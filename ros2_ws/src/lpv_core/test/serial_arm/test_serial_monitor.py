@@ -8,7 +8,7 @@ from serial_arms import shoulder_arm, wrong_plant
 
 from lpv_core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
 from lpv_core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
-from lpv_core.support.errors import ConfigError, SampleError
+from lpv_core.support.errors import SampleError
 
 DURATION = 8.0
 
@@ -139,6 +139,28 @@ def test_efforts_are_scaled_in_a_copy():
     assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
 
 
-def test_efforts_without_gravity_are_refused():
-    with pytest.raises(ConfigError, match='effort.includes_gravity'):
-        SerialMonitor(replace(shoulder_arm(), effort_includes_gravity=False))
+def test_without_efforts_that_hold_gravity_only_jumps_are_found():
+    arm = replace(shoulder_arm('independent'), effort_includes_gravity=False)
+    monitor, _ = watched(arm, [EncoderFault(1, 'bias', 1.0, 0.01)], duration=2.0)
+    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
+    assert set(monitor.estimate(0).state) == {SensorState.ERROR, SensorState.NOT_DIAGNOSABLE}
+
+
+@pytest.mark.parametrize('joint', [1, 2])
+def test_drift_beside_an_independent_rate_is_the_encoders(joint):
+    fault = EncoderFault(joint, 'drift', 4.0, 0.1)
+    monitor, _ = watched(shoulder_arm('independent'), [fault])
+    alarm = monitor.alarms[0]
+    assert (alarm.sensor, alarm.kind) == (f'encoder{joint + 1}', 'drift')
+    assert alarm.detected < 6.5
+
+
+@pytest.mark.parametrize('joint', [1, 2])
+def test_bias_of_an_independent_rate_is_named_as_such(joint):
+    arm = shoulder_arm('independent')
+    run = SerialSimulator(arm, wrong_plant(arm, 1), 1).run(DURATION)
+    run.samples[2000:, 1, joint] += 0.2
+    monitor = SerialMonitor(arm)
+    monitor.update_many(run.stamps, run.samples)
+    assert {(a.sensor, a.kind) for a in monitor.alarms} == {(f'encoder{joint + 1}', 'rate_bias')}
+    assert monitor.alarms[0].size == pytest.approx(0.2, abs=0.03)

@@ -11,6 +11,7 @@ from lpv_identify.estimation.determination import Determination, determine
 from lpv_identify.estimation.evaluation import Figures, Prediction, figures, predict
 from lpv_identify.estimation.regression import Filters, Fit
 from lpv_identify.estimation.tolerance import torque_tolerance
+from lpv_identify.estimation.weight import WeightEvidence
 from lpv_identify.estimation.workshop import Workshop
 from lpv_identify.model.base_parameters import BaseParameters
 from lpv_identify.recordings.motion import Bandwidths
@@ -24,6 +25,7 @@ class Options:
 
     train_share: float = 0.6  # of every recording; the rest is held back
     refit: bool = False  # write the parameters of a fit to all samples
+    weight_is_known: bool = False  # keep what the arm says on gravity in the efforts
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class Identification:
     filters: Filters
     strength: float  # of the prior
     used_rates: bool  # measured rates were used
+    weight: WeightEvidence  # whether the efforts contain the arm's weight
     warnings: tuple[str, ...]
 
 
@@ -78,6 +81,7 @@ def identify(
     workshop = Workshop(arm, recordings)
     share = 1.0 if tests else options.train_share
     workshop.estimate_gains(share)
+    weight = workshop.check_weight(share, not options.weight_is_known)
     arm = workshop.arm
     workshop.choose(share)
     fit, strength = workshop.fit(share)
@@ -116,6 +120,7 @@ def identify(
         workshop.filters,
         strength,
         workshop.use_rates,
+        weight,
         tuple(workshop.warnings),
     )
 

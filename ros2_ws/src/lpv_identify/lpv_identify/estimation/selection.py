@@ -24,7 +24,8 @@ EFFORT_BANDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
 """Bandwidths of the effort sensor that are tried [Hz]."""
 _GAIN = 0.9  # ratio of mean squares below which the richer model is taken
 _NOTHING = 1e-5  # share of an effort's power that counts for nothing
-_EQUAL = 0.02  # difference of their logarithms that counts for nothing
+EQUAL = 0.02
+"""Difference of the logarithms of mean squares that counts for nothing."""
 
 
 def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
@@ -140,4 +141,4 @@ def choose_prior(
             for strength in STRENGTHS
         ]
     )
-    return STRENGTHS[int(np.flatnonzero(errors < errors.min() + _EQUAL)[-1])]
+    return STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]

@@ -11,11 +11,13 @@ from lpv_identify.estimation.delays import MAX_DELAY, effort_delays, rate_delays
 from lpv_identify.estimation.gains import estimate_gains
 from lpv_identify.estimation.regression import Filters, Fit, Prior, Rows, fit_parameters, make_rows
 from lpv_identify.estimation.selection import (
+    EQUAL,
     choose_effort_band,
     choose_prior,
     divide,
     validation_error,
 )
+from lpv_identify.estimation.weight import WeightEvidence, weigh
 from lpv_identify.model.base_parameters import BaseParameters, find_base_parameters
 from lpv_identify.model.friction import TERMS
 from lpv_identify.model.prior import LOAD_WIDTH, structural_prior
@@ -38,7 +40,7 @@ WEAK = 1e-3
 _PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
 HELD = 1e4
 """Strength of the prior where the data leave the scale open."""
-_BETTER = 0.95  # ratio of mean squares below which a correction is made
+_BETTER = 0.95  # ratio of mean squares below which the other rates are taken
 
 
 class Workshop:
@@ -99,6 +101,27 @@ class Workshop:
         )
         self._prepare()
 
+    def check_weight(self, share: float, may_change: bool) -> WeightEvidence:
+        """Whether the efforts contain the weight, by prediction within the training data."""
+        given = self.arm.effort_includes_gravity
+        other = [self._rows(motion, True) for motion in self.motions]
+        taken, not_taken = self.train_rows(share), [divide(one, share)[0] for one in other]
+        weak = Prior(self.prior.mean, WEAK * self.prior.information)
+        pair = (taken, not_taken) if given else (not_taken, taken)
+        evidence = weigh(pair[0], pair[1], self.filters, weak)
+        found = evidence.contains_weight
+        if found is not None and found != given:
+            factor = max(evidence.ratio, 1.0 / evidence.ratio)
+            text = (
+                f'efforts seem {"" if found else "not "}to contain the weight: predicted so, a '
+                f'joint misses {factor:.1f} times less'
+            )
+            self.warnings.append(f'{text}; taken so' if may_change else text)
+            if may_change:
+                self.arm = replace(self.arm, effort_includes_gravity=found)
+                self.rows = other
+        return evidence
+
     def _prepare(self) -> None:
         self.motions = [self._motion(segment) for segment in self.segments]
         self.rows = [self._rows(motion) for motion in self.motions]
@@ -107,9 +130,10 @@ class Workshop:
         scaled = replace(segment, effort=segment.effort * self.gain)
         return smooth(scaled, self.bands, self.use_rates, self.rate_delay, self.effort_delay)
 
-    def _rows(self, motion: Motion) -> Rows:
+    def _rows(self, motion: Motion, other_weight: bool = False) -> Rows:
         limit = 1.1 * np.array([joint.limits.velocity for joint in self.arm.joints])
-        rows = make_rows(self.model, self.base, motion, limit, self.arm.effort_includes_gravity)
+        weight = self.arm.effort_includes_gravity != other_weight
+        rows = make_rows(self.model, self.base, motion, limit, weight)
         margin = min(int(np.ceil(0.5 / (self.bands.test * self.step))), len(motion.time) // 10)
         return replace(rows, part=slice(margin, len(motion.time) - margin))
 
@@ -125,7 +149,7 @@ class Workshop:
         return [(self._rows(motion), motion) for motion in motions]
 
     def choose(self, share: float) -> None:
-        """Rates, bandwidth of the efforts, delay, load: by prediction within the training data."""
+        """Rates, bandwidth of the efforts, load, prior, delay: by prediction of training data."""
         weak = Prior(self.prior.mean, WEAK * self.prior.information)
         if self.has_rates:
             self._choose_rates(share)
@@ -133,6 +157,7 @@ class Workshop:
         band = choose_effort_band(rows, self.filters, self.use_load, weak)
         self.filters = replace(self.filters, effort=band)
         self.use_load = np.ones(self.n, bool)
+        self._choose_strength(share)
         self._choose_delay(share)
 
     def consistent_fit(
@@ -146,9 +171,9 @@ class Workshop:
     def _error(self, share: float) -> float:
         """Mean logarithm of the mean square errors on blocks held back of the training data."""
         rows = self.train_rows(share)
-        slope = self.consistent_fit(rows, 1.0).slope
+        slope = self.consistent_fit(rows, self.strength).slope
         errors = validation_error(
-            rows, self.filters, lambda part: self.consistent_fit(part, 1.0, slope)
+            rows, self.filters, lambda part: self.consistent_fit(part, self.strength, slope)
         )
         return float(np.mean(np.log(errors)))
 
@@ -162,26 +187,35 @@ class Workshop:
             self.use_rates = not self.use_rates
             self.motions, self.rows = kept
 
+    def _choose_strength(self, share: float) -> None:
+        """Strength of the prior that predicts best."""
+        rows = self.train_rows(share)
+        slope = self.consistent_fit(rows, 1.0).slope
+        self.strength = choose_prior(
+            rows, self.filters, lambda tried: lambda part: self.consistent_fit(part, tried, slope)
+        )
+
     def _choose_delay(self, share: float) -> None:
         """Delays of the efforts, if predictions gain from them.
 
-        A drive that follows late looks like a negative inertia, which no body has.
+        A drive that follows late looks like a negative inertia, which no body has.  A prior that
+        is too weak hides this: it lets masses take the delay's place.
         """
         before = self._error(share)
         kept = self.motions, self.rows
         for _ in range(2):
             rows = self.train_rows(share)
-            found = self.consistent_fit(rows, 1.0)
+            found = self.consistent_fit(rows, self.strength)
             late = self.effort_delay + effort_delays(rows, found, self.filters)
             self.effort_delay = np.clip(late, -MAX_DELAY, MAX_DELAY)
             self._prepare()
         self.joint_delays = self.effort_delay
-        if self._error(share) > before + np.log(_BETTER):
+        if self._error(share) > before - EQUAL:
             self.effort_delay = np.zeros(self.n)
             self.motions, self.rows = kept
 
     def fit(self, share: float) -> tuple[Fit, float]:
-        """Fit with the prior of the strength that predicts best, and this strength."""
+        """Fit with the prior, and its strength."""
         rows = self.train_rows(share)
         passive = self._passive_joints(rows)
         if passive:
@@ -191,12 +225,8 @@ class Workshop:
             )
             held = Prior(self.prior.mean, HELD * self.prior.information)
             return fit_parameters(rows, self.filters, self.use_load, held), HELD
-        slope = self.consistent_fit(rows, 1.0).slope
-        strength = choose_prior(
-            rows, self.filters, lambda tried: lambda part: self.consistent_fit(part, tried, slope)
-        )
-        strong = Prior(self.prior.mean, strength * self.prior.information)
-        return fit_parameters(rows, self.filters, self.use_load, strong), strength
+        strong = Prior(self.prior.mean, self.strength * self.prior.information)
+        return fit_parameters(rows, self.filters, self.use_load, strong), self.strength
 
     def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
         """Joints whose efforts are far below the torques that act on them: they swing freely.

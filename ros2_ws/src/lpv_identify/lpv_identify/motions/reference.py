@@ -8,13 +8,14 @@ import yaml
 
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
+from lpv_core.serial_arm.arm_file import KIND
 from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.motions.simulation import joint_torques
 from lpv_identify.motions.trajectory import Trajectory
 
 TOPIC = '/lpv/excitation'
 """Topic of the reference in the bag, sensor_msgs/JointState."""
-_MESSAGE_STEP = 0.1  # between points of the trajectory message [s]
+_MESSAGE_STEP = 0.1  # between points of the trajectory message and of the scenario [s]
 
 
 def write_reference(
@@ -39,12 +40,16 @@ def write_reference(
         ``trajectory.csv``: time, positions, rates, expected torques of all samples.
         ``trajectory.yaml``: a trajectory_msgs/JointTrajectory for a joint trajectory controller.
         ``reference``: a bag with a sensor_msgs/JointState per sample, for ``ros2 bag play``.
+        ``scenario.yaml``: a scenario whose path the tracker node plays.
     """
     folder.mkdir(parents=True)
     time = np.arange(0.0, trajectory.duration + 0.5 / rate, 1.0 / rate)
     motion = trajectory.sample(time)
     torque = joint_torques(arm, *motion)
-    files = [folder / 'trajectory.csv', folder / 'trajectory.yaml', folder / 'reference']
+    files = [
+        folder / name
+        for name in ('trajectory.csv', 'trajectory.yaml', 'reference', 'scenario.yaml')
+    ]
     names = arm.joint_names
     header = ','.join(
         [
@@ -62,11 +67,34 @@ def write_reference(
     )
     files[1].write_text(yaml.safe_dump(_message(names, trajectory), sort_keys=False, width=110))
     _write_bag(files[2], names, time, motion[0], motion[1], torque)
+    files[3].write_text(yaml.safe_dump(_scenario(trajectory), sort_keys=False, width=110))
     return files
 
 
+def _scenario(trajectory: Trajectory) -> dict[str, Any]:
+    """Scenario of a serial arm, see ``docs/scenario-file.md``; its spline goes through the motion.
+
+    The motion begins and ends at rest, as the spline does.
+    """
+    time = _message_times(trajectory)
+    position, *_ = trajectory.sample(time)
+    waypoints = [{'t': round(float(t), 9), 'joints': q.tolist()} for t, q in zip(time, position)]
+    return {
+        'kind': KIND,
+        'name': 'excitation',
+        'duration': float(trajectory.duration),
+        'path': {'waypoints': waypoints},
+    }
+
+
+def _message_times(trajectory: Trajectory) -> np.ndarray:
+    """Times of the points from the begin to the end [s]."""
+    count = int(np.ceil(trajectory.duration / _MESSAGE_STEP - 1e-9))
+    return np.append(_MESSAGE_STEP * np.arange(count), trajectory.duration)
+
+
 def _message(names: tuple[str, ...], trajectory: Trajectory) -> dict[str, Any]:
-    time = np.append(np.arange(0.0, trajectory.duration, _MESSAGE_STEP), trajectory.duration)
+    time = _message_times(trajectory)
     points = []
     for t, q, v, a in zip(time, *trajectory.sample(time)):
         nanoseconds = round(t * 1e9)

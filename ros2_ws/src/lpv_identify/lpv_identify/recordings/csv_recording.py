@@ -2,6 +2,7 @@
 
 import csv
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -51,22 +52,9 @@ _PATTERNS = {
 
 def read_csv(
     path: Path, joints: Sequence[str], columns: ColumnMap | None
-) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray]:
-    """Stamps, positions, rates (or None) and efforts of a CSV file with a header line."""
-    if not path.is_file():
-        raise CsvError(f'{path}: there is no such file')
-    if path.stat().st_size > MAX_BYTES:
-        raise CsvError(f'{path}: is larger than {MAX_BYTES} bytes')
-    try:
-        with open(path, newline='', encoding='utf-8-sig') as file:
-            header = [name.strip() for name in next(csv.reader(file), [])]
-            table = np.genfromtxt(file, delimiter=',', ndmin=2, invalid_raise=False)
-    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
-        raise CsvError(f'{path}: cannot be read ({error})') from error
-    if table.shape[0] < 2 or table.shape[1] != len(header):
-        raise CsvError(
-            f'{path}: must have a header line and at least two lines of {len(header)} numbers'
-        )
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray, list[str]]:
+    """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line."""
+    header, table, notes = _read_table(path)
     if columns is None:
         columns = guess_columns(path, header, joints)
     index = _index(path, header, joints, columns)
@@ -75,7 +63,34 @@ def read_csv(
     time = table[:, header.index(columns.time)] * (TIME_UNITS[columns.time_unit] / 1e9)
     position, velocity = angle * table[:, index[0]], angle * table[:, index[1]]
     effort = table[:, index[2]]
-    return [time], position, velocity if np.isfinite(velocity).any() else None, effort
+    return [time], position, velocity if np.isfinite(velocity).any() else None, effort, notes
+
+
+def read_csv_columns(path: Path, names: Sequence[str], angle_unit: str) -> np.ndarray:
+    """Angles of some columns of a CSV file, shape (n, columns) [rad]."""
+    header, table, _ = _read_table(path)
+    _require(path, header, names)
+    return ANGLE_UNITS[angle_unit] * table[:, [header.index(name) for name in names]]
+
+
+def _read_table(path: Path) -> tuple[list[str], np.ndarray, list[str]]:
+    """Header, numbers and remarks of a CSV file."""
+    if not path.is_file():
+        raise CsvError(f'{path}: there is no such file')
+    if path.stat().st_size > MAX_BYTES:
+        raise CsvError(f'{path}: is larger than {MAX_BYTES} bytes')
+    try:
+        with open(path, newline='', encoding='utf-8-sig') as file:
+            header = [name.strip() for name in next(csv.reader(file), [])]
+            with warnings.catch_warnings(record=True) as caught:
+                table = np.genfromtxt(file, delimiter=',', ndmin=2, invalid_raise=False)
+    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
+        raise CsvError(f'{path}: cannot be read ({error})') from error
+    if table.shape[0] < 2 or table.shape[1] != len(header):
+        raise CsvError(
+            f'{path}: must have a header line and at least two lines of {len(header)} numbers'
+        )
+    return header, table, ['lines with another number of columns are left out'] if caught else []
 
 
 def _index(
@@ -88,10 +103,14 @@ def _index(
             + ', '.join(columns.joints)
         )
     wanted = [[columns.joints[joint][kind] for joint in joints] for kind in range(3)]
-    for name in [columns.time, *(n for names in wanted for n in names)]:
-        if name and name not in header:
-            raise CsvError(f'{path}: has no column {name!r}; it has {", ".join(header)}')
+    _require(path, header, [columns.time, *(n for names in wanted for n in names if n)])
     return [[header.index(name) if name else -1 for name in names] for names in wanted]
+
+
+def _require(path: Path, header: list[str], names: Sequence[str]) -> None:
+    for name in names:
+        if name not in header:
+            raise CsvError(f'{path}: has no column {name!r}; it has {", ".join(header)}')
 
 
 def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:

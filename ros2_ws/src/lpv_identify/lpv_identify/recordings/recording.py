@@ -1,7 +1,7 @@
 """Recordings of an arm: positions, rates and efforts of its joints over time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,10 @@ MAX_SAMPLES = 4_000_000
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 MIN_SHARE_VALID = 0.7
 """Smallest share of samples that must be complete."""
+_SHORTEST = 1e-6  # time from which samples follow each other [s]
+_MOTION = 0.05  # way from which a joint moves [rad]
+LARGEST = 1e6
+"""Positions [rad], rates [rad/s] and efforts beyond are no measurements."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +91,33 @@ def read_recording(
     if path.suffix.lower() == '.csv':
         from lpv_identify.recordings.csv_recording import read_csv
 
-        stamps, position, velocity, effort = read_csv(path, joints, columns)
-    else:
-        stamps, position, velocity, effort = _read_bag(path, joints, topic)
-    return clean(str(path), stamps, position, velocity, effort)
+        stamps, position, velocity, effort, notes = read_csv(path, joints, columns)
+        recording = clean(str(path), stamps, position, velocity, effort)
+        return replace(recording, warnings=(*notes, *recording.warnings))
+    return clean(str(path), *_read_bag(path, joints, topic))
+
+
+def read_pairs(
+    path: str | Path,
+    first: Sequence[str],
+    second: Sequence[str],
+    topic: str | None = None,
+    columns: ColumnMap | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of joints and of their second encoders in the same samples, (n, joints) each.
+
+    Second encoders are further joints of the messages, or columns of a CSV file; otherwise as
+    `read_recording`, without its checks of the samples.
+    """
+    path = Path(path)
+    if path.suffix.lower() == '.csv':
+        from lpv_identify.recordings.csv_recording import read_csv, read_csv_columns
+
+        _, position, *_ = read_csv(path, first, columns)
+        unit = 'rad' if columns is None else columns.angle_unit
+        return position, read_csv_columns(path, second, unit)
+    _, position, *_ = _read_bag(path, (*first, *second), topic)
+    return position[:, : len(first)], position[:, len(first) :]
 
 
 def clean(
@@ -102,37 +129,53 @@ def clean(
 ) -> Recording:
     """Recording of the complete samples; the steadiest of the given ``stamps`` is taken."""
     warnings = []
-    if velocity is not None and np.mean(np.isfinite(velocity).all(1)) < MIN_SHARE_VALID:
+    if len(position) < 2:
+        raise IdentificationError(f'{source}: has {len(position)} samples of the joints')
+    if velocity is not None and np.mean(_usable(velocity)) < MIN_SHARE_VALID:
         warnings.append('rates are missing, they are computed from positions')
         velocity = None
-    effort_valid = np.isfinite(effort).all(1)
+    effort_valid = _usable(effort)
     if not effort_valid.any():
         raise IdentificationError(
             f'{source}: has no efforts; torques or currents of the motors must be recorded, too'
         )
-    valid = effort_valid & np.isfinite(position).all(1)
+    valid = effort_valid & _usable(position)
     if velocity is not None:
-        valid &= np.isfinite(velocity).all(1)
+        valid &= _usable(velocity)
     if valid.mean() < MIN_SHARE_VALID:
         raise IdentificationError(
             f'{source}: only {100 * valid.mean():.0f} % of the samples are '
-            'complete, the others hold values that are not finite'
+            f'complete, the others hold values that are not finite or beyond {LARGEST:g}'
         )
     if not valid.all():
-        warnings.append(f'{np.sum(~valid)} samples with values that are not finite are left out')
+        count = np.sum(~valid)
+        warnings.append(
+            f'{count} samples with values that are not finite or beyond {LARGEST:g} are left out'
+        )
     time, notes = _choose_stamps(source, stamps, position, velocity)
     warnings += notes
     index = np.flatnonzero(valid & np.isfinite(time))
     index = index[np.argsort(time[index], kind='stable')]
-    index = index[np.concatenate([[True], np.diff(time[index]) > 0.0])]
-    return Recording(
-        source,
-        time[index],
-        position[index],
-        None if velocity is None else velocity[index],
-        effort[index],
-        tuple(warnings),
-    )
+    index = index[np.concatenate([[True], np.diff(time[index]) > _SHORTEST])]
+    time, position, effort = time[index], position[index], effort[index]
+    if velocity is not None:
+        velocity = velocity[index]
+        if _stands_still(time, position, velocity):
+            warnings.append('rates stand still while positions move, they are not used')
+            velocity = None
+    return Recording(source, time, position, velocity, effort, tuple(warnings))
+
+
+def _usable(values: np.ndarray) -> np.ndarray:
+    """Which samples are numbers that a sensor may give, for all joints; shape (n,)."""
+    return (np.abs(values) <= LARGEST).all(1)
+
+
+def _stands_still(time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> bool:
+    """Whether the rates of a joint that moves are far too small for its way."""
+    way = np.ptp(position, axis=0)
+    reach = np.mean(np.abs(velocity), axis=0) * (time[-1] - time[0])
+    return bool(np.any((way > _MOTION) & (reach < 0.1 * way)))
 
 
 def _choose_stamps(

@@ -38,8 +38,8 @@ class Reproduction:
         return (
             'With these gains the diagnosis, run again over the recorded measurements, gives '
             f'other fault estimates than the recorded ones (up to {self.largest:.3g} rad): '
-            'the run had other gains or settings, another source of torques, or messages are '
-            'missing.'
+            'the recording began after the diagnosis, messages are missing, or the run had other '
+            'gains, settings or another source of torques.'
         )
 
 

@@ -189,7 +189,7 @@ def _certificate_tile(certificate: Certificate | None, again: Reproduction | Non
     if certificate is None:
         return Tile('certificate of the gains', 'unknown', look='warn')
     if certificate.holds and again is not None and not again.same:
-        return Tile('certificate of the gains', 'holds', 'but the run had others', 'warn')
+        return Tile('certificate of the gains', 'holds', 'the run may have had others', 'warn')
     if certificate.holds:
         return Tile(
             'certificate of the gains', 'holds', f'{len(certificate.checks)} checks', 'good'

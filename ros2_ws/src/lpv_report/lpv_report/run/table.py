@@ -22,10 +22,10 @@ PAPER = {
     'x4': ('estimate of link 2 rate', 'rad²/s²', 0.047),
     'f1': ('estimate of fault 1', 'rad²', 0.006),
     'f2': ('estimate of fault 2', 'rad²', 0.002),
-    'y1': ('tracking, link 1 measured', 'rad²', 0.034),
-    'y2': ('tracking, link 2 measured', 'rad²', 0.053),
-    'e_t1': ('tracking, link 1 true', 'rad²', 0.003),
-    'e_t2': ('tracking, link 2 true', 'rad²', 0.007),
+    'y1': ('tracking error, measured angle 1', 'rad²', 0.034),
+    'y2': ('tracking error, measured angle 2', 'rad²', 0.053),
+    'e_t1': ('tracking error, true angle 1', 'rad²', 0.003),
+    'e_t2': ('tracking error, true angle 2', 'rad²', 0.007),
 }
 """MISE of Table 2; states and tracking in absolute angles, as in the paper."""
 
@@ -157,7 +157,9 @@ def print_table(rows: list[Row], console: Console | None = None) -> None:
     """Show a table on the terminal."""
     with_paper = any(row.paper is not None for row in rows)
     errors = any(row.signal in PAPER for row in rows)
-    title = 'mean squared errors (MISE, eq. (70))' if errors else None
+    title = (
+        'mean squared errors over the run (MISE, eq. (70)): smaller is better' if errors else None
+    )
     table = Table(title=title, box=box.SIMPLE_HEAD)
     for name in ('signal', 'meaning', 'unit'):
         table.add_column(name, no_wrap=True)

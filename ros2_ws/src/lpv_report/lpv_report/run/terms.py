@@ -31,9 +31,8 @@ TERMS = (
     (
         'no bound at rest',
         'At rest, an unknown torque (friction, a payload) and an offset of the encoder look the '
-        'same unless gravity changes with the angle. “Gravity bounds both errors in 69% of the '
-        'region” means: in the other 31% of the configurations a lasting offset is found in '
-        'motion or by its onset alone.',
+        'same unless gravity changes with the angle. A share of 28% means: in these configurations '
+        'of the path a lasting offset is found in motion or by its onset alone.',
     ),
     (
         'margin',
@@ -57,10 +56,11 @@ TERMS = (
         'drives brakes.',
     ),
     (
-        'lockstep, late steps, samples slipped',
+        'lockstep, samples left out',
         'In lockstep each sample waits for its answer, so that a run does not depend on the speed '
-        'of the computer. In real time a step that begins more than one sample too late is late, '
-        'and samples that a braked simulator leaves out to catch up have slipped: 0 is perfect.',
+        'of the computer. In real time a simulator that is braked and too slow leaves samples out '
+        'to catch up; the diagnosis bridges intervals in which measurements are missing, and '
+        'counts them. 0 is perfect.',
     ),
 )
 """Name and meaning, in the order of the page."""

@@ -16,7 +16,7 @@ def complete() -> None:
         return
     import argcomplete
 
-    from lpv_node.discovery import stay_local
+    from lpv_core.support.discovery import stay_local
     from lpv_ros2cli.command_line.parsing import build_parser, chosen
     from lpv_ros2cli.errors import CliError
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from lpv_node.discovery import DISCOVERY_RANGE
+from lpv_core.support.discovery import DISCOVERY_RANGE
 from lpv_ros2cli.errors import CliError
 
 if TYPE_CHECKING:

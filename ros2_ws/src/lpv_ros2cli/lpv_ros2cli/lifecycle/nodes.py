@@ -2,19 +2,13 @@
 
 from argparse import ArgumentParser, Namespace
 
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.lifecycle.client import managed_nodes
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    parser.add_argument(
-        '-a', '--all', action='store_true', help='also nodes whose name begins with an underscore'
-    )
-    parser.add_argument(
-        '-c', '--count-nodes', action='store_true', help='only show the number of nodes'
-    )
+    listing.add_node_arguments(parser)
 
 
 def run(arguments: Namespace) -> None:

@@ -2,22 +2,13 @@
 
 from argparse import ArgumentParser, Namespace
 
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.graph.names import without_hidden
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
-    parser.add_argument(
-        '-c', '--count-services', action='store_true', help='only show the number of services'
-    )
-    parser.add_argument(
-        '--include-hidden-services',
-        action='store_true',
-        help='also names with a part that begins with an underscore',
-    )
+    listing.add_name_arguments(parser, 'services')
 
 
 def run(arguments: Namespace) -> None:
@@ -30,5 +21,4 @@ def run(arguments: Namespace) -> None:
     if arguments.count_services:
         print(len(services))
         return
-    for name, types in services:
-        print(f'{name} [{", ".join(types)}]' if arguments.show_types else name)
+    listing.print_names(services, arguments)

@@ -4,54 +4,32 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
 
-from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery, qos
-from lpv_ros2cli.graph.receiving import Reception, topic_class
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.receiving import topic_class
+from lpv_ros2cli.topic import measuring
 
-_WINDOW = 100
 _UNITS = ((1, 'B', 0), (1000, 'KB', 2), (1000_000, 'MB', 2))
 """Sizes are shown in the unit of the bandwidth: divisor, name, decimals."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.topics, 'topic', help='topic')
-    parser.add_argument(
-        '-w',
-        '--window',
-        type=int,
-        default=_WINDOW,
-        metavar='N',
-        help=f'messages over which the bandwidth is averaged ({_WINDOW})',
-    )
+    measuring.add_arguments(parser, 'bandwidth', 100, help='topic')
 
 
 def run(arguments: Namespace) -> None:
     """Print the bandwidth once a second until interrupted."""
-    if arguments.window < 2:
-        raise CliError('--window must be at least 2')
+    measuring.check_window(arguments.window, 2)
     bandwidth = Bandwidth(arguments.window)
     with discovery.command_node() as node:
-        name, message_class = topic_class(node, arguments.topic, arguments.spin_time)
-        reception = Reception(node)
-        reception.subscribe(
-            message_class,
-            name,
+        measurement = measuring.Measurement(node)
+        measurement.subscribe(
+            topic_class(node, arguments.topic, arguments.spin_time),
             lambda data: bandwidth.add(time.monotonic(), len(data)),
-            qos.matching(node, name, depth=1000),
             raw=True,
         )
         print(f'Subscribed to [{arguments.topic}]', flush=True)
-        node.create_timer(1.0, lambda: _report(bandwidth))
-        reception.run()
-
-
-def _report(bandwidth: 'Bandwidth') -> None:
-    text = bandwidth.describe(time.monotonic())
-    if text:
-        print(text, flush=True)
+        measurement.run(lambda: bandwidth.describe(time.monotonic()))
 
 
 class Bandwidth:

@@ -4,33 +4,21 @@ from argparse import ArgumentParser, Namespace
 from collections import deque
 from typing import Any
 
-from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery, qos
-from lpv_ros2cli.graph.receiving import Reception, topic_class
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.receiving import topic_class
+from lpv_ros2cli.topic import measuring
 from lpv_ros2cli.topic.statistics import Statistics
-
-_WINDOW = 10000
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.topics, 'topic', help='topic with a header')
-    parser.add_argument(
-        '-w',
-        '--window',
-        type=int,
-        default=_WINDOW,
-        metavar='N',
-        help=f'messages over which the delay is averaged ({_WINDOW})',
-    )
+    measuring.add_arguments(parser, 'delay', 10000, help='topic with a header')
 
 
 def run(arguments: Namespace) -> None:
     """Print the time from stamp to reception once a second until interrupted."""
-    if arguments.window < 1:
-        raise CliError('--window must be at least 1')
+    measuring.check_window(arguments.window, 1)
     delays = Delays(arguments.window)
     with discovery.command_node() as node:
         name, message_class = topic_class(node, arguments.topic, arguments.spin_time)
@@ -42,17 +30,9 @@ def run(arguments: Namespace) -> None:
             now = node.get_clock().now().nanoseconds
             delays.add((now - stamp.sec * 10**9 - stamp.nanosec) * 1e-9)
 
-        reception = Reception(node)
-        profile = qos.matching(node, name, depth=1000)
-        reception.subscribe(message_class, name, receive, profile, raw=False)
-        node.create_timer(1.0, lambda: _report(delays))
-        reception.run()
-
-
-def _report(delays: 'Delays') -> None:
-    text = delays.report()
-    if text:
-        print(text, flush=True)
+        measurement = measuring.Measurement(node)
+        measurement.subscribe((name, message_class), receive)
+        measurement.run(delays.report)
 
 
 class Delays:

@@ -6,28 +6,17 @@ from collections import deque
 from functools import partial
 from typing import Any
 
-from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery, qos
-from lpv_ros2cli.graph.receiving import Reception, message_filter, topic_class
+from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph.receiving import message_filter, topic_class
+from lpv_ros2cli.topic import measuring
 from lpv_ros2cli.topic.statistics import Statistics, table
 
-_WINDOW = 10000
 _HEADINGS = ('topic', 'rate', 'min_delta', 'max_delta', 'std_dev', 'window')
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.topics, 'topic_name', nargs='+', help='topics')
-    parser.add_argument(
-        '-w',
-        '--window',
-        type=int,
-        default=_WINDOW,
-        metavar='N',
-        help=f'messages over which the rate is averaged ({_WINDOW})',
-    )
+    measuring.add_arguments(parser, 'rate', 10000, 'topic_name', nargs='+', help='topics')
     parser.add_argument(
         '--filter',
         metavar='EXPRESSION',
@@ -42,8 +31,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Print the rates once a second until interrupted."""
-    if arguments.window < 2:
-        raise CliError('--window must be at least 2')
+    measuring.check_window(arguments.window, 2)
     matches, rates = message_filter(arguments.filter), {}
     names = list(dict.fromkeys(arguments.topic_name))
 
@@ -52,31 +40,26 @@ def run(arguments: Namespace) -> None:
             rate.add(time.monotonic())
 
     with discovery.command_node() as node:
-        reception = Reception(node)
+        measurement = measuring.Measurement(node)
         for typed in names:
-            name, message_class = topic_class(node, typed, arguments.spin_time)
+            topic = topic_class(node, typed, arguments.spin_time)
             rates[typed] = Rate(arguments.window)
-            profile = qos.matching(node, name, depth=1000)
             # Messages are only deserialized where the filter reads them.
-            raw = arguments.filter is None
-            reception.subscribe(message_class, name, partial(receive, rates[typed]), profile, raw)
+            measurement.subscribe(
+                topic, partial(receive, rates[typed]), raw=arguments.filter is None
+            )
             if len(names) > 1:
                 print(f'Subscribed to [{typed}]', flush=True)
-        node.create_timer(1.0, lambda: _report(rates))
-        reception.run()
+        measurement.run(lambda: _describe(rates))
 
 
-def _report(rates: dict[str, 'Rate']) -> None:
+def _describe(rates: dict[str, 'Rate']) -> str:
     found = {name: new for name, rate in rates.items() if (new := rate.news()) is not None}
     if not found:
-        return
+        return ''
     if len(rates) == 1:
         (new,) = found.values()
-        print(
-            f'average rate: {1.0 / new.mean if new.mean > 0.0 else 0.0:.3f}\n\t{new.spread()}',
-            flush=True,
-        )
-        return
+        return f'average rate: {1.0 / new.mean if new.mean > 0.0 else 0.0:.3f}\n\t{new.spread()}'
     rows = [
         (
             name,
@@ -88,7 +71,7 @@ def _report(rates: dict[str, 'Rate']) -> None:
         )
         for name, new in found.items()
     ]
-    print(table(_HEADINGS, rows), flush=True)
+    return table(_HEADINGS, rows)
 
 
 class Rate:

@@ -4,24 +4,15 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from typing import Any
 
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.graph.names import without_hidden
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    parser.add_argument('-t', '--show-types', action='store_true', help='show the types')
-    parser.add_argument(
-        '-c', '--count-topics', action='store_true', help='only show the number of topics'
-    )
+    listing.add_name_arguments(parser, 'topics')
     parser.add_argument(
         '-v', '--verbose', action='store_true', help='show publishers and subscribers'
-    )
-    parser.add_argument(
-        '--include-hidden-topics',
-        action='store_true',
-        help='also names with a part that begins with an underscore',
     )
 
 
@@ -36,8 +27,7 @@ def run(arguments: Namespace) -> None:
             _print_side(topics, 'Published', 'publisher', node.count_publishers)
             _print_side(topics, 'Subscribed', 'subscriber', node.count_subscribers)
         else:
-            for name, types in topics:
-                print(f'{name} [{", ".join(types)}]' if arguments.show_types else name)
+            listing.print_names(topics, arguments)
 
 
 def _print_side(

@@ -39,11 +39,6 @@ def _mean_window(results: Results) -> float | None:
     return float(hours.mean() * 3600.0) if hours.size else None
 
 
-def at_factor(points: dict[str, Any], factor: Any = 1.0) -> int | None:
-    """Place of a factor in the points of a sweep; None where it is not among them."""
-    return points['factor'].index(factor) if factor in points['factor'] else None
-
-
 def _curve(results: Results, i: int, chosen: np.ndarray) -> dict[str, Any]:
     during = results.number(f'score_during_{i + 1}')[chosen]
     before = results.number(f'score_before_{i + 1}')

@@ -370,6 +370,16 @@ def explanations(
     return sorted(found, key=lambda one: -one.gain)
 
 
+def all_windows(search: Search, estimator: OffsetEstimator) -> FloatArray:
+    """Evaluate all windows; their begins, NaN of those that are longer than the horizon [s]."""
+    times = estimator.balance.clock[EPOCH], estimator.plan.interval
+    evaluate(search, estimator.window, estimator.posterior, *times, 0, len(search.contact))
+    begins = np.full(len(search.contact), np.nan)
+    for w in np.nonzero(search.contact > -np.inf)[0]:
+        begins[w] = estimator.times(int(search.lengths[w]))[0] - estimator.plan.interval
+    return begins
+
+
 def _found(search: Search, estimator: OffsetEstimator, windows: int = 99) -> list[Explanation]:
     """What was found in the windows."""
     n, found = estimator.joints, []

@@ -18,8 +18,16 @@ from lpv_core.serial_arm.diagnosis.estimator import (
     OffsetEstimator,
     take_balance,
 )
-from lpv_core.serial_arm.diagnosis.hypotheses import CONTACT, Explanation, explanations, new_search
+from lpv_core.serial_arm.diagnosis.hypotheses import (
+    CONTACT,
+    Explanation,
+    all_windows,
+    explanations,
+    new_search,
+)
+from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
+from lpv_core.serial_arm.diagnosis.rate_check import RateCheck
 from lpv_core.serial_arm.diagnosis.sampling import (
     BLOCKS,
     SPIKE,
@@ -29,7 +37,7 @@ from lpv_core.serial_arm.diagnosis.sampling import (
     restart,
     take_samples,
 )
-from lpv_core.support.errors import ConfigError, SampleError
+from lpv_core.support.errors import SampleError
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -119,7 +127,7 @@ class SerialEstimate:
 
 
 class SerialMonitor:
-    """Monitor of one arm.
+    """Monitor of one arm; where efforts leave out gravity, only jumps of readings are found.
 
     Parameters
     ----------
@@ -127,18 +135,9 @@ class SerialMonitor:
         Arm and sensors.
     settings : MonitorSettings, optional
         Thresholds.
-
-    Raises
-    ------
-    ConfigError
-        If the arm's efforts leave out the torque of gravity: the balances need it.
     """
 
     def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
-        if not arm.effort_includes_gravity:
-            raise ConfigError(
-                'effort.includes_gravity', 'must be true to monitor sensors', arm.name
-            )
         self.arm = arm
         self.settings = settings or MonitorSettings()
         self.joints = len(arm.joints)
@@ -162,6 +161,8 @@ class SerialMonitor:
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, 2.0 * noise,
             np.full(n, self.settings.smallest_step), self._capacity)  # fmt: skip
+        self.rate_check = RateCheck(arm, self.plan)
+        self._rate_faults: set[int] = set()
         self._state = [SensorState.OK] * n
         self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.contact_dwell)
         self._level_held = np.zeros(n, int)
@@ -193,8 +194,25 @@ class SerialMonitor:
         SampleError
             If a value is missing or not finite, or the stamp is not later.
         """
-        values = np.array([q, v, torque], dtype=float)
-        self.update_many(np.array([stamp]), values[None])
+        try:
+            values = np.array([[q, v, torque]], dtype=float)
+        except ValueError as error:
+            raise SampleError('positions, rates and efforts differ in number') from error
+        if values.shape != (1, 3, self.joints):
+            raise SampleError(f'samples must have shape (3, {self.joints}), got {values.shape[1:]}')
+        if not np.isfinite(values).all():
+            raise SampleError('samples must be finite')
+        if self._first is None:
+            self._first = int(stamp)
+        times = np.array([(int(stamp) - self._first) / NANOSECONDS])
+        step = float(times[0]) - self._last_time
+        if not step > 0.0:
+            raise SampleError('stamps must increase')
+        values[:, 2] *= self._efforts
+        if step > LONGEST_STEP * self.arm.sample_time:
+            self._restart()
+        self._take(times, values)
+        self._last_time = float(times[0])
         return self.estimate(stamp)
 
     def update_many(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
@@ -232,10 +250,14 @@ class SerialMonitor:
         gaps = np.nonzero(steps > LONGEST_STEP * self.arm.sample_time)[0]
         for begin, end in zip([0, *gaps], [*gaps, len(times)]):
             if begin > 0 or (len(gaps) > 0 and gaps[0] == 0):
-                restart(self.sampler, self.estimator.balance)
-                self.estimator.restart()
+                self._restart()
             self._take(times[begin:end], values[begin:end])
         self._last_time = float(times[-1])
+
+    def _restart(self) -> None:
+        """Begin anew after a gap."""
+        restart(self.sampler, self.estimator.balance)
+        self.estimator.restart()
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
         """Take samples without a gap between them."""
@@ -257,7 +279,7 @@ class SerialMonitor:
             Whether a balance is complete.
         """
         self._report_jumps(now)
-        if complete:
+        if complete and self.arm.effort_includes_gravity:
             self._decide(now)
 
     def estimate(self, stamp: int) -> SerialEstimate:
@@ -276,6 +298,10 @@ class SerialMonitor:
             fault[i] = self.sampler.correction[i] + self._moving.fault(self._last())
             sigma[i] = self._moving.sigma
         return SerialEstimate(stamp, fault, sigma, state, self._suspects)
+
+    def learned(self) -> Learned:
+        """What has been learned of the arm: payload, friction, torque offsets, noise."""
+        return learned_of(self.arm, self.estimator)
 
     def _report_jumps(self, now: float) -> None:
         """Alarms of steps and spikes."""
@@ -315,6 +341,9 @@ class SerialMonitor:
         self.estimator.add(now, not self._suspects)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
+        self.rate_check.take(self._blocks(self.rate_check.intervals))
+        if self._decide_rates():
+            return
         found = explanations(
             self.search, self.estimator, self._rest(), np.nonzero(self._is_conspicuous())[0],
             0.5 * self.settings.evidence)  # fmt: skip
@@ -338,6 +367,29 @@ class SerialMonitor:
                 self._report_contact(now)
         elif self._has_held(verdict, self.settings.dwell) and now > self._contact_until:
             self._blame(verdict)
+
+    def _decide_rates(self) -> bool:
+        """Encoders that contradict their independent rates; whether one does."""
+        joints = [i for i in self.rate_check.joints if i not in self._rate_faults]
+        if not joints:
+            return False
+        begins = all_windows(self.search, self.estimator)
+        for i in joints:
+            rivals = self.rate_check.explanations(self.search, int(i), begins)
+            self._suspects = tuple(self._label(one) for one in rivals)
+            if len(rivals) < 2 or rivals[0].gain < rivals[1].gain + self.settings.margin:
+                continue
+            if rivals[0].kind == 'drift':
+                self._blame(rivals[0])
+                return True
+            kind, begin, size, sigma = (
+                getattr(rivals[0], name) for name in ('kind', 'begin', 'size', 'sigma')
+            )
+            self.alarms.append(
+                SerialAlarm(self._sensor(int(i)), kind, begin, self._last(), size, sigma, ())
+            )
+            self._rate_faults.add(int(i))
+        return True
 
     def _has_held(self, verdict: Explanation, balances: int) -> bool:
         """Whether the same has been to blame for the last balances."""

@@ -1,0 +1,35 @@
+"""Start of a node's process: SIGINT and SIGTERM are handled before the imports, which last.
+
+Needs no ROS itself.
+"""
+
+import importlib
+import signal
+import sys
+from collections.abc import Sequence
+
+from lpv_node.signals import StopRequest
+
+
+def start(module: str, argv: Sequence[str] | None = None) -> None:
+    """Run ``main`` of a node's module, and leave with its exit code.
+
+    Told to stop during the imports, the process leaves with code 0 and without a traceback.  What
+    is told twice stays told: at the end of the process further signals are ignored, where the
+    interpreter would die of them.
+    """
+    stop = StopRequest()
+    try:
+        main = importlib.import_module(module).main
+        if stop.is_set:  # its exception was lost in an import
+            sys.exit(0)
+        main(argv)
+    except KeyboardInterrupt:
+        sys.exit(0)
+    except SystemExit as leaving:
+        if stop.is_set and leaving.code == 128 + signal.SIGTERM:
+            sys.exit(0)
+        raise
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)

@@ -1,0 +1,56 @@
+"""References that are computed ahead: the same as one by one."""
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from lpv_core.control.path_follower import PathFollower
+from lpv_tracker.upcoming import UpcomingReferences
+
+STEP = 2_000_000
+
+
+def steps(count, *changes):
+    """Stamps of samples; (k, n) in ``changes`` leaves n samples out after the k-th."""
+    intervals = np.full(count, STEP)
+    for k, left_out in changes:
+        intervals[k] += left_out * STEP
+    return (5 * STEP + np.cumsum(intervals)).tolist()
+
+
+@pytest.mark.parametrize(
+    ('stamps', 'stops'),
+    [
+        (steps(700), ()),
+        (steps(700), (150, 151, 400)),
+        (steps(700, (90, 1), (91, 3), (300, 200)), (500,)),
+        ([s + 137 * (k % 3) for k, s in enumerate(steps(300))], ()),
+    ],
+    ids=['even', 'stops', 'gaps', 'jitter'],
+)
+@pytest.mark.parametrize('away', [0.0, 0.3])
+def test_given_stamps_when_references_come_ahead_then_they_are_those_of_the_follower(
+    paper_arm, two_faults, stamps, stops, away
+):
+    path = two_faults.path(paper_arm)
+    alone = PathFollower(path)
+    ahead = UpcomingReferences(PathFollower(path), STEP)
+    position = path.sample(0.0).position + away
+    for k, stamp in enumerate(stamps):
+        if k in stops:
+            alone.stop()
+            ahead.stop()
+        expected = alone.reference(stamp, position)
+        np.testing.assert_array_equal(astuple(ahead.reference(stamp, position)), astuple(expected))
+        position = expected.position + away * (k in stops)
+
+
+def test_given_a_reset_when_followed_again_then_the_path_begins_anew(paper_arm, two_faults):
+    path = two_faults.path(paper_arm)
+    ahead = UpcomingReferences(PathFollower(path), STEP)
+    start = path.sample(0.0).position
+    for stamp in steps(200):
+        ahead.reference(stamp, start)
+    ahead.reset()
+    np.testing.assert_array_equal(ahead.reference(steps(1)[0], start).position, start)

@@ -1,0 +1,116 @@
+"""Hostile measurements, parameters and requests for the observer: its outputs stay finite."""
+
+import numpy as np
+import pytest
+from places import BRINGUP
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from lpv_core.observer.sampled_observer import Mode  # noqa: E402
+from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
+from lpv_core.simulation.scenario import load_scenario  # noqa: E402
+from lpv_msgs.msg import TorqueCommand  # noqa: E402
+from lpv_uio.node import UioNode  # noqa: E402
+
+pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
+STEP = 2_000_000
+RECOVERY = 1_000_000_000
+"""Longest time of data from the last bad input to estimates of good measurements [ns]."""
+
+
+class Arm:
+    """Feeds an observer with the measurements of a braked arm, whatever else comes."""
+
+    def __init__(self, node):
+        self.node, self.stamp = node, 10**9
+        self.state, self.others = Output(), [Output() for _ in range(3)]
+        node._state_out = self.state
+        node._fault_out, node._alarm_out, node._diagnostics_out = self.others
+        arm = node._arm
+        self._plant = ArmSimulator(arm, load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml'), 2)
+
+    def good(self):
+        """The next measurement."""
+        self.stamp += STEP
+        self._plant.hold()
+        measured, _ = self._plant.sense()
+        message = JointState(name=list(self.node._arm.joint_names))
+        message.position, message.velocity = measured.position.tolist(), measured.velocity.tolist()
+        message.effort = measured.effort.tolist()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(self.stamp, 10**9)
+        return message
+
+    def send(self, message):
+        """What is published on a measurement."""
+        self.node._on_measurement(message)
+        found = self.state.take()
+        others = [out.take() for out in self.others]
+        if not found or self.state.last.mode in (int(Mode.STALE), int(Mode.NO_ESTIMATE)):
+            raise Refused('not used')
+        return found, others
+
+    def recover(self):
+        """Time of good data until each sample is estimated again [ns]."""
+        begin = used = self.stamp
+        while self.stamp - begin < 2 * RECOVERY and self.stamp - used < 10 * STEP:
+            try:
+                self.send(self.good())
+            except Refused:
+                used = self.stamp
+        return used - begin
+
+
+@pytest.fixture
+def arm():
+    with node_of(
+        UioNode, 'uio', BRINGUP / 'gains' / 'paper.yaml', arm_file=BRINGUP / 'arms' / 'paper.yaml'
+    ) as node:
+        arm = Arm(node)
+        arm.recover()  # what compiles takes its time
+        yield arm
+
+
+def test_given_forged_measurements_when_estimated_then_outputs_are_finite_and_it_recovers(arm):
+    def case(rng):
+        assert arm.recover() <= RECOVERY
+        return arm.send(forge(rng, arm.good()))
+
+    tally = run_cases(120, case)
+    assert tally.refused and tally.accepted
+    assert arm.recover() <= RECOVERY
+
+
+def test_given_forged_commands_when_torques_come_from_there_then_they_are_refused_or_finite(arm):
+    arm.node._from_command = True
+
+    def case(rng):
+        arm.node._on_measurement(arm.good())
+        arm.state.take()
+        command = TorqueCommand(torque=[1.0, -1.0])
+        command.header.stamp.sec, command.header.stamp.nanosec = divmod(arm.stamp, 10**9)
+        before = sum(arm.node._refusals.counts.values())
+        arm.node._on_command(forge(rng, command))
+        refused = sum(arm.node._refusals.counts.values()) > before
+        result = arm.send(arm.good())
+        if refused:
+            raise Refused('counted')
+        return result
+
+    tally = run_cases(150, case)
+    assert tally.refused and tally.accepted
+    assert arm.recover() <= RECOVERY
+
+
+def test_given_hostile_parameters_when_set_then_outputs_stay_finite(arm):
+    def case(rng):
+        set_parameters(arm.node, rng)
+        return arm.send(arm.good())
+
+    assert run_cases(100, case).refused
+    arm.node._on_reset(Trigger.Request(), Trigger.Response())
+    assert arm.recover() <= RECOVERY
+    assert np.isfinite(arm.node.get_parameter('diagnosis.dwell').value)

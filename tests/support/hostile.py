@@ -1,0 +1,219 @@
+"""Hostile messages, parameters and requests, and what a node made of them."""
+
+import math
+from contextlib import contextmanager
+
+import numpy as np
+import rclpy
+import ros
+from diagnostic_msgs.msg import DiagnosticStatus
+from fuzzing import Tally, cases
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.serialization import serialize_message
+
+from lpv_core.support.errors import LpvError
+
+FLOATS = (
+    0.0, -1.0, 10.0, -10.0, 1e3, -1e6, 1e12, 1e150, 1e300, -1e300, 1.7e308, -1.7e308, 5e-324,
+    math.nan, math.inf, -math.inf,
+)  # fmt: skip
+"""Numbers that fit the type: absurd, at the ends of it, and none at all."""
+STAMPS = (
+    (0, 0),
+    (-(2**31), 0),
+    (-1, 999_999_999),
+    (2**31 - 1, 0),
+    (5, 2**32 - 1),
+    (2**31 - 1, 2**32 - 1),
+)
+TEXTS = ('', 'x', 'link1_angle', 'joint1', '\u2603' * 50, '<script>', 'a' * 10_000, '%s%n')
+
+
+class Refused(LpvError):
+    """A node did not take an input, and said why."""
+
+
+def leaves(message):
+    """(owner, name, type) of all fields that hold no message themselves."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if hasattr(value, 'get_fields_and_field_types'):
+            yield from leaves(value)
+        else:
+            yield message, name, kind
+
+
+def sized(message, joints):
+    """A message whose numbers are there for so many joints."""
+    values = {'sequence<double>': 0.1, 'sequence<uint8>': 0, 'sequence<boolean>': False}
+    for owner, name, kind in leaves(message):
+        if kind in values:
+            setattr(owner, name, [values[kind]] * joints)
+    return message
+
+
+def set_anything(rng, owner, name, kind):
+    """Put anything into a field that its type allows."""
+    value = getattr(owner, name)
+    if name == 'sec':
+        owner.sec, owner.nanosec = STAMPS[rng.integers(len(STAMPS))]
+    elif kind in ('double', 'float'):
+        setattr(owner, name, float(rng.choice(FLOATS)))
+    elif kind.startswith('double['):
+        setattr(owner, name, rng.choice(FLOATS, len(value)))
+    elif kind == 'sequence<double>':
+        setattr(owner, name, rng.choice(FLOATS, rng.integers(0, 5)).tolist())
+    elif kind == 'sequence<uint8>':
+        setattr(owner, name, rng.integers(0, 256, rng.integers(0, 5)).tolist())
+    elif kind == 'sequence<boolean>':
+        setattr(owner, name, [bool(rng.integers(2)) for _ in range(rng.integers(0, 5))])
+    elif kind == 'string':
+        setattr(owner, name, TEXTS[rng.integers(len(TEXTS))])
+    elif kind == 'sequence<string>':
+        count = rng.integers(0, 5)
+        setattr(owner, name, [TEXTS[rng.integers(len(TEXTS))] for _ in range(count)])
+    elif kind == 'sequence<diagnostic_msgs/DiagnosticStatus>':
+        setattr(owner, name, [fill(rng, DiagnosticStatus()) for _ in range(3)])
+    elif kind == 'boolean':
+        setattr(owner, name, bool(rng.integers(2)))
+    elif kind == 'uint8':
+        setattr(owner, name, int(rng.integers(256)))
+    elif kind == 'octet':
+        setattr(owner, name, bytes([rng.integers(256)]))
+
+
+def fill(rng, message):
+    """Put anything into all fields of a message."""
+    for field in list(leaves(message)):
+        set_anything(rng, *field)
+    return message
+
+
+def forge(rng, message):
+    """Change a good message: one to three fields, single elements of arrays, or all of it."""
+    if rng.random() < 0.3:
+        return fill(rng, message)
+    fields = list(leaves(message))
+    for k in rng.integers(len(fields), size=rng.integers(1, 4)):
+        owner, name, kind = fields[k]
+        if kind.startswith(('double[', 'sequence<double>')) and len(getattr(owner, name)):
+            values = getattr(owner, name)
+            values[rng.integers(len(values))] = float(rng.choice(FLOATS))
+            setattr(owner, name, values)
+        else:
+            set_anything(rng, owner, name, kind)
+    return message
+
+
+def damaged_bytes(rng, message):
+    """A message as it may come from a sender of another type: cut, or with other bytes."""
+    data = bytearray(serialize_message(message))
+    if rng.random() < 0.5:
+        return bytes(data[: rng.integers(len(data) + 1)])
+    for place in rng.integers(len(data), size=rng.integers(1, 20)):
+        data[place] = rng.integers(256)
+    return bytes(data)
+
+
+def numbers(message):
+    """All numbers of a message, by field, as they are now."""
+    return {
+        f'{type(owner).__name__}.{name}': np.array(getattr(owner, name), float)
+        for owner, name, kind in leaves(message)
+        if 'double' in kind or 'float' in kind
+    }
+
+
+class Output:
+    """Takes the place of a publisher: keeps the numbers of what is published since `take`."""
+
+    def __init__(self):
+        self._kept, self.last = [], None
+
+    def publish(self, message):
+        self.last = message
+        self._kept.append(numbers(message))
+
+    def take(self):
+        kept, self._kept = self._kept, []
+        return kept
+
+    def get_subscription_count(self):
+        return 1
+
+
+@contextmanager
+def node_of(kind, name, *files, **parameters):
+    """A configured node of a class in this process, that takes part without an executor."""
+    words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
+    words += [word for file in files for word in ('--params-file', str(file))]
+    rclpy.init(args=['--ros-args', *words], domain_id=ros.next_domain())
+    node = kind()
+    try:
+        node.setup()
+        node._taking_part = True
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+
+
+def run_cases(count, case, first=0):
+    """Counts of a fuzzer whose cases take a generator of their own."""
+    tally = Tally()
+    for seed in cases(count, first):
+        tally.run(seed, case, np.random.default_rng(seed))
+    print(tally)
+    assert not tally.failed, tally.failed[:10]
+    return tally
+
+
+# ------------------------------------------------------------------ parameters
+
+
+def parameter(rng, names):
+    """A parameter of a node, or none of it, with a value of any type."""
+    name = str(rng.choice([*names, 'x', '', 'use_sim_time']))
+    value = ParameterValue(type=int(rng.integers(0, 12)), string_value=TEXTS[rng.integers(8)])
+    value.double_value, value.integer_value = (
+        float(rng.choice(FLOATS)),
+        int(rng.choice([0, -1, 1, 2**63 - 1, -(2**63), 10**6])),
+    )
+    value.bool_value = bool(rng.integers(2))
+    value.double_array_value = rng.choice(FLOATS, rng.integers(0, 4)).tolist()
+    value.integer_array_value = rng.integers(-9, 9, rng.integers(0, 4)).tolist()
+    value.string_array_value = [TEXTS[k] for k in rng.integers(8, size=rng.integers(0, 3))]
+    value.byte_array_value = [bytes([k]) for k in rng.integers(0, 256, 3)]
+    return Parameter(name=name, value=value)
+
+
+def set_parameters(node, rng):
+    """Set one to three parameters of a node as a service request does; its finite values."""
+    service, names = node._checked_parameters, sorted(node._parameters)
+    request = [parameter(rng, names) for _ in range(rng.integers(1, 4))]
+    if rng.random() < 0.5:
+        answer = service._set_parameters_atomically_callback(
+            SetParametersAtomically.Request(parameters=request), SetParametersAtomically.Response()
+        )
+        results = [answer.result]
+    else:
+        answer = service._set_parameters_callback(
+            SetParameters.Request(parameters=request), SetParameters.Response()
+        )
+        results = list(answer.results)
+    refused = [result for result in results if not result.successful]
+    assert all(result.reason for result in refused), 'refused without a reason'
+    if len(refused) == len(results):
+        raise Refused(' '.join(refused[0].reason.split())[:300])
+    declared = node.get_parameters([name for name in names if not name.startswith('gains.')])
+    return {p.name: p.value for p in declared if isinstance(p.value, float)}
+
+
+def request_service(callback, kind, rng, good):
+    """Call a service in this process with a hostile request; refusals are `Refused`."""
+    answer = callback(forge(rng, kind.Request(**good)), kind.Response())
+    if not answer.success:
+        assert answer.message, 'refused without a reason'
+        raise Refused(answer.message)
+    return answer.message
