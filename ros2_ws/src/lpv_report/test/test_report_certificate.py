@@ -115,7 +115,7 @@ def test_given_gains_when_reported_then_every_margin_is_rebuilt_and_the_time_it_
         assert listed_[name] == [f'{margin:.3g}', f'{margin:.3g}', 'yes']
     count = len(listed_)
     assert f'{count} of {count} inequalities hold' in text(page)
-    assert '10 of 10 were proved in exact rational arithmetic' in text(page)
+    assert '12 of 12 were proved in exact rational arithmetic' in text(page)
     seconds = float(re.search('<time datetime="PT([0-9.]+)S">', page).group(1))
     assert 0.0 < seconds < 60.0
     assert 'gives the recorded fault estimates' in text(page)
