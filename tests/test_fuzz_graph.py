@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from hostile import damaged_bytes, fill, parameter  # noqa: E402
+from hostile import damaged_bytes, fill, forge, parameter, sized  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
@@ -88,9 +88,14 @@ class Fuzzer:
         """Some messages on each topic: what fits its type and is wrong, and bytes that do not."""
         for publisher, kind in self._publishers:
             for _ in range(count):
-                publisher.publish(fill(self._rng, kind()))
+                publisher.publish(self._message(kind))
                 publisher.publish(damaged_bytes(self._rng, kind()))
                 self.sent += 2
+
+    def _message(self, kind):
+        if self._rng.random() < 0.3:
+            return fill(self._rng, kind())
+        return forge(self._rng, sized(kind(), 2))
 
     def requests(self):
         """A parameter for each node, and a fault that cannot be injected."""
