@@ -275,9 +275,7 @@ def ur10_arm(rates: str) -> SerialArm:
             joint, friction=JointFriction(0.0, 0.01 * limit, 0.01 * limit, 50.0),
             rotor_inertia=0.002 * limit,
             sensors=JointSensors(f'{joint.name}_encoder', 1e-4, 0.0, rates, 1e-2)))  # fmt: skip
-    return replace(
-        arm, joints=tuple(joints), uncertainty=Uncertainty(2.0, 0.3), sample_time=0.002
-    )
+    return replace(arm, joints=tuple(joints), uncertainty=Uncertainty(2.0, 0.3), sample_time=0.002)
 
 
 def wrong_plant(arm: SerialArm, rng: np.random.Generator, payload: float) -> Chain:
