@@ -421,9 +421,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--size', type=int, default=20, help='injections of each kind')
     parser.add_argument('--peers', type=int, default=4, help='injections for EKF and UKF')
-    parser.add_argument(
-        '--arms', nargs='+', default=['real_arm', 'ur10', 'panda', 'kr300', 'simulated']
-    )
+    arms = ['real_arm', 'ur10', 'panda', 'kr300', 'simulated']
+    parser.add_argument('--arms', nargs='+', default=arms, choices=arms)
     options = parser.parse_args()
     console, rng = Console(width=150), np.random.default_rng(0)
     recorded = DATA.is_dir()

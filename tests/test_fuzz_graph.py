@@ -40,7 +40,7 @@ from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 
-SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '6'))
+SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '3'))
 SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 NODES = ('uio', 'tracker', 'simulator', 'view')

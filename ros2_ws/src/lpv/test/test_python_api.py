@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import runs
 from places import ROOT
+from serial_bags import crane_file, crane_run, record_crane
 
 import lpv
 from lpv_bag.run.record import load_run
@@ -94,3 +95,15 @@ def test_given_a_bag_when_read_one_by_one_then_the_monitor_says_the_same(page, b
     ]
     found = lpv.diagnose(page['arm'], page['gains'], bag)
     np.testing.assert_array_equal([u.fault for u in updates if u], found.fault)
+
+
+def test_given_a_serial_arm_when_its_bag_is_diagnosed_then_the_monitor_says_the_same(tmp_path):
+    arm = lpv.load_arm(crane_file(tmp_path))
+    bag = record_crane(tmp_path / 'bag', crane_run(0.5))
+    diagnosis, monitor = lpv.diagnose(arm, None, bag), lpv.Monitor(arm)
+    updates = [
+        monitor.update(sample.stamp, sample.position, sample.velocity, sample.effort)
+        for sample in lpv.read_bag(bag, arm)
+    ]
+    np.testing.assert_array_equal(diagnosis.fault, [update.fault for update in updates])
+    np.testing.assert_array_equal(diagnosis.position, [update.position for update in updates])

@@ -76,7 +76,7 @@ def test_given_forged_commands_when_obeyed_then_measurements_are_finite_and_it_r
         drives.send(drives.good())
         return drives.send(forge(rng, drives.good()))
 
-    tally = run_cases(800, case)
+    tally = run_cases(200, case)
     assert tally.refused and tally.accepted
     assert drives.recover() <= RECOVERY
 
@@ -93,7 +93,7 @@ def test_given_forged_requests_when_faults_are_injected_then_measurements_are_fi
         # Readings that are missing are NaN, as in any JointState.
         return text, truth, [] if 'dropout' in str(drives.node._plant.injector.faults) else found
 
-    tally = run_cases(600, case)
+    tally = run_cases(200, case)
     assert tally.refused and tally.accepted
     assert len(drives.node._plant.injector.faults) <= MAX_FAULTS
     assert drives.recover() <= RECOVERY
@@ -104,5 +104,5 @@ def test_given_hostile_parameters_when_set_then_the_simulation_goes_on(drives):
         set_parameters(drives.node, rng)
         return drives.send(drives.good())
 
-    assert run_cases(400, case).refused
+    assert run_cases(100, case).refused
     assert drives.recover() <= RECOVERY

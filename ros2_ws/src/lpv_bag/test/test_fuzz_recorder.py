@@ -70,7 +70,7 @@ def test_given_forged_and_damaged_messages_when_recorded_then_all_are_stored_as_
         else:
             recorder.hear(topic, damaged_bytes(rng, message))
 
-    run_cases(300, case)
+    run_cases(150, case)
     for topic, kind in TOPICS.items():
         recorder.hear(topic, serialize_message(recorder.good(kind)))
     stored = recorder.stored()
@@ -80,6 +80,6 @@ def test_given_forged_and_damaged_messages_when_recorded_then_all_are_stored_as_
 
 
 def test_given_hostile_parameters_when_set_then_the_recorder_goes_on(recorder):
-    assert run_cases(150, lambda rng: set_parameters(recorder.node, rng)).refused
+    assert run_cases(100, lambda rng: set_parameters(recorder.node, rng)).refused
     recorder.hear('/lpv/joint_states', serialize_message(recorder.good(JointState)))
     assert len(recorder.stored()) == 1

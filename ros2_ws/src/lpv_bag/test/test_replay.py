@@ -907,11 +907,15 @@ def test_given_other_joint_names_when_the_command_is_run_then_it_says_so_and_fai
     assert not (tmp_path / 'result').exists()
 
 
-def test_given_alarms_when_the_command_is_run_then_their_three_times_are_told(bag, command, capsys):
+def test_given_alarms_when_the_command_is_run_then_times_count_from_the_first_measurement(
+    bag, replayed, command, capsys
+):
+    raised = next(e for e in replayed[0].events if e.event == AlarmEvent.RAISED)
     assert main(command(bag)) == 0
-    lines = [line for line in capsys.readouterr().out.splitlines() if 'alarm updated' in line]
-    times = re.findall(r'(\d+\.\d{3}) s', lines[0])
-    assert len(set(times)) == 3
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if ' ALARM, ' in line]
+    at, began = map(float, re.findall(r'(\d+\.\d{3}) s\b', line))
+    assert at == pytest.approx((raised.stamp - replayed[0].first_stamp) / NANOSECONDS, abs=6e-4)
+    assert began == pytest.approx((raised.stamp - raised.onset) / NANOSECONDS, abs=6e-4) != 0.0
 
 
 FAULTS_OF_NOBODY = 'faults:\n  - {sensor: nose, kind: bias, onset: 1.0, size: 1.0}\n'

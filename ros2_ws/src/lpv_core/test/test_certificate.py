@@ -213,7 +213,7 @@ def test_given_a_gains_file_when_verified_then_it_holds_and_no_solver_is_loaded(
     )
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.rstrip().endswith('the certificate holds')
-    assert result.stdout.count('proved') == 10
+    assert result.stdout.count('proved') == 12
 
 
 @pytest.mark.parametrize(('field', 'factor'), [('kappa', 1.5), ('mu', 0.2), ('lyapunov', -1.0)])
@@ -249,7 +249,7 @@ def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path
         == 0
     )
     said = capsys.readouterr().out
-    assert 'REFUTED' not in said and said.count('proved') == 10
+    assert 'REFUTED' not in said and said.count('proved') == 12
     assert 'lasting faults are detected from' in said
     assert load_gains(tmp_path / 'g.yaml').arm_name == 'paper'
     assert (tmp_path / 'map.png').exists()

@@ -86,7 +86,7 @@ def test_given_forged_estimates_when_followed_then_torques_are_finite_within_lim
             driver.node._stop(StopReason.SILENCE)
         return driver.send(forge(rng, driver.good()))
 
-    tally = run_cases(800, case)
+    tally = run_cases(250, case)
     assert tally.refused and tally.accepted
     assert driver.recover() <= RECOVERY
 
@@ -114,5 +114,5 @@ def test_given_an_estimate_that_leaps_when_it_stays_there_then_the_arm_stops_and
 
 
 def test_given_hostile_parameters_when_set_then_they_are_refused_or_the_loop_goes_on(driver):
-    assert run_cases(400, lambda rng: set_parameters(driver.node, rng)).refused
+    assert run_cases(100, lambda rng: set_parameters(driver.node, rng)).refused
     assert driver.recover() <= RECOVERY

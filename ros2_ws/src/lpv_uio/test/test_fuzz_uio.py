@@ -79,7 +79,7 @@ def test_given_forged_measurements_when_estimated_then_outputs_are_finite_and_it
         assert arm.recover() <= RECOVERY
         return arm.send(forge(rng, arm.good()))
 
-    tally = run_cases(400, case)
+    tally = run_cases(120, case)
     assert tally.refused and tally.accepted
     assert arm.recover() <= RECOVERY
 
@@ -100,7 +100,7 @@ def test_given_forged_commands_when_torques_come_from_there_then_they_are_refuse
             raise Refused('counted')
         return result
 
-    tally = run_cases(300, case)
+    tally = run_cases(150, case)
     assert tally.refused and tally.accepted
     assert arm.recover() <= RECOVERY
 
@@ -110,7 +110,7 @@ def test_given_hostile_parameters_when_set_then_outputs_stay_finite(arm):
         set_parameters(arm.node, rng)
         return arm.send(arm.good())
 
-    assert run_cases(400, case).refused
+    assert run_cases(100, case).refused
     arm.node._on_reset(Trigger.Request(), Trigger.Response())
     assert arm.recover() <= RECOVERY
     assert np.isfinite(arm.node.get_parameter('diagnosis.dwell').value)

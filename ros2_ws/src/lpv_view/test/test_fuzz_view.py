@@ -96,7 +96,7 @@ def test_given_forged_messages_when_shown_then_frames_are_json_and_good_ones_are
         message = forge(rng, view.good(inbox.topic.kind))
         return view.show(inbox, serialize_message(message))
 
-    assert run_cases(600, case).accepted
+    assert run_cases(200, case).accepted
     assert view.is_live()
     assert peak_memory() - memory < _MEMORY
 
@@ -106,10 +106,10 @@ def test_given_damaged_bytes_when_shown_then_they_are_refused_or_shown_and_good_
         inbox = view.node._inboxes[rng.integers(len(view.node._inboxes))]
         return view.show(inbox, damaged_bytes(rng, view.good(inbox.topic.kind)))
 
-    assert run_cases(400, case).refused
+    assert run_cases(150, case).refused
     assert view.is_live()
 
 
 def test_given_hostile_parameters_when_set_then_the_view_goes_on(view):
-    assert run_cases(200, lambda rng: set_parameters(view.node, rng)).refused
+    assert run_cases(100, lambda rng: set_parameters(view.node, rng)).refused
     assert view.is_live()

@@ -12,7 +12,7 @@ from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.errors import ConfigError
 
 pytestmark = pytest.mark.fuzz
-_CASES = 100
+_CASES = 60
 _MEMORY = 300 << 20
 URDF = """<robot name="three">
   <link name="base"/>

@@ -105,7 +105,7 @@ class Posterior(NamedTuple):
         What the estimate leaves, newest first [N m s].
     weights : ndarray, shape (capacity, n)
         Inverse variances of the balances, newest first.
-    inverse, ordered : ndarray, shapes (m, n) and (capacity,)
+    recalled, inverse, ordered : ndarray, shapes (1 + m, m), (m, n) and (capacity,)
         Scratch.
     """
 
@@ -119,6 +119,7 @@ class Posterior(NamedTuple):
     systematic: FloatArray
     residual: FloatArray
     weights: FloatArray
+    recalled: FloatArray
     inverse: FloatArray
     ordered: FloatArray
 
@@ -157,17 +158,39 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
 
 
 @njit
+def _recall(window: Window, null: Posterior) -> None:
+    """What is remembered of the arm: offsets may have been others then, and are eliminated.
+
+    A slow drift of an encoder would be learned, else, as an offset that has always been there.
+    """
+    m, n, known = null.mean.shape[0], null.sigma.shape[0], null.recalled
+    known[:] = window.past[:, window.past.shape[1] - m :]
+    for k in range(n):
+        row = known[1 + k]
+        pivot = row[k] + null.least[k]
+        for a in range(m + 1):
+            share = known[a, k] / pivot
+            if a == 1 + k or share == 0.0:
+                continue
+            for b in range(k + 1, m):
+                known[a, b] -= share * row[b]
+    known[1 : 1 + n] = 0.0
+    known[:, :n] = 0.0
+
+
+@njit
 def solve(window: Window, null: Posterior) -> None:
     """Least squares over horizon, past and prior."""
     m, n = null.mean.shape[0], null.sigma.shape[0]
     first, last = window.past.shape[1] - m, window.counters[COUNT]
     new, old = window.sums[sum_slot(window, 0)], window.sums[sum_slot(window, last)]
+    _recall(window, null)
     for a in range(m):
         for b in range(a, m):
             c = first + b
-            null.factor[a, b] = new[1 + a, c] - old[1 + a, c] + window.past[1 + a, c]
+            null.factor[a, b] = new[1 + a, c] - old[1 + a, c] + null.recalled[1 + a, b]
         null.factor[a, a] += null.least[a]
-        null.mean[a] = -(new[0, first + a] - old[0, first + a] + window.past[0, first + a])
+        null.mean[a] = -(new[0, first + a] - old[0, first + a] + null.recalled[0, a])
     factorise(null.factor, null.least)
     solve_factorised(null.factor, null.mean)
     null.inverse[:] = 0.0
@@ -368,7 +391,8 @@ def _prior_posterior(
     inflation = np.maximum(2.0, systematic / expected**2)
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
-        inflation, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)), np.zeros((m, n)),
+        inflation, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
+        np.zeros((1 + m, m)), np.zeros((m, n)),
         np.zeros(capacity))  # fmt: skip
 
 
