@@ -47,7 +47,7 @@ RECOVERY = 1_000_000_000
 """Longest time from the data of a new node to an arm that is moved again [ns]."""
 # A busy machine makes commands late, which is not the subject here: `test_stalls` has the defaults.
 DRIVES = ('command_timeout:=0.2', 'max_mean_latency:=0.2')
-TRACKER = ('estimate_timeout:=0.2', 'max_latency:=0.2')
+TRACKER = ('estimate_timeout:=0.2', 'max_latency:=0.2', 'max_mean_latency:=0.2')
 RELEASED = ('simulator', 'brakes released')
 COMMANDS = ('simulator', 'commands flow')
 # Which of these comes first depends on the node that is held up, and on what is in its queue.

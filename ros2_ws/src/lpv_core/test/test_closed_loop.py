@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import BRINGUP
+from places import BRINGUP, ROOT
 
 import lpv_core
 from lpv_core.certificate.gains import save_gains
@@ -241,6 +241,7 @@ import sys, warnings
 import numpy as np
 from lpv_core.model.arm import load_arm
 from lpv_core.certificate.gains import load_gains
+from stepwise import UnknownInputObserver
 warnings.simplefilter('ignore')
 arm, gains = load_arm(sys.argv[1]), load_gains(sys.argv[2])
 rng = np.random.default_rng(0)
@@ -263,7 +264,7 @@ def test_given_no_compiler_when_input_is_absurd_then_it_is_dropped_as_with_one(
     environment = {
         **os.environ,
         'LPV_NO_JIT': '1',
-        'PYTHONPATH': str(Path(lpv_core.__file__).parents[1]),
+        'PYTHONPATH': f'{Path(lpv_core.__file__).parents[1]}:{ROOT / "tests" / "support"}',
     }
     result = subprocess.run(
         [sys.executable, '-c', ABSURD, str(BRINGUP / 'arms' / 'paper.yaml'), str(gains)],

@@ -217,14 +217,36 @@ def tracking_rms(run, since, until):
 
 @pytest.mark.parametrize('index', [0, 1])
 @pytest.mark.parametrize('rate', [0.02, 0.04])
-def test_given_a_drift_as_slow_as_a_rate_may_go_wrong_unseen_when_it_starts_then_nobody_is_blamed(
+def test_given_a_drift_as_slow_as_a_rate_may_go_wrong_unseen_when_it_starts_then_the_cause_is_unknown(
     simulate, paper_arm, rate, index
 ):
     run = simulate(Fault(paper_arm.sensor_names[index], 'drift', onset=1.5, rate=rate))
     raised = run.alarms[0]
     assert (raised.event, raised.sensor_index) == (AlarmEvent.RAISED, index)
     assert 1.5e9 < raised.detected <= (1.5 + 0.016 / rate) * 1e9
-    assert {a.kind for a in run.alarms} == {'inconsistent'}
+    assert raised.kind == 'inconsistent'
+    # Once gravity contradicts the reading by more than a wrong rate can, it is named after all.
+    assert {a.sensor_index for a in run.alarms} == {index}
+    assert {a.kind for a in run.alarms} <= {'inconsistent', 'unclassified', 'drift'}
+
+
+@pytest.mark.parametrize('index', [0, 1])
+@pytest.mark.parametrize(('size', 'rise'), [(0.03, 1.5), (-0.05, 0.5), (0.08, 4.0), (-0.15, 4.0)])
+def test_given_a_rate_that_goes_wrong_slowly_when_the_arm_stops_for_it_then_nobody_is_blamed(
+    simulate, paper_arm, size, rise, index
+):
+    steps = 12
+    faults = [
+        Fault(
+            paper_arm.sensor_names[index],
+            'rate_bias',
+            onset=1.0 + rise * k / steps,
+            size=size / steps,
+        )
+        for k in range(steps)
+    ]
+    run = simulate(*faults, duration=8.0)
+    assert {a.kind for a in run.alarms} <= {'inconsistent'}
 
 
 @pytest.mark.parametrize('index', [0, 1])
