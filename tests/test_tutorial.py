@@ -10,6 +10,8 @@ from places import ROOT
 from lpv_cli.main import main
 from lpv_core.decision.diagnosis import AlarmEvent
 
+pytestmark = pytest.mark.slow
+
 TUTORIAL = ROOT / 'docs' / 'design-tutorial.md'
 PAGES = sorted((ROOT / 'docs').glob('*.md')) + [ROOT / 'README.md']
 

@@ -12,6 +12,8 @@ from serial_bags import crane_file, crane_run, record_crane
 import lpv
 from lpv_bag.run.record import load_run
 
+pytestmark = pytest.mark.slow
+
 PAGE = (ROOT / 'docs' / 'python-api.md').read_text()
 BLOCKS = re.findall(r'```python\n(.*?)```', PAGE, re.DOTALL)
 

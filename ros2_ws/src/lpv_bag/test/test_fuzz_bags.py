@@ -17,7 +17,7 @@ from lpv_bag.run.record import load_run
 from lpv_core.certificate.gains import load_gains
 from lpv_core.monitoring.monitor import SensorMonitor
 
-pytestmark = pytest.mark.fuzz
+pytestmark = [pytest.mark.fuzz, pytest.mark.slow]
 _CASES = 80
 _MEMORY = 300 << 20
 COLUMNS = 'time: {column: t}\njoints:\n  a: {position: q, velocity: w, effort: u}\n'

@@ -19,7 +19,7 @@ from lpv_bag.run.record import load_run
 from lpv_cli.main import main
 from lpv_core.certificate.gains import save_gains
 
-pytestmark = pytest.mark.filterwarnings('error')
+pytestmark = [pytest.mark.filterwarnings('error'), pytest.mark.slow]
 
 
 @pytest.fixture(autouse=True)

@@ -32,6 +32,8 @@ from lpv_core.simulation.faults import Fault, FaultInjector
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
 
+pytestmark = pytest.mark.slow
+
 PAPER_ARM = str(BRINGUP / 'arms' / 'paper.yaml')
 RECORDINGS = Path(
     os.environ.get('LPV_REAL_ARM_DATA') or ROOT.parent / 'shared' / 'data' / 'real_arm'

@@ -20,6 +20,8 @@ from lpv_core.simulation.closed_loop import Transport, run_closed_loop
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.errors import ConfigError, LpvError
 
+pytestmark = pytest.mark.slow
+
 BIAS = Fault('link1_angle', 'bias', 0.4, 0.0, 0.2)
 FAULTS = (
     BIAS,

@@ -29,6 +29,8 @@ from lpv_core.model.joints import JointMap
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.support.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 KINDS = ['none', 'bias', 'drift', 'stuck', 'scale', 'noise', 'spike', 'dropout']
 SMALL = {
     'name': 'small',

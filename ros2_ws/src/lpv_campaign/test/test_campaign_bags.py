@@ -27,6 +27,8 @@ from lpv_core.simulation.scenario import load_scenario, parse_scenario
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import LpvError
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 name: bags
 seed: 5

@@ -15,6 +15,8 @@ from lpv_campaign.execution.execute import WorkerError, execute, run_one
 from lpv_campaign.plan.campaign import resolve
 from lpv_cli.main import main
 
+pytestmark = pytest.mark.slow
+
 MANY = {
     'name': 'many',
     'seed': 9,

@@ -32,6 +32,8 @@ from lpv_campaign.report.write import report_numbers
 from lpv_cli.main import main
 from lpv_core.support.resources import shipped_files
 
+pytestmark = pytest.mark.slow
+
 SPEC = {
     'name': 'made up',
     'seed': 1,

@@ -9,6 +9,8 @@ from lpv_campaign.falsify.attack import NUMBERS, attack_as_dict, attack_from_dic
 from lpv_campaign.falsify.result_files import BAG, SCENARIO, read_attack, write_worst
 from lpv_campaign.falsify.search import Attacker, search
 
+pytestmark = pytest.mark.slow
+
 
 def test_given_any_candidate_when_made_an_attack_then_it_is_within_the_arm_file(arm):
     rng = np.random.default_rng(3)

@@ -36,6 +36,8 @@ from lpv_core.decision.diagnosis import Alarm, AlarmEvent
 from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.support.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 DATA = Path(os.environ.get('LPV_REAL_ARM_DATA') or ROOT.parent / 'shared' / 'data' / 'real_arm')
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'

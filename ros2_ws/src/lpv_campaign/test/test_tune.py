@@ -25,6 +25,8 @@ from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
+pytestmark = pytest.mark.slow
+
 STUDIES = ROOT / 'design' / 'studies'
 # A poor base: it believes in so much noise that a fault from the first sample on is learnt late.
 BASE = {

@@ -13,6 +13,8 @@ from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault
 
+pytestmark = pytest.mark.slow
+
 DT, START = 0.002, 1_000_000_000
 HALF_SWING, FREQUENCY = 0.8, 2.0 * math.pi * 0.6
 QUIET = 10.0

@@ -26,6 +26,8 @@ from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import COMPILED
 
+pytestmark = pytest.mark.slow
+
 SIGNALS = (
     'time',
     'position',

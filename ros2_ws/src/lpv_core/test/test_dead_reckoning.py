@@ -217,7 +217,7 @@ def tracking_rms(run, since, until):
 
 @pytest.mark.parametrize('index', [0, 1])
 @pytest.mark.parametrize('rate', [0.02, 0.04])
-def test_given_a_drift_as_slow_as_a_rate_may_go_wrong_unseen_when_it_starts_then_the_cause_is_unknown(
+def test_given_a_drift_as_slow_as_a_rate_may_go_wrong_when_it_starts_then_the_cause_is_unknown(
     simulate, paper_arm, rate, index
 ):
     run = simulate(Fault(paper_arm.sensor_names[index], 'drift', onset=1.5, rate=rate))

@@ -13,6 +13,8 @@ from lpv_core.simulation.metrics import mise
 from lpv_core.simulation.scenario import parse_scenario
 from lpv_core.support.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip('mujoco', reason='MuJoCo is not installed')
 
 SWING = {

@@ -23,6 +23,8 @@ from lpv_core.observer.paper_observer import (
 )
 from lpv_core.support.records import new_record
 
+pytestmark = pytest.mark.slow
+
 
 def paper_descriptor(arm, s_min=-0.2):
     a, b = vertex_matrices(sinc_box(s_min), arm.constants(coriolis=False))

@@ -19,6 +19,8 @@ from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
+pytestmark = pytest.mark.slow
+
 DT, START = 0.002, 1_000_000_000
 
 

@@ -27,6 +27,8 @@ from lpv_core.support.errors import ConfigError
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 STEP = 2 * MS
 STILL = np.zeros(2)

@@ -14,6 +14,8 @@ from lpv_core.serial_arm.description import JointFriction, LinkInertia, rotation
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 URDF = """<robot name="r"><link name="base"/><link name="a"><inertial><mass value="2"/>
 <origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
 </link><link name="plate"><inertial><mass value="1"/><inertia ixx="0" iyy="0" izz="0" ixy="0"

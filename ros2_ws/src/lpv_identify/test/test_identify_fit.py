@@ -14,6 +14,8 @@ from lpv_identify.estimation.workshop import Workshop
 from lpv_identify.motions.simulation import SensorNoise, joint_torques, simulate
 from lpv_identify.recordings.recording import Recording
 
+pytestmark = pytest.mark.slow
+
 
 def test_given_a_noisy_recording_when_identified_then_torques_are_predicted_to_the_noise(
     result, recording

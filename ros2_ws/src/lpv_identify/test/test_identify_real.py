@@ -11,9 +11,10 @@ from lpv_identify.estimation.identification import identify
 from lpv_identify.recordings.recording import read_recording
 from lpv_identify.results.starting_arm import load_any_arm, save_like
 
-pytestmark = pytest.mark.skipif(
-    not DATA.is_dir(), reason='the recordings are not part of the repository'
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not part of the repository'),
+]
 
 
 def identified(folder, urdf):

@@ -12,6 +12,8 @@ from lpv_identify.estimation.identification import identify
 from lpv_identify.recordings.motion import split
 from lpv_identify.recordings.recording import clean, read_recording
 
+pytestmark = pytest.mark.slow
+
 NAMES = ('one', 'two', 'three')
 
 

@@ -22,6 +22,8 @@ from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.history.episodes import episodes, missed_faults
 from lpv_report.run import print_table, write_report
 
+pytestmark = pytest.mark.slow
+
 ARM_FILE = str(BRINGUP / 'arms' / 'paper.yaml')
 SIGNALS = ['x1', 'x2', 'x3', 'x4', 'f1', 'f2', 'y1', 'y2', 'e_t1', 'e_t2']
 

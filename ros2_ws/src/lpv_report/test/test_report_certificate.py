@@ -30,6 +30,8 @@ from lpv_report.history.phases import Phase, listed, phases
 from lpv_report.page import css_string
 from lpv_report.run import read_used_gains, write_report
 
+pytestmark = pytest.mark.slow
+
 BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
 SHA = 64
 

@@ -15,6 +15,8 @@ from lpv_core.serial_arm.simulation import EncoderFault
 from lpv_report.run import write_report
 from lpv_report.run.table import make_table
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):

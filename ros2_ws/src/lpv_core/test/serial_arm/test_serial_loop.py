@@ -14,6 +14,8 @@ from lpv_core.simulation.serial_scenario import SerialScenario
 from lpv_core.simulation.serial_simulator import SerialArmSimulator
 from lpv_core.support.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = SerialScenario(
     name='test',
     duration=4.0,
