@@ -19,7 +19,7 @@ setup: ## set up the environment and build the workspace
 setup-test:
 	@tools/setup.sh test
 
-setup-docs:
+setup-docs: setup-test
 	@tools/setup.sh docs
 
 setup-bench:
@@ -28,13 +28,13 @@ setup-bench:
 demo: setup ## design gains, run the graph on a 20 s scenario, record, report
 	@$(IN_ENV) lpv demo $(DEMO_ARGS)
 
-# What starts no nodes runs on all cores; the nodes of a graph need the machine for themselves.
+# On all cores runs what needs no time of its own; a graph in real time needs the machine for itself.
 PARALLEL := -n auto --dist loadfile
 
 test: setup-test ## run all tests, or those that TEST_ARGS selects
 ifeq ($(TEST_ARGS),)
-	@$(IN_ENV) python -m pytest $(PARALLEL) -m "not ros"
-	@$(IN_ENV) python -m pytest -m ros
+	@$(IN_ENV) python -m pytest $(PARALLEL) -m "lockstep or not ros"
+	@$(IN_ENV) python -m pytest -m "ros and not lockstep"
 else
 	@$(IN_ENV) python -m pytest $(TEST_ARGS)
 endif

@@ -15,7 +15,7 @@ from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.serial_closed_loop import run_serial_loop
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.lockstep]
 
 SHORT = (
     (BRINGUP / 'scenarios' / 'ur10.yaml')
@@ -47,7 +47,7 @@ def demo(tmp_path_factory):
 
 def test_given_the_demo_of_a_serial_arm_when_run_then_the_faulty_encoder_is_named(demo):
     out, _, text = demo
-    assert 'ALARM, elbow_encoder: bias, +0.200 rad' in text
+    assert 'ALARM, elbow_encoder: error +0.200 rad' in text
     assert (out / 'report' / 'report.html').stat().st_size > 10_000
 
 

@@ -36,8 +36,8 @@ def lpv(tmp_path_factory):
         ignore=shutil.ignore_patterns('.*', 'out', 'build', 'test', 'tests'),
     )
     clean = {k: v for k, v in os.environ.items() if not k.startswith(('PYTHON', 'ROS', 'AMENT'))}
-    pip = [folder / 'env/bin/python', '-m', 'pip', 'install', '--quiet', f'{source}[campaign]']
-    subprocess.run(pip, check=True, env=clean, cwd=folder)
+    pip = [folder / 'env/bin/python', '-m', 'pip', 'install', '--quiet', '--no-compile']
+    subprocess.run([*pip, f'{source}[campaign]'], check=True, env=clean, cwd=folder)
     environment = {'PATH': str(folder / 'env/bin'), 'HOME': str(folder), 'LANG': 'C.UTF-8'}
 
     def run(*arguments, code=0):

@@ -86,7 +86,8 @@ install_requirements() {
   say "installing $name requirements"
   local arguments=()
   for file in "$@"; do arguments+=(-r "$file"); done
-  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "${arguments[@]}"
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile \
+    "${arguments[@]}"
   mark_done "$name" "$id"
 }
 

@@ -9,8 +9,11 @@ from lpv_cli.processes import Graph
 from lpv_core.support.resources import executable
 
 NAMESPACE = '/lpv'
-# Domains up to 101 have ports outside the ephemeral range; one for each graph of this process.
-_DOMAINS = itertools.cycle(range(1 + os.getpid() % 90, 1 + os.getpid() % 90 + 10))
+# Domains up to 101 have ports outside the ephemeral range; ten for each process of a test run, one
+# for each graph.
+_WORKER = os.environ.get('PYTEST_XDIST_WORKER', '')
+_FIRST = 10 * ((os.getppid() + int(_WORKER[2:]) if _WORKER else os.getpid()) % 9)
+_DOMAINS = itertools.cycle(range(1 + _FIRST, 11 + _FIRST))
 
 PROGRAMS = {
     'recorder': ('lpv_bag', 'recorder'),

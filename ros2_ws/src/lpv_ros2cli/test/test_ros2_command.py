@@ -422,7 +422,7 @@ def test_given_packages_and_interfaces_when_asked_then_those_installed_are_shown
     shown = out('interface', 'show', 'lpv_msgs/msg/TorqueCommand', '--no-comments')
     assert shown == (
         'std_msgs/Header header\n\tbuiltin_interfaces/Time stamp\n\t\tint32 sec\n'
-        '\t\tuint32 nanosec\n\tstring frame_id\nfloat64[2] torque\n'
+        '\t\tuint32 nanosec\n\tstring frame_id\nfloat64[] torque\n'
         'bool safe_stop\n'
     )
     assert out('interface', 'show', 'lpv_msgs/srv/InjectFault').count('---') == 1

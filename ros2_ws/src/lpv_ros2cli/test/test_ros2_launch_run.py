@@ -257,7 +257,7 @@ def test_given_respawn_and_view_when_nodes_are_killed_then_they_come_back_and_no
             started.format('recorder'),
             started.format('uio'),
             r'page: (http://127\S+)',
-            'lpv.recorder.*recording 8 topics',
+            'lpv.recorder.*recording 9 topics',
             'lpv.uio.*measurements flow',
         )
         with urllib.request.urlopen(page, timeout=10) as answer:
