@@ -314,8 +314,10 @@ def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(tm
     pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
     program = Path(sys.executable).parent / 'lpv'
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain())}
+    scenario = tmp_path / 'long.yaml'
+    scenario.write_text(SHORT.replace('duration: 2.0', 'duration: 20.0'))
     with subprocess.Popen(
-        [program, 'demo', '--out', tmp_path / 'out'],
+        [program, 'demo', '--scenario', scenario, '--out', tmp_path / 'out'],
         env=environment,
         text=True,
         stdout=subprocess.PIPE,
