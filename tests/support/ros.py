@@ -9,11 +9,12 @@ from lpv_cli.processes import Graph
 from lpv_core.support.resources import executable
 
 NAMESPACE = '/lpv'
-# Domains up to 101 have ports outside the ephemeral range; ten for each process of a test run, one
-# for each graph.
-_WORKER = os.environ.get('PYTEST_XDIST_WORKER', '')
-_FIRST = 10 * ((os.getppid() + int(_WORKER[2:]) if _WORKER else os.getpid()) % 9)
-_DOMAINS = itertools.cycle(range(1 + _FIRST, 11 + _FIRST))
+# Domains up to 101 have ports outside the ephemeral range; processes of one test run take turns, so
+# that no two graphs meet, nor one with what is left of an earlier one.
+_WORKERS = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
+_WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
+_START = _WORKER + (os.getppid() if _WORKERS > 1 else os.getpid())
+_DOMAINS = (1 + (_START + _WORKERS * k) % 100 for k in itertools.count())
 
 PROGRAMS = {
     'recorder': ('lpv_bag', 'recorder'),
