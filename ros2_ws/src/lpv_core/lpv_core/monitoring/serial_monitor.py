@@ -46,7 +46,9 @@ _MOST_AT_ONCE = 2048
 _WARM_UP = 0.3
 """Motion that makes every compiled function run [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
-_NO_EFFORT = 'no efforts: jumps of readings are found, offsets and drifts are not diagnosable'
+_JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
+_NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
+_NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
 
 @dataclass
@@ -366,7 +368,7 @@ class SerialSensorMonitor:
             self._report_due(batch.stamps[begin:end], answers, begin)
 
     def _mode(self) -> Mode:
-        if self._blind:
+        if not self._monitor.uses_balances:
             return Mode.HOLDING
         return Mode.OBSERVING if self._snapshot.balances else Mode.INITIALISING
 
@@ -434,8 +436,8 @@ class SerialSensorMonitor:
 
     def _note(self) -> str:
         """What else is to be said of the diagnosis as a whole."""
-        if self._blind:
-            return _NO_EFFORT
+        if not self._monitor.uses_balances:
+            return _NO_EFFORT if self._blind else _NO_WEIGHT
         if self._snapshot.contact:
             return _CONTACT
         if self._snapshot.suspects:

@@ -9,7 +9,7 @@ from lpv_core.decision.diagnosis import SensorState
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm, SerialMonitor
-from lpv_core.serial_arm.diagnosis.sampling import JUMP_SCALE, restart, take_samples
+from lpv_core.serial_arm.diagnosis.sampling import JUMP_SCALE
 
 _STATES = {
     'ok': int(SensorState.OK),
@@ -79,10 +79,10 @@ class SteppedMonitor(SerialMonitor):
         smallest = max(smallest_level, MonitorSettings().smallest_level)
         self.settings = replace(self.settings, smallest_level=smallest)
 
-    def begin_again(self) -> None:
-        """Begin new balances, as after a gap in the samples."""
-        restart(self.sampler, self.estimator.balance)
-        self.estimator.restart()
+    @property
+    def uses_balances(self) -> bool:
+        """As of `SerialMonitor`; missing efforts say nothing either."""
+        return super().uses_balances and not self.blind
 
     def run(self, stamps: IntArray, samples: FloatArray) -> list[Snapshot]:
         """Take samples as `update_many`; what is known from which of them on."""
@@ -95,19 +95,15 @@ class SteppedMonitor(SerialMonitor):
         return (self._first or 0) + round(seconds * 1e9)
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
-        k, plan = 0, (self.plan.per_block, self.plan.blocks)
-        while k < len(times):
-            k, complete = take_samples(
-                self.sampler, self.estimator.balance, times, samples, k, plan
-            )
-            jumped = bool(self.sampler.found.any())
-            self._report_jumps(float(times[k - 1]))
-            if complete and not self.blind:
-                self._decide(float(times[k - 1]))
-                self._balances += 1
-            if complete or jumped:
-                self._snapshots.append(self.snapshot(self._row + k - 1))
+        super()._take(times, samples)
         self._row += len(times)
+
+    def _after(self, count: int, now: float, complete: bool) -> None:
+        jumped = bool(self.sampler.found.any())
+        self.decide(now, complete)
+        self._balances += complete and self.uses_balances
+        if complete or jumped:
+            self._snapshots.append(self.snapshot(self._row + count - 1))
 
     def snapshot(self, row: int = 0) -> Snapshot:
         """What is known now."""

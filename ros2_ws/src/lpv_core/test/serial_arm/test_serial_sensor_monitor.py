@@ -12,6 +12,8 @@ from lpv_core.monitoring.factory import make_monitor
 from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.observer.sampled_observer import Mode
+from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.simulation import EncoderFault, SerialSimulator
 from lpv_core.support.errors import ConfigError, SampleError
 
@@ -107,6 +109,20 @@ def test_given_no_efforts_when_observed_then_jumps_are_found_and_offsets_are_not
     assert set(answers.state.mode) == {Mode.HOLDING}
     assert (answers.fault.state[:400] == SensorState.NOT_DIAGNOSABLE).all()
     assert 'no efforts' in answers.reports[0][1][0]['message']
+
+
+def test_given_efforts_without_the_weight_when_observed_then_no_offset_is_made_of_it(recording):
+    arm = replace(ARM, effort_includes_gravity=False)
+    stamps, samples, position = recording
+    samples = samples.copy()
+    model = SerialModel(compile_chain(arm))
+    samples[:, 2] -= [model.gravity(q) for q in position]
+    _, [answers] = observe((stamps, samples), SerialSensorMonitor('/uio', arm))
+    assert [e.sensor for _, e in answers.events] == ['encoder2']
+    assert np.abs(answers.fault.estimate[:400]).max() < 0.01
+    assert (answers.fault.state[:400] == SensorState.NOT_DIAGNOSABLE).all()
+    assert set(answers.state.mode) == {Mode.HOLDING}
+    assert 'leave out the weight' in answers.reports[0][1][0]['message']
 
 
 def test_given_no_rates_when_observed_then_they_are_differences_of_the_readings(recording):

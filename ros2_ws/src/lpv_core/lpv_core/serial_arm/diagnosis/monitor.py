@@ -210,7 +210,7 @@ class SerialMonitor:
             raise SampleError('stamps must increase')
         values[:, 2] *= self._efforts
         if step > LONGEST_STEP * self.arm.sample_time:
-            self._restart()
+            self.begin_again()
         self._take(times, values)
         self._last_time = float(times[0])
         return self.estimate(stamp)
@@ -250,12 +250,12 @@ class SerialMonitor:
         gaps = np.nonzero(steps > LONGEST_STEP * self.arm.sample_time)[0]
         for begin, end in zip([0, *gaps], [*gaps, len(times)]):
             if begin > 0 or (len(gaps) > 0 and gaps[0] == 0):
-                self._restart()
+                self.begin_again()
             self._take(times[begin:end], values[begin:end])
         self._last_time = float(times[-1])
 
-    def _restart(self) -> None:
-        """Begin anew after a gap."""
+    def begin_again(self) -> None:
+        """Begin new balances, as after a gap in the samples."""
         restart(self.sampler, self.estimator.balance)
         self.estimator.restart()
 
@@ -266,7 +266,16 @@ class SerialMonitor:
             k, complete = take_samples(
                 self.sampler, self.estimator.balance, times, samples, k, plan
             )
-            self.decide(float(times[k - 1]), complete)
+            self._after(k, float(times[k - 1]), complete)
+
+    def _after(self, count: int, now: float, complete: bool) -> None:
+        """So many samples of those at hand have been taken, and a decision is due."""
+        self.decide(now, complete)
+
+    @property
+    def uses_balances(self) -> bool:
+        """Whether momentum balances say anything: the efforts have to hold the weight."""
+        return self.arm.effort_includes_gravity
 
     def decide(self, now: float, complete: bool) -> None:
         """Decide on what `take_samples` has found; for loops that call it themselves.
@@ -279,7 +288,7 @@ class SerialMonitor:
             Whether a balance is complete.
         """
         self._report_jumps(now)
-        if complete and self.arm.effort_includes_gravity:
+        if complete and self.uses_balances:
             self._decide(now)
 
     def estimate(self, stamp: int) -> SerialEstimate:
