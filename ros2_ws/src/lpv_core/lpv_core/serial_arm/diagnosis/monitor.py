@@ -18,6 +18,7 @@ from lpv_core.serial_arm.diagnosis.estimator import (
     OffsetEstimator,
     take_balance,
 )
+from lpv_core.serial_arm.diagnosis.healthy_set import HealthySet
 from lpv_core.serial_arm.diagnosis.hypotheses import (
     CONTACT,
     Explanation,
@@ -27,6 +28,7 @@ from lpv_core.serial_arm.diagnosis.hypotheses import (
 )
 from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
+from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv_core.serial_arm.diagnosis.rate_check import RateCheck
 from lpv_core.serial_arm.diagnosis.sampling import (
     BLOCKS,
@@ -157,6 +159,7 @@ class SerialMonitor:
             for joint in arm.joints
         ])  # fmt: skip
         self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        self.healthy = HealthySet(arm, self.estimator) if is_stated(arm) else None
         self.search = new_search(self.estimator, self._push)
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, 2.0 * noise,
@@ -257,6 +260,8 @@ class SerialMonitor:
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
         restart(self.sampler, self.estimator.balance)
+        if self.healthy is not None:
+            self.healthy.restart()
         self.estimator.restart()
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
@@ -347,6 +352,8 @@ class SerialMonitor:
             take_balance(*state, now, False)
             follow(self._moving, self.estimator, self.sampler, now)
             return
+        if self.healthy is not None:
+            self.healthy.take(self._blocks(2), not self._suspects)
         self.estimator.add(now, not self._suspects)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
@@ -458,6 +465,7 @@ class SerialMonitor:
         i = best.joint
         kind = 'stuck' if self.sampler.still[i] * self.arm.sample_time > STILL_TIME else best.kind
         self._raise(i, kind, best.begin, best.size, best.sigma)
+        self.healthy = None  # the arm is not healthy, and its readings will be changed
         self._moving = begin_moving_fault(self.estimator, i, kind, best.begin)
         self._suspects = ()
 
