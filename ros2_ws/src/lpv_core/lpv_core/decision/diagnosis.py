@@ -69,6 +69,10 @@ class SensorState(IntEnum):
     NOT_DIAGNOSABLE = 4
 
 
+GUARANTEED, STATISTICAL = 'guaranteed', 'statistical'
+"""Bases of an alarm."""
+
+
 class AlarmEvent(IntEnum):
     """Kinds of alarm events; values as in lpv_msgs/FaultAlarm."""
 
@@ -146,6 +150,9 @@ class Alarm:
     confidence : float
         One minus the probability of a healthy estimate like this: taking the bound as ``sigmas``
         standard deviations of a normal error, or from the mean time between false alarms.
+    basis : str
+        `GUARANTEED` or `STATISTICAL` where the monitor tells them apart, else ''; no field of the
+        message, where the confidence of what is guaranteed is exactly 1.
     """
 
     event: AlarmEvent
@@ -157,6 +164,7 @@ class Alarm:
     bound: float
     kind: str
     confidence: float
+    basis: str = ''
 
 
 _OK, _WARN, _ERROR, _STALE, _NOT_DIAGNOSABLE = (int(state) for state in SensorState)

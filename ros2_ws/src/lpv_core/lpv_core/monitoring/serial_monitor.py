@@ -428,11 +428,41 @@ class SerialSensorMonitor:
             'rejected messages': self.rejected,
             'method': self.method,
             'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
+            'guarantee': self._guarantee(),
         }
         findings = message_fields.Findings(
-            bool(self._snapshot.suspects), False, ({},) * self._joints, self._note()
+            bool(self._snapshot.suspects),
+            False,
+            ({},) * self._joints,
+            self._note(),
+            self._guaranteed(),
         )
         return message_fields.diagnostic_fields(self.name, self.arm, state, fault, findings, values)
+
+    def _guarantee(self) -> str:
+        """For which healthy arms thresholds are guaranteed."""
+        stated = self.arm.uncertainty
+        if stated.model_error is None:
+            return 'none stated: the arm file has no uncertainty.model_error'
+        if self._monitor.healthy is None:
+            return 'none of offsets after a fault that changes, until reset'
+        return (
+            f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
+            f'within {stated.friction:.3g}, payload up to {stated.payload:g} kg'
+        )
+
+    def _guaranteed(self) -> tuple[dict[str, str], ...]:
+        """Guaranteed thresholds of the offsets, for each sensor."""
+        known = self._snapshot.guarantee
+        if known is None:
+            return ()
+        return tuple(
+            {'guaranteed threshold [rad]': f'{threshold:.4f}', 'surely found beyond [rad]': size}
+            if np.isfinite(found)
+            else {'guaranteed threshold [rad]': 'none: this pose and motion do not show an offset'}
+            for threshold, found in zip(known.threshold, known.smallest_found)
+            for size in [f'{found:.4f}']
+        )
 
     def _note(self) -> str:
         """What else is to be said of the diagnosis as a whole."""
