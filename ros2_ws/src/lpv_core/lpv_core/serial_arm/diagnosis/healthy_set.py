@@ -7,7 +7,8 @@ constant.  So
     abs(f^_i) <= sum_k abs(sum_b l_ib E_bk) + sum_b abs(l_ib) slack_b + sigmas sd(noise) + rest
 
 with l_i the estimator's own weights: what it has learned of the arm, z_k do not disturb any more.
-The rest is known: where the estimator linearised elsewhere than at the readings.
+The rest is known: where the estimator linearised elsewhere than at the readings.  The slack of what
+is remembered is bounded by the inequality of Cauchy and Schwarz.
 """
 
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ from lpv_core.serial_arm.diagnosis.parameter_set import parameter_set
 
 SIGMAS = 4.0
 """Standard deviations of noise that a guarantee holds for."""
+OTHERS = 1.0
+"""Offsets of the other sensors that do not move an estimate across its threshold [rad]."""
 LEAST_RESPONSE = 0.05
 """An estimate that shows less of an offset is no evidence of one."""
 
@@ -47,7 +50,8 @@ class Guarantee:
     effects : ndarray, shape (n, k)
         Effect of each generator of the set on the estimate [rad].
     slack, noise, rest : ndarray
-        What else the threshold consists of [rad].
+        What else the threshold consists of [rad]: what blocks do not show, torques that the model
+        may miss, offsets of other sensors; noise; where the estimator linearised.
     """
 
     estimate: FloatArray
@@ -92,7 +96,7 @@ class HealthySet:
         self._doubts = np.zeros((plan.capacity, 2, n))
         self._inertia = np.zeros((plan.capacity, n, n))
         self._right = np.zeros((m, columns))  # of what is remembered
-        self._past_slack = np.zeros(m)
+        self._past_slack = 0.0  # sum of squared slack times weight
         self._past_noise = 0.0  # largest variance of noise times weight
         self._length = 0.0  # of the interval before [s]
         sensors = [joint.sensors for joint in arm.joints]
@@ -158,7 +162,7 @@ class HealthySet:
             return
         weighted = window.weights[at][:, None] * window.rows[at][:, -m:]
         self._right += weighted.T @ self._effects[at]
-        self._past_slack += np.abs(weighted).T @ self._doubts[at, 0]
+        self._past_slack += float(window.weights[at] @ self._doubts[at, 0] ** 2)
         inertia = self._inertia[at]
         noise = 2.0 * (inertia * self._mean_noise) @ (inertia * self._mean_noise).T
         noise *= 3.0 if self._derived.any() else 1.0
@@ -180,14 +184,17 @@ class HealthySet:
         response = np.einsum('fbi,bik->fk', map_, self._effects[places], optimize=True)
         response += from_past @ self._right
         slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
-        slack += np.abs(from_past) @ self._past_slack
-        variance = self._noise(map_, places) + self._past_noise * np.einsum(
-            'fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:]
-        )
+        # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
+        size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
+        size = np.maximum(size, 0.0)
+        slack += np.sqrt(size * self._past_slack)
+        variance = self._noise(map_, places) + self._past_noise * size
         estimate, noise = null.mean[:n].copy(), SIGMAS * np.sqrt(np.maximum(variance, 0.0))
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
+        share = gain[:, :n] * null.least[:n]
+        slack += OTHERS * (np.abs(share).sum(1) - np.abs(np.diag(share)))
         threshold = np.abs(effects).sum(1) + slack + noise + rest
-        shown = 1.0 - np.diag(gain) * null.least[:n]
+        shown = 1.0 - np.diag(share)
         return Guarantee(estimate, threshold, shown, effects, slack, noise, rest)
 
     def _noise(self, map_: FloatArray, places: list[int]) -> FloatArray:

@@ -468,6 +468,7 @@ class SerialMonitor:
         if now > self._contact_until:
             self.alarms.append(SerialAlarm('', CONTACT, now, now, 0.0, 0.0, ()))
         self._contact_until = now + CONTACT_PAUSE
+        self.healthy = self.guarantee = None  # the load may be another one from now on
         self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
 
     def _label(self, one: Explanation) -> str:

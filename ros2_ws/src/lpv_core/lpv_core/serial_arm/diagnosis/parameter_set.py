@@ -22,7 +22,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.parameter_error import relative_factor
 from lpv_core.serial_arm.dynamics.payload import payload_parameters
 
-PAYLOAD_PLACE = 0.1
+PAYLOAD_PLACE = 0.05
 """Largest distance of the payload's centre from the tip, along each axis [m]."""
 
 
