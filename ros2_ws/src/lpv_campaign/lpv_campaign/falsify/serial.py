@@ -18,7 +18,12 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.healthy_balance import generator_count
 from lpv_core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE, Guarantee
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv_core.serial_arm.diagnosis.parameter_set import is_stated, member, parameter_set
+from lpv_core.serial_arm.diagnosis.parameter_set import (
+    is_stated,
+    member,
+    parameter_set,
+    payload_generator,
+)
 from lpv_core.serial_arm.simulation import integration_step, plant_scratch
 from lpv_core.support.errors import ConfigError
 
@@ -77,7 +82,7 @@ class SerialAttacker:
     samples : ndarray, shape (N, 3, n)
         Of the last run.
     runs, blamed : int
-        Simulated so far; of those, with an alarm of a statistical kind.
+        Simulated so far; of those, with an alarm of a sensor: statistical, or a ratio of 1 or more.
 
     Raises
     ------
@@ -145,16 +150,10 @@ class SerialAttacker:
 
     def _allowed(self, shares: FloatArray) -> FloatArray:
         """Shares of a payload that is not negative; its place counts with its mass."""
-        n, sizes = len(self.arm.joints), self._sizes
-        count, load = len(sizes.inertial), self.arm.uncertainty.payload
-        at_tip = [
-            k for k in range(count)
-            if load > 0.0 and sizes.body[k] == n - 1 and sizes.inertial[k, 0] == load
-        ]  # fmt: skip
-        if at_tip:
-            k = at_tip[-1]
-            shares[k] = max(shares[k], 0.0)
-            shares[k + 1 : count] *= shares[k]
+        at_tip = payload_generator(self._sizes, self.arm.uncertainty.payload)
+        if at_tip >= 0:
+            shares[at_tip] = max(shares[at_tip], 0.0)
+            shares[at_tip + 1 : len(self._sizes.inertial)] *= shares[at_tip]
         return shares
 
     def _course(self, numbers: FloatArray) -> FloatArray:
@@ -222,7 +221,11 @@ class SerialAttacker:
             ratios = np.where(worse, ratio, ratios)
             thresholds = np.where(worse, guarantee.threshold, thresholds)
             times = np.where(worse, end * self.arm.sample_time, times)
-        self.blamed += bool(monitor.alarms)
+        self.blamed += any(alarm.sensor for alarm in monitor.alarms)
+        for alarm in monitor.alarms:
+            if alarm.guaranteed:
+                i = self.arm.sensor_names.index(alarm.sensor)
+                ratios[i], times[i] = max(float(ratios[i]), 1.0), alarm.detected
         i = int(ratios.argmax())
         return Finding(
             float(ratios[i]), i, float(times[i]), float(thresholds[i]), attack,

@@ -87,6 +87,8 @@ def _conclude(attacker: Attacker, worst: Finding, count: int) -> int:
             print(f'{name}: {ratio:.3f} of {threshold:.4f} rad')
         else:
             print(f'{name}: no threshold that says anything')
+    if isinstance(attacker, SerialAttacker):
+        print(f'statistical alarms: in {attacker.blamed} of {attacker.runs} runs')
     crossed = worst.ratio >= 1.0
     outcome = 'CROSSED' if crossed else 'no crossing'
     print(

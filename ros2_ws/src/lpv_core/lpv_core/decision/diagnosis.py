@@ -1,7 +1,7 @@
 """From fault estimates to alarms, to what is compensated, and to whether to go on at all."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -164,7 +164,7 @@ class Alarm:
     bound: float
     kind: str
     confidence: float
-    basis: str = ''
+    basis: str = field(default='', kw_only=True)
 
 
 _OK, _WARN, _ERROR, _STALE, _NOT_DIAGNOSABLE = (int(state) for state in SensorState)

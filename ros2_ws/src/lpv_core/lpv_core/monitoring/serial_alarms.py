@@ -55,14 +55,17 @@ class AlarmConverter:
             size, sigma = _fault_at(alarm, known, i)
             fields = (
                 i, alarm.sensor, begin, stamp, size, sigmas * sigma, alarm.kind,
-                confidence(alarm), GUARANTEED if alarm.guaranteed else STATISTICAL,
+                confidence(alarm),
             )  # fmt: skip
+            basis = GUARANTEED if alarm.guaranteed else STATISTICAL
             if alarm.kind == _SPIKE:
                 if not self._raised[i]:
-                    events += [Alarm(one, *fields) for one in (event, AlarmEvent.CLEARED)]
+                    events += [
+                        Alarm(one, *fields, basis=basis) for one in (event, AlarmEvent.CLEARED)
+                    ]
                 continue
             self._raised[i] = True
-            events.append(Alarm(event, *fields))
+            events.append(Alarm(event, *fields, basis=basis))
         return events
 
 

@@ -43,6 +43,8 @@ _LARGEST = (1e3, 1e4, 1e9)
 """Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
 _MOST_AT_ONCE = 2048
 """Samples between which nothing is looked for that is not in order."""
+_LARGEST_FOUND = 1.5
+"""Offsets beyond are no statement: estimates are linear in small ones [rad]."""
 _WARM_UP = 0.3
 """Motion that makes every compiled function run [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
@@ -430,6 +432,9 @@ class SerialSensorMonitor:
             'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
             'guarantee': self._guarantee(),
         }
+        known = self._snapshot.guarantee
+        if known is not None:
+            values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*known.payload)
         findings = message_fields.Findings(
             bool(self._snapshot.suspects),
             False,
@@ -458,7 +463,7 @@ class SerialSensorMonitor:
             return ()
         return tuple(
             {'guaranteed threshold [rad]': f'{threshold:.4f}', 'surely found beyond [rad]': size}
-            if np.isfinite(found)
+            if found < _LARGEST_FOUND
             else {'guaranteed threshold [rad]': 'none: this pose and motion do not show an offset'}
             for threshold, found in zip(known.threshold, known.smallest_found)
             for size in [f'{found:.4f}']

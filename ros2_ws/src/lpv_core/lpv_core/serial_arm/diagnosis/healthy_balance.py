@@ -237,18 +237,19 @@ def close_healthy_interval(
                 total, first = 0.0, 10 * sizes.body[k]
                 for c in range(10):
                     total += row[i, first + c] * sizes.inertial[k, c]
-                effects[i, 1 + k] = total
+                effects[i, 1 + k] = -total
             at = 1 + count + i
-            effects[i, at] = sizes.rotor[i] * row[i, span + SPEED]
+            effects[i, at] = -sizes.rotor[i] * row[i, span + SPEED]
             effects[i, at + n] = sizes.viscous[i] * row[i, span + VISCOSITY]
             effects[i, at + 2 * n] = sizes.coulomb[i] * row[i, span + DRY]
             effects[i, at + 3 * n] = sizes.load[i] * row[i, span + LOADED]
             effects[i, at + 4 * n] = sizes.offset[i] * row[i, span + ONE]
-            effects[i, at + 5 * n] = sizes.delay * row[i, span + TORQUE]
+            effects[i, at + 5 * n] = sizes.delay[i] * row[i, span + TORQUE]
             doubts[0, i] = balance.slack[0, 0, i] + balance.slack[1, 1, i]
             doubts[1, i] = balance.variance[0, 0, i] + balance.variance[1, 1, i]
             for j in range(n):
-                effects[i, 1 + count + 6 * n + j] = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
+                bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
+                effects[i, 1 + count + 6 * n + j] = -bias
                 doubts[1, i] += (reading[j] * rows[i, 1 + _READING * n + j]) ** 2
     for part in (balance.momentum, balance.rising):
         part[0] = part[1]

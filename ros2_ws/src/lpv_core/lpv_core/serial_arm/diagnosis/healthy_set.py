@@ -25,7 +25,8 @@ from lpv_core.serial_arm.diagnosis.healthy_balance import (
     new_healthy_balance,
 )
 from lpv_core.serial_arm.diagnosis.information import COUNT, NEXT, Window, slot
-from lpv_core.serial_arm.diagnosis.parameter_set import parameter_set
+from lpv_core.serial_arm.diagnosis.learning import payload_share
+from lpv_core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 
 SIGMAS = 4.0
 """Standard deviations of noise that a guarantee holds for."""
@@ -52,6 +53,8 @@ class Guarantee:
     slack, noise, rest : ndarray
         What else the threshold consists of [rad]: what blocks do not show, torques that the model
         may miss, offsets of other sensors; noise; where the estimator linearised.
+    payload : tuple of float
+        Least and largest payload of a healthy arm that agree with what was learned [kg].
     """
 
     estimate: FloatArray
@@ -61,6 +64,7 @@ class Guarantee:
     slack: FloatArray
     noise: FloatArray
     rest: FloatArray
+    payload: tuple[float, float]
 
     @property
     def exceeded(self) -> np.ndarray:
@@ -91,6 +95,11 @@ class HealthySet:
         chain, plan, n = compile_chain(arm), estimator.plan, estimator.joints
         sizes = parameter_set(arm, chain)
         self._balance = new_healthy_balance(chain, sizes)
+        self._largest_payload = arm.uncertainty.payload
+        self._at_tip = payload_generator(sizes, self._largest_payload)
+        self._load = np.zeros(len(estimator.prior))  # the payload's mass by the unknowns
+        if self._at_tip >= 0:
+            self._load[4 * n :] = payload_share(estimator)
         m, columns = len(estimator.prior), 1 + generator_count(sizes)
         self._effects = np.zeros((plan.capacity, n, columns))
         self._doubts = np.zeros((plan.capacity, 2, n))
@@ -175,12 +184,12 @@ class HealthySet:
         window, null, n = self._estimator.window, self._estimator.posterior, self._estimator.joints
         m, last = len(self._right), int(window.counters[COUNT])
         inverse = np.linalg.inv(np.triu(null.factor))
-        gain = (inverse @ inverse.T)[:n]
+        wanted = np.vstack([np.eye(m)[:n], self._load])
+        gain = wanted @ inverse @ inverse.T
         places = [slot(window, back) for back in range(last - 1, -1, -1)]
         weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
-        map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n, last, n)
-        old = _eliminated(window, null)
-        from_past = -gain[:, n:] @ old
+        map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
+        from_past = -gain[:, n:] @ _eliminated(window, null)
         response = np.einsum('fbi,bik->fk', map_, self._effects[places], optimize=True)
         response += from_past @ self._right
         slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
@@ -188,14 +197,29 @@ class HealthySet:
         size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
         size = np.maximum(size, 0.0)
         slack += np.sqrt(size * self._past_slack)
-        variance = self._noise(map_, places) + self._past_noise * size
-        estimate, noise = null.mean[:n].copy(), SIGMAS * np.sqrt(np.maximum(variance, 0.0))
-        effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
         share = gain[:, :n] * null.least[:n]
-        slack += OTHERS * (np.abs(share).sum(1) - np.abs(np.diag(share)))
-        threshold = np.abs(effects).sum(1) + slack + noise + rest
-        shown = 1.0 - np.diag(share)
-        return Guarantee(estimate, threshold, shown, effects, slack, noise, rest)
+        slack += OTHERS * (np.abs(share).sum(1) - np.append(np.abs(np.diag(share)), 0.0))
+        noise = SIGMAS * np.sqrt(self._noise(map_, places) + self._past_noise * size)
+        estimate = wanted @ null.mean
+        effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
+        doubt = slack + noise + rest
+        return Guarantee(
+            estimate[:n], (np.abs(effects).sum(1) + doubt)[:n], 1.0 - np.diag(share), effects[:n],
+            slack[:n], noise[:n], rest[:n],
+            self._payload_interval(float(estimate[n]), effects[n], float(doubt[n])),
+        )  # fmt: skip
+
+    def _payload_interval(
+        self, estimate: float, effects: FloatArray, doubt: float
+    ) -> tuple[float, float]:
+        """Payloads that the estimate of a healthy arm does not exclude [kg]."""
+        if self._at_tip < 0:
+            return 0.0, 0.0
+        error = effects.copy()
+        error[self._at_tip] -= self._largest_payload
+        bound = float(np.abs(error).sum()) + doubt
+        low, high = (np.clip(estimate + d, 0.0, self._largest_payload) for d in (-bound, bound))
+        return float(low), float(high)
 
     def _noise(self, map_: FloatArray, places: list[int]) -> FloatArray:
         """Variance of the estimates by noise of readings and rates in the horizon."""

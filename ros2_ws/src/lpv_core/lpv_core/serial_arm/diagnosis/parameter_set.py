@@ -24,6 +24,8 @@ from lpv_core.serial_arm.dynamics.payload import payload_parameters
 
 PAYLOAD_PLACE = 0.05
 """Largest distance of the payload's centre from the tip, along each axis [m]."""
+PAYLOAD_PARTS = 10
+"""Generators of a payload: its mass at the tip, 3 first moments, 6 inertias."""
 
 
 class ParameterSet(NamedTuple):
@@ -41,7 +43,7 @@ class ParameterSet(NamedTuple):
         Of friction, by the part of it [N m s], [N m], [-], [N m].
     rate_bias : ndarray, shape (n,)
         Of independent rates [rad/s].
-    delay : float
+    delay : ndarray, shape (n,)
         Of the efforts against the motion [s].
     tolerance : ndarray, shape (n, 2, s)
         Speeds [rad/s], and the torque that the model may miss at them in any way [N m].
@@ -55,7 +57,7 @@ class ParameterSet(NamedTuple):
     load: FloatArray
     offset: FloatArray
     rate_bias: FloatArray
-    delay: float
+    delay: FloatArray
     tolerance: FloatArray
 
 
@@ -80,7 +82,8 @@ def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
         ``model_error`` e scales each link by 1 +- e, and, apart from that, changes its first
         moments by e/2 of mass times distance of its centre, its inertias by e/2 of their mean, and
         the rotors by e.  A payload of up to the stated mass is a point within `PAYLOAD_PLACE` of
-        the tip along each axis.
+        the tip along each axis.  Efforts are half a sample early or late, beside what the file
+        states of delay and bandwidth.
     """
     error = arm.uncertainty.model_error or 0.0
     friction, share = chain.friction, arm.uncertainty.friction
@@ -103,9 +106,19 @@ def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
         share * friction[:, LOAD],
         share * np.abs(friction[:, OFFSET]),
         np.array(bias),
-        0.5 * arm.sample_time,
+        _delay(arm),
         _tolerance(arm),
     )
+
+
+def payload_generator(sizes: ParameterSet, largest: float) -> int:
+    """Index of the generator of a payload's mass at the tip; -1 if no payload is stated.
+
+    The generators behind it are those of its place, and belong to the full mass.
+    """
+    if largest == 0.0:
+        return -1
+    return len(sizes.inertial) - PAYLOAD_PARTS
 
 
 def member(chain: Chain, sizes: ParameterSet, shares: FloatArray) -> Chain:
@@ -139,6 +152,14 @@ def member(chain: Chain, sizes: ParameterSet, shares: FloatArray) -> Chain:
         friction[:, column] += part * size
     motor = chain.motor + np.diag(parts[0] * sizes.rotor)
     return chain._replace(inertial=inertial, friction=friction, motor=motor)
+
+
+def _delay(arm: SerialArm) -> FloatArray:
+    """Largest delays of the efforts [s]; a low-pass filter delays by its time constant."""
+    filtered = 1.0 / (2.0 * np.pi * arm.effort_bandwidth)
+    return np.array([
+        0.5 * arm.sample_time + abs(joint.effort_delay) + filtered for joint in arm.joints
+    ])  # fmt: skip
 
 
 def _tolerance(arm: SerialArm) -> FloatArray:
