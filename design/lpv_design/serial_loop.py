@@ -3,7 +3,7 @@
 What is found is rebuilt and judged by `lpv_core.serial_arm.certificate.conditions`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import cvxpy as cp
 import numpy as np
 
 from lpv_core.certificate.conditions import Check
+from lpv_core.certificate.lmi import largest_eigenvalue
 from lpv_core.control.computed_torque import serial_loop_latency
 from lpv_core.serial_arm.certificate.conditions import (
     error_bound,
@@ -18,7 +19,7 @@ from lpv_core.serial_arm.certificate.conditions import (
     region_lines,
     verify_loop,
 )
-from lpv_core.serial_arm.certificate.link_forms import invariant_basis
+from lpv_core.serial_arm.certificate.link_forms import chain_inequalities, invariant_basis, steps
 from lpv_core.serial_arm.certificate.loop_gains import (
     COEFFICIENTS,
     ErrorProof,
@@ -36,14 +37,15 @@ from lpv_core.serial_arm.certificate.model_bounds import (
     ModelBounds,
     bound_inequalities,
     chain_numbers,
+    invariant_forms,
     twists_of,
 )
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
 from lpv_design.solve import InfeasibleError, solve
 
-_SLACK = 1.005
-"""A bound over the best one: inequalities at the optimum have no margin."""
+_SLACKS = (1.005, 1.01, 1.02, 1.05)
+"""A bound over the best one, tried in turn: inequalities at the optimum have no margin."""
 _MARGIN = 1e-7
 """Of the loop's inequalities, which are of size one."""
 _SHARES = (0.9, 0.8, 0.65, 0.5, 0.3)
@@ -143,15 +145,19 @@ def _check_request(arm: SerialArm, request: LoopRequest) -> None:
 
 def model_bounds(arm: SerialArm) -> ModelBounds:
     """The least bounds of the mass matrix, widened a little, and what proves them."""
-    numbers, found, forms = chain_numbers(arm), {}, {}
+    numbers = chain_numbers(arm)
+    found: dict[str, Any] = {}
+    forms: dict[str, np.ndarray] = {}
     for bound in BOUNDS:
-        value = _best_value(numbers, bound)
-        if bound == 'inertia':
-            value = np.asarray(value) / _SLACK
+        best = _best_value(numbers, bound)
+        for slack in _SLACKS:
+            value = best / slack if bound == 'inertia' else max(slack * float(best), 1e-3)
+            proof = _forms(numbers, bound, value)
+            if proof is not None:
+                found[bound], forms[bound] = value, proof
+                break
         else:
-            value = max(_SLACK * float(value), 1e-3)
-        found[bound] = value
-        forms[bound] = _forms(numbers, bound, value)
+            raise InfeasibleError(f'no bound of {bound} with a margin: is the arm physical?')
     return ModelBounds(forms=forms, **found)
 
 
@@ -164,60 +170,50 @@ def _variables(joints: int, twists: int) -> tuple[list[Any], list[Any]]:
 
 
 def _best_value(numbers: ChainNumbers, bound: str) -> Any:
-    """Smallest k, phi or nu; for the inertia c with the least sum of 1 / (c over rotor)."""
+    """Smallest k, phi or nu; the largest c, joint by joint about as much of its inertia."""
     n = len(numbers.rotor)
     _, invariant = _variables(n, twists_of(bound))
-    if bound == 'growth':
-        return _best_growth(numbers)
     value = cp.Variable(n) if bound == 'inertia' else cp.Variable()
-    objective = value
+    objective, unit = value, 1.0
     if bound == 'inertia':
         typical = np.array([float(form[2, 2]) for form in numbers.inertia]) + numbers.rotor
         objective = cp.sum(cp.multiply(typical, cp.inv_pos(value)))
-    constraints = [
-        _positive(matrix) for matrix in bound_inequalities(numbers, bound, value, invariant)
-    ]
-    status = solve(objective, constraints)
+    if bound == 'growth':
+        unit = float(numbers.rates.sum())
+        matrices = _growth_inequalities(numbers, value, unit, invariant)
+    else:
+        matrices = bound_inequalities(numbers, bound, value, invariant)
+    status = solve(objective, [_positive(matrix) for matrix in matrices])
     if value.value is None:
         raise InfeasibleError(f'no bound of {bound} (solver: {status}): is the arm physical?')
-    return value.value
+    return unit * value.value
 
 
-def _best_growth(numbers: ChainNumbers) -> float:
-    """Smallest nu, by bisection: it divides the rates."""
-    total = 4.0 * float(numbers.rates.sum())
-    low, high = 0.0, total
-    while _forms_or_none(numbers, 'growth', high) is None:
-        low, high = high, 4.0 * high
-        if high > 1e4 * total:
-            raise InfeasibleError('no bound of the growth of M(q): is the arm physical?')
-    while high > 1.01 * low + 1e-9 * total:
-        middle = 0.5 * (low + high)
-        if _forms_or_none(numbers, 'growth', middle) is None:
-            low = middle
-        else:
-            high = middle
-    return high
+def _growth_inequalities(
+    numbers: ChainNumbers, value: Any, unit: float, invariant: list[Any]
+) -> Iterator[Any]:
+    """As `bound_inequalities`, linear in nu over ``unit``: time is in units of 1/unit."""
+    zero = np.zeros((6, 6))
+    forms = [cp.bmat([[value * form, -form], [-form, zero]]) for form in numbers.inertia]
+    joint_steps = steps(2, [rate / unit for rate in numbers.rates])
+    rotors = [value * rotor for rotor in numbers.rotor]
+    yield from chain_inequalities(numbers.placement, forms, rotors, invariant, joint_steps)
 
 
-def _forms(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray:
-    found = _forms_or_none(numbers, bound, value)
-    if found is None:
-        raise InfeasibleError(f'no bound of {bound} with a margin')
-    return found
-
-
-def _forms_or_none(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray | None:
-    """Coefficients of the matrices that prove a bound, with the largest margin."""
+def _forms(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray | None:
+    """Coefficients of the matrices that prove a bound, with the largest margin; None if none do."""
     rows, invariant = _variables(len(numbers.rotor), twists_of(bound))
     margin = cp.Variable()
-    constraints = [margin <= 1.0] + [
+    constraints = [
         _positive(matrix, margin) for matrix in bound_inequalities(numbers, bound, value, invariant)
     ]
-    solve(-margin, constraints)
-    if margin.value is None or margin.value <= 0.0:
+    solve(-margin, [*constraints, margin <= 1.0])
+    if margin.value is None:
         return None
-    return np.array([row.value for row in rows])
+    found = np.array([row.value for row in rows])
+    rebuilt = bound_inequalities(numbers, bound, value, invariant_forms(found, twists_of(bound)))
+    holds = all(largest_eigenvalue(-np.asarray(matrix, dtype=float)) < 0.0 for matrix in rebuilt)
+    return found if holds else None
 
 
 def _positive(matrix: Any, margin: Any = 0.0) -> Any:
