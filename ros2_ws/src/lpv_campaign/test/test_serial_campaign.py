@@ -36,7 +36,8 @@ SMALL = {
         'payload': 1.5,
     },
 }
-NUMBERS = ('shoulder_pan', 'shoulder_lift', 'elbow', 'wrist_1', 'wrist_2', 'wrist_3')
+TWO_LINKS = {'arm': 'paper', 'scenario': 'two_faults'}
+JOINTS = ('shoulder_pan', 'shoulder_lift', 'elbow', 'wrist_1', 'wrist_2', 'wrist_3')
 
 
 @pytest.fixture(scope='module')
@@ -64,7 +65,7 @@ def faulty(rows, sensor):
         ('factors.plant', {'factors': {'plant': 'lpv'}}),
         ('factors.fault.sensor', {'factors': {'fault.sensor': 'link1_angle'}}),
         ('factors.parameter_error', {'factors': {'parameter_error': 0.6}}),
-        ('factors.parameter_error', {**SMALL, 'arm': 'paper', 'scenario': 'two_faults'}),
+        ('factors.parameter_error', {'factors': {'parameter_error': 0.05}, **TWO_LINKS}),
     ],
 )
 def test_given_what_its_arm_does_not_have_when_resolved_then_the_error_names_it(field, change):
@@ -127,7 +128,7 @@ def test_given_a_serial_arm_when_the_command_is_run_then_results_and_report_name
     table = pq.read_table(out / 'runs.parquet')
     assert table.num_rows == 3 and 'score_before_6' in table.column_names
     numbers = json.loads((out / 'report.json').read_text())
-    assert [e['sensor'] for e in numbers['errors']] == [f'{name}_encoder' for name in NUMBERS]
+    assert [e['sensor'] for e in numbers['errors']] == [f'{name}_encoder' for name in JOINTS]
     capsys.readouterr()
     assert main(command) == 0
     assert '3 of 3 runs are here already' in capsys.readouterr().out
