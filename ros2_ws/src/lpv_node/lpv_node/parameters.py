@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -54,6 +55,10 @@ class Spec:
         else:
             result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high))]
         return result
+
+
+fixed = partial(Spec, read_only=True)
+"""Declaration of a parameter that is fixed once the node runs."""
 
 
 @dataclass(frozen=True)

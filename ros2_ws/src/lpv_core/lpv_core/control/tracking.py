@@ -124,18 +124,10 @@ def _feedback(params: np.record, state: np.record, i: int) -> float:
 
 @dataclass(frozen=True)
 class Command:
-    """One torque command.
+    """One torque command."""
 
-    Attributes
-    ----------
-    torque : ndarray, shape (2,)
-        Joint torques within limits [N m].
-    saturated : bool
-        Whether a limit was met.
-    """
-
-    torque: np.ndarray
-    saturated: bool
+    torque: np.ndarray  # joint torques within limits, shape (2,) [N m]
+    saturated: bool  # whether a limit was met
 
 
 class TrackingController:
