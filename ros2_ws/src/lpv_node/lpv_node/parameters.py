@@ -99,6 +99,16 @@ GAIN_FIELDS = {
     'controller.sinc_min': GainField(_DOUBLE, 'lower end of the box [1]', -1.0, 1.0),
 }
 """Parameters below ``gains.`` that every gains file sets; see lpv_core.certificate.gains."""
+MOTION_FIELDS = {
+    'controller.motion.lyapunov': GainField(
+        _ARRAY, 'Lyapunov matrix of the sampled loop in motion'
+    ),
+    'controller.motion.rate': GainField(
+        _DOUBLE, 'fastest link that it holds for [rad/s]', 0.0, 1e6
+    ),
+    'controller.motion.decay': GainField(_DOUBLE, 'certified decay rate of it [1/s]', 0.0, 1e6),
+}
+"""Parameters below ``gains.`` of files whose certificate covers the sampled loop in motion."""
 METHOD_FIELDS = {
     'exact': {
         'kappa': GainField(_ARRAY, 'kappa of both links [1/(kg m2)]'),
@@ -165,7 +175,7 @@ def declare_gains(node: Node) -> frozenset[str]:
     node's parameters return nothing.
     """
     unset = set()
-    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS}
+    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS, **MOTION_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update({f'observer.{name}': field for name, field in of_method.items()})
     for name, field in fields.items():
@@ -190,7 +200,8 @@ def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
     nested: dict[str, Any] = {}
     method = _gain(node, 'observer.method', unset)
     own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
-    for name in ('format', *GAIN_FIELDS, *own):
+    motion = [name for name in MOTION_FIELDS if name not in unset]
+    for name in ('format', *GAIN_FIELDS, *own, *motion):
         value = _gain(node, name, unset)
         *parents, leaf = name.split('.')
         level = nested
