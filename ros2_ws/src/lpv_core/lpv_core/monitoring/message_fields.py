@@ -38,27 +38,14 @@ _INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradic
 
 @dataclass(frozen=True)
 class Findings:
-    """What else is known of observer and sensors.
+    """What else is known of observer and sensors."""
 
-    Attributes
-    ----------
-    inconsistent : bool
-        Rates, torques and model contradict each other.
-    unsupported : bool
-        The arm rests, and the measured torques do not hold it.
-    warnings : tuple
-        For each sensor, what contradicts the arm file, by subject.
-    note : str
-        What the observer's message says where it would say that all is well.
-    details : tuple
-        For each sensor, further key-value pairs.
-    """
-
-    inconsistent: bool
-    unsupported: bool
+    inconsistent: bool  # rates, torques and model contradict each other
+    unsupported: bool  # the arm rests, and the measured torques do not hold it
+    # for each sensor, what contradicts the arm file, by subject
     warnings: tuple[dict[str, str], ...]
-    note: str = ''
-    details: tuple[dict[str, str], ...] = ()
+    note: str = ''  # what the observer's message says where it would say that all is well
+    details: tuple[dict[str, str], ...] = ()  # for each sensor, further key-value pairs
 
 
 def state_fields(state: np.record) -> dict[str, Any]:
