@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -60,6 +61,10 @@ class Spec:
         return result
 
 
+fixed = partial(Spec, read_only=True)
+"""Declaration of a parameter that is fixed once the node runs."""
+
+
 @dataclass(frozen=True)
 class GainField:
     """Declaration of one parameter of the gains file: no default, read-only."""
@@ -98,6 +103,16 @@ GAIN_FIELDS = {
     'controller.sinc_min': GainField(_DOUBLE, 'lower end of the box [1]', -1.0, 1.0),
 }
 """Parameters below ``gains.`` that every gains file sets; see lpv_core.certificate.gains."""
+MOTION_FIELDS = {
+    'controller.motion.lyapunov': GainField(
+        _ARRAY, 'Lyapunov matrix of the sampled loop in motion'
+    ),
+    'controller.motion.rate': GainField(
+        _DOUBLE, 'fastest link that it holds for [rad/s]', 0.0, 1e6
+    ),
+    'controller.motion.decay': GainField(_DOUBLE, 'certified decay rate of it [1/s]', 0.0, 1e6),
+}
+"""Parameters below ``gains.`` of files whose certificate covers the sampled loop in motion."""
 METHOD_FIELDS = {
     'exact': {
         'kappa': GainField(_ARRAY, 'kappa of both links [1/(kg m2)]'),
@@ -190,7 +205,7 @@ def declare_gains(node: Node) -> frozenset[str]:
     They get a value all the same: one parameter without a value would make a request for all of a
     node's parameters return nothing.
     """
-    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS}
+    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS, **MOTION_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update({f'observer.{name}': field for name, field in of_method.items()})
     return _declare_fields(node, 'gains', fields)
@@ -224,7 +239,8 @@ def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
     """
     method = _gain(node, 'gains.observer.method', unset)
     own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
-    nested = _nested(node, 'gains', ('format', *GAIN_FIELDS, *own), unset)
+    motion = [name for name in MOTION_FIELDS if name not in unset]
+    nested = _nested(node, 'gains', ('format', *GAIN_FIELDS, *own, *motion), unset)
     gains = parse_gains(nested, node.get_name())
     require(arm, gains, node.get_name())
     return gains

@@ -38,6 +38,7 @@ from lpv_node.parameters import (
     Spec,
     declare_gains,
     declare_loop,
+    fixed,
     read_gains,
     read_loop_if_set,
     required_text,
@@ -49,8 +50,8 @@ from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_tracker.upcoming import UpcomingReferences
 
 SPECS = (
-    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
-    Spec('scenario_file', '', 'scenario file (YAML); its path is tracked', read_only=True),
+    fixed('arm_file', '', 'arm file (YAML)'),
+    fixed('scenario_file', '', 'scenario file (YAML); its path is tracked'),
     Spec(
         'compensation',
         'confirmed',
@@ -58,58 +59,52 @@ SPECS = (
         'faults removed, or as estimated (always)',
         choices=COMPENSATION,
     ),
-    Spec(
+    fixed(
         'estimate_timeout',
         0.0,
         f'real time only: safe stop when no estimate came for this long [s]; {FROM_GAINS}',
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'max_latency',
         0.0,
         'real time only: safe stop when an estimate answers a measurement that is older [s]; '
         + FROM_GAINS,
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'max_mean_latency',
         0.0,
         'real time only: safe stop when measurements that estimates answer are older on average '
         'over 0.1 s [s]; 0: in proportion to max_latency',
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'max_tracking_error',
         TrackerLimits.tracking_error,
         'safe stop, until ~/resume is called, when a joint is further from its reference '
         'for 0.05 s [rad]',
         0.01,
         10.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'approach_speed',
         0.5,
         'fastest joint rate on the way to the path, where the arm starts '
         'or goes on elsewhere [rad/s]',
         0.01,
         10.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'bandwidth',
         BANDWIDTH,
         'serial arms only: distance from zero of the three poles of every joint [rad/s]; '
         'the gains of a two-link arm are in its gains file',
         0.1,
         100.0,
-        read_only=True,
     ),
 )
 _FARTHEST, _FASTEST = 100.0, 1e6
