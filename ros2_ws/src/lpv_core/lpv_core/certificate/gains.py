@@ -1,6 +1,6 @@
 """Gains of observer and controller, and the YAML parameter file that carries them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +83,25 @@ class ExactObserverGains:
 
 
 @dataclass(frozen=True)
+class MotionCertificate:
+    """What `sampled_motion.SampledLoop` proves of the sampled loop in motion.
+
+    Attributes
+    ----------
+    lyapunov : ndarray, shape (8, 8)
+        P for the state (theta, theta', eps, u).
+    rate : float
+        Largest absolute rate of a link [rad/s].
+    decay : float
+        Certified decay rate [1/s].
+    """
+
+    lyapunov: np.ndarray
+    rate: float
+    decay: float
+
+
+@dataclass(frozen=True)
 class ControllerGains:
     """State feedback with integral action, eq. (65).
 
@@ -98,6 +117,8 @@ class ControllerGains:
         Certified alpha of eq. (67) [1/s].
     sinc_min : float
         Lower end of the paper's box (method ``paper``).
+    motion : MotionCertificate or None
+        Of the sampled loop in motion (method ``exact``), where there is one.
     """
 
     method: str
@@ -106,6 +127,7 @@ class ControllerGains:
     lyapunov: np.ndarray
     decay: float
     sinc_min: float = -0.2
+    motion: MotionCertificate | None = None
 
 
 @dataclass(frozen=True)
@@ -186,30 +208,27 @@ def gains_to_dict(gains: Gains) -> dict[str, Any]:
 
 def _numbers(gains: Gains) -> dict[str, Any]:
     o, c = gains.observer, gains.controller
-
-    def flat(array: np.ndarray) -> list[float]:
-        return [float(v) for v in np.asarray(array).ravel()]
-
+    motion = {} if c.motion is None else {'motion': _plain(c.motion)}
     return {
         'format': FORMAT,
         'arm_name': gains.arm_name,
         'arm_sha256': gains.arm_sha256,
-        'observer': {
-            'method': o.method,
-            **{
-                name: flat(value) if isinstance(value, np.ndarray) else value
-                for name, value in vars(o).items()
-            },
-        },
-        'controller': {
-            'method': c.method,
-            'm1': flat(c.m1),
-            'm2': flat(c.m2),
-            'lyapunov': flat(c.lyapunov),
-            'decay': float(c.decay),
-            'sinc_min': float(c.sinc_min),
-        },
+        'observer': {'method': o.method, **_plain(o)},
+        'controller': {**_plain(replace(c, motion=None)), **motion},
     }
+
+
+def _plain(part: Any) -> dict[str, Any]:
+    """The fields of a part of the gains, arrays flattened row-major."""
+    return {
+        name: value.ravel().tolist() if isinstance(value, np.ndarray) else _scalar(value)
+        for name, value in vars(part).items()
+        if value is not None
+    }
+
+
+def _scalar(value: str | float) -> str | float:
+    return value if isinstance(value, str) else float(value)
 
 
 def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
@@ -247,6 +266,7 @@ def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
         lyapunov=con.matrix('lyapunov', (6, 6)),
         decay=con.number('decay', above=0.0),
         sinc_min=con.number('sinc_min', -0.2, -0.3, 0.99),
+        motion=_motion(con.section('motion')) if 'motion' in con else None,
     )
     gains = Gains(
         top.text('arm_name'),
@@ -295,6 +315,16 @@ def _exact_observer(section: Section) -> ExactObserverGains:
         if np.any(getattr(gains, name) <= 0.0):
             raise section.error(name, 'must be positive')
     return gains
+
+
+def _motion(section: Section) -> MotionCertificate:
+    motion = MotionCertificate(
+        lyapunov=section.matrix('lyapunov', (8, 8)),
+        rate=section.number('rate', low=0.0),
+        decay=section.number('decay', above=0.0),
+    )
+    section.finish()
+    return motion
 
 
 def save_gains(gains: Gains, path: str | Path, comment: str = '') -> None:
