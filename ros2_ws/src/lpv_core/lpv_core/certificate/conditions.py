@@ -32,18 +32,10 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Check:
-    """One inequality.
+    """One inequality."""
 
-    Attributes
-    ----------
-    name : str
-        What it is.
-    margin : float
-        Largest eigenvalue, or another figure that must be negative.
-    """
-
-    name: str
-    margin: float
+    name: str  # what it is
+    margin: float  # largest eigenvalue, or another figure that must be negative
 
     @property
     def holds(self) -> bool:

@@ -15,20 +15,12 @@ from lpv_core.support.errors import ConfigError
 
 @dataclass(frozen=True)
 class Reference:
-    """Reference of the tracking loop at one or more times.
+    """Reference of the tracking loop at one or more times."""
 
-    Attributes
-    ----------
-    position, velocity, acceleration : ndarray, shape (..., n)
-        Joint references [rad], [rad/s], [rad/s2], ROS joint coordinates.
-    tip : ndarray, shape (..., 2) or (..., 3)
-        The point of the path [m]: x, y in the plane of a two-link arm, x, y, z of others.
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    tip: np.ndarray
+    position: np.ndarray  # of the joints, ROS joint coordinates, shape (..., n) [rad]
+    velocity: np.ndarray  # the same, shape (..., n) [rad/s]
+    acceleration: np.ndarray  # the same, shape (..., n) [rad/s2]
+    tip: np.ndarray  # the point of the path: x, y in the plane of a two-link arm, else x, y, z [m]
 
 
 class TimedPath(Protocol):
@@ -46,18 +38,10 @@ class TimedPath(Protocol):
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A round obstacle in the plane of the arm.
+    """A round obstacle in the plane of the arm."""
 
-    Attributes
-    ----------
-    center : tuple of float
-        x, y [m].
-    radius : float
-        [m].
-    """
-
-    center: tuple[float, float]
-    radius: float
+    center: tuple[float, float]  # x, y [m]
+    radius: float  # [m]
 
 
 class CartesianPath:
