@@ -27,13 +27,22 @@ from lpv_core.control.watchdog import (
 )
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
 from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized, all_within
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, declare_gains, fixed, read_gains, required_text
+from lpv_node.parameters import (
+    Spec,
+    declare_gains,
+    declare_loop,
+    fixed,
+    read_gains,
+    read_loop_if_set,
+    required_text,
+)
 from lpv_node.qos import stream
 from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
@@ -119,7 +128,7 @@ class TrackerNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('tracker', SPECS)
-        self._unset_gains = declare_gains(self)
+        self._unset_gains, self._unset_loop = declare_gains(self), declare_loop(self)
         self._estimate_in: Subscription | None = None
         self._watch: Timer | None = None
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
@@ -170,8 +179,11 @@ class TrackerNode(ManagedNode):
             self._controller = TrackingController(self._arm, gains)
             self._integrates_measurement = gains.controller.method == 'paper'
             self._tolerated = tolerated_latency(self._arm, gains)
+            self._certificate = 'holds'
         else:
             bandwidth = self.get_parameter('bandwidth').value
+            loop = read_loop_if_set(self, self._arm, bandwidth, self._unset_loop)
+            self._certificate = NO_CERTIFICATE if loop is None else certified_region(loop)
             self._controller = ComputedTorqueController(self._arm, bandwidth)
             self._tolerated = self._controller.tolerated_latency
 
@@ -199,7 +211,7 @@ class TrackerNode(ManagedNode):
             self._watch = self.steady_timer(0.02, self._check_silence)
         self.get_logger().info(
             f'tracking a path of {self._path.end:.1f} s; the loop tolerates a constant latency of '
-            f'{1e3 * self._tolerated:.0f} ms'
+            f'{1e3 * self._tolerated:.0f} ms; certificate of the loop: {self._certificate}'
         )
 
     def end(self) -> None:
@@ -353,6 +365,7 @@ class TrackerNode(ManagedNode):
             'safe stops': self._stops,
             'latency [ms]': f'{self._latency * 1e-6:.1f}',
             'tolerated constant latency [ms]': f'{self._tolerated * 1e3:.1f}',
+            'certificate of the loop': self._certificate,
             **self._refusals.counts,
         }
         if self._reason is not None:
