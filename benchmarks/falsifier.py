@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from lpv_campaign.falsify.result_files import write_worst
-from lpv_campaign.falsify.search import Attacker, Finding, search
+from lpv_campaign.falsify.search import Finding, search
+from lpv_campaign.falsify.two_link import TwoLinkAttacker
 from lpv_core.model.arm import ArmParameters, Link, load_arm
 from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import design
@@ -82,7 +83,7 @@ ARMS: dict[str, tuple[Callable[[], ArmParameters], str]] = {
 """Arms, and the requirement that each is designed from."""
 
 
-class CountingAttacker(Attacker):
+class CountingAttacker(TwoLinkAttacker):
     """Counts the runs that crossed."""
 
     crossings = 0

@@ -29,24 +29,14 @@ _RESERVE = 0.02
 
 @dataclass(frozen=True)
 class ControllerRequirement:
-    """What the tracking loop must fulfil.
+    """What the tracking loop must fulfil, with LMI (67)."""
 
-    Attributes
-    ----------
-    alpha : float
-        Decay rate of LMI (67) [1/s].
-    fastest : float
-        Fastest allowed closed-loop pole [1/s]: one sample of delay must not matter.
-    state_weight : tuple of float
-        Guaranteed-cost weights of theta, theta', eps (same for both axes).
-    torque_weight : float
-        Weight of torque, relative to gravity torque.
-    """
-
-    alpha: float = 2.0
+    alpha: float = 2.0  # decay rate of LMI (67) [1/s]
+    # fastest allowed closed-loop pole [1/s]: one sample of delay must not matter
     fastest: float = 60.0
+    # guaranteed-cost weights of theta, theta', eps (same for both axes)
     state_weight: tuple = (10.0, 1.0, 30.0)
-    torque_weight: float = 1.0
+    torque_weight: float = 1.0  # weight of torque, relative to gravity torque
 
 
 def check_loop(loop: tuple[np.ndarray, ...], m: np.ndarray, q: np.ndarray, alpha: float) -> float:

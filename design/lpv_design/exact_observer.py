@@ -28,30 +28,19 @@ _RESERVE = 0.02
 
 @dataclass(frozen=True)
 class ExactRequirement:
-    """What the observer must fulfil.
+    """What the observer must fulfil."""
 
-    Attributes
-    ----------
-    decay : float
-        Slowest allowed pole [1/s].
-    fastest : float
-        Fastest allowed pole [1/s]; with the sample time it fixes the margin of the recursion.
-    acceleration_noise : tuple of float
-        Intensity of white acceleration on both absolute axes [rad/s2/sqrt(Hz)]: disturbance and
-        the part of the model error that varies fast.
-    rate_noise : float
-        Intensity of white noise on theta' (integration of imperfect rates) [rad/s/sqrt(Hz)].
-    velocity_weight : float
-        Weight of the rate error against the angle error in the H2 criterion [s].
-    torque_gain : float
-        Largest H-infinity norm from an unknown torque to the angle error [rad/(N m)].
-    """
-
-    decay: float = 0.25
+    decay: float = 0.25  # slowest allowed pole [1/s]
+    # fastest allowed pole [1/s]; with the sample time it fixes the margin of the recursion
     fastest: float = 60.0
+    # intensity of white acceleration on both absolute axes [rad/s2/sqrt(Hz)]: disturbance and the
+    # part of the model error that varies fast
     acceleration_noise: tuple = (0.15, 0.15)
+    # intensity of white noise on theta' (integration of imperfect rates) [rad/s/sqrt(Hz)]
     rate_noise: float = 1e-3
+    # weight of the rate error against the angle error in the H2 criterion [s]
     velocity_weight: float = 0.02
+    # largest H-infinity norm from an unknown torque to the angle error [rad/(N m)]
     torque_gain: float = math.inf
 
 

@@ -15,24 +15,15 @@ POINTS = 13
 
 @dataclass(frozen=True)
 class Guarantee:
-    """Bounds at rest over the certified region.
+    """Bounds at rest over the certified region."""
 
-    Attributes
-    ----------
-    deviation : ndarray, shape (n,)
-        Angle of a link from the vertical [rad].
-    bound : ndarray, shape (n, n, 2)
-        Bound on the fault-estimate error of each sensor [rad], rows link 1, columns link 2; a
-        healthy arm at rest stays below, whatever its stated model error, payload, friction and
-        disturbance do, but for noise beyond its standard deviations.  Infinite where gravity
-        cannot bound it.
-    threshold : ndarray, shape (n, n, 2)
-        What the diagnosis compares with [rad].
-    """
-
-    deviation: np.ndarray
+    deviation: np.ndarray  # angle of a link from the vertical, shape (n,) [rad]
+    # bound on the fault-estimate error of each sensor [rad], rows link 1, columns link 2; a healthy
+    # arm at rest stays below, whatever its stated model error, payload, friction and disturbance
+    # do, but for noise beyond its standard deviations; infinite where gravity cannot bound it;
+    # shape (n, n, 2)
     bound: np.ndarray
-    threshold: np.ndarray
+    threshold: np.ndarray  # what the diagnosis compares with, shape (n, n, 2) [rad]
 
     @property
     def detectable(self) -> np.ndarray:

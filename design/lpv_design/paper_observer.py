@@ -18,26 +18,14 @@ from lpv_design.solve import solve, symmetric_below
 
 @dataclass(frozen=True)
 class PaperProblem:
-    """The data of LMIs (54), (55) for one box.
+    """The data of LMIs (54), (55) for one box: eqs. (36), (37) and (49)."""
 
-    Attributes
-    ----------
-    descriptor : Descriptor
-        Augmented vertices, eqs. (36), (37).
-    t1, t2 : ndarray
-        From the pseudo-inverse, eq. (49).
-    q, r : float
-        Disc of eq. (55) [1/s].
-    box : ndarray, shape (3, 2)
-        Ranges of phi1, phi2, phi3.
-    """
-
-    descriptor: Descriptor
-    t1: np.ndarray
-    t2: np.ndarray
-    q: float
-    r: float
-    box: np.ndarray
+    descriptor: Descriptor  # augmented vertices, eqs. (36), (37)
+    t1: np.ndarray  # T1 from the pseudo-inverse
+    t2: np.ndarray  # T2 from the same
+    q: float  # disc [1/s]
+    r: float  # disc [1/s]
+    box: np.ndarray  # ranges of phi1, phi2, phi3, shape (3, 2)
 
 
 def paper_problem(

@@ -14,50 +14,24 @@ SHIPPED = Path(__file__).parent / 'requirements'
 
 @dataclass(frozen=True)
 class PaperRequirement:
-    """Requirements of the literal observer design.
+    """Requirements of the literal observer design."""
 
-    Attributes
-    ----------
-    lmi : {'55', '54+disc'}
-        Literal (55), or (54) and the disc as separate inequalities.
-    sinc_min : float
-        Lower end of the box of phi2 and phi3.
-    gamma : float
-        Attenuation level.
-    q, r : float
-        Disc [1/s].
-    """
-
-    lmi: str = '55'
-    sinc_min: float = 0.96
-    gamma: float = 1.0
-    q: float = 20.0
-    r: float = 15.0
+    lmi: str = '55'  # '55', literally, or '54+disc': (54) and the disc as separate inequalities
+    sinc_min: float = 0.96  # lower end of the box of phi2 and phi3
+    gamma: float = 1.0  # attenuation level
+    q: float = 20.0  # disc [1/s]
+    r: float = 15.0  # disc [1/s]
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """A whole requirement file.
+    """A whole requirement file."""
 
-    Attributes
-    ----------
-    observer : ExactRequirement or PaperRequirement
-        Observer part; its type tells the method.
-    controller : ControllerRequirement
-        Controller part.
-    controller_method : {'paper', 'exact'}
-        Controller method.
-    controller_sinc_min : float
-        Box of the controller's method ``paper``.
-    source : str
-        File name.
-    """
-
-    observer: ExactRequirement | PaperRequirement
-    controller: ControllerRequirement
-    controller_method: str
-    controller_sinc_min: float
-    source: str
+    observer: ExactRequirement | PaperRequirement  # observer part; its type tells the method
+    controller: ControllerRequirement  # controller part
+    controller_method: str  # 'paper' or 'exact'
+    controller_sinc_min: float  # box of the controller's method ``paper``
+    source: str  # file name
 
 
 def load_requirement(name: str | Path) -> Requirement:

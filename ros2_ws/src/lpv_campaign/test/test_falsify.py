@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from lpv_campaign.falsify.attack import NUMBERS, attack_as_dict, attack_from_dict, make_attack
-from lpv_campaign.falsify.result_files import BAG, SCENARIO, read_attack, write_worst
-from lpv_campaign.falsify.search import Attacker, search
+from lpv_campaign.falsify.result_files import BAG, SCENARIO, read_attack, repeat, write_worst
+from lpv_campaign.falsify.search import search
+from lpv_campaign.falsify.two_link import TwoLinkAttacker
+from lpv_core.support.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +34,7 @@ def test_given_an_attack_when_stored_and_read_then_it_is_the_same(paper_arm):
 
 
 def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, gains_of):
-    attacker = Attacker(arm, gains_of[arm.name], 4.0)
+    attacker = TwoLinkAttacker(arm, gains_of[arm.name], 4.0)
     worst = search(attacker, 150)
     assert 0.45 < worst.ratio < 1.0
 
@@ -41,7 +43,7 @@ def test_given_an_arm_beyond_its_file_when_searched_then_the_threshold_is_crosse
     paper_arm, paper_gains
 ):
     """The search finds what is there to be found: the bound of one arm, a worse one simulated."""
-    attacker = Attacker(paper_arm, paper_gains, 4.0)
+    attacker = TwoLinkAttacker(paper_arm, paper_gains, 4.0)
     attacker.arm = replace(paper_arm, model_error=0.2, disturbance_mean=1.0)
     assert search(attacker, 100).ratio > 1.0
 
@@ -49,18 +51,20 @@ def test_given_an_arm_beyond_its_file_when_searched_then_the_threshold_is_crosse
 def test_given_a_worst_run_when_written_then_it_repeats_bit_by_bit(
     paper_arm, paper_gains, tmp_path
 ):
-    attacker = Attacker(paper_arm, paper_gains, 1.0)
+    attacker = TwoLinkAttacker(paper_arm, paper_gains, 1.0)
     worst = search(attacker, 5)
     write_worst(attacker, worst, tmp_path)
     attack, duration = read_attack(tmp_path / SCENARIO)
-    assert Attacker(paper_arm, paper_gains, duration).run(attack).ratio == worst.ratio
+    again = TwoLinkAttacker(paper_arm, paper_gains, duration)
+    assert repeat(again, attack, tmp_path).ratio == worst.ratio
     assert (tmp_path / BAG / 'metadata.yaml').is_file()
 
 
 @pytest.mark.parametrize('text', ['{}', 'attack: 3', 'attack: {centre: x}'])
-def test_given_no_attack_when_read_then_it_is_refused_by_name(tmp_path, text):
-    from lpv_core.support.errors import ConfigError
-
-    (tmp_path / 'a.yaml').write_text(text)
+def test_given_no_attack_when_read_then_it_is_refused_by_name(
+    tmp_path, text, paper_arm, paper_gains
+):
+    path = tmp_path / 'a.yaml'
+    path.write_text(f'duration: 1.0\n{text}' if 'attack' in text else text)
     with pytest.raises(ConfigError, match='attack'):
-        read_attack(tmp_path / 'a.yaml')
+        repeat(TwoLinkAttacker(paper_arm, paper_gains, 1.0), read_attack(path)[0], path)

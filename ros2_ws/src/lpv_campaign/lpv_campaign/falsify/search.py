@@ -1,23 +1,19 @@
 """Search for the healthy run that comes nearest to its threshold: random, structured, CMA-ES."""
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 from cmaes import CMA
 
-from lpv_campaign.falsify.attack import NUMBERS, make_attack, make_setup, structured_candidates
-from lpv_campaign.falsify.healthy_run import WORK, run_healthy
-from lpv_core.certificate.gains import Gains
-from lpv_core.model.arm import ArmParameters
-from lpv_core.support.records import new_record
-
-COLUMNS = 12
-"""Signals of a run: see `run_healthy`."""
 _RANDOM = 0.2
 """Share of evaluations at random, beside the structured ones."""
 _PATIENCE = 60
 """Generations of one optimisation before it starts again elsewhere."""
+
+FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,46 +30,54 @@ class Finding:
         When [s].
     threshold : float
         What it was compared with [rad].
-    attack : numpy.record
+    attack : object
         What was done.
+    ratios, thresholds : tuple of float, optional
+        Of each sensor: the same, as far as it was looked at; the search keeps the largest of all
+        runs.
     """
 
     ratio: float
     sensor: int
     time: float
     threshold: float
-    attack: np.record
+    attack: Any
+    ratios: tuple[float, ...] = ()
+    thresholds: tuple[float, ...] = ()
 
 
-class Attacker:
-    """Runs attacks on one arm and its gains; method ``exact`` only has a guaranteed bound.
+class Attacker(Protocol):
+    """Healthy runs of one arm against its own thresholds.
 
-    Parameters
+    Attributes
     ----------
-    arm : ArmParameters
-        The arm.
-    gains : Gains
-        Its gains.
-    duration : float
-        Of a run [s].
+    numbers : int
+        Numbers of a candidate, each in [-1, 1].
     """
 
-    def __init__(self, arm: ArmParameters, gains: Gains, duration: float) -> None:
-        self.arm, self._setup = arm, make_setup(arm, gains)
-        self._work = new_record(WORK)
-        self.samples = np.zeros((max(2, round(duration / arm.sample_time)), COLUMNS))
+    @property
+    def arm(self) -> Any:
+        """The arm, of either kind."""
 
-    def run(self, attack: np.record) -> Finding:
-        """Simulate one attack; its signals are in ``samples``."""
-        noise, work = np.random.default_rng(int(attack.seed)), self._work
-        run_healthy(self._setup, attack, work, noise, self.samples)
-        return Finding(
-            float(work.ratio),
-            int(work.sensor),
-            1e-9 * float(work.stamp),
-            float(work.threshold),
-            attack.copy(),
-        )
+    numbers: int
+
+    def structured(self, rng: np.random.Generator) -> list[FloatArray]:
+        """Candidates that an engineer would try."""
+
+    def attack(self, candidate: FloatArray, seed: int) -> Any:
+        """Attack of a candidate, with a seed of the noise."""
+
+    def run(self, attack: Any) -> Finding:
+        """Simulate one attack."""
+
+    def readings(self) -> FloatArray:
+        """Readings, rates and efforts of the last run, shape (N, 3, n)."""
+
+    def as_dict(self, attack: Any) -> dict[str, Any]:
+        """Plain numbers of an attack, for a file."""
+
+    def from_dict(self, data: dict[str, Any]) -> Any:
+        """Attack from `as_dict`."""
 
 
 def search(
@@ -87,7 +91,7 @@ def search(
     Parameters
     ----------
     attacker : Attacker
-        Arm and gains.
+        Arm and thresholds.
     evaluations : int
         Runs.
     seed : int, optional
@@ -98,28 +102,37 @@ def search(
     Returns
     -------
     Finding
-        The worst one.
+        The worst one; its ``ratios`` are the largest of all runs.
     """
     rng = np.random.default_rng(seed)
-    candidates = _candidates(rng, evaluations)
+    candidates = _candidates(attacker, rng, evaluations)
     worst: Finding | None = None
+    every: list[Finding] = []
     candidate = next(candidates)
     for count in range(evaluations):
-        found = attacker.run(make_attack(attacker.arm, candidate, int(rng.integers(2**31))))
+        found = attacker.run(attacker.attack(candidate, int(rng.integers(2**31))))
+        every.append(replace(found, attack=None))
         if worst is None or found.ratio > worst.ratio:
             worst = found
             if progress is not None:
                 progress(count + 1, worst)
         candidate = candidates.send(found.ratio)
     assert worst is not None
-    return worst
+    most = [max(every, key=lambda one: one.ratios[i]) for i in range(len(worst.ratios))]
+    return replace(
+        worst,
+        ratios=tuple(one.ratios[i] for i, one in enumerate(most)),
+        thresholds=tuple(one.thresholds[i] for i, one in enumerate(most)),
+    )
 
 
-def _candidates(rng: np.random.Generator, evaluations: int) -> Generator[np.ndarray, float, None]:
+def _candidates(
+    attacker: Attacker, rng: np.random.Generator, evaluations: int
+) -> Generator[FloatArray, float, None]:
     """Candidates; each is answered by its ratio."""
-    size = len(NUMBERS)
-    best: list[tuple[float, np.ndarray]] = []
-    first = structured_candidates(rng)
+    size = attacker.numbers
+    best: list[tuple[float, FloatArray]] = []
+    first = attacker.structured(rng)
     rest = max(0, round(_RANDOM * evaluations) - len(first))
     for candidate in [*first, *rng.uniform(-1.0, 1.0, (rest, size))]:
         ratio = yield candidate

@@ -4,12 +4,22 @@ import argparse
 import sys
 from pathlib import Path
 
-from lpv_campaign.falsify.result_files import BAG, SCENARIO, read_attack, write_worst
+from lpv_campaign.falsify.result_files import (
+    BAG,
+    LONGEST,
+    SCENARIO,
+    read_attack,
+    repeat,
+    write_worst,
+)
 from lpv_campaign.falsify.search import Attacker, Finding, search
+from lpv_campaign.falsify.serial import SerialAttacker
+from lpv_campaign.falsify.two_link import TwoLinkAttacker
 from lpv_cli.completion import shipped
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 
@@ -20,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     arm = parser.add_argument('--arm', required=True, help='arm file, or name of a shipped arm')
     arm.completer = shipped('arms')  # type: ignore[attr-defined]
-    parser.add_argument('--gains', required=True, help='gains file, or name of a shipped one')
+    parser.add_argument('--gains', help='gains file, or name of a shipped one; two-link arms only')
     parser.add_argument(
         '--evaluations', type=int, default=20_000, help='runs (default: %(default)s)'
     )
@@ -34,33 +44,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the worst run, and say whether a threshold was crossed."""
-    arm = load_arm(bringup_file('arms', arguments.arm))
-    gains = load_gains(bringup_file('gains', arguments.gains))
-    require(arm, gains, arguments.gains)
-    if gains.observer.method != 'exact':
-        raise ConfigError('gains', "must be of method 'exact': 'paper' has no guaranteed bound")
+    arm = load_any_arm(bringup_file('arms', arguments.arm))
     if arguments.repeat:
         attack, duration = read_attack(arguments.repeat)
-        return _conclude(arm, Attacker(arm, gains, duration).run(attack), 1)
-    if arguments.evaluations < 1 or not 0.0 < arguments.duration <= 3600.0:
-        raise ConfigError('--evaluations, --duration', 'must be positive, and at most 3600 s')
-    attacker = Attacker(arm, gains, arguments.duration)
+        attacker = _attacker(arm, arguments.gains, duration)
+        return _conclude(attacker, repeat(attacker, attack, arguments.repeat), 1)
+    if arguments.evaluations < 1 or not 0.0 < arguments.duration <= LONGEST:
+        raise ConfigError(
+            '--evaluations, --duration', f'must be positive, and at most {LONGEST:g} s'
+        )
+    attacker = _attacker(arm, arguments.gains, arguments.duration)
     worst = search(attacker, arguments.evaluations, arguments.seed, _show)
     write_worst(attacker, worst, arguments.out)
     folder = Path(arguments.out)
     print(f'worst run: {folder / SCENARIO}, {folder / BAG}')
-    return _conclude(arm, worst, arguments.evaluations)
+    return _conclude(attacker, worst, arguments.evaluations)
+
+
+def _attacker(arm: Arm, gains_file: str | None, duration: float) -> Attacker:
+    """What attacks an arm of either kind."""
+    if isinstance(arm, SerialArm):
+        if gains_file:
+            raise ConfigError('--gains', 'are not used: serial arms are diagnosed without')
+        return SerialAttacker(arm, duration)
+    if not gains_file:
+        raise ConfigError('--gains', 'must be given for a two-link arm')
+    gains = load_gains(bringup_file('gains', gains_file))
+    require(arm, gains, gains_file)
+    if gains.observer.method != 'exact':
+        raise ConfigError('gains', "must be of method 'exact': 'paper' has no guaranteed bound")
+    return TwoLinkAttacker(arm, gains, duration)
 
 
 def _show(count: int, found: Finding) -> None:
     print(f'  run {count}: estimate at {found.ratio:.3f} of its threshold', file=sys.stderr)
 
 
-def _conclude(arm: ArmParameters, worst: Finding, count: int) -> int:
+def _conclude(attacker: Attacker, worst: Finding, count: int) -> int:
+    names = attacker.arm.sensor_names
+    for name, ratio, threshold in zip(names, worst.ratios, worst.thresholds):
+        if ratio > 0.0:
+            print(f'{name}: {ratio:.3f} of {threshold:.4f} rad')
+        else:
+            print(f'{name}: no threshold that says anything')
+    if isinstance(attacker, SerialAttacker):
+        print(f'statistical alarms: in {attacker.blamed} of {attacker.runs} runs')
     crossed = worst.ratio >= 1.0
     outcome = 'CROSSED' if crossed else 'no crossing'
     print(
-        f'{outcome} in {count} runs: {arm.sensor_names[worst.sensor]} '
+        f'{outcome} in {count} runs: {names[worst.sensor]} '
         f'reached {worst.ratio:.3f} of its threshold, {worst.threshold:.4f} rad, at '
         f'{worst.time:.2f} s'
     )

@@ -4,7 +4,8 @@ tau = M(q) a + C(q, v) v + g(q) + F(v_r), a = q_r'' + kd (v_r - v) + kp (q_r - q
 eps' = q_r - q.
 
 With the true model the error of every joint has three poles at -w, w the bandwidth: kd = 3 w,
-kp = 3 w^2, ki = w^3.  Nothing of this is certified for a wrong model.
+kp = 3 w^2, ki = w^3.  For a wrong model see
+`lpv_core.serial_arm.certificate`.
 """
 
 import numpy as np

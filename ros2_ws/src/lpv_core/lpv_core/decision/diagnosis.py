@@ -1,7 +1,7 @@
 """From fault estimates to alarms, to what is compensated, and to whether to go on at all."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -69,6 +69,10 @@ class SensorState(IntEnum):
     NOT_DIAGNOSABLE = 4
 
 
+GUARANTEED, STATISTICAL = 'guaranteed', 'statistical'
+"""Bases of an alarm."""
+
+
 class AlarmEvent(IntEnum):
     """Kinds of alarm events; values as in lpv_msgs/FaultAlarm."""
 
@@ -117,6 +121,9 @@ class Alarm:
     # one minus the probability of a healthy estimate like this: taking the bound as ``sigmas``
     # standard deviations of a normal error, or from the mean time between false alarms
     confidence: float
+    # `GUARANTEED` or `STATISTICAL` where the monitor tells them apart, else ''; no field of the
+    # message, where the confidence of what is guaranteed is exactly 1
+    basis: str = field(default='', kw_only=True)
 
 
 _OK, _WARN, _ERROR, _STALE, _NOT_DIAGNOSABLE = (int(state) for state in SensorState)

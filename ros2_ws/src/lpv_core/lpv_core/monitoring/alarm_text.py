@@ -1,6 +1,6 @@
 """Alarm events and counters of samples in the words of an operator."""
 
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent
+from lpv_core.decision.diagnosis import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 
 _EVENTS = {
     AlarmEvent.RAISED: 'ALARM',
@@ -41,4 +41,9 @@ def describe(event: Alarm) -> str:
             f'{head}inconsistent, cause unknown: rates, torques and model contradict each other; '
             f'error {error} if it is this sensor, confidence {sure}'
         )
-    return f'{head}error {error}, {_KINDS.get(event.kind, event.kind)}, confidence {sure}'
+    kind = _KINDS.get(event.kind, event.kind)
+    if event.basis == GUARANTEED:
+        return f'{head}error {error}, {kind}, guaranteed: no healthy arm inside its file reads this'
+    if event.basis == STATISTICAL:
+        sure += f' (statistical, false alarms {1.0 - event.confidence:.0e} a test)'
+    return f'{head}error {error}, {kind}, confidence {sure}'

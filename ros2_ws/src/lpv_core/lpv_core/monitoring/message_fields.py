@@ -45,6 +45,7 @@ class Findings:
     # for each sensor, what contradicts the arm file, by subject
     warnings: tuple[dict[str, str], ...]
     note: str = ''  # what the observer's message says where it would say that all is well
+    details: tuple[dict[str, str], ...] = ()  # for each sensor, further key-value pairs
 
 
 def state_fields(state: np.record) -> dict[str, Any]:
@@ -113,7 +114,9 @@ def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, 
 
 def alarm_fields(alarm: Alarm) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds."""
-    return {**asdict(alarm), 'event': int(alarm.event)}
+    fields = {**asdict(alarm), 'event': int(alarm.event)}
+    del fields['basis']
+    return fields
 
 
 def diagnostic_fields(
@@ -166,6 +169,7 @@ def diagnostic_fields(
                 'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
                 'bound [rad]': f'{fault.bound[i]:.6f}',
                 'threshold [rad]': f'{fault.threshold[i]:.6f}',
+                **(findings.details[i] if findings.details else {}),
             }
         level, message = _LEVELS[sensor_state]
         if sensor_state == SensorState.WARN and not above:

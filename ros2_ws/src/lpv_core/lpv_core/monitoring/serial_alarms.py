@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent
+from lpv_core.decision.diagnosis import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 from lpv_core.monitoring.stepped_monitor import Snapshot
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm
 
+_STATISTICAL = 1.0 - 1e-9
+"""Largest confidence that is not a guarantee."""
 _SPIKE, _BIAS, _DRIFT = 'spike', 'bias', 'drift'
 
 
@@ -55,12 +57,15 @@ class AlarmConverter:
                 i, alarm.sensor, begin, stamp, size, sigmas * sigma, alarm.kind,
                 confidence(alarm),
             )  # fmt: skip
+            basis = GUARANTEED if alarm.guaranteed else STATISTICAL
             if alarm.kind == _SPIKE:
                 if not self._raised[i]:
-                    events += [Alarm(one, *fields) for one in (event, AlarmEvent.CLEARED)]
+                    events += [
+                        Alarm(one, *fields, basis=basis) for one in (event, AlarmEvent.CLEARED)
+                    ]
                 continue
             self._raised[i] = True
-            events.append(Alarm(event, *fields))
+            events.append(Alarm(event, *fields, basis=basis))
         return events
 
 
@@ -76,7 +81,12 @@ def _fault_at(alarm: SerialAlarm, known: Snapshot, i: int) -> tuple[float, float
 
 
 def confidence(alarm: SerialAlarm) -> float:
-    """One minus the probability of an alarm like this on a healthy arm, as far as sigmas hold."""
+    """One minus the probability of an alarm like this on a healthy arm, as far as sigmas hold.
+
+    One, exactly, where no healthy arm inside its file shows it.
+    """
+    if alarm.guaranteed:
+        return 1.0
     if alarm.kind == _BIAS and alarm.sigma > 0.0:
-        return math.erf(abs(alarm.size) / alarm.sigma / math.sqrt(2.0))
+        return min(math.erf(abs(alarm.size) / alarm.sigma / math.sqrt(2.0)), _STATISTICAL)
     return 1.0 - math.exp(-MonitorSettings().evidence)

@@ -41,6 +41,8 @@ _LARGEST = (1e3, 1e4, 1e9)
 """Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
 _MOST_AT_ONCE = 2048
 """Samples between which nothing is looked for that is not in order."""
+_LARGEST_FOUND = 1.5
+"""Offsets beyond are no statement: estimates are linear in small ones [rad]."""
 _WARM_UP = 0.3
 """Motion that makes every compiled function run [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
@@ -445,11 +447,44 @@ class SerialSensorMonitor:
             'rejected messages': self.rejected,
             'method': self.method,
             'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
+            'guarantee': self._guarantee(),
         }
+        known = self._snapshot.guarantee
+        if known is not None:
+            values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*known.payload)
         findings = message_fields.Findings(
-            bool(self._snapshot.suspects), False, ({},) * self._joints, self._note()
+            bool(self._snapshot.suspects),
+            False,
+            ({},) * self._joints,
+            self._note(),
+            self._guaranteed(),
         )
         return message_fields.diagnostic_fields(self.name, self.arm, state, fault, findings, values)
+
+    def _guarantee(self) -> str:
+        """For which healthy arms thresholds are guaranteed."""
+        stated = self.arm.uncertainty
+        if stated.model_error is None:
+            return 'none stated: the arm file has no uncertainty.model_error'
+        if self._monitor.healthy is None:
+            return 'none of offsets after torques from outside or a fault that changes, until reset'
+        return (
+            f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
+            f'within {stated.friction:.3g}, payload up to {stated.payload:g} kg'
+        )
+
+    def _guaranteed(self) -> tuple[dict[str, str], ...]:
+        """Guaranteed thresholds of the offsets, for each sensor."""
+        known = self._snapshot.guarantee
+        if known is None:
+            return ()
+        return tuple(
+            {'guaranteed threshold [rad]': f'{threshold:.4f}', 'surely found beyond [rad]': size}
+            if found < _LARGEST_FOUND
+            else {'guaranteed threshold [rad]': 'none: this pose and motion do not show an offset'}
+            for threshold, found in zip(known.threshold, known.smallest_found)
+            for size in [f'{found:.4f}']
+        )
 
     def _note(self) -> str:
         """What else is to be said of the diagnosis as a whole."""

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from lpv_core.decision.diagnosis import SensorState
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm, SerialMonitor
 from lpv_core.serial_arm.diagnosis.sampling import JUMP_SCALE
 
@@ -40,6 +41,7 @@ class Snapshot:
     contact: bool  # whether torques act from outside
     balances: int  # that were used so far
     alarms: tuple[SerialAlarm, ...]  # found at this sample
+    guarantee: Guarantee | None = None  # of the offsets, evaluated last
 
     @property
     def is_error(self) -> npt.NDArray[np.bool_]:
@@ -159,4 +161,5 @@ class SteppedMonitor(SerialMonitor):
             self._contact_until > now,
             self._balances,
             alarms,
+            self.guarantee,
         )

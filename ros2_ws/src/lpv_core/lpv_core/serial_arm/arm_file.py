@@ -102,7 +102,9 @@ def parse_serial_arm(
         if 'bandwidth' in effort
         else math.inf,
         uncertainty=Uncertainty(
-            varying.number('payload', 0.0, low=0.0), varying.number('friction', 0.0, 0.0, 1.0)
+            varying.number('payload', 0.0, low=0.0),
+            varying.number('friction', 0.0, 0.0, 1.0),
+            varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
         ),
         covariance=_covariance(top, 15 * len(joints)),
         sample_time=top.number('sample_time', 0.002, 1e-5, 1.0),
@@ -153,7 +155,7 @@ def to_mapping(arm: SerialArm) -> dict[str, Any]:
             'tip': list(arm.tip),
             'sample_time': arm.sample_time,
             'effort': {'unit': arm.effort_unit, 'includes_gravity': arm.effort_includes_gravity},
-            'uncertainty': asdict(arm.uncertainty),
+            'uncertainty': _stated(asdict(arm.uncertainty)),
             'joints': [_joint_mapping(joint) for joint in arm.joints],
         }
     )
@@ -187,6 +189,11 @@ def _joint_mapping(joint: SerialJoint) -> dict[str, Any]:
     if joint.sensors.second_encoder is None:
         del result['sensors']['second_encoder']
     return _lists(result)
+
+
+def _stated(values: dict[str, Any]) -> dict[str, Any]:
+    """The values without those that are None."""
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _lists(value: Any) -> Any:

@@ -184,6 +184,7 @@ class Uncertainty:
 
     payload: float = 0.0  # largest unknown mass at the tip [kg]
     friction: float = 0.0  # relative change of all friction, as with temperature [-]
+    model_error: float | None = None  # of masses, places of masses, inertias [-]; None: not stated
 
 
 @dataclass(frozen=True)

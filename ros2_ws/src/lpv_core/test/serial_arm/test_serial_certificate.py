@@ -63,6 +63,33 @@ def slowest_decay(arm, gains, chain, q, v):
     return -0.5 * eigh(change, weight, eigvals_only=True)[-1]
 
 
+def largest_ratio(arm, gains, chain, q, v):
+    """V after over V before one sample, torque one sample late, in the worst direction."""
+    model, w, n, h = SerialModel(compile_chain(arm)), gains.bandwidth, len(q), arm.sample_time
+    before, mass = model.mass_matrix(q), model.mass_matrix(q + h * v)
+    true = SerialModel(chain).mass_matrix(q + h * v)
+    eye, zero, h = np.eye(n), np.zeros((n, n)), h * w
+    drag = np.linalg.solve(true, np.diag(chain.friction[:, 0])) / w
+    driven = np.hstack([zero, zero, drag, np.linalg.solve(true, before)])
+    integral, error, rate = np.hsplit(np.eye(4 * n)[:, : 3 * n], 3)
+    error_next = error.T + h * rate.T - h * h / 2 * driven
+    command = np.hstack([eye, 3 * eye, 3 * eye, zero])
+    after = np.vstack([integral.T + h * error_next, error_next, rate.T - h * driven, command])
+    p = gains.sampled.lyapunov
+    return eigh(after.T @ np.kron(p, mass) @ after, np.kron(p, before), eigvals_only=True)[-1]
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_given_true_arms_at_corners_when_sampled_and_late_then_the_energy_decays(name):
+    arm, gains = shipped(name)
+    rng, limits = np.random.default_rng(3), gains.rate_share * np.array(arm.velocity_limit)
+    found = []
+    for q in rng.uniform(-np.pi, np.pi, (200, len(limits))):
+        v = limits * rng.choice([-1.0, 1.0], len(limits))
+        found.append(largest_ratio(arm, gains, corner_arm(arm, gains, rng), q, v))
+    assert max(found) < 1.0 - 2.0 * gains.sampled.decay * arm.sample_time
+
+
 @pytest.mark.parametrize('name', ARMS)
 def test_given_the_shipped_files_when_verified_then_every_inequality_holds(name):
     arm, gains = shipped(name)

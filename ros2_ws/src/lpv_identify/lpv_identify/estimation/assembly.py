@@ -47,21 +47,8 @@ def consistent_parameters(
 ) -> np.ndarray:
     """Physically consistent parameters that fit the data as well as those can.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Arm of the prior.
-    base : BaseParameters
-        Base parameters of ``fit``.
-    fit : Fit
-        Its rows are used, not its parameters.
-    strength : float
-        Weight of the prior against the data.
-
-    Returns
-    -------
-    ndarray, shape (15 n,)
-        As `SerialArm.parameter_vector`.
+    As `SerialArm.parameter_vector`, shape (15 n,).  Of ``fit`` the rows are used, not the
+    parameters; ``strength`` is the weight of the prior, which ``arm`` has, against the data.
     """
     n = len(arm.joints)
     mean, sigma = prior_of_all(arm, fit)

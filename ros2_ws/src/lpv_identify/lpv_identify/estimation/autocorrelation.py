@@ -12,21 +12,11 @@ _RUN = 5  # autocovariances in a row that are noise: here they end
 def score_covariance(
     rows: np.ndarray, gammas: Sequence[np.ndarray], lengths: Sequence[int]
 ) -> np.ndarray:
-    """Covariance of the scores sum_k z_k e_k of weighted rows z and residuals e.
+    """Covariance of the scores sum_k z_k e_k, sum_kl z_k gamma(k - l) z_l^T.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (samples, n, parameters)
-        Weighted regressor.
-    gammas : sequence of ndarray
-        Autocovariances of each joint's weighted residuals from lag 0 on; joints are independent.
-    lengths : sequence of int
-        Lengths of the stretches that the samples are made of.
-
-    Returns
-    -------
-    ndarray, shape (parameters, parameters)
-        sum_kl z_k gamma(k - l) z_l^T.
+    ``rows`` are the weighted regressor z, shape (samples, n, parameters), made of stretches of some
+    ``lengths``; ``gammas`` the autocovariances of each joint's weighted residuals from lag 0 on.
+    Joints are independent.
     """
     total = np.zeros((rows.shape[2], rows.shape[2]))
     for j, gamma in enumerate(gammas):
@@ -43,26 +33,12 @@ def score_covariance(
 def residual_autocovariances(
     rows: np.ndarray, residual: np.ndarray, inverse: np.ndarray, lengths: Sequence[int]
 ) -> list[np.ndarray]:
-    """Autocovariance of the errors of each joint, from the residuals of a least-squares fit.
+    """Autocovariance of each joint's errors from lag 0 on, from the residuals of a fit.
 
     A fit takes out of the residuals what regressors can explain, most at the frequencies of the
     motion.  How much is found by drawing errors with the present autocovariance and fitting them.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (samples, n, parameters)
-        Weighted regressor.
-    residual : ndarray, shape (samples, n)
-        Weighted residuals.
-    inverse : ndarray, shape (parameters, parameters)
-        Inverse of the normal matrix.
-    lengths : sequence of int
-        Lengths of the stretches.
-
-    Returns
-    -------
-    list of ndarray
-        From lag 0 on, with a flat-top window.
+    Weighted ``rows``, shape (samples, n, parameters), and ``residual``, shape (samples, n), are
+    made of stretches of some ``lengths``; ``inverse`` is that of the normal matrix.
     """
     n = residual.shape[1]
     most = max(2, int(0.15 * max(lengths)))

@@ -22,25 +22,12 @@ _STEP = 0.4  # largest relative change of a gain in a round
 
 
 def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
-    """Factors that turn efforts into torques.
+    """Factors k that turn efforts into torques, shape (n,) [N m per unit].
 
     Links couple the joints, which fixes the gains' ratios; their common scale is that of the masses
-    in the prior, unless a tool of known mass is measured (`rescaled`).  Gauss-Newton on
-    i = (1/k) tau(phi): errors are those of the currents, so that k = 0 is no solution.
-
-    Parameters
-    ----------
-    rows : sequence of Rows
-        Efforts in the unit of the driver.
-    filters : Filters
-        Of the regression.
-    prior : Prior
-        Of the parameters.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        k of each joint [N m per unit]; negative where a driver counts the other way.
+    in the prior, unless a tool of known mass is measured (`rescaled`).  Gauss-Newton on i = (1/k)
+    tau(phi): errors are those of the currents, so that k = 0 is no solution.  A gain is negative
+    where a driver counts the other way.
     """
     n = rows[0].effort.shape[1]
     gains = _start(rows, prior)

@@ -115,25 +115,10 @@ def make_rows(
     speed_limit: np.ndarray,
     with_gravity: bool = True,
 ) -> Rows:
-    """Regressor of the momentum balance along a motion.
+    """Regressor of the momentum balance along a smoothed motion with efforts [N m].
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Of the arm.
-    base : BaseParameters
-        Its base parameters.
-    motion : Motion
-        Smoothed motion with efforts [N m].
-    speed_limit : ndarray, shape (n,)
-        Friction must not drive a joint up to this speed [rad/s].
-    with_gravity : bool, optional
-        Whether the efforts contain gravity torques.
-
-    Returns
-    -------
-    Rows
-        At the rate of the motion.
+    Friction must not drive a joint up to the ``speed_limit``, shape (n,) [rad/s]; ``with_gravity``
+    says whether the efforts contain gravity torques.
     """
     position, velocity = motion.position, motion.velocity
     n = model.nv

@@ -61,21 +61,9 @@ def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.
 
 
 def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator) -> np.ndarray:
-    """Mean square error of each joint on the blocks held back, in the band of the analysis.
+    """Mean square error of each joint on the blocks held back, shape (n,) [(N m)^2].
 
-    Parameters
-    ----------
-    rows : sequence of Rows
-        Training data.
-    filters : Filters
-        Of effort sensor and analysis.
-    estimate : callable
-        From rows to a fit.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [(N m)^2]
+    In the band of the analysis; ``rows`` are the training data.
     """
     total, count = np.zeros(rows[0].effort.shape[1]), 0
     for train, valid in _folds(rows):

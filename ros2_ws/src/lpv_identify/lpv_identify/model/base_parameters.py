@@ -32,18 +32,9 @@ class BaseParameters:
 def find_base_parameters(model: pinocchio.Model) -> BaseParameters:
     """Base parameters of an arm with rotors, by QR of a random regressor.
 
-    Gautier 1991, "Numerical calculation of the base inertial parameters of robots".
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Of the arm.
-
-    Returns
-    -------
-    BaseParameters
-        A column is taken where it does not depend on those before it, from the tip to the base:
-        parameters of the last links stay by themselves, as far as they can.
+    Gautier 1991, "Numerical calculation of the base inertial parameters of robots".  A column is
+    taken where it does not depend on those before it, from the tip to the base: parameters of the
+    last links stay by themselves, as far as they can.
     """
     rng = np.random.default_rng(20211)
     n = model.nv

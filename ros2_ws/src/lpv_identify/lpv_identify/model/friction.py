@@ -20,21 +20,10 @@ def direction_slope(velocity: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
 
 def friction_columns(velocity: np.ndarray, slope: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Regressor of the friction of every joint.
+    """Regressor of the friction of every joint, in the order of `TERMS`, shape (samples, n, 4).
 
-    Parameters
-    ----------
-    velocity : ndarray, shape (samples, n)
-        [rad/s].
-    slope : ndarray, shape (n,)
-        k of every joint [s/rad].
-    load : ndarray, shape (samples, n)
-        Rigid-body torque that the joint carries [N m].
-
-    Returns
-    -------
-    ndarray, shape (samples, n, 4)
-        Columns of each joint's own parameters, in the order of `TERMS`.
+    Of ``velocity``, shape (samples, n) [rad/s], the ``slope`` of each joint, shape (n,) [s/rad],
+    and the rigid-body torque that it carries, ``load``, shape (samples, n) [N m].
     """
     way = direction(velocity, slope)
     return np.stack([velocity, way, np.abs(load) * way, np.ones_like(velocity)], axis=2)

@@ -13,17 +13,10 @@ _LENGTH = 0.1  # least size of a link [m]
 
 
 def structural_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of inertial parameters and rotor inertias.
+    """Mean and standard deviation of inertial parameters and rotor inertias, each of shape (11 n,).
 
-    Parameters
-    ----------
-    arm : SerialArm
-        With the inertias of its URDF, which may be rough, or missing.
-
-    Returns
-    -------
-    tuple of ndarray, each of shape (11 n,)
-        Mean, standard deviation; 10 parameters of each link, then the rotors.
+    10 parameters of each link, then the rotors.  The inertias of the arm's URDF may be rough, or
+    missing.
     """
     masses = np.array([joint.link.mass for joint in arm.joints])
     least = max(_SHARE * masses.sum(), 0.1)

@@ -9,18 +9,7 @@ _STEP = 1e-5  # of the central difference along the motion [s]
 
 
 def build_model(arm: SerialArm) -> pinocchio.Model:
-    """Pinocchio's model of an arm.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        Kinematics, inertias and the direction of gravity are used.
-
-    Returns
-    -------
-    pinocchio.Model
-        Joint frames and link frames are those of the arm.
-    """
+    """Pinocchio's model of an arm, with the joint frames and link frames of the arm."""
     model = pinocchio.Model()
     model.gravity = pinocchio.Motion(arm.gravity_vector(), np.zeros(3))
     parent = 0
@@ -62,17 +51,7 @@ def motion_regressor(
     """Regressor S of the momentum balance tau = d/dt p + S phi: S phi = g(q) - C(q, v)^T v.
 
     From the property dM/dt = C + C^T: S = Y(q, v, 0) - (dM/dt) v, the latter by a central
-    difference along the motion.
-
-    Parameters
-    ----------
-    model, position, velocity
-        As in `momentum_regressor`.
-
-    Returns
-    -------
-    ndarray, shape (samples, n, 10 n)
-        The regressor.
+    difference along the motion.  Shapes as those of `momentum_regressor`.
     """
     ahead = momentum_regressor(model, position + _STEP * velocity, velocity)
     behind = momentum_regressor(model, position - _STEP * velocity, velocity)
@@ -83,19 +62,9 @@ def motion_regressor(
 def torque_regressor(
     model: pinocchio.Model, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
-    """Regressor Y of the inverse dynamics, tau = Y(q, v, a) phi.
+    """Regressor Y of the inverse dynamics, tau = Y(q, v, a) phi, shape (samples, n, 10 n).
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Of the arm, with n joints.
-    position, velocity, acceleration : ndarray, shape (samples, n) or (n,)
-        [rad], [rad/s], [rad/s2].
-
-    Returns
-    -------
-    ndarray, shape (samples, n, 10 n)
-        The regressor.
+    Arguments of shape (samples, n) or (n,) [rad], [rad/s], [rad/s2].
     """
     position, velocity, acceleration = np.broadcast_arrays(position, velocity, acceleration)
     data = model.createData()

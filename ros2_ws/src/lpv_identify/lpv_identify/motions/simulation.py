@@ -23,19 +23,9 @@ class SensorNoise:
 def joint_torques(
     arm: SerialArm, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
-    """Torques that move an arm, friction and rotors included.
+    """Torques that move an arm, friction and rotors included, shape (samples, n) [N m].
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    position, velocity, acceleration : ndarray, shape (samples, n)
-        [rad], [rad/s], [rad/s2].
-
-    Returns
-    -------
-    ndarray, shape (samples, n)
-        [N m]
+    Arguments of the same shape [rad], [rad/s], [rad/s2].
     """
     model = build_model(arm)
     data = model.createData()

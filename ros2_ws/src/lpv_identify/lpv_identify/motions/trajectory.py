@@ -55,23 +55,9 @@ def random_trajectory(
     speed: np.ndarray,
     duration: float,
 ) -> Trajectory:
-    """Random trajectory, scaled so that each joint stays within its reach and speed.
+    """Random trajectory, at its limit of reach [rad] or speed [rad/s] in each joint.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the coefficients.
-    center, reach : ndarray, shape (n,)
-        Middle of the motion and largest way from it [rad].
-    speed : ndarray, shape (n,)
-        Largest rate [rad/s].
-    duration : float
-        [s]
-
-    Returns
-    -------
-    Trajectory
-        At one of its limits in each joint.
+    ``center``, ``reach`` and ``speed`` have shape (n,); ``duration`` is in [s].
     """
     n = len(center)
     shape = (HARMONICS, n)

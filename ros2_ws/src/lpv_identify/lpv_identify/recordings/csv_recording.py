@@ -116,24 +116,8 @@ def _require(path: Path, header: list[str], names: Sequence[str]) -> None:
 def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:
     """Column map from a header that names columns after joints or their numbers.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        For messages.
-    header : list of str
-        Names of the columns.
-    joints : sequence of str
-        Names of the joints, in order; the i-th may be called by its number i.
-
-    Returns
-    -------
-    ColumnMap
-        Time in s, angles in rad.
-
-    Raises
-    ------
-    IdentificationError
-        If a column is not found.
+    The i-th joint may be called by its number i; time is in s, angles in rad.  IdentificationError
+    if a column is not found; ``path`` is for its message.
     """
     time = next((name for name in header if re.fullmatch(r'(time|t|stamp)(_s)?', name, re.I)), None)
     if time is None:

@@ -14,25 +14,11 @@ NYQUIST_SHARE = 0.9
 def low_pass(
     signal: np.ndarray, cutoff: float, step: float, second: float = np.inf, order: int = _ORDER
 ) -> np.ndarray:
-    """Low-pass filter without delay along the first axis.
+    """Low-pass filter without delay along the first axis of a uniformly sampled signal.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (samples, ...)
-        Uniformly sampled.
-    cutoff : float
-        Frequency at which amplitudes are halved [Hz]; inf for none.
-    step : float
-        Sample time [s].
-    second : float, optional
-        Cutoff of a second filter after the first [Hz].
-    order : int, optional
-        Of each filter in each direction; a high one leaves what is below the cutoff as it is.
-
-    Returns
-    -------
-    ndarray
-        Of the same shape.
+    ``cutoff``, and ``second`` of another filter after it, are where amplitudes are halved [Hz], inf
+    for none; ``step`` is the sample time [s].  A high ``order``, that of each filter in each
+    direction, leaves what is below the cutoff as it is.
     """
     cutoffs = [c for c in (cutoff, second) if c < NYQUIST_SHARE * 0.5 / step]
     if not cutoffs:

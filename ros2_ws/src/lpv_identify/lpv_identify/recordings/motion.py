@@ -144,18 +144,7 @@ def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
 
 
 def find_bandwidths(segments: list[Segment]) -> Bandwidths:
-    """Cutoffs from the spectra of positions and rates.
-
-    Parameters
-    ----------
-    segments : list of Segment
-        Of one sample time.
-
-    Returns
-    -------
-    Bandwidths
-        For `smooth` and for the regression.
-    """
+    """Cutoffs for `smooth` and for the regression, from the spectra of positions and rates."""
     longest = max(segments, key=lambda s: len(s.time))
     step = longest.step
     highest = 0.4 * 0.5 / step

@@ -22,17 +22,8 @@ def serial_from_planar(arm: ArmParameters) -> SerialArm:
     """The two-link arm as a serial arm that moves in its base's x-y plane.
 
     At q = 0 both links lie along x; the base is turned so that the upper vertical is where
-    ``zero_angle`` says.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        Two-link arm.
-
-    Returns
-    -------
-    SerialArm
-        The coupling of the rotors' spin, gear_ratio times the rotor inertia, is left out.
+    ``zero_angle`` says.  The coupling of the rotors' spin, gear_ratio times the rotor inertia, is
+    left out.
     """
     # Joint angle q1 = theta1 - zero_angle, theta counted counter-clockwise from the vertical.
     upright = math.pi / 2 + arm.zero_angle
@@ -74,19 +65,8 @@ def serial_from_planar(arm: ArmParameters) -> SerialArm:
 def write_planar(data: dict[str, Any], arm: SerialArm, path: Path) -> None:
     """Write a two-link arm file with identified parameters; what was not identified stays.
 
-    Parameters
-    ----------
-    data : dict
-        Content of the file that was started from.
-    arm : SerialArm
-        Identified arm of two joints.
-    path : pathlib.Path
-        File to write.
-
-    Raises
-    ------
-    ConfigError
-        If the parameters are none of a two-link file.
+    ``data`` is the content of the file that was started from.  ConfigError if the parameters are
+    none of a two-link file.
     """
     result = copy.deepcopy(data)
     before = parse_arm(data)

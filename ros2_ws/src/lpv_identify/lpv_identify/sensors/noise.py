@@ -9,17 +9,10 @@ _GAIN = np.sqrt(20.0)  # of white noise through third differences
 
 
 def noise_deviation(signals: Sequence[np.ndarray]) -> np.ndarray:
-    """Standard deviation of white noise in each column, from third differences.
+    """Standard deviation of white noise in each column, from third differences, shape (n,).
 
-    Parameters
-    ----------
-    signals : sequence of ndarray, shape (samples, n)
-        Stretches, sampled uniformly.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        In the signals' unit; includes quantization.
+    In the unit of the signals, stretches of shape (samples, n) that are sampled uniformly; includes
+    quantization.
     """
     changes = np.concatenate([np.diff(s, _ORDER, axis=0) for s in signals])
     # A quantized signal at rest does not change; the median would be 0 there.

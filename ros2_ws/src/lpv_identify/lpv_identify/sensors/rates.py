@@ -11,22 +11,11 @@ _EXPLAINED = 0.5
 
 
 def rate_sources(segments: Sequence[Segment]) -> tuple[list[str], np.ndarray]:
-    """Source of the rates of each joint, and the evidence.
+    """Source of the rates of each joint, and the evidence: the multiple correlation, shape (n,).
 
     What the sensors add is fast; motion is slow.  If the fast part of the rates is a filtered
-    version of the fast part of the positions' differences, rates are derived from positions.  A
-    fault of the encoder then is in both.
-
-    Parameters
-    ----------
-    segments : sequence of Segment
-        Raw samples.
-
-    Returns
-    -------
-    tuple
-        'independent', 'derived' or 'none' for each joint, and the multiple correlation of the
-        fast parts, shape (n,).
+    version of the fast part of the positions' differences, rates are 'derived' from positions, and
+    a fault of the encoder is in both; otherwise they are 'independent', or there are 'none'.
     """
     n = segments[0].position.shape[1]
     if segments[0].velocity is None:

@@ -75,18 +75,10 @@ def true_faults(record: RunRecord) -> list[Interval] | None:
 
 
 def episodes(record: RunRecord) -> list[Episode]:
-    """Alarms of a run.
+    """Alarms of a run, in the order in which they were raised.
 
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-
-    Returns
-    -------
-    list of Episode
-        In the order in which they were raised.  An alarm whose start is not in the bag (an event
-        that clears or updates it is) is taken from that event.
+    An alarm whose start is not in the bag (an event that clears or updates it is) is taken from
+    that event.
     """
     faults = true_faults(record)
     closed: list[Episode] = []
@@ -111,20 +103,7 @@ def episodes(record: RunRecord) -> list[Episode]:
 
 
 def missed_faults(record: RunRecord, found: list[Episode]) -> list[Interval]:
-    """True faults during which no alarm was raised or active.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    found : list of Episode
-        Its alarms.
-
-    Returns
-    -------
-    list of Interval
-        Empty without ground truth.
-    """
+    """True faults during which no alarm was raised or active; none without ground truth."""
     return [
         fault
         for fault in true_faults(record) or []

@@ -91,20 +91,7 @@ def _tips(position: np.ndarray, reference: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def motion_phases(record: RunRecord, arm: Arm) -> list[Phase]:
-    """Intervals in which a joint was above its speed limit, or the drives had no command.
-
-    Parameters
-    ----------
-    record : RunRecord
-        The run, with the joints of the arm.
-    arm : ArmParameters or SerialArm
-        Its arm.
-
-    Returns
-    -------
-    list of Phase
-        In the order of time, by kind.
-    """
+    """Intervals in which a joint was above its speed limit, or the drives had no command."""
     _, time, rates = _rates(record)
     fast = (np.abs(rates) > np.asarray(arm.velocity_limit)).any(axis=1)
     found = [Phase(TOO_FAST, '', part.start, part.end) for part in intervals(fast, time)]

@@ -1,9 +1,18 @@
-"""What the verbs that list nodes, topics and services share."""
+"""What the verbs about one node, and those that list nodes, topics and services, share."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from typing import Any
 
+from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.graph import discovery
+
+
+def add_node_name(parser: ArgumentParser, **options: Any) -> None:
+    """Declare the arguments of verbs about one node."""
+    discovery.add_arguments(parser)
+    completion.add_argument(parser, completion.nodes, 'node_name', **{'help': 'node', **options})
+    parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
 def add_node_arguments(parser: ArgumentParser) -> None:

@@ -2,19 +2,14 @@
 
 from argparse import ArgumentParser, Namespace
 
-from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.lifecycle.client import Lifecycle, managed_nodes
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(
-        parser, completion.nodes, 'node_name', nargs='?', help='node; otherwise all managed ones'
-    )
-    parser.add_argument('--include-hidden-nodes', action='store_true')
+    listing.add_node_name(parser, nargs='?', help='node; otherwise all managed ones')
 
 
 def run(arguments: Namespace) -> int:

@@ -2,19 +2,16 @@
 
 from argparse import ArgumentParser, Namespace
 
-from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.lifecycle.client import Lifecycle
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    listing.add_node_name(parser)
     parser.add_argument(
         '-a', '--all', action='store_true', help='also transitions that are not possible now'
     )
-    parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
 def run(arguments: Namespace) -> None:

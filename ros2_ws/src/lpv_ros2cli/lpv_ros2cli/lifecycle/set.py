@@ -4,21 +4,19 @@ from argparse import ArgumentParser, Namespace
 
 from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.lifecycle.client import Lifecycle
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    listing.add_node_name(parser)
     completion.add_argument(
         parser,
         lambda **_: ['configure', 'activate', 'deactivate', 'cleanup', 'shutdown'],
         'transition',
         help='name or number of the transition',
     )
-    parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
 def run(arguments: Namespace) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.param.client import ParameterAccess, type_name
 
 if TYPE_CHECKING:
@@ -15,12 +15,10 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    listing.add_node_name(parser)
     completion.add_argument(
         parser, completion.parameters, 'parameter_names', nargs='+', help='parameters'
     )
-    parser.add_argument('--include-hidden-nodes', action='store_true')
 
 
 def run(arguments: Namespace) -> None:

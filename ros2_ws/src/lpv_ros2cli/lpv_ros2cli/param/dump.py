@@ -5,16 +5,13 @@ from typing import Any
 
 import yaml
 
-from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.param.client import ParameterAccess, plain_value
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
-    parser.add_argument('--include-hidden-nodes', action='store_true')
+    listing.add_node_name(parser)
 
 
 def run(arguments: Namespace) -> None:

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.param.client import ParameterAccess, plain_value
 
 _LABELS = (
@@ -22,10 +22,8 @@ _LABELS = (
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    listing.add_node_name(parser)
     completion.add_argument(parser, completion.parameters, 'parameter_name', help='parameter')
-    parser.add_argument('--include-hidden-nodes', action='store_true')
     parser.add_argument('--hide-type', action='store_true', help='only show the value')
 
 

@@ -3,9 +3,8 @@
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.graph.names import node_names
 from lpv_ros2cli.param.client import ParameterAccess, type_name
 
@@ -15,11 +14,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(
-        parser, completion.nodes, 'node_name', nargs='?', help='node; otherwise all'
-    )
-    parser.add_argument('--include-hidden-nodes', action='store_true')
+    listing.add_node_name(parser, nargs='?', help='node; otherwise all')
     parser.add_argument(
         '--param-prefixes',
         nargs='+',

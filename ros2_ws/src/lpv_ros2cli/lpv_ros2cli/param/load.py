@@ -4,19 +4,16 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from typing import Any
 
-from lpv_ros2cli.command_line import completion
 from lpv_ros2cli.command_line.yaml_text import read_yaml
 from lpv_ros2cli.errors import CliError
-from lpv_ros2cli.graph import discovery
+from lpv_ros2cli.graph import discovery, listing
 from lpv_ros2cli.param.client import ParameterAccess, fitted, value_from_text
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    discovery.add_arguments(parser)
-    completion.add_argument(parser, completion.nodes, 'node_name', help='node')
+    listing.add_node_name(parser)
     parser.add_argument('parameter_file', help='parameter file (YAML)')
-    parser.add_argument('--include-hidden-nodes', action='store_true')
     parser.add_argument(
         '--no-use-wildcard',
         action='store_true',

@@ -133,7 +133,7 @@ def parse_loop(data: dict[str, Any], source: str = 'gains') -> LoopGains:
     gains = LoopGains(
         arm_name=top.text('arm_name'),
         arm_sha256=top.text('arm_sha256'),
-        bandwidth=top.number('bandwidth', above=0.0),
+        bandwidth=top.number('bandwidth', low=0.1, high=100.0),
         model_error=top.number('model_error', low=0.0, high=0.5),
         rate_share=top.number('rate_share', above=0.0, high=1.0),
         model=ModelBounds(

@@ -58,7 +58,7 @@ _NOISE_EVERY = 10
 _LARGEST_INFLATION = 15.0
 _LAGS = 8
 """Balances over which what the model does not explain is correlated."""
-_PAST_WEIGHT = 0.998
+PAST_WEIGHT = 0.998
 """Factor of what was learned, each balance."""
 _POSE_TIME = 0.5
 """Over which an error that depends on the pose is correlated [s]."""
@@ -231,7 +231,7 @@ def take_balance(
         move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
         move_epoch(balance, time)
     _make_absolute(balance.rows, balance.reference)
-    join(window, time, balance.rows, _PAST_WEIGHT if learn else -_PAST_WEIGHT)
+    join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
     weigh(window, null, 1)
 
 

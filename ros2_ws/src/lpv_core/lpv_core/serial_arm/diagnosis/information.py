@@ -28,6 +28,8 @@ class Window(NamedTuple):
         Of each balance.
     times, trust : ndarray, shape (capacity,)
         End of each [s]; factor of its weights, small where something acted from outside.
+    weights : ndarray, shape (capacity, n)
+        With which each counts, trust included.
     sums : ndarray, shape (capacity + 1, 1 + m, 1 + h + m)
         Sum of A^T W A before each balance; rows of the constant part and of the unknowns.
     squares : ndarray, shape (capacity + 1, h)
@@ -41,6 +43,7 @@ class Window(NamedTuple):
     rows: FloatArray
     times: FloatArray
     trust: FloatArray
+    weights: FloatArray
     sums: FloatArray
     squares: FloatArray
     past: FloatArray
@@ -52,8 +55,9 @@ def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window
     size = 1 + faults + unknowns
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
-        np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
-        np.zeros((1 + unknowns, size)), np.zeros(2, np.int64))  # fmt: skip
+        np.zeros((capacity, joints)), np.zeros((capacity + 1, 1 + unknowns, size)),
+        np.zeros((capacity + 1, faults)), np.zeros((1 + unknowns, size)),
+        np.zeros(2, np.int64))  # fmt: skip
 
 
 @njit
@@ -119,6 +123,7 @@ def add_products(window: Window, back: int, weights: FloatArray) -> None:
     window.squares[new] = window.squares[old]
     for i in range(weights.shape[0]):
         row, weight = window.rows[at, i], weights[i] * window.trust[at]
+        window.weights[at, i] = weight
         for a in range(unknowns):
             entry = row[0] if a == 0 else row[faults + a]
             factor, into = weight * entry, window.sums[new, a]

@@ -73,18 +73,25 @@ def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     inverse = np.linalg.inv(np.triu(null.factor))
     sigma = np.sqrt((inverse**2).sum(1))
     change = null.mean[n : 4 * n].reshape(3, n)
-    directions = estimator.balance.directions.reshape(-1, 10 * n)
-    load = np.zeros((n, 10))
-    load[-1] = payload_parameters(chain, 1.0)
-    share = np.linalg.pinv(directions).T @ load.ravel() if len(directions) else np.zeros(0)
-    power = float(share @ share)
-    mass = float(share @ null.mean[4 * n :] / power) if power > 0.0 else 0.0
-    spread = np.linalg.norm(share @ inverse[4 * n :]) / power if power > 0.0 else np.inf
+    share = payload_share(estimator)
+    mass = float(share @ null.mean[4 * n :])
+    spread = np.linalg.norm(share @ inverse[4 * n :]) if share.any() else np.inf
     return Learned(
         mass, float(spread), chain.friction[:, OFFSET] + change[0],
         chain.friction[:, VISCOUS] + change[1], chain.friction[:, COULOMB] + change[2],
         sigma[n : 4 * n].reshape(3, n), null.noise / estimator.plan.interval,
         len(estimator) * estimator.plan.interval)  # fmt: skip
+
+
+def payload_share(estimator: OffsetEstimator) -> FloatArray:
+    """Mass at the tip by the inertial directions [kg], shape (k,); zero if they do not show it."""
+    n, chain = estimator.joints, estimator.balance.chain
+    directions = estimator.balance.directions.reshape(-1, 10 * n)
+    load = np.zeros((n, 10))
+    load[-1] = payload_parameters(chain, 1.0)
+    share = np.linalg.pinv(directions).T @ load.ravel() if len(directions) else np.zeros(0)
+    power = float(share @ share)
+    return share / power if power > 0.0 else np.zeros(len(share))
 
 
 def learned_arm(arm: SerialArm, learned: Learned) -> SerialArm:

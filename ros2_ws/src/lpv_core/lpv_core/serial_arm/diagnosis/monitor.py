@@ -18,6 +18,7 @@ from lpv_core.serial_arm.diagnosis.estimator import (
     OffsetEstimator,
     take_balance,
 )
+from lpv_core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv_core.serial_arm.diagnosis.hypotheses import (
     CONTACT,
     Explanation,
@@ -25,8 +26,11 @@ from lpv_core.serial_arm.diagnosis.hypotheses import (
     explanations,
     new_search,
 )
+from lpv_core.serial_arm.diagnosis.information import NEXT
+from lpv_core.serial_arm.diagnosis.jump_bound import jump_bound
 from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
+from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv_core.serial_arm.diagnosis.rate_check import RateCheck
 from lpv_core.serial_arm.diagnosis.sampling import (
     BLOCKS,
@@ -56,6 +60,8 @@ RECENT = 1.0
 """After a jump so long ago a reading is suspected first [s]."""
 RARE = 0.3
 """Share of repeated readings below which a reading that rests is frozen."""
+GUARANTEE_EVERY = 20
+"""Balances after which guaranteed thresholds are evaluated anew."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -99,6 +105,7 @@ class SerialAlarm:
     size: float  # [rad], or [rad/s] of a drift
     sigma: float  # standard deviation of size
     suspects: tuple[str, ...]  # what explains the data about as well
+    guaranteed: bool = False  # whether no healthy arm inside its file shows this; else statistical
 
 
 @dataclass(frozen=True)
@@ -144,6 +151,7 @@ class SerialMonitor:
         self.alarms: list[SerialAlarm] = []
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
         self._push = 0.3 * np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
+        self._jump_bound = jump_bound(arm)
         self._first: int | None = None
         self.reset()
 
@@ -157,6 +165,9 @@ class SerialMonitor:
             for joint in arm.joints
         ])  # fmt: skip
         self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        self.healthy = HealthySet(arm, self.estimator) if is_stated(arm) else None
+        self.guarantee: Guarantee | None = None
+        self._unproved: set[int] = set()  # sensors with level alarms that are statistical so far
         self.search = new_search(self.estimator, self._push)
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, 2.0 * noise,
@@ -257,6 +268,8 @@ class SerialMonitor:
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
         restart(self.sampler, self.estimator.balance)
+        if self.healthy is not None:
+            self.healthy.restart()
         self.estimator.restart()
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
@@ -317,7 +330,8 @@ class SerialMonitor:
         for i in range(self.joints):
             if self.sampler.found[i] == STEP:
                 sigma = float(self.sampler.scale[i])
-                self._raise(i, 'bias', now, float(self.sampler.size[i]), sigma)
+                size = float(self.sampler.size[i])
+                self._raise(i, 'bias', now, size, sigma, abs(size) > self._jump_bound[i])
                 self._jumped[i] = now
             elif self.sampler.found[i] == SPIKE:
                 self.alarms.append(SerialAlarm(self._sensor(i), 'spike', now, now, 0.0, 0.0, ()))
@@ -326,10 +340,13 @@ class SerialMonitor:
     def _sensor(self, i: int) -> str:
         return self.arm.sensor_names[i] if i >= 0 else ''
 
-    def _raise(self, i: int, kind: str, onset: float, size: float, sigma: float) -> None:
+    def _raise(
+        self, i: int, kind: str, onset: float, size: float, sigma: float, guaranteed: bool = False
+    ) -> None:
         """A fault of sensor i is confirmed."""
         self._state[i] = SensorState.ERROR
-        self.alarms.append(SerialAlarm(self._sensor(i), kind, onset, self._last(), size, sigma, ()))
+        self.alarms.append(SerialAlarm(
+            self._sensor(i), kind, onset, self._last(), size, sigma, (), guaranteed))  # fmt: skip
 
     def _last(self) -> float:
         return float(self.sampler.time[-1])
@@ -347,9 +364,13 @@ class SerialMonitor:
             take_balance(*state, now, False)
             follow(self._moving, self.estimator, self.sampler, now)
             return
+        if self.healthy is not None:
+            self.healthy.take(self._blocks(2), not self._suspects)
         self.estimator.add(now, not self._suspects)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
+        if self.estimator.window.counters[NEXT] % GUARANTEE_EVERY == 0:
+            self._evaluate_guarantee()
         self.rate_check.take(self._blocks(self.rate_check.intervals))
         if self._decide_rates():
             return
@@ -447,6 +468,7 @@ class SerialMonitor:
         if now > self._contact_until:
             self.alarms.append(SerialAlarm('', CONTACT, now, now, 0.0, 0.0, ()))
         self._contact_until = now + CONTACT_PAUSE
+        self.healthy = self.guarantee = None  # the load may be another one from now on
         self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
 
     def _label(self, one: Explanation) -> str:
@@ -458,6 +480,7 @@ class SerialMonitor:
         i = best.joint
         kind = 'stuck' if self.sampler.still[i] * self.arm.sample_time > STILL_TIME else best.kind
         self._raise(i, kind, best.begin, best.size, best.sigma)
+        self.healthy = self.guarantee = None  # readings will be changed
         self._moving = begin_moving_fault(self.estimator, i, kind, best.begin)
         self._suspects = ()
 
@@ -470,6 +493,23 @@ class SerialMonitor:
         )
         beyond &= sigma < self.settings.widest_level
         self._level_held = np.where(beyond, self._level_held + 1, 0)
-        for i in np.nonzero(self._level_held >= self.settings.level_dwell)[0]:
-            if self._state[i] is not SensorState.ERROR:
-                self._raise(int(i), 'bias', 0.0, float(offsets[i]), float(sigma[i]))
+        held = np.nonzero(self._level_held >= self.settings.level_dwell)[0]
+        new = [int(i) for i in held if self._state[i] is not SensorState.ERROR]
+        if new:
+            self._evaluate_guarantee()
+        for i in new:
+            guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
+            self._raise(i, 'bias', 0.0, float(offsets[i]), float(sigma[i]), guaranteed)
+            if not guaranteed:
+                self._unproved.add(i)
+
+    def _evaluate_guarantee(self) -> None:
+        """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""
+        if self.healthy is None:
+            return
+        self.guarantee = self.healthy.evaluate()
+        sigma = self.estimator.posterior.sigma
+        for i in [one for one in self._unproved if self.guarantee.exceeded[one]]:
+            size = float(self.guarantee.estimate[i])
+            self._raise(i, 'bias', 0.0, size, float(sigma[i]), True)
+            self._unproved.discard(i)
