@@ -93,6 +93,17 @@ def test_given_no_fault_when_run_then_there_is_no_alarm_and_each_joint_has_its_e
     assert np.isfinite(errors).all() and max(errors) > 1e-4
 
 
+@pytest.mark.parametrize('arm', ['ur10', 'panda'])
+def test_given_an_unknown_payload_when_the_arm_moves_then_no_offset_is_made_of_it(arm):
+    factors = {'path': 'random', 'parameter_error': 0.05, 'payload': 1.9}
+    plan = {'method': 'random', 'runs': 4}
+    spec = {**SMALL, 'arm': arm, 'scenario': arm, 'duration': 12.0, 'plan': plan}
+    campaign = resolve({**spec, 'factors': {**factors, 'fault.kind': 'none'}}, arm, '.')
+    rows = [run_one(campaign, number) for number in range(campaign.spec.runs)]
+    assert [row['false_alarms'] for row in rows] == [0] * 4
+    assert all(row['stable'] and row['safe_stops'] == 0 for row in rows)
+
+
 def test_given_the_text_of_a_campaign_when_run_elsewhere_then_every_number_is_the_same(
     campaign, rows
 ):

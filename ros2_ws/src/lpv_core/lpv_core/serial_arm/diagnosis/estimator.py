@@ -47,6 +47,8 @@ OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
 _LINEAR_WITHIN = 0.05
 """Change of an offset after which the horizon is linearised again [rad]."""
+_SURE = 3.0
+"""... and by so many of its standard deviations."""
 _NOISE_SAMPLES = 20
 """Balances after which what is seen of the noise counts as much as what is expected."""
 NOISE_KNOWN_AFTER = 3.0
@@ -339,8 +341,14 @@ class OffsetEstimator:
         """Whether the estimate has left the point of linearisation."""
         if self._since_linearised < max(3, len(self) // 10):
             return False
-        moved = np.abs(self.posterior.mean[: self.joints] - self.balance.reference).max()
-        return bool(moved > _LINEAR_WITHIN)
+        return bool(np.abs(self._step()).max() > _LINEAR_WITHIN)
+
+    def _step(self) -> FloatArray:
+        """Ways to the estimates of those offsets that have surely moved, shape (n,) [rad]."""
+        step = self.posterior.mean[: self.joints] - self.balance.reference
+        # The columns of the offsets are those of the nominal arm: what it carries is not in them.
+        # Where gravity says little, the search would run away from the truth.
+        return np.where(np.abs(step) > _SURE * self.posterior.sigma, step, 0.0)
 
     def linearise(self, blocks: FloatArray) -> None:
         """Evaluate the balances of the horizon again, at the present estimate of the offsets.
@@ -350,8 +358,7 @@ class OffsetEstimator:
         blocks : ndarray, shape (N, 3 n + 3)
             Means as kept by `Sampler.blocks`, oldest first; whole intervals.
         """
-        step = self.posterior.mean[: self.joints] - self.balance.reference
-        self.balance.reference[:] += np.clip(step, -0.3, 0.3)
+        self.balance.reference[:] += np.clip(self._step(), -0.3, 0.3)
         self.replace_last(blocks)
         solve(self.window, self.posterior)
         self._since_linearised = 0
