@@ -17,6 +17,14 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import EPOCH, OFFSET, RATE
+from lpv_core.serial_arm.diagnosis.contact import (
+    Contact,
+    new_contact,
+    rough_contact,
+    smooth_contact,
+    watch_noise,
+    weigh_outliers,
+)
 from lpv_core.serial_arm.diagnosis.estimator import (
     HorizonPlan,
     OffsetEstimator,
@@ -50,12 +58,6 @@ STUCK_ACCELERATION = 10.0
 ONSET = 2
 """Balances at the start of a window in which a fault may come in any way: they are explained by
 free torques, for encoders as for contacts."""
-CONTACT_TIME = 0.3
-"""Over which a torque from outside is correlated [s]."""
-CONTACT_SHARES = (1.0, 0.3, 0.1, 0.03)
-"""Amplitudes of torques from outside that are tried, in the largest plausible one."""
-CONTACT_PENALTY = 1.4
-"""Logarithm of the number of amplitudes."""
 PRIOR = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 
@@ -86,39 +88,25 @@ class Search(NamedTuple):
         Of the windows, then of their onsets [balances].
     prior : ndarray, shape (S,)
         Standard deviations of the faults' sizes; 0 of those that cannot be.
-    torque : ndarray, shape (n,)
-        Standard deviation of torques that may act from outside [N m].
+    outside : Contact
+        Torques from outside, for the windows and their onsets.
     gain, information, size : ndarray, shape (W, S)
         LLR, I and size of each hypothesis.
-    contact : ndarray, shape (W,)
-        LLR of torques from outside.
-    variance : ndarray, shape (n,)
-        Of balances [N2 m2 s2], for which ``shares`` and ``costs`` hold.
-    known : ndarray of int64, shape (W + 1,)
-        Whether they do.
-    values, vectors : ndarray, shapes (W + 1, L) and (W + 1, L, L)
-        Of the correlation of torques from outside.
-    shares, costs : ndarray, shapes (W + 1, K, n, L) and (W + 1, K, n)
-        Factors of squared residuals along eigenvectors, and what the freedom of K amplitudes costs.
-    columns, along : ndarray, shapes (m, S) and (L,)
+    contact, onset : ndarray, shape (W,)
+        LLR of torques from outside: all the time, and only at the onset of a fault.
+    columns : ndarray, shape (m, S)
         Scratch.
     """
 
     lengths: IntArray
     prior: FloatArray
-    torque: FloatArray
+    outside: Contact
     gain: FloatArray
     information: FloatArray
     size: FloatArray
     contact: FloatArray
-    variance: FloatArray
-    known: IntArray
-    values: FloatArray
-    vectors: FloatArray
-    shares: FloatArray
-    costs: FloatArray
+    onset: FloatArray
     columns: FloatArray
-    along: FloatArray
 
 
 def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
@@ -138,22 +126,14 @@ def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
     """
     plan, n, m = estimator.plan, estimator.joints, len(estimator.prior)
     lengths = [*_lengths(plan, WINDOWS + MORE_WINDOWS), ONSET + 1]
-    count, longest = len(lengths), max(lengths)
     prior = np.concatenate([np.full(n, PRIOR[k]) if k in PRIOR else torque for k in KINDS])
     prior[RATE * n : (RATE + 1) * n] *= estimator.balance.derived == 0.0
-    values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
-    for w, length in enumerate(lengths):
-        place = plan.interval * np.arange(length)
-        correlation = np.exp(-np.abs(place - place[:, None]) / CONTACT_TIME)
-        values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(correlation)
-    values *= plan.interval**2
-    results = [np.zeros((count - 1, len(KINDS) * n)) for _ in range(3)]
-    shares = len(CONTACT_SHARES)
+    windows = len(lengths) - 1
+    results = [np.zeros((windows, len(KINDS) * n)) for _ in range(3)]
     return Search(
-        np.array(lengths), prior, torque, results[0], results[1], results[2], np.zeros(count - 1),
-        np.zeros(n), np.zeros(count, np.int64), values, vectors,
-        np.zeros((count, shares, n, longest)), np.zeros((count, shares, n)),
-        np.zeros((m, len(KINDS) * n)), np.zeros(longest))  # fmt: skip
+        np.array(lengths), prior, new_contact(lengths, torque, plan.interval, plan.capacity),
+        results[0], results[1], results[2], np.zeros(windows), np.zeros(windows),
+        np.zeros((m, len(KINDS) * n)))  # fmt: skip
 
 
 def _lengths(plan: HorizonPlan, seconds: tuple[float, ...]) -> list[int]:
@@ -190,13 +170,13 @@ def evaluate(
     float
         The best LLR.
     """
-    _watch_noise(search, null)
+    watch_noise(search.outside, null)
     best, longest = -np.inf, 0
     for w in range(first, end):
         longest = max(longest, search.lengths[w])
     last = min(longest + 1, window.counters[COUNT])
     set_residuals(window, null, last)
-    _weigh_outliers(null, last)
+    weigh_outliers(null, last)
     for w in range(first, end):
         length = search.lengths[w]
         search.gain[w] = -np.inf
@@ -205,9 +185,9 @@ def evaluate(
             continue
         begin = window.times[slot(window, length - 1)] - interval - epoch
         _faults(search, window, null, begin, w)
-        onset = _contact(search, null, search.lengths.shape[0] - 1, length)
-        search.gain[w] += onset
-        search.contact[w] = _contact(search, null, w, length - 1)
+        search.onset[w] = rough_contact(search.outside, null, search.lengths.shape[0] - 1, length)
+        search.gain[w] += search.onset[w]
+        search.contact[w] = rough_contact(search.outside, null, w, length - 1)
         best = max(best, search.contact[w], search.gain[w].max())
     return best
 
@@ -255,71 +235,18 @@ def _faults(search: Search, window: Window, null: Posterior, begin: float, w: in
 
 
 @njit
-def _weigh_outliers(null: Posterior, last: int) -> None:
-    """Shrink large residuals as the weights of least squares do (soft L1).
+def add_smooth_contacts(search: Search, window: Window, null: Posterior) -> None:
+    """Let torques from outside be smooth, too, in all windows that have been evaluated.
 
-    A torque from outside must not gain from outliers what the faults' columns do not.
+    As for a fault, what came at the onset is explained by free torques.
     """
-    for back in range(last):
-        for i in range(null.noise.shape[0]):
-            ratio = null.residual[back, i] / (3.0 * null.noise[i])
-            null.residual[back, i] /= (1.0 + ratio * ratio) ** 0.25
-
-
-@njit
-def _watch_noise(search: Search, null: Posterior) -> None:
-    """Forget what depends on the noise, where that has changed."""
-    for i in range(null.noise.shape[0]):
-        variance = null.noise[i] * null.noise[i] * null.inflation[i]
-        if search.variance[i] != variance:
-            search.variance[i] = variance
-            search.known[:] = 0
-
-
-@njit
-def _contact(search: Search, null: Posterior, w: int, oldest: int) -> float:
-    """Ratio of marginal likelihoods of torques from outside that come, change and go.
-
-    On each joint a torque of unknown amplitude a, correlated over `CONTACT_TIME`; joints that
-    need none have none.  With the eigenvalues l_k of the correlation and z_k the residuals along
-    its eigenvectors, sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).
-    The residuals begin ``oldest`` balances before the last one.
-    """
-    if search.known[w] == 0:
-        _set_shares(search, w)
-    total, length, along = 0.0, search.lengths[w], search.along
-    for i in range(search.torque.shape[0]):
-        along[:length] = 0.0
-        for j in range(length):
-            residual, vector = null.residual[oldest - j, i], search.vectors[w, j]
-            for k in range(length):
-                along[k] += residual * vector[k]
-        for k in range(length):
-            along[k] *= along[k]
-        best = 0.0
-        for c in range(search.costs.shape[1]):
-            ratio, shares = -search.costs[w, c, i], search.shares[w, c, i]
-            for k in range(length):
-                ratio += shares[k] * along[k]
-            best = max(best, ratio)
-        total += best
-    return total
-
-
-@njit
-def _set_shares(search: Search, w: int) -> None:
-    """Write what `_contact` needs for a window at the present noise."""
-    for i in range(search.torque.shape[0]):
-        variance = search.variance[i]
-        for c in range(len(CONTACT_SHARES)):
-            amplitude = CONTACT_SHARES[c] * search.torque[i]
-            cost = CONTACT_PENALTY
-            for k in range(search.lengths[w]):
-                signal = search.values[w, k] * amplitude * amplitude / variance
-                search.shares[w, c, i, k] = 0.5 * signal / ((1.0 + signal) * variance)
-                cost += 0.5 * np.log1p(signal)
-            search.costs[w, c, i] = cost
-    search.known[w] = 1
+    outside = search.outside
+    for w in range(search.contact.shape[0]):
+        if search.contact[w] == -np.inf:
+            continue
+        for courses in outside.smooth:
+            gain = smooth_contact(courses, outside.torque, window, null, search.lengths[w] - ONSET)
+            search.contact[w] = max(search.contact[w], search.onset[w] + gain)
 
 
 def explanations(
@@ -357,6 +284,8 @@ def explanations(
     found: list[Explanation] = []
     if best > suspicious:
         evaluate(*state, *times, some, all_of_them)
+        if search.gain.max() > suspicious:
+            add_smooth_contacts(search, *state[1:])
         found = _found(search, estimator)
         conspicuous = np.arange(estimator.joints)
     for i in conspicuous:

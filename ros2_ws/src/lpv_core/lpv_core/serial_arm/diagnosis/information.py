@@ -32,6 +32,8 @@ class Window(NamedTuple):
         Sum of A^T W A before each balance; rows of the constant part and of the unknowns.
     squares : ndarray, shape (capacity + 1, h)
         The same of the diagonal, columns of faults.
+    weights : ndarray, shape (capacity, n)
+        W of each balance.
     past : ndarray, shape (1 + m, 1 + h + m)
         What is remembered of balances that have left; its columns of faults mean nothing.
     counters : ndarray of int64, shape (2,)
@@ -43,6 +45,7 @@ class Window(NamedTuple):
     trust: FloatArray
     sums: FloatArray
     squares: FloatArray
+    weights: FloatArray
     past: FloatArray
     counters: IntArray
 
@@ -53,7 +56,8 @@ def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
-        np.zeros((1 + unknowns, size)), np.zeros(2, np.int64))  # fmt: skip
+        np.zeros((capacity, joints)), np.zeros((1 + unknowns, size)),
+        np.zeros(2, np.int64))  # fmt: skip
 
 
 @njit
@@ -119,6 +123,7 @@ def add_products(window: Window, back: int, weights: FloatArray) -> None:
     window.squares[new] = window.squares[old]
     for i in range(weights.shape[0]):
         row, weight = window.rows[at, i], weights[i] * window.trust[at]
+        window.weights[at, i] = weight
         for a in range(unknowns):
             entry = row[0] if a == 0 else row[faults + a]
             factor, into = weight * entry, window.sums[new, a]

@@ -354,7 +354,7 @@ class SerialMonitor:
         if self._decide_rates():
             return
         found = explanations(
-            self.search, self.estimator, self._rest(), np.nonzero(self._is_conspicuous())[0],
+            self.search, self.estimator, self._rest(), np.nonzero(self._is_frozen())[0],
             0.5 * self.settings.evidence)  # fmt: skip
         if not found or found[0].gain < self.settings.evidence:
             self._suspects = ()
@@ -413,7 +413,7 @@ class SerialMonitor:
         it is rough; else a torque from outside, which may have any course, is excluded only by an
         encoder's fault that explains clearly more, over a second or longer.
         """
-        for i in np.nonzero(self._is_conspicuous())[0]:
+        for i in np.nonzero(self._is_frozen())[0]:
             own = [one for one in found if one.joint == i and one.is_encoder]
             if own and own[0].gain > 0.0:
                 return own[0]
@@ -429,12 +429,10 @@ class SerialMonitor:
         own = [one for one in late if one.joint == joint]
         return next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
 
-    def _is_conspicuous(self) -> BoolArray:
-        """Whether a reading froze while it moved, or jumped not long ago."""
+    def _is_frozen(self) -> BoolArray:
+        """Whether a reading stopped dead while it moved."""
         still = self.sampler.still * self.arm.sample_time > STILL_TIME
-        froze = still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
-        froze |= still & (self.sampler.repeats < RARE)
-        return froze | (self._last() - self._jumped < RECENT)
+        return still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
 
     def _rest(self) -> tuple[IntArray, FloatArray]:
         """For how many balances each reading rests, and its speed before [rad/s]."""
