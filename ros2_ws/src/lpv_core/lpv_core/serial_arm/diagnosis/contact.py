@@ -1,19 +1,20 @@
 """Torques from outside: what they explain of the last balances, whatever their course.
 
-On each joint acts a torque of unknown amplitude, a Gaussian process in time; its courses are rough
-(as of impacts), smooth, or constant, and joints that need none have none.  Amplitudes and kind of
-course are those that explain most, less the logarithm of their number.  The kernel's leading
-eigenfunctions are columns like those of a fault, so that what the arm's unknowns could explain
-as well is taken off.
+A torque of unknown amplitude acts on each joint, or a force on the tip; it is a Gaussian process in
+time, rough (as of impacts), smooth, or constant.  What is not needed is zero.  Amplitudes and kind
+of course are those that explain most, less the logarithm of their number.  Leading eigenfunctions
+of the kernel are columns like those of a fault, so that what the arm's unknowns could explain as
+well is taken off.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals
 from lpv_core.serial_arm.diagnosis.information import Window, factorise, slot, whiten
+from lpv_core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv_core.support.jit import njit
 
 ROUGH_TIME = 0.3
@@ -52,7 +53,7 @@ class Contact(NamedTuple):
     shares, costs : ndarray, shapes (W, K, n, L) and (W, K, n)
         Factors of squared residuals along eigenvectors, and what the freedom of K amplitudes costs.
     smooth, horizon : ndarray, shapes (3, L, M) and (capacity, M')
-        Impulses of smooth torques of variance 1 along eigenfunctions, newest first [s].
+        Courses of unit variance along eigenfunctions, as impulses, newest first [s].
     along : ndarray, shape (L,)
         Scratch.
     """
@@ -202,17 +203,60 @@ def _set_shares(contact: Contact, w: int) -> None:
 
 
 @njit
+def joint_levers(torque: FloatArray, last: int) -> FloatArray:
+    """Largest plausible torque of each joint alone, shape (last, n, n) [N m]."""
+    levers = np.zeros((last, torque.shape[0], torque.shape[0]))
+    for i in range(torque.shape[0]):
+        levers[:, i, i] = torque[i]
+    return levers
+
+
+@njit
+def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) -> FloatArray:
+    """Torques by the largest plausible force on the tip along x, y and z of the base.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+    torque : ndarray, shape (n,)
+        Largest plausible torques [N m].
+    window : Window
+        With the poses.
+    last : int
+        Number of balances.
+
+    Returns
+    -------
+    ndarray, shape (last, 3, n)
+        Newest first [N m].
+    """
+    n = torque.shape[0]
+    levers, jacobian = np.zeros((last, 3, n)), np.zeros((6, n))
+    rotations, origins = np.zeros((n + 1, 3, 3)), np.zeros((n + 1, 3))
+    largest = 1e-9
+    for back in range(last):
+        joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
+        fill_jacobian(rotations, origins, jacobian)
+        levers[back] = jacobian[:3]
+        for i in range(n):
+            for k in range(3):
+                largest = max(largest, abs(jacobian[k, i]) / torque[i])
+    return levers / largest
+
+
+@njit
 def smooth_contact(
-    courses: FloatArray, torque: FloatArray, window: Window, null: Posterior, last: int
+    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
 ) -> float:
-    """Ratio of marginal likelihoods of torques along some courses, in the last balances.
+    """Ratio of marginal likelihoods of smooth torques in the last balances.
 
     Parameters
     ----------
     courses : ndarray, shape (L, M)
-        Impulses, newest first [s].
-    torque : ndarray, shape (n,)
-        Largest plausible torques [N m].
+        Of unit variance, as impulses, newest first [s].
+    levers : ndarray, shape (last, G, n)
+        Torques of what acts independently: one joint each, or a force along one axis each [N m].
     window : Window
         Balances.
     null : Posterior
@@ -223,58 +267,71 @@ def smooth_contact(
     Returns
     -------
     float
-        Its logarithm; 0 where no joint needs a torque.
+        Its logarithm; 0 where none is needed.
     """
     set_residuals(window, null, last)
-    n, modes = torque.shape[0], courses.shape[1]
-    score, information = _contact_columns(courses, window, null, last)
-    amplitude, single = np.zeros(n), np.zeros(n)
-    for i in range(n):
+    groups, modes = levers.shape[1], courses.shape[1]
+    score, information = _contact_columns(courses, levers, window, null, last)
+    amplitude, single = np.zeros(groups), np.zeros(groups)
+    for g in range(groups):
         best = 0.0
         for share in AMPLITUDES:
-            single[i] = share * torque[i]
+            single[g] = share
             gain = _free_torques(score, information, single, modes)
             if gain > best:
-                best, amplitude[i] = gain, single[i]
-        single[i] = 0.0
+                best, amplitude[g] = gain, share
+        single[g] = 0.0
     best = _free_torques(score, information, amplitude, modes)
-    for i in range(n):
-        kept = amplitude[i]
-        amplitude[i] = 0.0
+    for share in AMPLITUDES:
+        single[:] = share
+        gain = _free_torques(score, information, single, modes)
+        if gain > best:
+            best, amplitude[:] = gain, share
+    for g in range(groups):
+        kept = amplitude[g]
+        amplitude[g] = 0.0
         gain = _free_torques(score, information, amplitude, modes)
         if gain > best:
             best = gain
         else:
-            amplitude[i] = kept
+            amplitude[g] = kept
     return best
 
 
 @njit
 def _contact_columns(
-    courses: FloatArray, window: Window, null: Posterior, last: int
+    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Score and information of unit torques, all joints; the arm's unknowns are eliminated."""
-    n, m, modes = null.sigma.shape[0], null.mean.shape[0], courses.shape[1]
-    score, cross = np.zeros(n * modes), np.zeros((n * modes, m))
-    information = np.zeros((n * modes, n * modes))
+    """Score and information of courses of unit size; the arm's unknowns are eliminated."""
+    m, groups, modes = null.mean.shape[0], levers.shape[1], courses.shape[1]
+    size = groups * modes
+    score, cross, information = np.zeros(size), np.zeros((size, m)), np.zeros((size, size))
     for back in range(last):
         at, course = slot(window, back), courses[back]
-        for i in range(n):
-            unknowns, weight = window.rows[at, i, window.rows.shape[2] - m :], window.weights[at, i]
-            for k in range(modes):
-                factor, column = weight * course[k], i * modes + k
-                score[column] -= factor * null.residual[back, i]
-                for a in range(m):
-                    cross[column, a] += factor * unknowns[a]
-                for j in range(modes):
-                    information[column, i * modes + j] += factor * course[j]
+        for g in range(groups):
+            for i in range(levers.shape[2]):
+                if levers[back, g, i] == 0.0:
+                    continue
+                unknowns = window.rows[at, i, window.rows.shape[2] - m :]
+                weight = window.weights[at, i] * levers[back, g, i]
+                for k in range(modes):
+                    column, factor = g * modes + k, weight * course[k]
+                    score[column] -= factor * null.residual[back, i]
+                    own = cross[column]
+                    for a in range(m):
+                        own[a] += factor * unknowns[a]
+                    for h in range(groups):
+                        share = factor * levers[back, h, i]
+                        if share != 0.0:
+                            for j in range(modes):
+                                information[column, h * modes + j] += share * course[j]
     whitened = cross.T.copy()
     whiten(null.factor, whitened)
     for a in range(m):
-        for c in range(n * modes):
-            share = whitened[a, c]
-            for d in range(n * modes):
-                information[c, d] -= share * whitened[a, d]
+        for c in range(size):
+            share, own = whitened[a, c], information[c]
+            for d in range(size):
+                own[d] -= share * whitened[a, d]
     return score, information
 
 
@@ -283,20 +340,20 @@ def _free_torques(
     score: FloatArray, information: FloatArray, amplitude: FloatArray, modes: int
 ) -> float:
     """Logarithm of the ratio of marginal likelihoods for given amplitudes; 0 without any."""
-    joints = np.nonzero(amplitude)[0]
-    size = len(joints) * modes
+    active = np.nonzero(amplitude)[0]
+    size = len(active) * modes
     matrix, right = np.empty((size, size)), np.empty((size, 1))
     for r in range(size):
-        i, row = joints[r // modes], joints[r // modes] * modes + r % modes
-        right[r, 0] = amplitude[i] * score[row]
+        g, row = active[r // modes], active[r // modes] * modes + r % modes
+        right[r, 0] = amplitude[g] * score[row]
         for c in range(size):
-            j = joints[c // modes]
-            entry = information[row, j * modes + c % modes]
-            matrix[r, c] = amplitude[i] * amplitude[j] * entry
+            h = active[c // modes]
+            entry = information[row, h * modes + c % modes]
+            matrix[r, c] = amplitude[g] * amplitude[h] * entry
         matrix[r, r] += 1.0
     factorise(matrix, np.full(size, 1e-3))
     whiten(matrix, right)
-    gain = -SMOOTH_PENALTY * len(joints)
+    gain = -SMOOTH_PENALTY * len(active)
     for r in range(size):
         gain += 0.5 * right[r, 0] * right[r, 0] - np.log(matrix[r, r])
     return gain

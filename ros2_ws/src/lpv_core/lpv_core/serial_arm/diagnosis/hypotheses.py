@@ -15,10 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import EPOCH, OFFSET, RATE
 from lpv_core.serial_arm.diagnosis.contact import (
     Contact,
+    force_levers,
+    joint_levers,
     new_contact,
     rough_contact,
     smooth_contact,
@@ -94,7 +96,7 @@ class Search(NamedTuple):
         LLR, I and size of each hypothesis.
     contact, onset : ndarray, shape (W,)
         LLR of torques from outside: all the time, and only at the onset of a fault.
-    columns : ndarray, shape (m, S)
+    columns, shared : ndarray, shapes (m, S) and (n,)
         Scratch.
     """
 
@@ -107,6 +109,7 @@ class Search(NamedTuple):
     contact: FloatArray
     onset: FloatArray
     columns: FloatArray
+    shared: FloatArray
 
 
 def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
@@ -133,7 +136,7 @@ def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
     return Search(
         np.array(lengths), prior, new_contact(lengths, torque, plan.interval, plan.capacity),
         results[0], results[1], results[2], np.zeros(windows), np.zeros(windows),
-        np.zeros((m, len(KINDS) * n)))  # fmt: skip
+        np.zeros((m, len(KINDS) * n)), np.zeros(n))  # fmt: skip
 
 
 def _lengths(plan: HorizonPlan, seconds: tuple[float, ...]) -> list[int]:
@@ -219,34 +222,104 @@ def _faults(search: Search, window: Window, null: Posterior, begin: float, w: in
             own[i] -= begin * own[offset + i]
         for s in range(count):
             gain[s] -= own[s] * null.mean[a]
+    for i in range(n):
+        search.shared[i] = columns[i, i]
     whiten(null.factor, columns)
     for a in range(m):
         own = columns[a]
         for s in range(count):
             information[s] -= own[s] * own[s]
+        for i in range(n):
+            search.shared[i] -= own[i] * own[offset + i]
     for s in range(count):
         if search.prior[s] == 0.0:
             gain[s] = -np.inf
             continue
         score, variance = gain[s], search.prior[s] * search.prior[s]
-        information[s] = max(information[s], 0.0) + 1.0 / variance
-        search.size[w, s] = score / information[s]
-        gain[s] = 0.5 * (score * score / information[s] - np.log(information[s] * variance))
+        information[s] = max(information[s], 0.0)
+        power = information[s] + 1.0 / variance
+        gain[s] = 0.5 * (score * score / power - np.log(power * variance))
+        search.size[w, s] = score / power
+        if s < n and search.prior[RATE * n + s] == 0.0:
+            _begin_earlier(search, w, s, (score, gain[offset + s]), information[offset + s])
+        information[s] += 1.0 / variance
 
 
 @njit
-def add_smooth_contacts(search: Search, window: Window, null: Posterior) -> None:
+def _begin_earlier(search: Search, w: int, i: int, score: tuple[float, float], slip: float) -> None:
+    """Let the drift of encoder i have begun at any time: an offset at the window's start is free.
+
+    ``slip`` is the information on that offset.  What explains more is kept.
+    """
+    n = search.shared.shape[0]
+    first, second = search.prior[i] ** -2.0, search.prior[OFFSET * n + i] ** -2.0
+    a, b, c = search.information[w, i] + first, search.shared[i], max(slip, 0.0) + second
+    determinant = max(a * c - b * b, first * second)
+    fit = c * score[0] ** 2 - 2.0 * b * score[0] * score[1] + a * score[1] ** 2
+    gain = 0.5 * (fit / determinant - np.log(determinant / (first * second)))
+    if gain > search.gain[w, i]:
+        search.gain[w, i] = gain
+        search.size[w, i] = (c * score[0] - b * score[1]) / determinant
+        search.information[w, i] = determinant / c - first
+
+
+@njit
+def add_smooth_contacts(search: Search, chain: Chain, window: Window, null: Posterior) -> None:
     """Let torques from outside be smooth, too, in all windows that have been evaluated.
 
     As for a fault, what came at the onset is explained by free torques.
     """
-    outside = search.outside
+    outside, longest = search.outside, 0
+    for w in range(search.contact.shape[0]):
+        if search.contact[w] > -np.inf:
+            longest = max(longest, search.lengths[w])
+    joints = joint_levers(outside.torque, longest)
+    force = force_levers(chain, outside.torque, window, longest)
     for w in range(search.contact.shape[0]):
         if search.contact[w] == -np.inf:
             continue
+        last, best = search.lengths[w] - ONSET, 0.0
         for courses in outside.smooth:
-            gain = smooth_contact(courses, outside.torque, window, null, search.lengths[w] - ONSET)
-            search.contact[w] = max(search.contact[w], search.onset[w] + gain)
+            for levers in (joints, force):
+                best = max(best, smooth_contact(courses, levers, window, null, last))
+        search.contact[w] = max(search.contact[w], search.onset[w] + best)
+
+
+def offset_against_contact(search: Search, estimator: OffsetEstimator, joint: int) -> float:
+    """Log-likelihood ratio of an offset of one encoder to torques over the whole horizon.
+
+    Parameters
+    ----------
+    search : Search
+        Of the arm.
+    estimator : OffsetEstimator
+        Its posterior holds the offset.
+    joint : int
+        Of the encoder.
+
+    Returns
+    -------
+    float
+        Positive where the offset explains more; offsets of other encoders are free.
+    """
+    null, window, torque = estimator.posterior, estimator.window, search.outside.torque
+    upper = np.triu(null.factor)
+    column = np.linalg.solve(upper.T @ upper, np.eye(len(null.mean))[joint])
+    variance, offset = column[joint], null.mean[joint]
+    held = upper.T @ upper
+    held[joint, joint] += 1e6 / variance
+    without = null._replace(
+        mean=null.mean - column * offset / variance,
+        factor=np.ascontiguousarray(np.linalg.cholesky(held).T),
+    )
+    gain = 0.5 * (offset**2 / variance - np.log(estimator.prior[joint] ** 2 / variance))
+    last = len(estimator)
+    levers = (
+        joint_levers(torque, last),
+        force_levers(estimator.balance.chain, torque, window, last),
+    )
+    courses = search.outside.horizon
+    return float(gain) - max(smooth_contact(courses, one, window, without, last) for one in levers)
 
 
 def explanations(
@@ -285,7 +358,7 @@ def explanations(
     if best > suspicious:
         evaluate(*state, *times, some, all_of_them)
         if search.gain.max() > suspicious:
-            add_smooth_contacts(search, *state[1:])
+            add_smooth_contacts(search, estimator.balance.chain, *state[1:])
         found = _found(search, estimator)
         conspicuous = np.arange(estimator.joints)
     for i in conspicuous:

@@ -32,8 +32,8 @@ class Window(NamedTuple):
         Sum of A^T W A before each balance; rows of the constant part and of the unknowns.
     squares : ndarray, shape (capacity + 1, h)
         The same of the diagonal, columns of faults.
-    weights : ndarray, shape (capacity, n)
-        W of each balance.
+    weights, poses : ndarray, shape (capacity, n)
+        W of each balance, and positions in its middle [rad].
     past : ndarray, shape (1 + m, 1 + h + m)
         What is remembered of balances that have left; its columns of faults mean nothing.
     counters : ndarray of int64, shape (2,)
@@ -46,6 +46,7 @@ class Window(NamedTuple):
     sums: FloatArray
     squares: FloatArray
     weights: FloatArray
+    poses: FloatArray
     past: FloatArray
     counters: IntArray
 
@@ -56,7 +57,7 @@ def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
-        np.zeros((capacity, joints)), np.zeros((1 + unknowns, size)),
+        np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((1 + unknowns, size)),
         np.zeros(2, np.int64))  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from lpv_core.serial_arm.diagnosis.hypotheses import (
     all_windows,
     explanations,
     new_search,
+    offset_against_contact,
 )
 from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
@@ -44,12 +45,13 @@ BoolArray = npt.NDArray[np.bool_]
 NANOSECONDS = 1_000_000_000
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
-NAMED_AFTER = {'stuck': 0.0, 'drift': 0.6, 'scale': 0.6, 'slip': 1.7}
+NAMED_AFTER = {'stuck': 0.0, 'drift': 0.0, 'scale': 0.6, 'slip': 1.7}
 """Shortest windows that tell a fault from a torque from outside [s]; a slip, which changes the
 torques of gravity only, takes longest."""
-MARGINS = {'stuck': 4.0, 'drift': 6.0, 'scale': 10.0, 'slip': 12.0}
-"""By which a fault's evidence must exceed that of all that is not this sensor's: a slow push looks
-more like a slip or a scale error than like a drift."""
+MARGINS = {'stuck': 4.0, 'drift': 4.0, 'scale': 10.0, 'slip': 12.0}
+"""By which a fault's evidence must exceed that of all that is not this sensor's."""
+CONTACT_MARGIN = 6.0
+"""The same for torques from outside, which are commoner than faults of encoders."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
 RECENT = 1.0
@@ -82,7 +84,7 @@ class MonitorSettings:
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
-    dwell: int = 3  # balances in a row for which a decision must hold
+    dwell: int = 1  # balances in a row for which a decision must hold
     contact_dwell: int = 8  # the same for torques from outside
     level_dwell: int = 20  # the same for the level
     horizon: float = 10.0  # [s]
@@ -415,7 +417,7 @@ class SerialMonitor:
         """
         for i in np.nonzero(self._is_frozen())[0]:
             own = [one for one in found if one.joint == i and one.is_encoder]
-            if own and own[0].gain > 0.0:
+            if own and own[0].gain > MARGINS['stuck']:
                 return own[0]
         contact = max(one.gain for one in found if one.kind == CONTACT)
         encoder = [one for one in found if one.is_encoder]
@@ -427,7 +429,10 @@ class SerialMonitor:
         joint = late[0].joint
         rival = max(one.gain for one in found if one.joint != joint or not one.is_encoder)
         own = [one for one in late if one.joint == joint]
-        return next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
+        excluded = contact + CONTACT_MARGIN
+        return next(
+            (one for one in own if one.gain > max(rival + MARGINS[one.kind], excluded)), None
+        )
 
     def _is_frozen(self) -> BoolArray:
         """Whether a reading stopped dead while it moved."""
@@ -469,5 +474,9 @@ class SerialMonitor:
         beyond &= sigma < self.settings.widest_level
         self._level_held = np.where(beyond, self._level_held + 1, 0)
         for i in np.nonzero(self._level_held >= self.settings.level_dwell)[0]:
-            if self._state[i] is not SensorState.ERROR:
-                self._raise(int(i), 'bias', 0.0, float(offsets[i]), float(sigma[i]))
+            if self._state[i] is SensorState.ERROR:
+                continue
+            if offset_against_contact(self.search, self.estimator, int(i)) < self.settings.margin:
+                self._suspects = (f'{self._sensor(int(i))}:bias', CONTACT)
+                continue
+            self._raise(int(i), 'bias', 0.0, float(offsets[i]), float(sigma[i]))
