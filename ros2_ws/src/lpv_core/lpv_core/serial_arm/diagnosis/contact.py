@@ -52,8 +52,10 @@ class Contact(NamedTuple):
         Of the correlation of rough torques.
     shares, costs : ndarray, shapes (W, K, n, L) and (W, K, n)
         Factors of squared residuals along eigenvectors, and what the freedom of K amplitudes costs.
-    smooth, horizon : ndarray, shapes (3, L, M) and (capacity, M')
+    smooth : tuple of ndarray, shapes (L, M)
         Courses of unit variance along eigenfunctions, as impulses, newest first [s].
+    horizon : ndarray, shape (capacity, M')
+        The same, for all of the horizon.
     along : ndarray, shape (L,)
         Scratch.
     """
@@ -66,7 +68,7 @@ class Contact(NamedTuple):
     vectors: FloatArray
     shares: FloatArray
     costs: FloatArray
-    smooth: FloatArray
+    smooth: tuple[FloatArray, FloatArray, FloatArray]
     horizon: FloatArray
     along: FloatArray
 
@@ -95,7 +97,7 @@ def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacit
     for w, length in enumerate(lengths):
         distance = _distances(length, interval) / ROUGH_TIME
         values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(np.exp(-distance))
-    smooth = np.array([_courses(longest, interval, one, _MODES) for one in SMOOTH_TIMES])
+    smooth = tuple(_courses(longest, interval, one, _MODES) for one in SMOOTH_TIMES)
     shares = len(AMPLITUDES)
     return Contact(
         np.array(lengths), torque, np.zeros(n), np.zeros(count, np.int64),
@@ -110,13 +112,11 @@ def _distances(count: int, interval: float) -> FloatArray:
 
 
 def _courses(count: int, interval: float, time: float, modes: int) -> FloatArray:
-    """Leading eigenfunctions of a Gaussian kernel; those that are negligible are zero."""
+    """Leading eigenfunctions of a Gaussian kernel that are not negligible."""
     kernel = np.exp(-0.5 * (_distances(count, interval) / time) ** 2)
     values, vectors = (part[..., ::-1][..., :modes] for part in np.linalg.eigh(kernel))
-    kept = np.where(values > _NEGLIGIBLE * values[0], values, 0.0)
-    courses = np.zeros((count, modes))
-    courses[:, : len(kept)] = interval * vectors * np.sqrt(kept)
-    return courses
+    kept = values > _NEGLIGIBLE * values[0]
+    return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
 
 
 @njit

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
+from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import EPOCH, OFFSET, RATE
 from lpv_core.serial_arm.diagnosis.contact import (
     Contact,
@@ -263,26 +263,46 @@ def _begin_earlier(search: Search, w: int, i: int, score: tuple[float, float], s
         search.information[w, i] = determinant / c - first
 
 
-@njit
-def add_smooth_contacts(search: Search, chain: Chain, window: Window, null: Posterior) -> None:
-    """Let torques from outside be smooth, too, in all windows that have been evaluated.
+def excludes_contact(
+    search: Search, estimator: OffsetEstimator, fault: Explanation, margin: float
+) -> bool:
+    """Whether a fault explains more than smooth torques from outside do, in any window.
 
     As for a fault, what came at the onset is explained by free torques.
+
+    Parameters
+    ----------
+    search : Search
+        All windows have been evaluated.
+    estimator : OffsetEstimator
+        Its posterior is the null hypothesis.
+    fault : Explanation
+        What is to be named.
+    margin : float
+        By which it must explain more.
+
+    Returns
+    -------
+    bool
+        False as soon as one course of torques explains too much.
     """
-    outside, longest = search.outside, 0
-    for w in range(search.contact.shape[0]):
-        if search.contact[w] > -np.inf:
-            longest = max(longest, search.lengths[w])
-    joints = joint_levers(outside.torque, longest)
-    force = force_levers(chain, outside.torque, window, longest)
-    for w in range(search.contact.shape[0]):
-        if search.contact[w] == -np.inf:
-            continue
-        last, best = search.lengths[w] - ONSET, 0.0
-        for courses in outside.smooth:
-            for levers in (joints, force):
-                best = max(best, smooth_contact(courses, levers, window, null, last))
-        search.contact[w] = max(search.contact[w], search.onset[w] + best)
+    null, window, outside = estimator.posterior, estimator.window, search.outside
+    windows = np.nonzero(search.contact > -np.inf)[0]
+    begins = np.array([estimator.times(int(search.lengths[w]))[0] for w in windows])
+    for w in windows[np.argsort(np.abs(begins - fault.begin))]:
+        last = int(search.lengths[w]) - ONSET
+        for levers in _levers(search, estimator, last):
+            for courses in outside.smooth:
+                gain = search.onset[w] + smooth_contact(courses, levers, window, null, last)
+                if gain > fault.gain - margin:
+                    return False
+    return True
+
+
+def _levers(search: Search, estimator: OffsetEstimator, last: int) -> tuple[FloatArray, FloatArray]:
+    """Of torques on single joints, and of a force on the tip."""
+    torque, chain = search.outside.torque, estimator.balance.chain
+    return joint_levers(torque, last), force_levers(chain, torque, estimator.window, last)
 
 
 def offset_against_contact(search: Search, estimator: OffsetEstimator, joint: int) -> float:
@@ -302,7 +322,7 @@ def offset_against_contact(search: Search, estimator: OffsetEstimator, joint: in
     float
         Positive where the offset explains more; offsets of other encoders are free.
     """
-    null, window, torque = estimator.posterior, estimator.window, search.outside.torque
+    null, window = estimator.posterior, estimator.window
     upper = np.triu(null.factor)
     column = np.linalg.solve(upper.T @ upper, np.eye(len(null.mean))[joint])
     variance, offset = column[joint], null.mean[joint]
@@ -313,13 +333,11 @@ def offset_against_contact(search: Search, estimator: OffsetEstimator, joint: in
         factor=np.ascontiguousarray(np.linalg.cholesky(held).T),
     )
     gain = 0.5 * (offset**2 / variance - np.log(estimator.prior[joint] ** 2 / variance))
-    last = len(estimator)
-    levers = (
-        joint_levers(torque, last),
-        force_levers(estimator.balance.chain, torque, window, last),
+    last, courses = len(estimator), search.outside.horizon
+    return float(gain) - max(
+        smooth_contact(courses, levers, window, without, last)
+        for levers in _levers(search, estimator, last)
     )
-    courses = search.outside.horizon
-    return float(gain) - max(smooth_contact(courses, one, window, without, last) for one in levers)
 
 
 def explanations(
@@ -357,8 +375,6 @@ def explanations(
     found: list[Explanation] = []
     if best > suspicious:
         evaluate(*state, *times, some, all_of_them)
-        if search.gain.max() > suspicious:
-            add_smooth_contacts(search, estimator.balance.chain, *state[1:])
         found = _found(search, estimator)
         conspicuous = np.arange(estimator.joints)
     for i in conspicuous:

@@ -22,6 +22,7 @@ from lpv_core.serial_arm.diagnosis.hypotheses import (
     CONTACT,
     Explanation,
     all_windows,
+    excludes_contact,
     explanations,
     new_search,
     offset_against_contact,
@@ -54,10 +55,6 @@ CONTACT_MARGIN = 6.0
 """The same for torques from outside, which are commoner than faults of encoders."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
-RECENT = 1.0
-"""After a jump so long ago a reading is suspected first [s]."""
-RARE = 0.3
-"""Share of repeated readings below which a reading that rests is frozen."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -168,7 +165,6 @@ class SerialMonitor:
         self._state = [SensorState.OK] * n
         self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.contact_dwell)
         self._level_held = np.zeros(n, int)
-        self._jumped = np.full(n, -np.inf)
         self._moving: MovingFault | None = None
         self._suspects: tuple[str, ...] = ()
         self._last_time = -np.inf
@@ -320,7 +316,6 @@ class SerialMonitor:
             if self.sampler.found[i] == STEP:
                 sigma = float(self.sampler.scale[i])
                 self._raise(i, 'bias', now, float(self.sampler.size[i]), sigma)
-                self._jumped[i] = now
             elif self.sampler.found[i] == SPIKE:
                 self.alarms.append(SerialAlarm(self._sensor(i), 'spike', now, now, 0.0, 0.0, ()))
             self.sampler.found[i] = 0
@@ -411,9 +406,9 @@ class SerialMonitor:
     def _verdict(self, found: list[Explanation]) -> Explanation | None:
         """The explanation that is beyond doubt for now, if there is one.
 
-        A reading that froze or jumped is evidence of its own, and what the linear columns say of
-        it is rough; else a torque from outside, which may have any course, is excluded only by an
-        encoder's fault that explains clearly more, over a second or longer.
+        A reading that froze is evidence of its own.  Else an encoder is named only where its fault
+        explains clearly more than faults of other sensors, and than torques from outside of any
+        course do; those that are smooth are evaluated only here, for they cost most.
         """
         for i in np.nonzero(self._is_frozen())[0]:
             own = [one for one in found if one.joint == i and one.is_encoder]
@@ -428,11 +423,12 @@ class SerialMonitor:
             return None
         joint = late[0].joint
         rival = max(one.gain for one in found if one.joint != joint or not one.is_encoder)
-        own = [one for one in late if one.joint == joint]
-        excluded = contact + CONTACT_MARGIN
-        return next(
-            (one for one in own if one.gain > max(rival + MARGINS[one.kind], excluded)), None
-        )
+        own = [one for one in late if one.joint == joint and one.gain > contact + CONTACT_MARGIN]
+        best = next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
+        if best and not excludes_contact(self.search, self.estimator, best, CONTACT_MARGIN):
+            self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
+            return None
+        return best
 
     def _is_frozen(self) -> BoolArray:
         """Whether a reading stopped dead while it moved."""
