@@ -13,7 +13,7 @@ from lpv_campaign.plan.campaign import resolve  # noqa: E402
 from lpv_core.certificate.gains import save_gains  # noqa: E402
 from lpv_core.decision.diagnosis import AlarmEvent  # noqa: E402
 
-pytestmark = [pytest.mark.ros, pytest.mark.lockstep]
+pytestmark = pytest.mark.ros
 
 SPEC = {
     'name': 'graph',

@@ -92,7 +92,6 @@ def demo(tmp_path_factory):
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_the_demo_when_run_then_its_own_table_beats_the_papers(demo):
     _, text = demo
     values = {
@@ -107,7 +106,6 @@ def test_given_the_demo_when_run_then_its_own_table_beats_the_papers(demo):
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_the_demo_when_its_bag_is_evaluated_anew_then_the_table_is_true(demo):
     out, text = demo
     record, joints = load_run(out / 'bag'), JointMap(load_arm(BRINGUP / 'arms' / 'paper.yaml'))
@@ -125,7 +123,6 @@ def test_given_the_demo_when_its_bag_is_evaluated_anew_then_the_table_is_true(de
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_the_demo_when_recorded_then_every_sample_is_there_and_the_alarms_are_right(demo):
     out, _ = demo
     record = load_run(out / 'bag')
@@ -147,7 +144,6 @@ def test_given_the_demo_when_recorded_then_every_sample_is_there_and_the_alarms_
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_the_demo_when_over_then_report_and_pictures_are_there(demo):
     out, text = demo
     html = (out / 'report' / 'report.html').read_text()
@@ -170,7 +166,6 @@ def test_given_the_demo_when_over_then_report_and_pictures_are_there(demo):
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_the_demo_when_its_gains_are_read_then_they_are_a_ros_parameter_file(demo):
     out, _ = demo
     data = yaml.safe_load((out / 'gains.yaml').read_text())
@@ -179,7 +174,6 @@ def test_given_the_demo_when_its_gains_are_read_then_they_are_a_ros_parameter_fi
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_the_demo_when_replayed_offline_then_every_answer_is_that_of_the_node(demo, tmp_path):
     out, _ = demo
     result = lpv(
@@ -200,7 +194,6 @@ def test_given_the_demo_when_replayed_offline_then_every_answer_is_that_of_the_n
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_one_seed_when_run_twice_then_the_bags_are_identical_and_with_another_they_are_not(
     tmp_path,
 ):
@@ -223,7 +216,6 @@ def test_given_one_seed_when_run_twice_then_the_bags_are_identical_and_with_anot
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_the_papers_own_design_when_run_on_its_own_plant_then_it_works_there(tmp_path):
     pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
     result = lpv(
@@ -237,7 +229,6 @@ def test_given_the_papers_own_design_when_run_on_its_own_plant_then_it_works_the
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 def test_given_a_scenario_out_of_reach_when_run_then_the_demo_says_so(tmp_path):
     scenario = tmp_path / 'far.yaml'
     scenario.write_text(SHORT.replace('y: 1.5893', 'y: 2.5893'))
@@ -308,7 +299,6 @@ def test_given_a_set_up_that_is_done_when_set_up_again_then_nothing_is_done():
 
 
 @pytest.mark.ros
-@pytest.mark.lockstep
 @pytest.mark.parametrize('number', [SIGINT, SIGTERM, SIGHUP])
 def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(tmp_path, number):
     pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')

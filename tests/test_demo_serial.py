@@ -15,7 +15,7 @@ from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.serial_closed_loop import run_serial_loop
 
-pytestmark = [pytest.mark.ros, pytest.mark.lockstep]
+pytestmark = pytest.mark.ros
 
 SHORT = (
     (BRINGUP / 'scenarios' / 'ur10.yaml')

@@ -38,7 +38,7 @@ from lpv_msgs.msg import (  # noqa: E402
 )
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 
-pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.fuzz]
 
 SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '3'))
 SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))

@@ -67,6 +67,7 @@ def start(running, names, gains_file, scenario, *parameters):
         running.start(name, ros.command(name, *own, *parameters, files=files))
 
 
+@pytest.mark.realtime
 def test_given_a_running_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_in_bag(
     tmp_path, gains_file, calm
 ):

@@ -221,6 +221,7 @@ def assert_no_leap(rig):
     assert max(np.abs(m.velocity).max() for m in rig.heard['reference']) < 0.6
 
 
+@pytest.mark.realtime
 def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_on_with_the_new_one(
     tmp_path, files
 ):
@@ -277,6 +278,7 @@ def assert_moves_as_an_arm_does(rig):
     np.testing.assert_allclose(np.diff(position, axis=0)[driven], way[driven], atol=0.02)
 
 
+@pytest.mark.realtime
 def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_a_leap(
     tmp_path, files
 ):

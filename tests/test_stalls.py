@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
 from test_restart import files, rig_on  # noqa: E402, F401
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 DEFAULTS = {
     name: tuple(f'{limit}:=0.0' for limit in limits)

@@ -20,6 +20,7 @@ from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
 from lpv_design.detectability import undetectable_point
 from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
+from lpv_design.motion import certify_motion
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
 from lpv_design.requirement import PaperRequirement, Requirement
 from lpv_design.solve import SOLVER, InfeasibleError
@@ -342,6 +343,7 @@ def _tracking(
             f'{arm.sample_time:g} s exceeds {_FASTEST_SAMPLED}'
         )
     p = np.linalg.inv(q)
+    motion = certify_motion(arm, loop, m, wanted.alpha) if method == 'exact' else None
     return ControllerGains(
-        method, m[:, :4], m[:, 4:], 0.5 * (p + p.T), wanted.alpha, sinc_min
+        method, m[:, :4], m[:, 4:], 0.5 * (p + p.T), wanted.alpha, sinc_min, motion
     ), status

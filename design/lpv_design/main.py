@@ -6,9 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lpv_core.certificate.exact_proof import prove
-from lpv_core.certificate.gains import Gains, save_gains
-from lpv_core.model.arm import ArmParameters, load_arm
-from lpv_core.support.errors import LpvError
+from lpv_core.certificate.gains import save_gains
+from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.support.errors import ConfigError, LpvError
 from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import NotDetectableError, design
 from lpv_design.guarantee import Guarantee
@@ -16,6 +18,11 @@ from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
 
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
+_SERIAL_HELP = {
+    'bandwidth': 'distance of the three poles of every joint from zero [rad/s]; default 10',
+    'model_error': "relative error of each link's mass and inertia; default 0.05",
+    'rate_share': 'region: share of all velocity limits at once; without, as large as possible',
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--arm',
         required=True,
         metavar='ARM',
-        help='arm file, or name of a shipped arm (paper, real_arm)',
+        help='arm file, or name of a shipped arm (paper, real_arm, ur10, panda)',
     )
     parser.add_argument(
         '--requirement',
@@ -32,6 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='requirement file, or name of a shipped one (paper, paper_literal, '
         "real_arm); without, the one with the arm's name",
     )
+    serial = parser.add_argument_group('serial arms of n joints (docs/serial-arm.md)')
+    for name, value in (('bandwidth', 10.0), ('model_error', 0.05), ('rate_share', 0.0)):
+        serial.add_argument(
+            f'--{name.replace("_", "-")}', type=float, default=value, help=_SERIAL_HELP[name]
+        )
     parser.add_argument(
         '--proof',
         action='store_true',
@@ -47,7 +59,11 @@ def run(
 ) -> int:
     """Design, report, write; ``draw`` makes a picture of what is guaranteed."""
     try:
-        arm = load_arm(bringup_file('arms', arguments.arm))
+        arm = load_any_arm(bringup_file('arms', arguments.arm))
+        if isinstance(arm, SerialArm):
+            if draw is not None:
+                raise ConfigError('--map', 'is for two-link arms')
+            return _certify_serial(arm, arguments)
         requirement = load_requirement(arguments.requirement or arm.name)
         result = design(arm, requirement)
     except NotDetectableError as error:
@@ -56,7 +72,7 @@ def run(
     except InfeasibleError as error:
         print(f'lpv design: infeasible: {error}', file=sys.stderr)
         return EXIT_INFEASIBLE
-    except LpvError as error:
+    except (LpvError, OSError) as error:
         print(f'lpv design: {error}', file=sys.stderr)
         return EXIT_BAD_INPUT
     comment = '\n'.join(
@@ -72,7 +88,7 @@ def run(
         print(f'lpv design: cannot write {arguments.out}: {error}', file=sys.stderr)
         return EXIT_BAD_INPUT
     print('\n'.join(result.lines))
-    if arguments.proof and not _prove(arm, result.gains):
+    if arguments.proof and not _print_proof(prove(arm, result.gains)):
         return EXIT_INFEASIBLE
     if draw is not None:
         draw(result.guarantee, arm)
@@ -80,8 +96,27 @@ def run(
     return 0
 
 
-def _prove(arm: ArmParameters, gains: Gains) -> bool:
-    results = prove(arm, gains)
+def _certify_serial(arm: SerialArm, arguments: argparse.Namespace) -> int:
+    """Certificate of a serial arm's computed-torque loop."""
+    # Only here: two-link arms need nothing of it.
+    from lpv_core.serial_arm.certificate.exact_proof import prove_loop
+    from lpv_core.serial_arm.certificate.loop_gains import save_loop_gains
+    from lpv_design.serial_loop import LoopRequest, certify_loop
+
+    if arguments.requirement:
+        raise ConfigError('--requirement', 'is for two-link arms; see lpv design --help')
+    request = LoopRequest(arguments.bandwidth, arguments.model_error, arguments.rate_share)
+    found = certify_loop(arm, request)
+    comment = [f'Tracking of arm {arm.name!r} and its certificate, written by lpv design.']
+    save_loop_gains(found.gains, arguments.out, '\n'.join([*comment, *found.lines]))
+    print('\n'.join(found.lines))
+    if arguments.proof and not _print_proof(prove_loop(arm, found.gains)):
+        return EXIT_INFEASIBLE
+    print(f'gains written to {arguments.out}')
+    return 0
+
+
+def _print_proof(results: dict[str, bool]) -> bool:
     for name, holds in results.items():
         print(f'{"proved" if holds else "REFUTED"}: {name}')
     return all(results.values())

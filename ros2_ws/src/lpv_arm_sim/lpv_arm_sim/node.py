@@ -34,63 +34,51 @@ from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, declare_gains, read_gains_if_set, required_text
+from lpv_node.parameters import declare_gains, fixed, read_gains_if_set, required_text
 from lpv_node.qos import stream
 from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
 SPECS = (
-    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
-    Spec('scenario_file', '', 'scenario file (YAML)', read_only=True),
-    Spec(
-        'seed',
-        -1,
-        "seed of noise and disturbance; -1 takes the scenario's",
-        -1,
-        2**31 - 1,
-        read_only=True,
-    ),
-    Spec('substeps', 2, 'Runge-Kutta steps per sample', 1, 100, read_only=True),
-    Spec(
+    fixed('arm_file', '', 'arm file (YAML)'),
+    fixed('scenario_file', '', 'scenario file (YAML)'),
+    fixed('seed', -1, "seed of noise and disturbance; -1 takes the scenario's", -1, 2**31 - 1),
+    fixed('substeps', 2, 'Runge-Kutta steps per sample', 1, 100),
+    fixed(
         'shutdown_at_end',
         False,
         "exit with code 0 after the scenario's duration; otherwise "
         'the arm goes on at the end of its path',
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'command_timeout',
         0.0,
         'real time only: brake when the measurement that was answered last is this old [s]; '
         + FROM_GAINS,
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'max_mean_latency',
         0.0,
         f'real time only: brake when commands are this old on average over 0.1 s [s]; {FROM_GAINS}',
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'bandwidth',
         BANDWIDTH,
         'serial arms only: that of the tracker, which limits of latency follow from [rad/s]',
         0.1,
         100.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'start_time',
         1.0,
         'lockstep only: stamp of the first sample [s]; zero means "not set" in ROS',
         0.001,
         1e9,
-        read_only=True,
     ),
 )
 

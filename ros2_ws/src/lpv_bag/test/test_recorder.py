@@ -86,6 +86,7 @@ def session(tmp_path):
         yield start
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize('preset', ['none', 'zstd_small'])
 def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost(
     session, tmp_path, preset

@@ -35,7 +35,7 @@ from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 TYPESTORE = make_typestore()

@@ -21,7 +21,7 @@ MANY = {
     'name': 'many',
     'seed': 9,
     'duration': 2.0,
-    'plan': {'method': 'random', 'runs': 400},
+    'plan': {'method': 'random', 'runs': 160},
     'factors': {
         'fault.kind': ['none', 'bias', 'drift', 'noise'],
         'fault.size': 0.3,
@@ -101,15 +101,15 @@ def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_differen
     workers = [cluster.worker('one'), cluster.worker('two')]
     campaign = resolve(MANY, 'many', '.')
     rows, killed = [], False
-    for part in execute(campaign, range(400), scheduler=cluster.address, chunk=5):
+    for part in execute(campaign, range(160), scheduler=cluster.address, chunk=5):
         rows += part
         if not killed and len(rows) >= 40:
             os.killpg(workers[0].pid, signal.SIGKILL)
             killed = True
     assert killed and workers[0].wait() == -signal.SIGKILL
     rows.sort(key=lambda row: row['number'])
-    assert [row['number'] for row in rows] == list(range(400))
-    assert repr(rows) == repr([run_one(campaign, number) for number in range(400)])
+    assert [row['number'] for row in rows] == list(range(160))
+    assert repr(rows) == repr([run_one(campaign, number) for number in range(160)])
     # The other one did what the dead one had in hand, and is there for the next command.
     file, out = tmp_path / 'few.yaml', tmp_path / 'out'
     few = {**MANY, 'plan': {'method': 'random', 'runs': 30}}
@@ -145,14 +145,14 @@ def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_w
         cluster.address,
         '--no-report',
     ]
-    found = execute(resolve(MANY, 'many', '.'), range(400), scheduler=cluster.address, chunk=5)
+    found = execute(resolve(MANY, 'many', '.'), range(160), scheduler=cluster.address, chunk=5)
     next(found)
     os.killpg(worker.pid, signal.SIGKILL)
     with pytest.raises(WorkerError, match='no worker has been left'):
         list(found)
     cluster.worker('two')
     assert main(command) == 0
-    assert pq.read_table(out / 'runs.parquet').num_rows == 400
+    assert pq.read_table(out / 'runs.parquet').num_rows == 160
 
 
 def test_given_a_scheduler_without_workers_when_run_then_one_line_says_so(cluster):

@@ -122,8 +122,17 @@ def test_given_a_serial_arm_when_checked_then_it_needs_no_gains_and_refuses_some
     arm, findings = check_files(str(crane_file(tmp_path)), None, None)
     assert arm.joint_names == ('joint1', 'joint2', 'joint3') and found(findings) == []
     assert 'bounds are statistical' in findings[-1].text
-    refused = check_gains('paper', arm)
-    assert refused.level == Level.ERROR and 'leave the gains file out' in refused.text
+    refused = check_gains(str(BRINGUP / 'gains' / 'paper.yaml'), arm)
+    assert refused.level == Level.ERROR and 'for another kind' in refused.text
+
+
+def test_given_gains_of_serial_arms_when_checked_then_the_certificate_of_the_loop_is(tmp_path):
+    arm, _ = check_files(str(BRINGUP / 'arms' / 'ur10.yaml'), None, None)
+    assert check_gains(str(BRINGUP / 'gains' / 'ur10.yaml'), arm).level == Level.OK
+    other = check_gains(str(BRINGUP / 'gains' / 'panda.yaml'), arm)
+    assert other.level == Level.ERROR and 'for another arm' in other.text
+    (tmp_path / 'gains.yaml').write_text('/**: {ros__parameters: {bandwidth: 10.0}}\n')
+    assert 'no certificate' in check_gains(str(tmp_path / 'gains.yaml'), arm).text
 
 
 def test_given_a_serial_arm_when_its_driver_sends_no_rates_then_they_are_not_asked_for():

@@ -255,6 +255,7 @@ def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path
     assert (tmp_path / 'map.png').exists()
 
 
+@pytest.mark.slow
 def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_file(tmp_path, capsys):
     box = tmp_path / 'published.yaml'
     box.write_text(

@@ -30,6 +30,8 @@ from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.records import new_record
 
+pytestmark = pytest.mark.slow
+
 TS = 2_000_000
 
 

@@ -245,6 +245,7 @@ def test_given_a_held_link_when_time_passes_then_the_bound_only_grows(diagnoser)
     assert np.all(np.diff(bounds[1:]) > 0.0)
 
 
+@pytest.mark.slow
 def test_given_a_held_link_when_much_time_passes_then_the_bound_never_settles(diagnoser):
     bounds = [diagnoser.update(estimate_at(k, held=(True, False))).bound[0] for k in range(15000)]
     early, late = bounds[5000] - bounds[1], bounds[-1] - bounds[10000]
@@ -380,6 +381,7 @@ def test_given_a_clock_that_jumps_by_years_when_bounded_then_it_takes_no_longer_
     assert np.all(np.isfinite(bounds[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', range(6))
 def test_given_a_wrong_arm_within_its_file_when_it_moves_then_errors_stay_in_the_set(
     arm, gains_of, seed
@@ -420,6 +422,7 @@ def test_given_a_wrong_arm_within_its_file_when_it_moves_then_errors_stay_in_the
         state = rk4_step(*state, *torque, *push, dt, true)
 
 
+@pytest.mark.slow
 def test_given_rest_near_the_edge_for_minutes_when_back_upright_then_the_bound_comes_back(
     paper_arm, paper_gains
 ):
@@ -445,6 +448,7 @@ def test_given_rest_near_the_edge_for_minutes_when_back_upright_then_the_bound_c
 # ------------------------------------------------------------------ a bias that no one can see
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('lean', [0.0, 0.6, -1.0])
 def test_given_a_constant_disturbance_at_rest_when_observed_then_it_looks_like_the_floors_bias(
     paper_arm, paper_gains, lean

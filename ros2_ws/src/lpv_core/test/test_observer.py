@@ -404,6 +404,7 @@ PAIR = st.tuples(ANY, ANY)
 STEP = st.one_of(st.just(TS), st.integers(-2 * NANOSECONDS, 2 * NANOSECONDS))
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(st.lists(st.tuples(STEP, PAIR, PAIR, PAIR), min_size=1, max_size=25))
 def test_given_any_sequence_of_floats_when_observed_then_no_estimate_is_ever_not_finite(

@@ -88,6 +88,7 @@ class Moving:
         return np.array(errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('scale', [0.3, -0.25])
 def test_given_a_scale_error_when_the_arm_moves_then_the_angle_does_not_go_astray_with_the_rates(

@@ -21,7 +21,7 @@ from lpv_core.support.errors import LpvError
 from lpv_node.arguments import initialise
 from lpv_node.discovery import announce_often
 from lpv_node.parameter_service import CheckedParameterService
-from lpv_node.parameters import Spec, declare
+from lpv_node.parameters import Spec, declare, fixed
 from lpv_node.signals import StopRequest
 
 VIEWER = 'view'
@@ -30,26 +30,15 @@ _LONGEST_DRAIN = 10.0
 """Longest time that stopping may take [s]."""
 
 COMMON = (
-    Spec(
-        'autostart',
-        True,
-        'configure and activate at start, without a lifecycle manager',
-        read_only=True,
-    ),
-    Spec(
-        'lockstep',
-        False,
-        'reliable topics with deep queues: every step waits for its answer',
-        read_only=True,
-    ),
-    Spec(
+    fixed('autostart', True, 'configure and activate at start, without a lifecycle manager'),
+    fixed('lockstep', False, 'reliable topics with deep queues: every step waits for its answer'),
+    fixed(
         'await_recorders',
         0,
         'wait until each output has this many recorders before taking part: '
         'recordings are then complete from the first sample',
         0,
         100,
-        read_only=True,
     ),
 )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -17,6 +18,10 @@ from rclpy.parameter import Parameter
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import Gains, parse_gains
 from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.certificate.conditions import require_loop
+from lpv_core.serial_arm.certificate.loop_gains import LoopGains, parse_loop
+from lpv_core.serial_arm.certificate.model_bounds import BOUNDS
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
 
 _ARRAY, _DOUBLE, _STRING, _INTEGER = (
@@ -54,6 +59,10 @@ class Spec:
         else:
             result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high))]
         return result
+
+
+fixed = partial(Spec, read_only=True)
+"""Declaration of a parameter that is fixed once the node runs."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,16 @@ GAIN_FIELDS = {
     'controller.sinc_min': GainField(_DOUBLE, 'lower end of the box [1]', -1.0, 1.0),
 }
 """Parameters below ``gains.`` that every gains file sets; see lpv_core.certificate.gains."""
+MOTION_FIELDS = {
+    'controller.motion.lyapunov': GainField(
+        _ARRAY, 'Lyapunov matrix of the sampled loop in motion'
+    ),
+    'controller.motion.rate': GainField(
+        _DOUBLE, 'fastest link that it holds for [rad/s]', 0.0, 1e6
+    ),
+    'controller.motion.decay': GainField(_DOUBLE, 'certified decay rate of it [1/s]', 0.0, 1e6),
+}
+"""Parameters below ``gains.`` of files whose certificate covers the sampled loop in motion."""
 METHOD_FIELDS = {
     'exact': {
         'kappa': GainField(_ARRAY, 'kappa of both links [1/(kg m2)]'),
@@ -113,6 +132,33 @@ METHOD_FIELDS = {
     },
 }
 """Parameters below ``gains.observer.`` of each method."""
+LOOP_FIELDS = {
+    'format': FORMAT_FIELD,
+    'arm_name': GainField(_STRING, 'arm that the certificate is for'),
+    'arm_sha256': GainField(_STRING, 'hash of its parameters'),
+    'checksum': GainField(_STRING, 'hash of the numbers as they were designed'),
+    'model_error': GainField(_DOUBLE, "relative error of each link's inertia [1]", 0.0, 0.5),
+    'rate_share': GainField(_DOUBLE, 'region: share of the velocity limits [1]', 0.0, 1.0),
+    'model.payload': GainField(_DOUBLE, 'largest payload over M(q) [1]', 0.0, 1e6),
+    'model.damping': GainField(_DOUBLE, 'viscous friction over M(q) [1/s]', 0.0, 1e9),
+    'model.growth': GainField(_DOUBLE, 'growth of M(q) at the velocity limits [1/s]', 0.0, 1e9),
+    'model.inertia': GainField(_ARRAY, 'diagonal matrix below M(q) [kg m2]'),
+    **{f'model.forms.{bound}': GainField(_ARRAY, f'proof of {bound}') for bound in BOUNDS},
+    **{
+        f'{part}.{name}': field
+        for part in ('motion', 'sampled', 'error')
+        for name, field in (
+            ('decay', GainField(_DOUBLE, 'certified decay rate [1/s]', 0.0, 1e6)),
+            ('lyapunov', GainField(_ARRAY, 'Lyapunov matrix, row by row')),
+            ('multipliers', GainField(_ARRAY, 'of the sectors')),
+        )
+    },
+    'error.rate_share': GainField(_DOUBLE, 'share of the velocity limits [1]', 0.0, 1.0),
+    'error.acceleration': GainField(_DOUBLE, 'of the path [rad/s2]', 0.0, 1e6),
+    'error.level': GainField(_DOUBLE, 'level that V ends below [1]', 0.0, 1e12),
+    'error.bound': GainField(_ARRAY, 'bound of the tracking error [rad]'),
+}
+"""Parameters below ``loop.`` of a serial arm's file; see lpv_core.serial_arm.certificate."""
 
 
 def declare(node: Node, specs: Iterable[Spec]) -> None:
@@ -159,12 +205,21 @@ def declare_gains(node: Node) -> frozenset[str]:
     They get a value all the same: one parameter without a value would make a request for all of a
     node's parameters return nothing.
     """
-    unset = set()
-    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS}
+    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS, **MOTION_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update({f'observer.{name}': field for name, field in of_method.items()})
+    return _declare_fields(node, 'gains', fields)
+
+
+def declare_loop(node: Node) -> frozenset[str]:
+    """As `declare_gains`, for the certificate of a serial arm's loop."""
+    return _declare_fields(node, 'loop', LOOP_FIELDS)
+
+
+def _declare_fields(node: Node, prefix: str, fields: dict[str, GainField]) -> frozenset[str]:
+    unset = set()
     for name, field in fields.items():
-        full, descriptor = f'gains.{name}', field.descriptor()
+        full, descriptor = f'{prefix}.{name}', field.descriptor()
         descriptor.read_only = False  # as yet, or it could not be declared again
         given: Parameter = node.declare_parameter(full, field.kind, descriptor)
         node.undeclare_parameter(full)
@@ -182,16 +237,10 @@ def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
     Raises ConfigError if no gains file was given, it is not valid, of another arm, or its
     certificate does not hold.
     """
-    nested: dict[str, Any] = {}
-    method = _gain(node, 'observer.method', unset)
+    method = _gain(node, 'gains.observer.method', unset)
     own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
-    for name in ('format', *GAIN_FIELDS, *own):
-        value = _gain(node, name, unset)
-        *parents, leaf = name.split('.')
-        level = nested
-        for parent in parents:
-            level = level.setdefault(parent, {})
-        level[leaf] = list(value) if not isinstance(value, (str, int, float)) else value
+    motion = [name for name in MOTION_FIELDS if name not in unset]
+    nested = _nested(node, 'gains', ('format', *GAIN_FIELDS, *own, *motion), unset)
     gains = parse_gains(nested, node.get_name())
     require(arm, gains, node.get_name())
     return gains
@@ -202,11 +251,41 @@ def read_gains_if_set(node: Node, arm: ArmParameters, unset: frozenset[str]) -> 
     return None if 'observer.method' in unset else read_gains(node, arm, unset)
 
 
+def read_loop_if_set(
+    node: Node, arm: SerialArm, bandwidth: float, unset: frozenset[str]
+) -> LoopGains | None:
+    """Certificate of a serial arm's loop from parameters, verified; None if no file has one.
+
+    ``unset`` is what `declare_loop` returned.
+
+    Raises ConfigError if it is not valid, of another arm or bandwidth, or does not hold.
+    """
+    if unset == frozenset(LOOP_FIELDS):
+        return None
+    nested = _nested(node, 'loop', tuple(LOOP_FIELDS), unset)
+    gains = parse_loop({**nested, 'bandwidth': bandwidth}, node.get_name())
+    require_loop(arm, gains, node.get_name())
+    return gains
+
+
+def _nested(node: Node, prefix: str, names: Iterable[str], unset: frozenset[str]) -> dict[str, Any]:
+    """Values of parameters as the nested mapping that their names spell."""
+    nested: dict[str, Any] = {}
+    for name in names:
+        value = _gain(node, f'{prefix}.{name}', unset)
+        *parents, leaf = name.split('.')
+        level = nested
+        for parent in parents:
+            level = level.setdefault(parent, {})
+        level[leaf] = list(value) if not isinstance(value, (str, int, float)) else value
+    return nested
+
+
 def _gain(node: Node, name: str, unset: frozenset[str]) -> Any:
-    if name in unset:
+    if name.partition('.')[2] in unset:
         raise ConfigError(
-            f'gains.{name}',
+            name,
             'is not set: start the node with --params-file GAINS.yaml as written by lpv design',
             node.get_name(),
         )
-    return node.get_parameter(f'gains.{name}').value
+    return node.get_parameter(name).value

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from lpv_bag.run.node_reports import NodeReport
 from lpv_bag.run.streams import RecordedAlarm, RunRecord
@@ -13,7 +14,7 @@ from lpv_report.history.episodes import episodes
 from lpv_report.history.motion import motion, motion_phases
 from lpv_report.history.phases import BRAKED, INCONSISTENT, NO_COMMAND, SAFE_STOP, TOO_FAST, phases
 from lpv_report.run.content import Findings, content
-from lpv_report.run.table import is_paper_arm, make_table
+from lpv_report.run.table import PAPER, Row, is_paper_arm, make_table, print_table
 
 STEP = 2_000_000
 COUNT = 500
@@ -128,6 +129,13 @@ def test_given_another_arm_when_tabulated_then_the_paper_has_no_column(paper_arm
     record = run(ground_truth={'position': zeros, 'velocity': zeros, 'fault': zeros}, **streams)
     assert [row.paper for row in make_table(record, other)] == [None] * 4
     assert all(row.paper for row in make_table(record, paper_arm))
+
+
+def test_given_a_terminal_of_80_columns_when_printed_then_nothing_is_cut_off(capsys):
+    rows = [Row(name, *PAPER[name][:2], 2.6e-4, PAPER[name][2]) for name in PAPER]
+    print_table(rows, Console(width=80))
+    text = capsys.readouterr().out
+    assert '…' not in text and text.count('0.006') == 2 and 'better by' in text
 
 
 def test_given_any_report_when_read_then_its_terms_are_explained(paper_arm):

@@ -1,7 +1,10 @@
 """Reports of runs of a serial arm."""
 
+import shutil
+
 import numpy as np
 import pytest
+from places import BRINGUP
 from runs import rows, text
 from serial_bags import crane, crane_file, crane_run, record_crane
 
@@ -11,7 +14,9 @@ from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import load_run
 from lpv_cli.main import main
 from lpv_core.monitoring.factory import make_monitor
+from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.serial_arm.simulation import EncoderFault
+from lpv_report.guarantees.loop_certificate import examine_loop
 from lpv_report.run import write_report
 from lpv_report.run.table import make_table
 
@@ -87,3 +92,19 @@ def test_given_a_serial_arm_when_reported_on_the_command_line_then_gains_are_ref
     assert main([*arguments, '--gains', 'paper']) == 2
     assert main(arguments) == 0
     assert 'certificate' not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('gains', 'holds', 'problem'),
+    [('ur10', True, ''), ('panda', False, 'another arm'), ('paper', False, 'no certificate')],
+)
+def test_given_gains_in_a_bag_when_reported_then_the_loop_is_verified_again(
+    tmp_path, gains, holds, problem
+):
+    shutil.copy(BRINGUP / 'gains' / f'{gains}.yaml', tmp_path / 'gains.yaml')
+    found = examine_loop(tmp_path, load_any_arm(BRINGUP / 'arms' / 'ur10.yaml'))
+    assert found.holds == holds and problem in found.problem
+
+
+def test_given_a_bag_without_gains_when_reported_then_no_certificate_of_the_loop_is_claimed(page):
+    assert 'The tracking loop has none: the bag holds no parameters' in text(page)

@@ -23,7 +23,7 @@ from std_msgs.msg import String  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 from lpv_ros2cli.main import main  # noqa: E402
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 NODES = ['/lpv/arm_sim', '/lpv/tracker', '/lpv/uio']
 CALM = """

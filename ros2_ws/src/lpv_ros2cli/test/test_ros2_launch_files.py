@@ -315,6 +315,22 @@ def test_given_names_when_the_pipeline_is_evaluated_then_it_starts_the_installed
     assert plan.processes[0].environment == {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 
+@pytest.mark.parametrize(
+    ('arm', 'scenario'), [('paper', 'two_faults'), ('real_arm', 'real_arm'), ('ur10', 'ur10')]
+)
+def test_given_an_arm_alone_when_the_pipeline_is_evaluated_then_its_own_scenario_runs(
+    arm, scenario
+):
+    file = BRINGUP / 'launch' / 'pipeline.launch.xml'
+    [simulator] = [
+        p for p in evaluate_file(Context({'arm': arm}, {}), file).processes if p.name == 'simulator'
+    ]
+    sources = options(simulator, '--params-file')
+    files = [s['scenario_file'] for s in sources if isinstance(s, dict) and 'scenario_file' in s]
+    assert [Path(f) for f in files] == [share_of('lpv_bringup') / 'scenarios' / f'{scenario}.yaml']
+    assert Path(files[0]).is_file()
+
+
 def test_given_view_and_respawn_when_the_pipeline_is_evaluated_then_the_nodes_have_them():
     share = share_of('lpv_bringup')
     file = share / 'launch' / 'pipeline.launch.xml'

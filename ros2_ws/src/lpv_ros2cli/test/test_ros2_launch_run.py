@@ -15,6 +15,8 @@ import pytest
 
 pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 
+pytestmark = pytest.mark.slow
+
 ROS2 = Path(sys.prefix) / 'bin' / 'ros2'
 
 

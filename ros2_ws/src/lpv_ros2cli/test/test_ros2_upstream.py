@@ -17,7 +17,7 @@ pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 
 from lpv_ros2cli.main import main  # noqa: E402
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 HERE = Path(__file__).with_name('upstream')
 RECORDED = yaml.safe_load((HERE / 'answers.yaml').read_text())

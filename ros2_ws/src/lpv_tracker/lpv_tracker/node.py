@@ -27,13 +27,22 @@ from lpv_core.control.watchdog import (
 )
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
 from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized, all_within
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
+from lpv_node.parameters import (
+    Spec,
+    declare_gains,
+    declare_loop,
+    fixed,
+    read_gains,
+    read_loop_if_set,
+    required_text,
+)
 from lpv_node.qos import stream
 from lpv_node.sequences import doubles
 from lpv_node.stamps import set_stamp, to_nanoseconds
@@ -41,8 +50,8 @@ from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_tracker.upcoming import UpcomingReferences
 
 SPECS = (
-    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
-    Spec('scenario_file', '', 'scenario file (YAML); its path is tracked', read_only=True),
+    fixed('arm_file', '', 'arm file (YAML)'),
+    fixed('scenario_file', '', 'scenario file (YAML); its path is tracked'),
     Spec(
         'compensation',
         'confirmed',
@@ -50,58 +59,52 @@ SPECS = (
         'faults removed, or as estimated (always)',
         choices=COMPENSATION,
     ),
-    Spec(
+    fixed(
         'estimate_timeout',
         0.0,
         f'real time only: safe stop when no estimate came for this long [s]; {FROM_GAINS}',
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'max_latency',
         0.0,
         'real time only: safe stop when an estimate answers a measurement that is older [s]; '
         + FROM_GAINS,
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'max_mean_latency',
         0.0,
         'real time only: safe stop when measurements that estimates answer are older on average '
         'over 0.1 s [s]; 0: in proportion to max_latency',
         0.0,
         60.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'max_tracking_error',
         TrackerLimits.tracking_error,
         'safe stop, until ~/resume is called, when a joint is further from its reference '
         'for 0.05 s [rad]',
         0.01,
         10.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'approach_speed',
         0.5,
         'fastest joint rate on the way to the path, where the arm starts '
         'or goes on elsewhere [rad/s]',
         0.01,
         10.0,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'bandwidth',
         BANDWIDTH,
         'serial arms only: distance from zero of the three poles of every joint [rad/s]; '
         'the gains of a two-link arm are in its gains file',
         0.1,
         100.0,
-        read_only=True,
     ),
 )
 _FARTHEST, _FASTEST = 100.0, 1e6
@@ -125,7 +128,7 @@ class TrackerNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('tracker', SPECS)
-        self._unset_gains = declare_gains(self)
+        self._unset_gains, self._unset_loop = declare_gains(self), declare_loop(self)
         self._estimate_in: Subscription | None = None
         self._watch: Timer | None = None
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
@@ -176,8 +179,11 @@ class TrackerNode(ManagedNode):
             self._controller = TrackingController(self._arm, gains)
             self._integrates_measurement = gains.controller.method == 'paper'
             self._tolerated = tolerated_latency(self._arm, gains)
+            self._certificate = 'holds'
         else:
             bandwidth = self.get_parameter('bandwidth').value
+            loop = read_loop_if_set(self, self._arm, bandwidth, self._unset_loop)
+            self._certificate = NO_CERTIFICATE if loop is None else certified_region(loop)
             self._controller = ComputedTorqueController(self._arm, bandwidth)
             self._tolerated = self._controller.tolerated_latency
 
@@ -205,7 +211,7 @@ class TrackerNode(ManagedNode):
             self._watch = self.steady_timer(0.02, self._check_silence)
         self.get_logger().info(
             f'tracking a path of {self._path.end:.1f} s; the loop tolerates a constant latency of '
-            f'{1e3 * self._tolerated:.0f} ms'
+            f'{1e3 * self._tolerated:.0f} ms; certificate of the loop: {self._certificate}'
         )
 
     def end(self) -> None:
@@ -359,6 +365,7 @@ class TrackerNode(ManagedNode):
             'safe stops': self._stops,
             'latency [ms]': f'{self._latency * 1e-6:.1f}',
             'tolerated constant latency [ms]': f'{self._tolerated * 1e3:.1f}',
+            'certificate of the loop': self._certificate,
             **self._refusals.counts,
         }
         if self._reason is not None:

@@ -8,6 +8,7 @@ rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sour
 
 import ros  # noqa: E402
 
+from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE  # noqa: E402
 from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_msgs.msg import StateEstimate  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
@@ -94,3 +95,44 @@ def test_given_a_bandwidth_when_configured_then_the_latency_that_it_tolerates_is
     finally:
         tracker.destroy_node()
         rclpy.shutdown()
+
+
+def configured(gains):
+    """A tracker of the UR10 with a parameter file, configured; ConfigError passes."""
+    tracker = start_node(BRINGUP / 'scenarios' / 'ur10.yaml', '--params-file', str(gains))
+    try:
+        tracker.setup()
+        return tracker._certificate
+    finally:
+        tracker.destroy_node()
+        rclpy.shutdown()
+
+
+def test_given_certified_gains_when_configured_then_the_region_is_told():
+    assert 'holds for joint rates to 0.6' in configured(BRINGUP / 'gains' / 'ur10.yaml')
+
+
+def test_given_a_bandwidth_only_when_configured_then_no_certificate_is_claimed(tmp_path):
+    gains = tmp_path / 'gains.yaml'
+    gains.write_text('/**: {ros__parameters: {bandwidth: 12.0}}\n', encoding='utf-8')
+    assert configured(gains) == NO_CERTIFICATE
+
+
+@pytest.mark.parametrize(
+    ('name', 'old', 'new', 'reason'),
+    [
+        ('ur10', 'bandwidth: 10.0', 'bandwidth: 8.0', 'does not hold'),
+        ('ur10', 'model_error: 0.05', 'model_error: 0.04', 'numbers are those of the design'),
+        ('ur10', '      model_error: 0.05\n', '', 'loop.model_error: is not set'),
+        ('panda', '', '', 'is for another arm'),
+    ],
+)
+def test_given_a_certificate_that_does_not_hold_when_configured_then_it_is_refused(
+    tmp_path, name, old, new, reason
+):
+    text = (BRINGUP / 'gains' / f'{name}.yaml').read_text(encoding='utf-8')
+    assert old in text
+    gains = tmp_path / 'gains.yaml'
+    gains.write_text(text.replace(old, new) if old else text, encoding='utf-8')
+    with pytest.raises(ConfigError, match=reason):
+        configured(gains)

@@ -27,127 +27,73 @@ from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, declare_gains, read_gains, required_text
+from lpv_node.parameters import Spec, declare_gains, fixed, read_gains, required_text
 from lpv_node.qos import latched, stream
 from lpv_node.stamps import to_nanoseconds
 from lpv_uio.messages import OutputMessages
 
-_DIAGNOSIS = DiagnosisParameters()
-DIAGNOSIS_SPECS = (
-    Spec(
-        'diagnosis.threshold_factor',
-        _DIAGNOSIS.threshold_factor,
-        'threshold over guaranteed bound [1]',
-        0.1,
-        10.0,
-    ),
-    Spec(
-        'diagnosis.minimum_threshold',
-        _DIAGNOSIS.minimum_threshold,
-        'no alarm below this fault [rad]',
-        0.0,
-        10.0,
-    ),
-    Spec(
-        'diagnosis.dwell',
-        _DIAGNOSIS.dwell,
-        'time above the threshold before the alarm [s]',
-        0.0,
-        10.0,
-    ),
-    Spec(
-        'diagnosis.clear_dwell',
-        _DIAGNOSIS.clear_dwell,
-        'time below hysteresis*threshold before the alarm clears [s]',
-        0.0,
-        100.0,
-    ),
-    Spec(
-        'diagnosis.hysteresis',
-        _DIAGNOSIS.hysteresis,
-        'fraction of the threshold at which an alarm may clear [1]',
-        0.0,
-        1.0,
-    ),
-    Spec(
-        'diagnosis.sigmas',
-        _DIAGNOSIS.sigmas,
-        'standard deviations of noise in the bound [1]',
-        1.0,
-        10.0,
-    ),
-    Spec(
-        'diagnosis.false_alarm_hours',
-        _DIAGNOSIS.false_alarm_hours,
+_TUNABLE: tuple[tuple[Any, ...], ...] = (
+    ('threshold_factor', 'threshold over guaranteed bound [1]', 0.1, 10.0),
+    ('minimum_threshold', 'no alarm below this fault [rad]', 0.0, 10.0),
+    ('dwell', 'time above the threshold before the alarm [s]', 0.0, 10.0),
+    ('clear_dwell', 'time below hysteresis*threshold before the alarm clears [s]', 0.0, 100.0),
+    ('hysteresis', 'fraction of the threshold at which an alarm may clear [1]', 0.0, 1.0),
+    ('sigmas', 'standard deviations of noise in the bound [1]', 1.0, 10.0),
+    (
+        'false_alarm_hours',
         'mean time between false alarms by noise, for changes of readings [h]',
         0.01,
         1e6,
     ),
-    Spec(
-        'diagnosis.latch', _DIAGNOSIS.latch, 'alarms stay until ~/reset, even if the fault is over'
-    ),
-    Spec(
-        'diagnosis.compensation_rate',
-        _DIAGNOSIS.compensation_rate,
+    ('latch', 'alarms stay until ~/reset, even if the fault is over'),
+    (
+        'compensation_rate',
         'how fast a compensation without a known step is faded in and out [rad/s]',
         0.01,
         100.0,
     ),
-    Spec(
-        'diagnosis.safe_stop_bound',
-        _DIAGNOSIS.safe_stop_bound,
+    (
+        'safe_stop_bound',
         'size plus bound of a confirmed fault, not a jump, that stops the arm [rad]',
         0.01,
         100.0,
     ),
-    Spec(
-        'diagnosis.max_ambiguous_change',
-        _DIAGNOSIS.max_ambiguous_change,
+    (
+        'max_ambiguous_change',
         'largest change of unknown cause with which the arm goes on [rad]',
         0.01,
         100.0,
     ),
-    Spec(
-        'diagnosis.friction_uncertainty',
-        _DIAGNOSIS.friction_uncertainty,
-        'relative uncertainty of Coulomb friction [1]',
-        0.0,
-        1.0,
-    ),
+    ('friction_uncertainty', 'relative uncertainty of Coulomb friction [1]', 0.0, 1.0),
+)
+"""Fields of `DiagnosisParameters` with their meanings and ranges."""
+DIAGNOSIS_SPECS = tuple(
+    Spec(f'diagnosis.{name}', getattr(DiagnosisParameters, name), *meaning)
+    for name, *meaning in _TUNABLE
 )
 SPECS = DIAGNOSIS_SPECS + (
-    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
-    Spec(
+    fixed('arm_file', '', 'arm file (YAML)'),
+    fixed(
         'torque_source',
         'effort',
         'where torques come from: the effort of joint_states, or the latest torque_command',
         choices=('effort', 'command'),
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'stale_after',
         0.5,
         'real time only: silence after which the diagnosis is stale [s]',
         0.01,
         60.0,
-        read_only=True,
     ),
-    Spec(
-        'initial_samples',
-        1,
-        'samples over which the start value is averaged',
-        1,
-        100000,
-        read_only=True,
-    ),
-    Spec(
+    fixed('initial_samples', 1, 'samples over which the start value is averaged', 1, 100000),
+    fixed(
         'max_gap',
         0.1,
         'longest interval that is integrated [s]; after a longer one the '
         'estimate is re-anchored on the encoders',
         0.001,
         10.0,
-        read_only=True,
     ),
 )
 _COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'

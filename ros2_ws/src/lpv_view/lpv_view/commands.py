@@ -21,21 +21,12 @@ class CommandError(LpvError):
 
 @dataclass(frozen=True)
 class Command:
-    """One request.
+    """One request."""
 
-    Attributes
-    ----------
-    name : {'token', 'inject', 'clear', 'reset'}
-        What is asked for.
-    number : int
-        Chosen by the client; the reply carries it.
-    fields : dict
-        ``inject``: sensor, kind, size, rate, duration; ``clear``: sensor, empty for all;
-        ``token``: token.
-    """
-
-    name: str
-    number: int = 0
+    name: str  # what is asked for: 'token', 'inject', 'clear' or 'reset'
+    number: int = 0  # chosen by the client; the reply carries it
+    # ``inject``: sensor, kind, size, rate, duration; ``clear``: sensor, empty for all; ``token``:
+    # token
     fields: dict[str, Any] = field(default_factory=dict)
 
 

@@ -24,7 +24,7 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
-from lpv_node.parameters import Spec, required_text
+from lpv_node.parameters import fixed, required_text
 from lpv_view.access import Access
 from lpv_view.foxglove_bridge import BAND, FoxgloveBridge
 from lpv_view.foxglove_gate import gate
@@ -36,50 +36,28 @@ from lpv_view.skeleton import urdf_text
 from lpv_view.topics import TOPICS, Inbox, Topic
 
 SPECS = (
-    Spec('arm_file', '', 'arm file (YAML)', read_only=True),
-    Spec(
-        'scenario_file',
-        '',
-        'scenario file (YAML) whose path and obstacle are drawn; may be empty',
-        read_only=True,
+    fixed('arm_file', '', 'arm file (YAML)'),
+    fixed(
+        'scenario_file', '', 'scenario file (YAML) whose path and obstacle are drawn; may be empty'
     ),
-    Spec(
+    fixed(
         'address',
         '127.0.0.1',
         'where to listen; anything but a loopback address lets others '
         'see the page, and its buttons then need the token',
-        read_only=True,
     ),
-    Spec('port', 8090, 'port of the page; 0 takes a free one', 0, 65535, read_only=True),
-    Spec(
-        'foxglove_port',
-        8765,
-        'port of the Foxglove WebSocket protocol; 0: off',
-        0,
-        65535,
-        read_only=True,
+    fixed('port', 8090, 'port of the page; 0 takes a free one', 0, 65535),
+    fixed('foxglove_port', 8765, 'port of the Foxglove WebSocket protocol; 0: off', 0, 65535),
+    fixed(
+        'foxglove_rate', 100.0, 'most messages of a fast topic sent to Foxglove [1/s]', 1.0, 1000.0
     ),
-    Spec(
-        'foxglove_rate',
-        100.0,
-        'most messages of a fast topic sent to Foxglove [1/s]',
-        1.0,
-        1000.0,
-        read_only=True,
-    ),
-    Spec(
+    fixed(
         'foxglove_origins',
         ['https://app.foxglove.dev', 'file://'],
         'web origins that may connect to the Foxglove port',
-        read_only=True,
     ),
-    Spec(
-        'hosts',
-        [''],
-        'further names of this machine under which the page is called',
-        read_only=True,
-    ),
-    Spec('rate', 25.0, 'frames, markers and transforms [1/s]', 1.0, 60.0, read_only=True),
+    fixed('hosts', [''], 'further names of this machine under which the page is called'),
+    fixed('rate', 25.0, 'frames, markers and transforms [1/s]', 1.0, 60.0),
 )
 _ALARM_INTERVAL = 0.2
 """Shortest time between two lists of alarms [s]."""

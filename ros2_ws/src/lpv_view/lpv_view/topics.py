@@ -26,24 +26,12 @@ _SHORTEST = 16
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic.
+    """One topic."""
 
-    Attributes
-    ----------
-    name : str
-        As it is resolved in the node's namespace.
-    kind : type
-        Message class.
-    qos : rclpy.qos.QoSProfile
-        Of the subscription.
-    every : bool
-        Whether every message counts; of the others the latest one is enough.
-    """
-
-    name: str
-    kind: type
-    qos: QoSProfile = field(default_factory=lambda: qos_profile_sensor_data)
-    every: bool = False
+    name: str  # as it is resolved in the node's namespace
+    kind: type  # message class
+    qos: QoSProfile = field(default_factory=lambda: qos_profile_sensor_data)  # of the subscription
+    every: bool = False  # whether every message counts; of the others the latest one is enough
 
     @property
     def source(self) -> str:

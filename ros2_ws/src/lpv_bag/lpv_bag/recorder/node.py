@@ -26,16 +26,15 @@ from lpv_bag.rosbag.output_folder import (
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, required_text
+from lpv_node.parameters import fixed, required_text
 
 SPECS = (
-    Spec(
+    fixed(
         'output',
         '',
         'bag directory to create; if it exists, one with a number behind its name is made',
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'topics',
         [
             'joint_states',
@@ -49,64 +48,39 @@ SPECS = (
             '/diagnostics',
         ],
         "topics to record; relative names are resolved in the node's namespace",
-        read_only=True,
     ),
-    Spec(
-        'all',
-        False,
-        'record all topics but hidden and excluded ones, not those of "topics"',
-        read_only=True,
-    ),
-    Spec(
+    fixed('all', False, 'record all topics but hidden and excluded ones, not those of "topics"'),
+    fixed(
         'exclude',
         ['/rosout', '/parameter_events'],
         'patterns of topics that "all" leaves out, as of a shell, against full names',
-        read_only=True,
     ),
-    Spec('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS), read_only=True),
-    Spec(
-        'split_size',
-        0,
-        'size at which a new file is begun; 0 for never [MiB]',
-        0,
-        1 << 20,
-        read_only=True,
+    fixed('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS)),
+    fixed('split_size', 0, 'size at which a new file is begun; 0 for never [MiB]', 0, 1 << 20),
+    fixed(
+        'split_duration', 0.0, 'log time after which a new file is begun; 0 for never [s]', 0.0, 1e6
     ),
-    Spec(
-        'split_duration',
-        0.0,
-        'log time after which a new file is begun; 0 for never [s]',
-        0.0,
-        1e6,
-        read_only=True,
-    ),
-    Spec(
+    fixed(
         'flush_period',
         0.25,
         'longest time that a message stays in this process; in lockstep '
         'chunks are cut by stamps instead [s]',
         0.02,
         0.5,
-        read_only=True,
     ),
-    Spec(
+    fixed(
         'fsync',
         False,
         'wait after each chunk until it is on the disk: a power failure then '
         'loses no more than a crash',
-        read_only=True,
     ),
-    Spec(
-        'gains_file',
-        '',
-        'gains file of this run, copied into the bag as gains.yaml; may be empty',
-        read_only=True,
+    fixed(
+        'gains_file', '', 'gains file of this run, copied into the bag as gains.yaml; may be empty'
     ),
-    Spec(
+    fixed(
         'scenario_file',
         '',
         'scenario file of this run, copied into the bag as scenario.yaml; may be empty',
-        read_only=True,
     ),
 )
 _POLL = 0.01

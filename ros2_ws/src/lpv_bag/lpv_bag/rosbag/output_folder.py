@@ -3,11 +3,10 @@
 import os
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from lpv_core.certificate.gains import load_gains
+from lpv_core.serial_arm.certificate.loop_gains import load_loop_gains, serial_parameters
 from lpv_core.simulation.any_scenario import load_any_scenario
-from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 
 GAINS_NAME = 'gains.yaml'
@@ -26,17 +25,13 @@ def free_path(path: str | Path) -> Path:
 
 
 def read_gains_file(path: str | Path) -> bytes:
-    """Text of a gains file, or of the bandwidth of a serial arm's loop, for `copy_file`."""
-    if not _states_bandwidth(read_yaml(path)):
+    """Text of a gains file, or of the parameters of a serial arm's loop, for `copy_file`."""
+    parameters = serial_parameters(path)
+    if parameters is None:
         load_gains(path)
+    elif 'loop' in parameters:
+        load_loop_gains(path)
     return _content(path)
-
-
-def _states_bandwidth(data: dict[str, Any]) -> bool:
-    """Whether a parameter file tunes the tracker of a serial arm, which has no designed gains."""
-    nodes = data.get('/**')
-    values = nodes.get('ros__parameters') if isinstance(nodes, dict) else None
-    return isinstance(values, dict) and set(values) == {'bandwidth'}
 
 
 def _content(path: str | Path) -> bytes:

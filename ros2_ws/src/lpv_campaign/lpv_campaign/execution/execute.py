@@ -11,10 +11,11 @@ import lpv_campaign
 import lpv_core
 from lpv_campaign.execution.cluster import WorkerError, connect, map_chunks
 from lpv_campaign.execution.run_metrics import figures
-from lpv_campaign.execution.runs import plan_run
+from lpv_campaign.execution.runs import RunPlan, plan_run
 from lpv_campaign.limit.accuracy import limit_figures
 from lpv_campaign.plan.campaign import Campaign, campaign_of
 from lpv_campaign.plan.spec import CampaignSpec
+from lpv_core.simulation.closed_loop import Run
 from lpv_core.support.errors import LpvError
 from lpv_core.support.jit import source_digest
 
@@ -48,10 +49,16 @@ def run_one(campaign: Campaign, number: int) -> dict[str, Any]:
     except LpvError as error:
         raise LpvError(f'run {number}: {error}') from error
     row = {'number': number, **plan.values, **figures(plan, run, twin)}
-    if has_limit(campaign.spec, number) and np.isfinite(run.position).all():
-        found = limit_figures(plan.arm, plan.scenario, run, substeps=plan.substeps)
-        row.update((f'limit_{name}', value) for name, value in found.items())
+    if has_limit(campaign.spec, number) and isinstance(plan, RunPlan) and isinstance(run, Run):
+        row.update(_limits(plan, run))
     return row
+
+
+def _limits(plan: RunPlan, run: Run) -> dict[str, float]:
+    if not np.isfinite(run.position).all():
+        return {}
+    found = limit_figures(plan.arm, plan.scenario, run, substeps=plan.substeps)
+    return {f'limit_{name}': value for name, value in found.items()}
 
 
 def has_limit(spec: CampaignSpec, number: int) -> bool:

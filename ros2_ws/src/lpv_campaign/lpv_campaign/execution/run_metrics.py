@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lpv_campaign.plan.spec import BOTH, NO_FAULT
 from lpv_core.decision.diagnosis import AlarmEvent
-from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.faults import Fault
 
 DIVERGED = 1.0
@@ -20,15 +21,41 @@ _SETTLED = 1.0
 """The first second is the approach; errors count from then on [s]."""
 _EARLY = 0.1
 """An onset estimate may be so much earlier than the fault [s]."""
-FLOATS = (
+
+
+class Columns(NamedTuple):
+    """Names of the figures by type; meaning and units in docs/campaign.md."""
+
+    floats: tuple[str, ...]
+    texts: tuple[str, ...]
+    counts: tuple[str, ...]
+    flags: tuple[str, ...]
+    lists: tuple[str, ...]
+
+
+def columns_of(sensors: int) -> Columns:
+    """Names of the figures of an arm with so many sensors."""
+
+    def each(*names: str) -> tuple[str, ...]:
+        return tuple(f'{name}_{i + 1}' for name in names for i in range(sensors))
+
+    return Columns(
+        (
+            *_FLOATS,
+            *each('score_before', 'score_during', 'mean_threshold', 'error_rms', 'least_cos'),
+        ),
+        ('said_kind', 'said_sensor'),
+        ('false_alarms', 'wrong_alarms', 'safe_stops', *each('alarms_before')),
+        ('detected', 'isolated', 'stable', *each('found')),
+        each('error_squares', 'error_counts'),
+    )
+
+
+_FLOATS = (
     'detection_delay',
     'onset_error',
     'size_at_detection',
     'size_error',
-    'score_before_1',
-    'score_before_2',
-    'score_during_1',
-    'score_during_2',
     'fault_rms_before',
     'fault_rms_during',
     'angle_rms',
@@ -36,18 +63,11 @@ FLOATS = (
     'tracking_rms_during',
     'tracking_ratio',
     'tracking_max',
-    'least_cos_1',
-    'least_cos_2',
     'braked_time',
     'inconsistent_time',
-    'mean_threshold_1',
-    'mean_threshold_2',
 )
-TEXTS = ('said_kind', 'said_sensor')
-COUNTS = ('false_alarms', 'wrong_alarms', 'safe_stops', 'alarms_before_1', 'alarms_before_2')
-FLAGS = ('detected', 'isolated', 'stable', 'found_1', 'found_2')
-LISTS = ('error_squares_1', 'error_squares_2', 'error_counts_1', 'error_counts_2')
-"""Names of the figures by type; meaning and units in docs/campaign.md."""
+FLOATS, TEXTS, COUNTS, FLAGS, LISTS = columns_of(2)
+"""Those of the two-link arm."""
 
 
 def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
@@ -57,9 +77,9 @@ def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     ----------
     plan : RunPlan
         What was simulated.
-    run : lpv_core.simulation.closed_loop.Run
+    run : Run or SerialLoopRun
         What came out.
-    twin : lpv_core.simulation.closed_loop.Run, optional
+    twin : Run or SerialLoopRun, optional
         The same run without faults.
 
     Returns
@@ -70,16 +90,16 @@ def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     faults = [f for f in plan.scenario.faults if f.kind != 'rate_bias']
     begin, end = _interval(plan.scenario)
     before, during = run.time < begin, (run.time >= begin) & (run.time < end)
-    joints = JointMap(plan.arm)
+    names = plan.arm.sensor_names
     result = {
         'seed': plan.scenario.seed,
         'kind': plan.scenario.faults[0].kind if plan.scenario.faults else NO_FAULT,
-        'sensor': _named([f.sensor for f in plan.scenario.faults]),
+        'sensor': _named({f.sensor for f in plan.scenario.faults}, names),
     }
-    result.update(_alarm_figures(run, faults, begin, end))
+    result.update(_alarm_figures(run, faults, names, begin, end))
     result.update(_sensor_figures(plan.arm, run, faults, begin, end))
-    result.update(_estimate_figures(run, joints, before, during))
-    result.update(_tracking_figures(plan, run, twin, joints, during))
+    result.update(_estimate_figures(plan.arm, run, before, during))
+    result.update(_tracking_figures(plan, run, twin, during))
     return result
 
 
@@ -93,8 +113,16 @@ def _interval(scenario: Any) -> tuple[float, float]:
     return begin, end
 
 
-def _named(sensors: Sequence[str]) -> str:
-    return (sensors[0] if len(sensors) == 1 else BOTH) if sensors else NO_FAULT
+def _named(sensors: Collection[str], names: Sequence[str]) -> str:
+    """Sensors as one text: a name, both of two, names joined by +."""
+    if len(sensors) == len(names) == 2:
+        return BOTH
+    return '+'.join(name for name in names if name in sensors) or NO_FAULT
+
+
+def _angles(arm: Arm, position: np.ndarray) -> np.ndarray:
+    """Angles in which errors count: absolute ones of two links, those of a serial arm's joints."""
+    return position if isinstance(arm, SerialArm) else JointMap(arm).absolute_position(position)
 
 
 def _own_alarms(
@@ -113,7 +141,9 @@ def _own_alarms(
     return own
 
 
-def _alarm_figures(run: Any, faults: list[Fault], begin: float, end: float) -> dict[str, Any]:
+def _alarm_figures(
+    run: Any, faults: list[Fault], names: Sequence[str], begin: float, end: float
+) -> dict[str, Any]:
     """Alarms while a fault acts count for it; all others are false."""
     raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
     faulty = {f.sensor: f for f in faults}
@@ -127,7 +157,7 @@ def _alarm_figures(run: Any, faults: list[Fault], begin: float, end: float) -> d
         'wrong_alarms': sum(a.sensor not in faulty for a in inside) if faulty else 0,
         'detected': found,
         'isolated': found and said == set(faulty),
-        'said_sensor': _named(sorted(said)),
+        'said_sensor': _named(said, names),
         'said_kind': _last_kind(own, inside),
         'detection_delay': max(first[s].detected / 1e9 - f.onset for s, f in faulty.items())
         if found
@@ -143,7 +173,7 @@ def _alarm_figures(run: Any, faults: list[Fault], begin: float, end: float) -> d
 
 
 def _sensor_figures(
-    arm: ArmParameters, run: Any, faults: list[Fault], begin: float, end: float
+    arm: Arm, run: Any, faults: list[Fault], begin: float, end: float
 ) -> dict[str, Any]:
     """What the curves of detection against false alarms need of each sensor."""
     own = _own_alarms(run, {f.sensor for f in faults}, begin, end)
@@ -163,28 +193,37 @@ def _last_kind(own: dict[str, list[Any]], inside: list[Any]) -> str:
     return alarms[-1].kind if alarms else NO_FAULT
 
 
-def _estimate_figures(
-    run: Any, joints: JointMap, before: np.ndarray, during: np.ndarray
-) -> dict[str, Any]:
+def _estimate_figures(arm: Arm, run: Any, before: np.ndarray, during: np.ndarray) -> dict[str, Any]:
     settled = run.time >= _SETTLED
     error = run.fault_estimate - run.fault
     # A loop that runs away ends in infinities, and its last scores are none.
     with np.errstate(invalid='ignore'):
         score = np.abs(run.fault_estimate) / run.threshold
-    angle = joints.absolute_position(run.position)
-    cosine = np.abs(np.cos(angle))
+    angle = _angles(arm, run.position)
     result = {
         'fault_rms_before': _rms(error[before & settled]),
         'fault_rms_during': _rms(error[during]),
-        'angle_rms': _rms((angle - joints.absolute_position(run.estimate))[settled]),
+        'angle_rms': _rms((angle - _angles(arm, run.estimate))[settled]),
     }
-    places = np.clip(np.searchsorted(BINS, cosine, side='right') - 1, 0, len(BINS) - 2)
-    known = np.isfinite(error) & settled[:, None]
-    for i in range(2):
+    for i in range(error.shape[1]):
         number = i + 1
         result[f'score_before_{number}'] = _largest(score[before, i])
         result[f'score_during_{number}'] = _largest(score[during, i])
         result[f'mean_threshold_{number}'] = float(run.threshold[settled, i].mean())
+        result[f'error_rms_{number}'] = _rms(error[settled, i])
+    # What a joint's level can be told from is no function of its own angle on a serial arm.
+    if not isinstance(arm, SerialArm):
+        result.update(_errors_by_angle(angle, error, settled))
+    return result
+
+
+def _errors_by_angle(angle: np.ndarray, error: np.ndarray, settled: np.ndarray) -> dict[str, Any]:
+    """Sums of squared errors over classes of the angles of both links."""
+    cosine, result = np.abs(np.cos(angle)), {}
+    places = np.clip(np.searchsorted(BINS, cosine, side='right') - 1, 0, len(BINS) - 2)
+    known = np.isfinite(error) & settled[:, None]
+    for i in range(2):
+        number = i + 1
         result[f'least_cos_{number}'] = _least(cosine[:, i])
         here = places[known[:, i], i]
         result[f'error_squares_{number}'] = np.bincount(
@@ -196,10 +235,8 @@ def _estimate_figures(
     return result
 
 
-def _tracking_figures(
-    plan: Any, run: Any, twin: Any, joints: JointMap, during: np.ndarray
-) -> dict[str, Any]:
-    error = joints.absolute_position(run.position) - joints.absolute_position(run.reference)
+def _tracking_figures(plan: Any, run: Any, twin: Any, during: np.ndarray) -> dict[str, Any]:
+    error = _angles(plan.arm, run.position) - _angles(plan.arm, run.reference)
     largest = float(np.abs(error).max())
     finite = bool(np.isfinite(run.position).all() and np.isfinite(run.torque).all())
     braked, period = run.braked, plan.arm.sample_time
@@ -214,7 +251,7 @@ def _tracking_figures(
         'inconsistent_time': float(run.inconsistent.sum() * period),
     }
     if twin is not None and during.any():
-        healthy = joints.absolute_position(twin.position) - joints.absolute_position(twin.reference)
+        healthy = _angles(plan.arm, twin.position) - _angles(plan.arm, twin.reference)
         result['tracking_ratio'] = result['tracking_rms_during'] / _rms(healthy[during])
     return result
 

@@ -7,7 +7,7 @@ from typing import Any
 import pyarrow as pa
 
 from lpv_campaign.execution.partial_parquet import PartsFolder, write_whole
-from lpv_campaign.execution.run_metrics import COUNTS, FLAGS, FLOATS, LISTS, TEXTS
+from lpv_campaign.execution.run_metrics import columns_of
 from lpv_campaign.plan.campaign import Campaign
 from lpv_campaign.plan.spec import DEFAULTS
 from lpv_core.support.errors import ConfigError
@@ -84,12 +84,13 @@ def schema(campaign: Campaign, rows: list[dict[str, Any]]) -> pa.Schema:
         ('sensor', pa.string()),
     ]
     columns += [(name, pa.string() if name in _TEXT_FACTORS else pa.float64()) for name in names]
+    figures = columns_of(len(campaign.arm.sensor_names))
     for group, kind in (
-        (FLOATS, pa.float64()),
-        (TEXTS, pa.string()),
-        (COUNTS, pa.int64()),
-        (FLAGS, pa.bool_()),
-        (LISTS, pa.list_(pa.float64())),
+        (figures.floats, pa.float64()),
+        (figures.texts, pa.string()),
+        (figures.counts, pa.int64()),
+        (figures.flags, pa.bool_()),
+        (figures.lists, pa.list_(pa.float64())),
     ):
         columns += [(name, kind) for name in group]
     known = {name for name, _ in columns}

@@ -10,11 +10,24 @@ from typing import Any
 
 from lpv_campaign.plan.factors import ByKind, Choice
 from lpv_campaign.plan.sampling import Plan
-from lpv_campaign.plan.spec import BOTH, DEFAULTS, PATHS, CampaignSpec, flat_factors, parse_spec
+from lpv_campaign.plan.spec import (
+    BOTH,
+    DEFAULTS,
+    OF_SERIAL_ARMS,
+    OF_TWO_LINKS,
+    PATHS,
+    CampaignSpec,
+    flat_factors,
+    parse_spec,
+)
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import Gains, gains_to_dict, load_gains, parse_gains
-from lpv_core.model.arm import ArmParameters, arm_from_json, load_arm
-from lpv_core.simulation.scenario import Scenario, parse_scenario
+from lpv_core.model.arm import ArmParameters, arm_from_json
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.arm_file import is_serial_arm, parse_serial_arm, to_mapping
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.simulation import serial_scenario
+from lpv_core.simulation.any_scenario import AnyScenario, new_path, parse_any_scenario
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
@@ -47,25 +60,35 @@ def resolve(
         If anything is missing, wrong, or cannot be designed.
     """
     spec = parse_spec(data, source, str(folder))
-    arm = load_arm(_file('arms', spec.arm, folder))
+    arm = load_any_arm(_file('arms', spec.arm, folder))
     names = {spec.scenario, *_path_scenarios(spec)}
     content: dict[str, Any] = {
         'spec': data,
-        'arm': arm.to_json(),
+        'arm': _to_json(arm),
         'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
         'gains': {},
     }
     for name in _values(spec, 'path', 'scenario'):
         if name != 'random':
             name = spec.scenario if name == 'scenario' else name
-            parse_scenario(content['scenarios'][name], name).path(arm)
-    for time in _sample_times(spec, arm):
-        for design in spec.designs if designed else ():
-            gains = _gains(design, replace(arm, sample_time=time), folder)
-            content['gains'][f'{design}@{time!r}'] = gains_to_dict(gains)
+            new_path(arm, parse_any_scenario(content['scenarios'][name], name, arm))
+    if isinstance(arm, ArmParameters) and designed:
+        for time in _sample_times(spec, arm):
+            for design in spec.designs:
+                gains = _gains(design, replace(arm, sample_time=time), folder)
+                content['gains'][f'{design}@{time!r}'] = gains_to_dict(gains)
     campaign = Campaign(json.dumps(content, sort_keys=True))
     campaign.check()
     return campaign
+
+
+def _to_json(arm: Arm) -> str:
+    return arm.to_json() if isinstance(arm, ArmParameters) else json.dumps(to_mapping(arm))
+
+
+def _from_json(text: str) -> Arm:
+    data = json.loads(text)
+    return parse_serial_arm(data) if is_serial_arm(data) else arm_from_json(text)
 
 
 def _file(kind: str, name: str, folder: str | Path) -> Path:
@@ -82,7 +105,7 @@ def _path_scenarios(spec: CampaignSpec) -> list[str]:
     return [name for name in _values(spec, 'path', 'scenario') if name not in PATHS]
 
 
-def _sample_times(spec: CampaignSpec, arm: ArmParameters) -> tuple[float, ...]:
+def _sample_times(spec: CampaignSpec, arm: Arm) -> tuple[float, ...]:
     return _values(spec, 'sample_time', arm.sample_time)
 
 
@@ -113,7 +136,7 @@ class Campaign:
         The same.
     spec : CampaignSpec
         What varies.
-    arm : ArmParameters
+    arm : ArmParameters or SerialArm
         Nominal arm of the arm file.
     """
 
@@ -121,13 +144,19 @@ class Campaign:
         self.text = text
         self._content = content = json.loads(text)
         self.spec = parse_spec(content['spec'])
-        self.arm = arm_from_json(content['arm'])
+        self.arm = _from_json(content['arm'])
         self._gains = {name: parse_gains(gains, name) for name, gains in content['gains'].items()}
         self._scenarios = {
-            name: parse_scenario(data, name) for name, data in content['scenarios'].items()
+            name: parse_any_scenario(data, name, self.arm)
+            for name, data in content['scenarios'].items()
         }
         flat = flat_factors(self.spec.factors)
         self._plan = Plan(self.spec.method, flat, self.spec.runs, self.spec.seed)
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether the arm is one of n joints, without designed gains."""
+        return isinstance(self.arm, SerialArm)
 
     @property
     def key(self) -> str:
@@ -139,7 +168,7 @@ class Campaign:
         fixed = {name: self._content[name] for name in ('spec', 'arm', 'scenarios')}
         return sha256_of({**fixed, 'gains': sorted(self._content['gains'])})
 
-    def scenario(self, name: str) -> Scenario:
+    def scenario(self, name: str) -> AnyScenario:
         """Scenario by the name that the campaign file gives it."""
         return self._scenarios[name]
 
@@ -164,7 +193,9 @@ class Campaign:
         Returns by name; None: what scenario and arm say.
         """
         units = dict(zip(self.spec.factors, self._plan.point(number).tolist()))
-        values = dict(DEFAULTS, design=self.spec.designs[0])
+        values: dict[str, Any] = dict(DEFAULTS)
+        if not self.is_serial:
+            values['design'] = self.spec.designs[0]
         kind_first = sorted(units, key=lambda name: name != 'fault.kind')
         for name in kind_first:
             factor = self.spec.factors[name]
@@ -181,6 +212,11 @@ class Campaign:
                 raise ConfigError(
                     'factors.fault.sensor', f'{name!r} is none of ' + ', '.join(known)
                 )
+        if self.is_serial:
+            self._check_serial()
+        for name in OF_TWO_LINKS if self.is_serial else OF_SERIAL_ARMS:
+            if name in self.spec.factors:
+                raise ConfigError(f'factors.{name}', f'is none of arms like {self.arm.name}')
         plants = _values(self.spec, 'plant', self.scenario(self.spec.scenario).plant)
         if self.spec.limit and 'lpv' in plants:
             raise ConfigError('limit', 'there is none for the plant lpv, which is no rigid arm')
@@ -190,6 +226,17 @@ class Campaign:
                     'factors.design',
                     f'{name!r} is none of the designs ' + ', '.join(self.spec.designs),
                 )
+
+    def _check_serial(self) -> None:
+        """Refuse what only the two-link arm has."""
+        if 'designs' in self._content['spec']:
+            raise ConfigError('designs', 'must be left out: a serial arm has no designed gains')
+        if self.spec.limit:
+            raise ConfigError('limit', 'is known of two-link arms alone')
+        for plant in _values(self.spec, 'plant', serial_scenario.PLANTS[0]):
+            if plant not in serial_scenario.PLANTS:
+                known = ', '.join(serial_scenario.PLANTS)
+                raise ConfigError('factors.plant', f'{plant!r} is none of {known}')
 
 
 @lru_cache(maxsize=2)

@@ -1,13 +1,17 @@
-"""Random paths inside the certified region of an arm."""
+"""Random paths: inside the certified region of a two-link arm, or the limits of a serial one."""
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from lpv_core.control.path import CartesianPath
+from lpv_core.control.serial_path import SerialPath
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
 from lpv_core.model.kinematics import forward
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError, LpvError
 
 _TRIES = 1000
@@ -16,6 +20,10 @@ _MARGIN = 1.5
 _LEFT, _RIGHT, _LEAST, _MOST = 0.725, 0.453, 0.25, 0.8
 """Link 1 takes angles from -_LEFT to _RIGHT times the largest one; link 2 is that of link 1 plus
 _LEAST to _MOST [rad]: neither stretched nor folded."""
+_SEGMENT = (1.5, 3.0)
+"""Time between waypoints of a serial arm [s]."""
+_POSITION_SHARE, _RATE_SHARE, _TORQUE_SHARE = 0.7, 0.6, 0.7
+"""Shares of the joints' limits that random paths use: the rest is for payload and feedback."""
 
 
 def random_path(
@@ -69,3 +77,67 @@ def random_path(
         f'no random path of {duration:g} s below {fastest:g} rad/s found in '
         f'the region of arm {arm.name!r}',
     )
+
+
+def random_joint_path(
+    arm: SerialArm, rng: np.random.Generator, duration: float
+) -> tuple[tuple[float, ...], tuple[tuple[float, ...], ...]]:
+    """Waypoints of a random motion of all joints within shares of their limits.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    rng : numpy.random.Generator
+        Source of randomness.
+    duration : float
+        Length of the run, more than 1 s [s]; the path leaves half a second at either end.
+
+    Returns
+    -------
+    tuple
+        Times [s] and joint positions [rad], as a scenario has them.
+
+    Raises
+    ------
+    ConfigError
+        If the limits leave no room for a path.
+    """
+    if duration <= 1.0:
+        raise ConfigError('duration', f'a random path needs more than 1 s, got {duration:g}')
+    careful, low, high = _with_margins(arm)
+    steps = max(1, round((duration - 1.0) / float(rng.uniform(*_SEGMENT))))
+    times = np.linspace(0.5, duration - 0.5, steps + 1)
+    way = 0.5 * np.array(careful.velocity_limit) * (times[1] - times[0])
+    for attempt in range(_TRIES):
+        # Smaller steps where limits are met, which are those of rate or torque.
+        reach = way * 0.95**attempt
+        points = [rng.uniform(low, high)]
+        for _ in range(steps):
+            near = np.maximum(low, points[-1] - reach), np.minimum(high, points[-1] + reach)
+            points.append(rng.uniform(*near))
+        try:
+            SerialPath(careful, times.tolist(), points)
+        except LpvError:
+            continue
+        return tuple(times.tolist()), tuple(tuple(point.tolist()) for point in points)
+    raise ConfigError('path', f'no random path of {duration:g} s found for {arm.name}')
+
+
+def _with_margins(arm: SerialArm) -> tuple[SerialArm, np.ndarray, np.ndarray]:
+    """The arm with shares of its limits of rate and torque; range of the joint positions."""
+    joints = tuple(
+        replace(
+            joint,
+            limits=replace(
+                joint.limits,
+                velocity=_RATE_SHARE * joint.limits.velocity,
+                torque=_TORQUE_SHARE * joint.limits.torque,
+            ),
+        )
+        for joint in arm.joints
+    )
+    low = np.array([max(joint.limits.lower, -math.pi) for joint in arm.joints])
+    high = np.array([min(joint.limits.upper, math.pi) for joint in arm.joints])
+    rim = 0.5 * (1.0 - _POSITION_SHARE) * (high - low)
+    return replace(arm, joints=joints), low + rim, high - rim

@@ -29,6 +29,7 @@ NUMBERS = {
     'mass_2': (1e-3, 1e3),
     'inertia_1': (1e-3, 1e3),
     'inertia_2': (1e-3, 1e3),
+    'parameter_error': (0.0, 0.5),
     'payload': (-_INF, _INF),
     'friction': (0.0, 100.0),
     'sample_time': (1e-5, 1.0),
@@ -55,6 +56,7 @@ DEFAULTS = {
     'mass_2': None,
     'inertia_1': None,
     'inertia_2': None,
+    'parameter_error': None,
     'payload': None,
     'friction': None,
     'sample_time': None,
@@ -63,6 +65,19 @@ DEFAULTS = {
 }
 """What acts where the campaign file is silent; None: what scenario or arm file says, the first
 design, the first sensor, a sign by chance."""
+OF_TWO_LINKS = (
+    'design',
+    'disturbance',
+    'mass_1',
+    'mass_2',
+    'inertia_1',
+    'inertia_2',
+    'command_delay',
+    'sample_loss',
+)
+"""Factors that serial arms do not have."""
+OF_SERIAL_ARMS = ('parameter_error',)
+"""Factors that the two-link arm does not have."""
 _TUNING = {
     f'diagnosis.{field.name}'
     for field in fields(DiagnosisParameters)

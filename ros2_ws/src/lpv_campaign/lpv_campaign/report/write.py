@@ -19,7 +19,7 @@ from lpv_campaign.report.pictures.roc_figures import draw_roc, draw_sweep
 from lpv_campaign.report.pictures.stability_figures import draw_going, draw_stability
 from lpv_campaign.report.sections.comparison import comparison
 from lpv_campaign.report.sections.detection import detection
-from lpv_campaign.report.sections.estimates import estimates
+from lpv_campaign.report.sections.estimates import estimates, sensor_errors
 from lpv_campaign.report.sections.head import head
 from lpv_campaign.report.sections.isolation import isolation
 from lpv_campaign.report.sections.limit import limit
@@ -105,6 +105,7 @@ def report_numbers(results: Results, folder: Path) -> dict[str, Any]:
         'detection': detection(results),
         'isolation': isolation(results),
         'estimates': estimates(results),
+        'errors': sensor_errors(results),
         'stability': stability(results),
         'tracking': tracking(results),
         'false_alarms': false_alarms(results),

@@ -12,6 +12,7 @@ from lpv_campaign.tune.metric import BEYOND, meets
 from lpv_campaign.tune.study_file import Study
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import Gains
+from lpv_core.model.arm import ArmParameters
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_design.design_flow import design
@@ -48,7 +49,10 @@ class Bench:
             check_range(name, found, self.base[name])
         self._data = read_yaml(self.requirement.source)
         self._campaign = resolve(study.campaign, study.name, study.folder, designed=False)
-        self.arm = self._campaign.arm
+        arm = self._campaign.arm
+        if not isinstance(arm, ArmParameters):
+            raise ConfigError('arm', f'{arm.name} is a serial arm, without a design to tune')
+        self.arm = arm
         spec = self._campaign.spec
         self.length = spec.duration or self._campaign.scenario(spec.scenario).duration
 

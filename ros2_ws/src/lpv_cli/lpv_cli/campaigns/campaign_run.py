@@ -33,6 +33,8 @@ def run_to_bag(arguments: argparse.Namespace) -> int:
             '--run', f'must lie within 0 and {campaign.spec.runs - 1}, got {arguments.number}'
         )
     plan = plan_run(campaign, arguments.number)
+    if not isinstance(plan, RunPlan):
+        raise ConfigError('--bag', 'is written of runs of two-link arms, not of serial ones')
     run = plan.simulate()
     twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
     found = figures(plan, run, twin)

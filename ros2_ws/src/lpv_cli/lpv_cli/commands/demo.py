@@ -19,8 +19,12 @@ from lpv_core.control.path import CartesianPath
 from lpv_core.control.tracking import COMPENSATION
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.certificate.conditions import require_loop
+from lpv_core.serial_arm.certificate.loop_gains import load_loop_gains
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.any_scenario import AnyScenario, load_any_scenario, new_path
-from lpv_core.support.resources import bringup_file, executable
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file, executable, shipped_files
 
 NAMESPACE = '/lpv'
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
@@ -86,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not _design(arm, arguments.requirement, files['gains'], console):
             return 1
     else:
-        console.print(f'arm {arm.name!r} is tracked by computed torque: no gains to design')
+        files.update(_certified_loop(arm, console))
     try:
         _run_graph(arguments, files, out, scenario, console)
     except NodeFailure as error:
@@ -113,6 +117,21 @@ def _fresh_folder(name: str) -> Path:
         shutil.rmtree(out / part, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     return out
+
+
+def _certified_loop(arm: SerialArm, console: Console) -> dict[str, Path]:
+    """Shipped parameters of a serial arm's loop, if their certificate is about this arm."""
+    file = shipped_files('gains').get(arm.name)
+    text = f'arm {arm.name!r} is tracked by computed torque'
+    try:
+        if file is not None:
+            require_loop(arm, load_loop_gains(file))
+            console.print(f'{text}; the certificate of its loop holds')
+            return {'gains': file}
+    except ConfigError:
+        pass  # changed by the user, or of another version: the demo runs without
+    console.print(f'{text}; its loop has no certificate: lpv design --arm {arm.name} writes one')
+    return {}
 
 
 def _design(arm: ArmParameters, requirement: str, gains_file: Path, console: Console) -> bool:

@@ -6,10 +6,12 @@ from lpv_cli.doctor.findings import Finding, error, ok, warn
 from lpv_core.certificate.conditions import verify
 from lpv_core.certificate.gains import load_gains
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.certificate.conditions import require_loop
+from lpv_core.serial_arm.certificate.loop_gains import load_loop_gains, serial_parameters
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
-from lpv_core.support.errors import LpvError
+from lpv_core.support.errors import ConfigError, LpvError
 from lpv_core.support.resources import bringup_file
 
 
@@ -24,7 +26,13 @@ def check_files(
     if gains_name:
         findings.append(check_gains(gains_name, arm, arm_name))
     elif isinstance(arm, SerialArm):
-        findings.append(ok('gains', 'a serial arm needs none; its bounds are statistical'))
+        findings.append(
+            ok(
+                'gains',
+                'a serial arm needs none: its bounds are statistical; lpv design certifies its '
+                'tracking loop',
+            )
+        )
     elif arm is not None:
         findings.append(
             warn(
@@ -53,11 +61,7 @@ def check_arm(name: str) -> tuple[Any, ...]:
 def check_gains(name: str, arm: Arm | None, arm_name: str | None = 'ARM') -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
     if isinstance(arm, SerialArm):
-        return error(
-            'gains',
-            f'{arm.name!r} is a serial arm, which has none: leave the gains file out',
-            'start the observer without gains_file',
-        )
+        return _check_loop(name, arm, arm_name)
     again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
     try:
         gains = load_gains(name)
@@ -77,6 +81,18 @@ def check_gains(name: str, arm: Arm | None, arm_name: str | None = 'ARM') -> Fin
             f'the numbers were changed after the design: {again}',
         )
     return ok('gains', f'certificate for arm {arm.name!r} holds')
+
+
+def _check_loop(name: str, arm: SerialArm, arm_name: str | None) -> Finding:
+    """As `check_gains`, of a serial arm's tracking loop."""
+    again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
+    try:
+        if serial_parameters(name) is None:
+            raise ConfigError('gains', f'{arm.name!r} is a serial arm, these are for another kind')
+        require_loop(arm, load_loop_gains(name), name)
+    except (LpvError, OSError) as problem:
+        return error('gains', str(problem), again)
+    return ok('gains', f'certificate of the tracking loop of arm {arm.name!r} holds')
 
 
 def check_scenario(name: str, arm: Arm | None) -> Finding:

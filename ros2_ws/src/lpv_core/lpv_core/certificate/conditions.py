@@ -20,6 +20,7 @@ from lpv_core.certificate.gains import (
 )
 from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
 from lpv_core.certificate.noise import covariance_margin, exact_fault_sigma, paper_fault_sigma
+from lpv_core.certificate.sampled_motion import sampled_loop
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.polytope import exact_state_space, exact_vertices, sinc_box
 from lpv_core.model.state_space import Descriptor, vertex_matrices
@@ -31,18 +32,10 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Check:
-    """One inequality.
+    """One inequality."""
 
-    Attributes
-    ----------
-    name : str
-        What it is.
-    margin : float
-        Largest eigenvalue, or another figure that must be negative.
-    """
-
-    name: str
-    margin: float
+    name: str  # what it is
+    margin: float  # largest eigenvalue, or another figure that must be negative
 
     @property
     def holds(self) -> bool:
@@ -249,7 +242,27 @@ def controller_checks(arm: ArmParameters, controller: ControllerGains) -> list[C
         positive,
         Check(f'controller: LMI (67), alpha {controller.decay:g}/s, {len(closed)} vertices', worst),
         Check('controller: sampled loop with one sample of delay', radius - 1.0),
+        *motion_checks(arm, controller),
         *_robustness(arm, controller, m, p, factor),
+    ]
+
+
+def motion_checks(arm: ArmParameters, controller: ControllerGains) -> list[Check]:
+    """The sampled loop in motion: one P for every motion up to the stated link rate."""
+    motion = controller.motion
+    if motion is None:
+        return []
+    loop = controller_loop(arm, controller.method, controller.sinc_min)
+    m = np.hstack([controller.m1, controller.m2])
+    contraction = np.nan
+    if _symmetric(motion.lyapunov):
+        contraction = sampled_loop(arm, loop, m, motion.rate).contraction(motion.lyapunov)
+    return [
+        Check(
+            f'controller: sampled loop with one sample of delay, in motion up to '
+            f'{motion.rate:g} rad/s, {motion.decay:g}/s',
+            contraction - np.exp(-motion.decay * arm.sample_time),
+        )
     ]
 
 

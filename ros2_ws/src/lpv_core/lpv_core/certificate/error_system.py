@@ -11,49 +11,27 @@ from lpv_core.model.joints import JointMap
 
 @dataclass(frozen=True)
 class Noise:
-    """White inputs of one link's error.
+    """White inputs of one link's error."""
 
-    Attributes
-    ----------
-    direct, measured : ndarray, shapes (2, n) and (1, n)
-        Columns of unit-intensity inputs: ``direct`` enters the error as it is, ``measured`` through
-        the output injection L.
-    """
-
+    # columns of unit-intensity inputs that enter the error as they are, shape (2, n)
     direct: np.ndarray
-    measured: np.ndarray
+    measured: np.ndarray  # those that enter through the output injection L, shape (1, n)
 
 
 @dataclass(frozen=True)
 class LinkError:
-    """Error of one link in the state (e, m/Xi_ii): angle [rad] and weighted rate [rad/s].
+    """Error of one link in the state (e, m/Xi_ii): angle [rad] and weighted rate [rad/s]."""
 
-    Attributes
-    ----------
-    index : int
-        0 or 1.
-    inertia : float
-        Xi_ii [kg m2].
-    gravity : float
-        G_i [N m/rad].
-    slopes : tuple of float
-        Smallest and largest slope Gamma_i in the region [N m/rad].
-    rows : ndarray, shape (2, 2)
-        Row i of Xi at both ends of Xi12, times s = +1 (upright) or -1 (hanging): for a hanging arm
-        the momentum error is counted with the other sign, which makes both cases one.
-    rate_noise : ndarray, shape (2, 2)
-        Square root of the covariance of the measured absolute rates, per root of time.
-    unit : float
-        Size of errors [rad], for scaling.
-    """
-
-    index: int
-    inertia: float
-    gravity: float
-    slopes: tuple
+    index: int  # 0 or 1
+    inertia: float  # Xi_ii [kg m2]
+    gravity: float  # G_i [N m/rad]
+    slopes: tuple  # smallest and largest slope Gamma_i in the region [N m/rad]
+    # row i of Xi at both ends of Xi12, times s = +1 (upright) or -1 (hanging): for a hanging arm
+    # the momentum error is counted with the other sign, which makes both cases one, shape (2, 2)
     rows: np.ndarray
+    # square root of the covariance of the measured absolute rates, per root of time, shape (2, 2)
     rate_noise: np.ndarray
-    unit: float = 0.05
+    unit: float = 0.05  # size of errors [rad], for scaling
 
     output = np.array([[0.0, 1.0]])
 

@@ -1,6 +1,6 @@
 """Gains of observer and controller, and the YAML parameter file that carries them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,36 +17,18 @@ METHODS = ('paper', 'exact')
 
 @dataclass(frozen=True)
 class PaperObserverGains:
-    """Observer of method ``paper``, with what its certificate claims.
+    """Observer of method ``paper``, eqs. (41) and (56), with what its certificate claims."""
 
-    Attributes
-    ----------
-    t1, t2 : ndarray, shapes (6, 6) and (6, 4)
-        Decoupling matrices, eq. (41).
-    k : ndarray, shape (8, 6, 4)
-        K_i, eq. (56).
-    lyapunov : ndarray, shape (6, 6)
-        P.
-    box : ndarray, shape (3, 2)
-        Ranges of phi1, phi2, phi3.
-    lmi : {'55', '54+disc'}
-        Which inequalities hold.
-    gamma, q, r : float
-        Attenuation level, and disc [1/s].
-    fault_sigma : ndarray, shape (2,)
-        Standard deviation of the fault estimates [rad].
-    """
-
-    t1: np.ndarray
-    t2: np.ndarray
-    k: np.ndarray
-    lyapunov: np.ndarray
-    box: np.ndarray
-    lmi: str
-    gamma: float
-    q: float
-    r: float
-    fault_sigma: np.ndarray
+    t1: np.ndarray  # decoupling matrix T1, eq. (41), shape (6, 6)
+    t2: np.ndarray  # decoupling matrix T2, eq. (41), shape (6, 4)
+    k: np.ndarray  # K_i, eq. (56), shape (8, 6, 4)
+    lyapunov: np.ndarray  # P, shape (6, 6)
+    box: np.ndarray  # ranges of phi1, phi2, phi3, shape (3, 2)
+    lmi: str  # which inequalities hold: '55' or '54+disc'
+    gamma: float  # attenuation level
+    q: float  # disc of the poles [1/s]
+    r: float  # disc of the poles [1/s]
+    fault_sigma: np.ndarray  # standard deviation of the fault estimates, shape (2,) [rad]
     method = 'paper'
 
     @property
@@ -57,80 +39,52 @@ class PaperObserverGains:
 
 @dataclass(frozen=True)
 class ExactObserverGains:
-    """Observer of method ``exact``: one second-order error system for each link.
+    """Observer of method ``exact``: one second-order error system for each link."""
 
-    Attributes
-    ----------
-    kappa : ndarray, shape (2,)
-        kappa_i [1/(kg m2)].
-    mu : ndarray, shape (2,)
-        mu_i [1/s].
-    lyapunov : ndarray, shape (2, 2, 2)
-        P of each link, for the state (e_i, m_i / Xi_ii).
-    decay, fastest : float
-        Certified range of the error's poles [1/s].
-    fault_sigma : ndarray, shape (2,)
-        Bound on the standard deviation of the fault estimates [rad].
-    """
-
-    kappa: np.ndarray
-    mu: np.ndarray
-    lyapunov: np.ndarray
-    decay: float
-    fastest: float
+    kappa: np.ndarray  # kappa_i, shape (2,) [1/(kg m2)]
+    mu: np.ndarray  # mu_i, shape (2,) [1/s]
+    lyapunov: np.ndarray  # P of each link, for the state (e_i, m_i / Xi_ii), shape (2, 2, 2)
+    decay: float  # certified slowest pole of the error [1/s]
+    fastest: float  # certified fastest pole of the error [1/s]
+    # bound on the standard deviation of the fault estimates, shape (2,) [rad]
     fault_sigma: np.ndarray
     method = 'exact'
 
 
 @dataclass(frozen=True)
+class MotionCertificate:
+    """What `sampled_motion.SampledLoop` proves of the sampled loop in motion."""
+
+    lyapunov: np.ndarray  # P for the state (theta, theta', eps, u), shape (8, 8)
+    rate: float  # largest absolute rate of a link [rad/s]
+    decay: float  # certified decay rate [1/s]
+
+
+@dataclass(frozen=True)
 class ControllerGains:
-    """State feedback with integral action, eq. (65).
+    """State feedback with integral action, eq. (65), and its certificate, eqs. (67) and (68)."""
 
-    Attributes
-    ----------
-    method : {'paper', 'exact'}
-        ``paper`` is u = M1 x + M2 eps; ``exact`` adds reference feed-forward.
-    m1, m2 : ndarray, shapes (2, 4) and (2, 2)
-        M1 and M2, absolute coordinates.
-    lyapunov : ndarray, shape (6, 6)
-        P = Q^-1 of the certificate, eq. (68).
-    decay : float
-        Certified alpha of eq. (67) [1/s].
-    sinc_min : float
-        Lower end of the paper's box (method ``paper``).
-    """
-
-    method: str
-    m1: np.ndarray
-    m2: np.ndarray
-    lyapunov: np.ndarray
-    decay: float
-    sinc_min: float = -0.2
+    method: str  # ``paper`` is u = M1 x + M2 eps; ``exact`` adds reference feed-forward
+    m1: np.ndarray  # M1, absolute coordinates, shape (2, 4)
+    m2: np.ndarray  # M2, absolute coordinates, shape (2, 2)
+    lyapunov: np.ndarray  # P = Q^-1 of the certificate, eq. (68), shape (6, 6)
+    decay: float  # certified alpha of eq. (67) [1/s]
+    sinc_min: float = -0.2  # lower end of the paper's box (method ``paper``)
+    # of the sampled loop in motion (method ``exact``), where there is one
+    motion: MotionCertificate | None = None
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Everything that a design hands to the nodes.
+    """Everything that a design hands to the nodes."""
 
-    Attributes
-    ----------
-    arm_name, arm_sha256 : str
-        The arm that the gains belong to.
-    observer : PaperObserverGains or ExactObserverGains
-        Observer part.
-    controller : ControllerGains
-        Controller part.
-    certificate : dict
-        Margins, solver and versions, as text and numbers: information, nothing is computed from it.
-    checksum : str
-        Of the numbers as they were written; empty for gains that were not read from a file.
-    """
-
-    arm_name: str
-    arm_sha256: str
-    observer: ExactObserverGains | PaperObserverGains
-    controller: ControllerGains
+    arm_name: str  # of the arm that the gains belong to
+    arm_sha256: str  # hash of its parameters
+    observer: ExactObserverGains | PaperObserverGains  # observer part
+    controller: ControllerGains  # controller part
+    # margins, solver and versions, as text and numbers: information, nothing is computed from it
     certificate: dict = field(default_factory=dict)
+    # of the numbers as they were written; empty for gains that were not read from a file
     checksum: str = ''
 
     def check_arm(self, arm: ArmParameters, source: str = 'gains') -> None:
@@ -186,30 +140,27 @@ def gains_to_dict(gains: Gains) -> dict[str, Any]:
 
 def _numbers(gains: Gains) -> dict[str, Any]:
     o, c = gains.observer, gains.controller
-
-    def flat(array: np.ndarray) -> list[float]:
-        return [float(v) for v in np.asarray(array).ravel()]
-
+    motion = {} if c.motion is None else {'motion': _plain(c.motion)}
     return {
         'format': FORMAT,
         'arm_name': gains.arm_name,
         'arm_sha256': gains.arm_sha256,
-        'observer': {
-            'method': o.method,
-            **{
-                name: flat(value) if isinstance(value, np.ndarray) else value
-                for name, value in vars(o).items()
-            },
-        },
-        'controller': {
-            'method': c.method,
-            'm1': flat(c.m1),
-            'm2': flat(c.m2),
-            'lyapunov': flat(c.lyapunov),
-            'decay': float(c.decay),
-            'sinc_min': float(c.sinc_min),
-        },
+        'observer': {'method': o.method, **_plain(o)},
+        'controller': {**_plain(replace(c, motion=None)), **motion},
     }
+
+
+def _plain(part: Any) -> dict[str, Any]:
+    """The fields of a part of the gains, arrays flattened row-major."""
+    return {
+        name: value.ravel().tolist() if isinstance(value, np.ndarray) else _scalar(value)
+        for name, value in vars(part).items()
+        if value is not None
+    }
+
+
+def _scalar(value: str | float) -> str | float:
+    return value if isinstance(value, str) else float(value)
 
 
 def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
@@ -247,6 +198,7 @@ def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
         lyapunov=con.matrix('lyapunov', (6, 6)),
         decay=con.number('decay', above=0.0),
         sinc_min=con.number('sinc_min', -0.2, -0.3, 0.99),
+        motion=_motion(con.section('motion')) if 'motion' in con else None,
     )
     gains = Gains(
         top.text('arm_name'),
@@ -295,6 +247,16 @@ def _exact_observer(section: Section) -> ExactObserverGains:
         if np.any(getattr(gains, name) <= 0.0):
             raise section.error(name, 'must be positive')
     return gains
+
+
+def _motion(section: Section) -> MotionCertificate:
+    motion = MotionCertificate(
+        lyapunov=section.matrix('lyapunov', (8, 8)),
+        rate=section.number('rate', low=0.0),
+        decay=section.number('decay', above=0.0),
+    )
+    section.finish()
+    return motion
 
 
 def save_gains(gains: Gains, path: str | Path, comment: str = '') -> None:

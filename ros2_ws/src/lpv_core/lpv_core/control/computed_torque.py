@@ -8,11 +8,9 @@ kp = 3 w^2, ki = w^3.  Nothing of this is certified for a wrong model.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lpv_core.control.latency import loop_latency
-from lpv_core.control.path import Reference
-from lpv_core.control.tracking import Command
+from lpv_core.control.tracking_law import TrackingLaw, apply_limits
 from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.friction import friction_torque
@@ -81,19 +79,12 @@ def computed_torque(
     inverse_dynamics(chain, position, velocity, state.acceleration, work, state.torque)
     # Friction along the reference: noise of rates around zero would make it chatter.
     friction_torque(chain, reference[1], state.torque, state.friction)
-    state.saturated = False
     for i in range(n):
-        wanted = state.torque[i] + state.friction[i]
-        state.torque[i] = min(max(wanted, -state.limit[i]), state.limit[i])
-        if state.torque[i] != wanted:
-            state.saturated = True
-    if not state.saturated:
-        # Conditional integration: no wind-up at the limit.
-        for i in range(n):
-            state.integral[i] += state.step[i]
+        state.torque[i] += state.friction[i]
+    apply_limits(state, state.limit)
 
 
-class ComputedTorqueController:
+class ComputedTorqueController(TrackingLaw):
     """Computed torque with PD and integral action.
 
     Parameters
@@ -119,63 +110,31 @@ class ComputedTorqueController:
             raise ConfigError(
                 'bandwidth', f'{bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
             )
-        self.state = new_record(
+        state = new_record(
             computed_torque_type(len(arm.joints)),
             ki=gains[0],
             kp=gains[1],
             kd=gains[2],
             limit=arm.torque_limit,
         )
+        super().__init__(state)
 
     @property
     def chain(self) -> Chain:
         """The model that torques are computed with."""
         return self._chain
 
-    @property
-    def integral(self) -> np.ndarray:
-        """State eps of the integral action, shape (n,) [rad s]."""
-        return self.state.integral
-
-    def reset(self) -> None:
-        """Empty the integrator."""
-        self.state.integral[:] = 0.0
-
-    def update(
+    def _answer(
         self,
-        reference: Reference,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        integrated_position: ArrayLike,
+        reference: FloatArray,
+        position: FloatArray,
+        velocity: FloatArray,
+        integrated: FloatArray,
         interval: float,
-    ) -> Command:
-        """Torque for the present sample.
-
-        Parameters
-        ----------
-        reference : Reference
-            References at the sample's time, shape (n,) each.
-        position, velocity, integrated_position : array_like, shape (n,)
-            State to feed back, and the position that eps integrates [rad], [rad/s].
-        interval : float
-            Time since the previous command [s]; 0 at the first.
-
-        Returns
-        -------
-        Command
-            Joint torques.
-        """
+    ) -> None:
         computed_torque(
-            self._chain,
-            self.state,
-            np.array([reference.position, reference.velocity, reference.acceleration]),
-            np.ascontiguousarray(position, dtype=float),
-            np.ascontiguousarray(velocity, dtype=float),
-            np.ascontiguousarray(integrated_position, dtype=float),
-            float(interval),
-            self._work,
+            self._chain, self.state, reference, position, velocity, integrated, interval, self._work
         )
-        return Command(self.state.torque.copy(), bool(self.state.saturated))
 
 
 def serial_loop_latency(bandwidth: float, sample_time: float) -> float:

@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
 
+from lpv_core.control.rest_to_rest import checked_times, rest_to_rest
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import ELBOWS, forward, inverse, joint_motion
 from lpv_core.support.errors import ConfigError
@@ -15,20 +15,12 @@ from lpv_core.support.errors import ConfigError
 
 @dataclass(frozen=True)
 class Reference:
-    """Reference of the tracking loop at one or more times.
+    """Reference of the tracking loop at one or more times."""
 
-    Attributes
-    ----------
-    position, velocity, acceleration : ndarray, shape (..., n)
-        Joint references [rad], [rad/s], [rad/s2], ROS joint coordinates.
-    tip : ndarray, shape (..., 2) or (..., 3)
-        The point of the path [m]: x, y in the plane of a two-link arm, x, y, z of others.
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    tip: np.ndarray
+    position: np.ndarray  # of the joints, ROS joint coordinates, shape (..., n) [rad]
+    velocity: np.ndarray  # the same, shape (..., n) [rad/s]
+    acceleration: np.ndarray  # the same, shape (..., n) [rad/s2]
+    tip: np.ndarray  # the point of the path: x, y in the plane of a two-link arm, else x, y, z [m]
 
 
 class TimedPath(Protocol):
@@ -46,18 +38,10 @@ class TimedPath(Protocol):
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A round obstacle in the plane of the arm.
+    """A round obstacle in the plane of the arm."""
 
-    Attributes
-    ----------
-    center : tuple of float
-        x, y [m].
-    radius : float
-        [m].
-    """
-
-    center: tuple[float, float]
-    radius: float
+    center: tuple[float, float]  # x, y [m]
+    radius: float  # [m]
 
 
 class CartesianPath:
@@ -93,20 +77,16 @@ class CartesianPath:
         elbow: str = 'positive',
         obstacle: Obstacle | None = None,
     ) -> None:
-        knots, tips = np.asarray(times, float), np.asarray(points, float)
-        if len(knots) < 2 or tips.shape != (len(knots), 2):
-            raise ConfigError('path.waypoints', 'needs two or more points with t, x and y')
+        knots, tips = checked_times(times), np.asarray(points, float)
+        if tips.shape != (len(knots), 2):
+            raise ConfigError('path.waypoints', 'needs points with t, x and y')
         if not np.isfinite(tips).all():
             raise ConfigError('path.waypoints', 'x and y must be finite')
-        if not (np.isfinite(knots).all() and np.all(np.diff(knots) > 0)):
-            raise ConfigError('path.waypoints', 'times must increase')
         if elbow not in ELBOWS:
             raise ConfigError('path.elbow', f'must be one of {", ".join(ELBOWS)}')
         self._arm, self._elbow, self.obstacle = arm, elbow, obstacle
         self.start, self.end = float(knots[0]), float(knots[-1])
-        # Velocity and acceleration vanish at both ends; jerk is continuous inside.
-        rest = [(1, np.zeros(2)), (2, np.zeros(2))]
-        self._spline = make_interp_spline(knots, tips, k=5, bc_type=(rest, rest))
+        self._spline = rest_to_rest(knots, tips)
         self._rate, self._curvature = self._spline.derivative(1), self._spline.derivative(2)
         # q1 of eqs. (32)-(34) counts from the x-axis, which is -pi/2 from the upper vertical.
         self._offset = np.array([-np.pi / 2 - arm.zero_angle, 0.0])

@@ -5,14 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
 
 from lpv_core.control.path import Reference
-from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain
+from lpv_core.control.rest_to_rest import checked_times, rest_to_rest
+from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.dynamics.friction import friction_torque
 from lpv_core.serial_arm.dynamics.kinematics import inverse_kinematics, joint_frames
-from lpv_core.serial_arm.dynamics.model import SerialModel
+from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv_core.support.errors import ConfigError, UnreachableError
 from lpv_core.support.jit import njit
 
@@ -57,7 +58,7 @@ class SerialPath:
     obstacle = None
 
     def __init__(self, arm: SerialArm, times: Sequence[float], positions: ArrayLike) -> None:
-        knots, joints = _checked_times(times), np.asarray(positions, float)
+        knots, joints = checked_times(times), np.asarray(positions, float)
         n = len(arm.joints)
         if joints.shape != (len(knots), n):
             raise ConfigError('path.waypoints', f'must give {n} joint positions each')
@@ -65,8 +66,7 @@ class SerialPath:
             raise ConfigError('path.waypoints', 'must be finite')
         self._chain = compile_chain(arm)
         self.start, self.end = float(knots[0]), float(knots[-1])
-        rest = [(1, np.zeros(n)), (2, np.zeros(n))]
-        self._spline = make_interp_spline(knots, joints, k=5, bc_type=(rest, rest))
+        self._spline = rest_to_rest(knots, joints)
         self._rate, self._bend = self._spline.derivative(1), self._spline.derivative(2)
         self._check_limits(arm)
 
@@ -101,7 +101,7 @@ class SerialPath:
             If a part of the path is out of reach, beyond the limits of a joint, or near a
             singularity; the message says when.
         """
-        knots = _checked_times(times)
+        knots = checked_times(times)
         if len(waypoints.positions) != len(knots):
             raise ConfigError('path.waypoints', 'must have a position each')
         if len(waypoints.start) != len(arm.joints):
@@ -135,10 +135,11 @@ class SerialPath:
         return tips.reshape(*position.shape[:-1], 3)
 
     def _check_limits(self, arm: SerialArm) -> None:
-        times, model = np.linspace(self.start, self.end, _CHECKED), SerialModel(self._chain)
-        rows = zip(self._spline(times), self._rate(times), self._bend(times))
-        moves = [(q, np.abs(v), np.abs(model.torque(q, v, a))) for q, v, a in rows]
-        position, rate, torque = (np.array(part) for part in zip(*moves))
+        times = np.linspace(self.start, self.end, _CHECKED)
+        position, rate, bend = self._spline(times), self._rate(times), self._bend(times)
+        torque = np.empty_like(position)
+        _fill_torques(self._chain, position, rate, bend, workspace(self._chain), torque)
+        rate, torque = np.abs(rate), np.abs(torque)
         for i, joint in enumerate(arm.joints):
             limits = joint.limits
             low, high = position[:, i].min(), position[:, i].max()
@@ -162,27 +163,32 @@ def _fill_tips(chain: Chain, positions: FloatArray, tips: FloatArray) -> None:
         tips[k, :] = origins[n]
 
 
+@njit
+def _fill_torques(
+    chain: Chain,
+    position: FloatArray,
+    rate: FloatArray,
+    bend: FloatArray,
+    work: FloatArray,
+    torque: FloatArray,
+) -> None:
+    """Joint torques of motions, friction included, one row each."""
+    friction = np.empty(position.shape[1])
+    for k in range(len(position)):
+        inverse_dynamics(chain, position[k], rate[k], bend[k], work, torque[k])
+        friction_torque(chain, rate[k], torque[k], friction)
+        torque[k] += friction
+
+
 def _beyond(reason: str, limit: str) -> ConfigError:
     return ConfigError('path', f'{reason}, whose limit is {limit}')
-
-
-def _checked_times(times: Sequence[float]) -> FloatArray:
-    knots = np.asarray(times, float)
-    if len(knots) < 2:
-        raise ConfigError('path.waypoints', 'must be two or more')
-    if not (np.isfinite(knots).all() and np.all(np.diff(knots) > 0)):
-        raise ConfigError('path.waypoints', 'times must increase')
-    return knots
 
 
 def _solve_poses(
     arm: SerialArm, knots: FloatArray, waypoints: PoseWaypoints, grid: FloatArray
 ) -> FloatArray:
     """Joint positions of the poses at the times of a grid, each close to the one before."""
-    rest = [(1, np.zeros(3)), (2, np.zeros(3))]
-    tips = make_interp_spline(
-        knots, np.array(waypoints.positions), k=5, bc_type=(rest, rest)
-    )(grid)  # fmt: skip
+    tips = rest_to_rest(knots, np.array(waypoints.positions))(grid)
     turns = _orientations(knots, waypoints, grid)
     chain, q = compile_chain(arm), np.array(waypoints.start, float)
     limits = (

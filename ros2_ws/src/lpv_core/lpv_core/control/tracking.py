@@ -1,18 +1,16 @@
 """Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lpv_core.certificate.gains import Gains
-from lpv_core.control.path import Reference
+from lpv_core.control.tracking_law import TrackingLaw, apply_limits
 from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JOINT_MAP, JointMap
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, plain, record_type
+from lpv_core.support.records import new_record, record_type
 
 COMPENSATION = ('off', 'confirmed', 'always')
 """Which position the loop closes on: measured, with confirmed faults removed, or estimated."""
@@ -99,16 +97,8 @@ def track(
         x[0], x[1], x[2], x[3] = x[0] - state.w[0], x[1] - state.w[1], x[2] - rate_1, x[3] - rate_2
     q_1 = forward_1 + _feedback(params, state, 0)
     q_2 = forward_2 + _feedback(params, state, 1)
-    state.saturated = False
-    for i in range(2):
-        wanted = q_1 + q_2 if i == 0 else q_2  # tau = J^-T Q
-        state.torque[i] = min(max(wanted, -params.limit[i]), params.limit[i])
-        if state.torque[i] != wanted:
-            state.saturated = True
-    if not state.saturated:
-        # Conditional integration: no wind-up at the limit.
-        state.integral[0] += state.step[0]
-        state.integral[1] += state.step[1]
+    state.torque[0], state.torque[1] = q_1 + q_2, q_2  # tau = J^-T Q
+    apply_limits(state, params.limit)
 
 
 @njit
@@ -122,23 +112,7 @@ def _feedback(params: np.record, state: np.record, i: int) -> float:
     return total
 
 
-@dataclass(frozen=True)
-class Command:
-    """One torque command.
-
-    Attributes
-    ----------
-    torque : ndarray, shape (2,)
-        Joint torques within limits [N m].
-    saturated : bool
-        Whether a limit was met.
-    """
-
-    torque: np.ndarray
-    saturated: bool
-
-
-class TrackingController:
+class TrackingController(TrackingLaw):
     """State feedback u = M1 x + M2 eps (65), eps' = w - y (59).
 
     Method ``exact`` closes the loop on the deviation from the reference and adds the torque that
@@ -160,54 +134,17 @@ class TrackingController:
 
     def __init__(self, arm: ArmParameters, gains: Gains) -> None:
         self._constants = tracking_constants(arm, gains)
-        self._state = new_record(TRACKING_STATE)
-        self._shown = plain(self._state)
+        super().__init__(new_record(TRACKING_STATE))
 
-    @property
-    def integral(self) -> np.ndarray:
-        """eps of eq. (59), shape (2,) [rad s]."""
-        return self._state.integral
-
-    def reset(self) -> None:
-        """Empty the integrator."""
-        self._state.integral[:] = 0.0
-
-    def update(
+    def _answer(
         self,
-        reference: Reference,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        integrated_position: ArrayLike,
+        reference: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        integrated: np.ndarray,
         interval: float,
-    ) -> Command:
-        """Torque for the present sample.
-
-        Parameters
-        ----------
-        reference : Reference
-            References at the sample's time, shape (2,) each.
-        position, velocity : array_like, shape (2,)
-            State to feed back, joint coordinates [rad], [rad/s].
-        integrated_position : array_like, shape (2,)
-            Position y of eq. (59), joint coordinates [rad].
-        interval : float
-            Time since the previous command [s]; 0 at the first.
-
-        Returns
-        -------
-        Command
-            Joint torques.
-        """
-        track(
-            self._constants,
-            self._state,
-            np.array([reference.position, reference.velocity, reference.acceleration]),
-            np.ascontiguousarray(position, dtype=float),
-            np.ascontiguousarray(velocity, dtype=float),
-            np.ascontiguousarray(integrated_position, dtype=float),
-            float(interval),
-        )
-        return Command(self._shown['torque'].copy(), bool(self._shown['saturated']))
+    ) -> None:
+        track(self._constants, self.state, reference, position, velocity, integrated, interval)
 
 
 def feedback_position(compensation: str, estimate: Any) -> np.ndarray:

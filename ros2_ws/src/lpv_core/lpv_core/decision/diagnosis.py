@@ -79,83 +79,43 @@ class AlarmEvent(IntEnum):
 
 @dataclass(frozen=True)
 class DiagnosisParameters:
-    """Tuning of the decision.
+    """Tuning of the decision."""
 
-    Attributes
-    ----------
-    threshold_factor : float
-        Threshold over bound; above 1 trades delay against false alarms.
-    minimum_threshold : float
-        No alarm below this size [rad].
-    dwell : float
-        How long an estimate must stay above its threshold before the alarm [s].
-    clear_dwell : float
-        How long it must stay below ``hysteresis`` times the threshold to clear [s].
-    hysteresis : float
-        Fraction of the threshold at which an alarm may clear.
-    sigmas : float
-        Multiple of the noise part in the bound.
-    friction_uncertainty : float
-        Relative uncertainty of Coulomb friction.
-    false_alarm_hours : float
-        Mean time between false alarms by noise, for the limits of changes [h].
-    latch : bool
-        Alarms stay until they are reset, even if the fault is over.
-    compensation_rate : float
-        How fast a compensation without a known step is faded in and out [rad/s].
-    safe_stop_bound : float
-        A confirmed fault that did not begin with a jump cannot be compensated safely if its size
-        and bound together are larger [rad]; a level with a wider bound is no evidence.
-    max_ambiguous_change : float
-        Largest change of unknown cause with which the arm goes on [rad]: if it is the position
-        sensor after all, the arm is off its path by as much.
-    """
-
-    threshold_factor: float = 1.0
-    minimum_threshold: float = 0.01
-    dwell: float = 0.01
+    threshold_factor: float = 1.0  # threshold over bound; above 1 trades delay against false alarms
+    minimum_threshold: float = 0.01  # no alarm below this size [rad]
+    dwell: float = 0.01  # how long an estimate must stay above its threshold before the alarm [s]
+    # how long it must stay below ``hysteresis`` times the threshold to clear [s]
     clear_dwell: float = 0.2
-    hysteresis: float = 0.7
-    sigmas: float = 4.0
-    friction_uncertainty: float = 0.3
+    hysteresis: float = 0.7  # fraction of the threshold at which an alarm may clear
+    sigmas: float = 4.0  # multiple of the noise part in the bound
+    friction_uncertainty: float = 0.3  # relative uncertainty of Coulomb friction
+    # mean time between false alarms by noise, for the limits of changes [h]
     false_alarm_hours: float = 1000.0
-    latch: bool = False
+    latch: bool = False  # alarms stay until they are reset, even if the fault is over
+    # how fast a compensation without a known step is faded in and out [rad/s]
     compensation_rate: float = 0.5
+    # a confirmed fault that did not begin with a jump cannot be compensated safely if its size and
+    # bound together are larger [rad]; a level with a wider bound is no evidence
     safe_stop_bound: float = 1.5
+    # largest change of unknown cause with which the arm goes on [rad]: if it is the position sensor
+    # after all, the arm is off its path by as much
     max_ambiguous_change: float = 0.2
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """One alarm event of one sensor.
+    """One alarm event of one sensor."""
 
-    Attributes
-    ----------
-    event : AlarmEvent
-        Raised, updated or cleared.
-    sensor_index : int
-        Index of the physical sensor.
-    sensor : str
-        Its name.
-    onset, detected : int
-        First sample above the threshold and time of the decision [ns].
-    size, bound : float
-        Fault at the event, with sign, and bound on its error [rad].
-    kind : str
-        One of `lpv_core.decision.fault_kinds.KINDS`.
-    confidence : float
-        One minus the probability of a healthy estimate like this: taking the bound as ``sigmas``
-        standard deviations of a normal error, or from the mean time between false alarms.
-    """
-
-    event: AlarmEvent
-    sensor_index: int
-    sensor: str
-    onset: int
-    detected: int
-    size: float
-    bound: float
-    kind: str
+    event: AlarmEvent  # raised, updated or cleared
+    sensor_index: int  # index of the physical sensor
+    sensor: str  # its name
+    onset: int  # first sample above the threshold [ns]
+    detected: int  # time of the decision [ns]
+    size: float  # fault at the event, with sign [rad]
+    bound: float  # on the error of the size [rad]
+    kind: str  # one of `lpv_core.decision.fault_kinds.KINDS`
+    # one minus the probability of a healthy estimate like this: taking the bound as ``sigmas``
+    # standard deviations of a normal error, or from the mean time between false alarms
     confidence: float
 
 

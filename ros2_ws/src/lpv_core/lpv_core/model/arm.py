@@ -35,23 +35,12 @@ RATES = ('independent', 'derived', 'none')
 
 @dataclass(frozen=True)
 class Link:
-    """One link.
+    """One link."""
 
-    Attributes
-    ----------
-    mass : float
-        m_i [kg].
-    length : float
-        L_i, joint to joint (or to the tip) [m].
-    center_of_mass : float
-        L_ci, joint to centre of mass [m].
-    inertia : float
-        I_i [kg m2], about the centre of mass or the joint (``ArmParameters.inertia_reference``).
-    """
-
-    mass: float
-    length: float
-    center_of_mass: float
+    mass: float  # m_i [kg]
+    length: float  # L_i, joint to joint (or to the tip) [m]
+    center_of_mass: float  # L_ci, joint to centre of mass [m]
+    # I_i [kg m2], about the centre of mass or the joint (``ArmParameters.inertia_reference``)
     inertia: float
 
 
@@ -61,89 +50,50 @@ class ArmParameters:
 
     Angles of the model are ABSOLUTE link angles from the upper vertical (paper, Fig. 1);
     ``lpv_core.model.joints`` holds the only conversion to ROS joint coordinates.
-
-    Attributes
-    ----------
-    name : str
-        Name of the arm.
-    links : tuple of Link
-        Two links.
-    inertia_reference : {'center_of_mass', 'joint'}
-        The point that each ``Link.inertia`` refers to.
-    gravity : float
-        g [m/s2].
-    rotor_inertia, gear_ratio : float
-        Motor inertia [kg m2] and ratio; 0 and 1 without motors.
-    viscous, coulomb : tuple of float
-        Joint friction, tau = viscous*v + coulomb*(2/pi)*atan(coulomb_slope*v) [N m s], [N m].
-    coulomb_slope : float
-        Steepness of the Coulomb term [s/rad].
-    joint_names : tuple of str
-        Names in ``sensor_msgs/JointState``.
-    zero_angle : float
-        Absolute angle of link 1 at joint position q1 = 0 [rad].
-    sensor_names : tuple of str
-        Names of the two physical position sensors; faults are reported under them.
-    arrangement : {'absolute', 'relative'}
-        Whether a position sensor measures a link's absolute angle or a joint's relative one.
-    position_noise, velocity_noise : float
-        Standard deviations of white sensor noise [rad], [rad/s].
-    velocity_error : float
-        Relative error of the rates (scale, delay); limits of changes grow with it.
-    rates : {'independent', 'derived', 'none'}
-        Whether rates have sensors of their own, are computed from the positions, or are missing;
-        see `lpv_core.residual.rate_independence`.
-    disturbance_direction : tuple of float
-        Last two rows of Bd, eq. (31): accelerations of the absolute angles per unit of d.
-    disturbance_mean, disturbance_variance : float
-        The white disturbance d that the design must live with.
-    model_error : float
-        Relative error of masses and inertias that thresholds must tolerate.
-    payload : float
-        Largest unknown point mass at the tip that thresholds must tolerate [kg].
-    torque_tolerance : tuple of float
-        Generalised torques that the model may miss for moments (transmission, ripple) [N m]; only
-        the test of consistency needs them, what lasts belongs to the entries above.
-    torque_limit : tuple of float
-        Largest joint torques [N m].
-    velocity_limit : tuple of float
-        Largest plausible joint rates [rad/s]; a sample with a larger one is not used.
-    orientation : {'upright', 'hanging'}
-        Operating region: cos(theta) > 0 or cos(theta) < 0 for both links.
-    cos_min : tuple of float
-        Smallest abs(cos(theta_i)) of the region in which gains are certified.
-    sample_time : float
-        Ts [s].
+    The disturbance enters as in eq. (31).
     """
 
-    name: str
-    links: tuple
+    name: str  # name of the arm
+    links: tuple  # two, of type Link
+    # 'center_of_mass' or 'joint': the point that each ``Link.inertia`` refers to
     inertia_reference: str = 'center_of_mass'
-    gravity: float = 9.81
-    rotor_inertia: float = 0.0
-    gear_ratio: float = 1.0
+    gravity: float = 9.81  # g [m/s2]
+    rotor_inertia: float = 0.0  # of the motors [kg m2]; 0 without motors
+    gear_ratio: float = 1.0  # of the motors; 1 without motors
+    # joint friction, tau = viscous*v + coulomb*(2/pi)*atan(coulomb_slope*v) [N m s]
     viscous: tuple = (0.0, 0.0)
-    coulomb: tuple = (0.0, 0.0)
-    coulomb_slope: float = 100.0
-    joint_names: tuple = ('joint1', 'joint2')
-    zero_angle: float = -math.pi / 2
+    coulomb: tuple = (0.0, 0.0)  # see viscous [N m]
+    coulomb_slope: float = 100.0  # steepness of the Coulomb term [s/rad]
+    joint_names: tuple = ('joint1', 'joint2')  # names in ``sensor_msgs/JointState``
+    zero_angle: float = -math.pi / 2  # absolute angle of link 1 at joint position q1 = 0 [rad]
+    # names of the two physical position sensors; faults are reported under them
     sensor_names: tuple = ('joint1_encoder', 'joint2_encoder')
+    # whether a position sensor measures a link's 'absolute' angle or a joint's 'relative' one
     arrangement: str = 'relative'
-    position_noise: float = 1e-3
-    velocity_noise: float = 1e-2
+    position_noise: float = 1e-3  # standard deviation of white sensor noise [rad]
+    velocity_noise: float = 1e-2  # the same of rates [rad/s]
+    # relative error of the rates (scale, delay); limits of changes grow with it
     velocity_error: float = 0.0
+    # whether rates have sensors of their own ('independent'), are computed from the positions
+    # ('derived'), or are missing ('none'); see `lpv_core.residual.rate_independence`
     rates: str = 'independent'
+    # last two rows of Bd: accelerations of the absolute angles per unit of d
     disturbance_direction: tuple = (0.7, 0.0)
-    disturbance_mean: float = 0.2
-    disturbance_variance: float = 0.9
-    model_error: float = 0.0
-    payload: float = 0.0
+    disturbance_mean: float = 0.2  # of the white disturbance d that the design must live with
+    disturbance_variance: float = 0.9  # the same
+    model_error: float = 0.0  # relative error of masses and inertias that thresholds must tolerate
+    payload: float = 0.0  # largest unknown point mass at the tip that thresholds must tolerate [kg]
+    # generalised torques that the model may miss for moments (transmission, ripple) [N m]; only the
+    # test of consistency needs them, what lasts belongs to the entries above
     torque_tolerance: tuple = (0.0, 0.0)
-    torque_limit: tuple = (1e9, 1e9)
+    torque_limit: tuple = (1e9, 1e9)  # largest joint torques [N m]
+    # largest plausible joint rates [rad/s]; a sample with a larger one is not used
     velocity_limit: tuple = (100.0, 100.0)
+    # operating region of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
     orientation: str = 'upright'
+    # smallest abs(cos(theta_i)) of the region in which gains are certified
     cos_min: tuple = (0.3, 0.3)
-    sample_time: float = 0.002
+    sample_time: float = 0.002  # Ts [s]
 
     @property
     def lengths(self) -> tuple[float, float]:

@@ -8,6 +8,9 @@ import numpy as np
 from lpv_core.decision.diagnosis import Alarm
 from lpv_core.support.records import record_type
 
+LONGEST_STALE = 50_000_000
+"""Time without a usable measurement after which the last estimate is not trustworthy [ns]."""
+
 
 def answer_type(joints: int) -> np.dtype:
     """Record type of the answer to one measurement of an arm."""

@@ -5,12 +5,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lpv_core.decision.diagnosis import SensorState
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.support.jit import njit
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 BRIDGED = 6
 """Samples over which a reading that jumps is carried on by its rate: by then the jump is known."""
+_STALE, _NO_ESTIMATE, _STALE_SENSOR = int(Mode.STALE), int(Mode.NO_ESTIMATE), int(SensorState.STALE)
 _LONGEST_STEP = 10.0
 """Sample times after which nothing is carried on."""
 
@@ -147,45 +150,36 @@ def fill_answers(
 
 
 @njit
-def compensate(
-    work: Compensation,
-    stamps: IntArray,
-    measured: FloatArray,
-    fault: FloatArray,
-    drift: FloatArray,
-    limits: FloatArray,
-    tuning: tuple[float, float],
-    result: FloatArray,
-) -> None:
-    """Corrected positions and rates of samples in a row, the same as of `fill_answers`.
+def repeat_answer(rows: AnswerRows, row: int, last: int, is_fresh: bool) -> None:
+    """Answer an unusable sample with the last estimate, marked stale.
 
     Parameters
     ----------
-    work : Compensation
-        Changed.
-    stamps : ndarray of int64, shape (N,)
-        [ns].
-    measured : ndarray, shape (N, 2, n)
-        Readings and rates [rad], [rad/s].
-    fault : ndarray, shape (N, n)
-        Confirmed faults [rad].
-    drift : ndarray, shape (n,)
-        Error of the rates that are derived from the readings [rad/s].
-    limits : ndarray, shape (n,)
-        Change of a reading that may be a jump [rad].
-    tuning : tuple
-        Rate at which a fault is faded in and out [rad/s]; sample time [s].
-    result : ndarray, shape (N, 3, n)
-        Receives corrected positions and rates, and what was removed.
+    rows : AnswerRows
+        Written.
+    row, last : int
+        The sample, and the last one that was usable, or `NEVER`.
+    is_fresh : bool
+        Whether that one is recent enough to be trusted.
     """
-    for k in range(stamps.shape[0]):
-        step = _step(work, stamps[k], tuning[0], tuning[1])
-        for i in range(fault.shape[1]):
-            one = measured[k, 0, i], measured[k, 1, i]
-            _correct(work, i, one, (fault[k, i], drift[i]), limits[i], step)
-            result[k, 0, i], result[k, 1, i] = work.position[i], work.velocity[i]
-            result[k, 2, i] = work.applied[i]
-        work.stamp[0] = stamps[k]
+    rows.answered[row] = True
+    for i in range(rows.state.shape[1]):
+        rows.state[row, i] = _STALE_SENSOR
+    if last == NEVER:
+        rows.mode[row] = _NO_ESTIMATE
+        return
+    for i in range(rows.state.shape[1]):
+        rows.position[row, i], rows.velocity[row, i] = (
+            rows.position[last, i],
+            rows.velocity[last, i],
+        )
+        rows.compensated[row, i] = rows.compensated[last, i]
+        rows.measured[row, i] = rows.measured[last, i]
+        rows.measured_velocity[row, i] = rows.measured_velocity[last, i]
+        rows.estimate[row, i], rows.bound[row, i] = rows.estimate[last, i], rows.bound[last, i]
+        rows.threshold[row, i], rows.alarm[row, i] = rows.threshold[last, i], rows.alarm[last, i]
+    rows.has_fault[row], rows.inconsistent[row] = True, rows.inconsistent[last]
+    rows.mode[row], rows.trustworthy[row] = _STALE, is_fresh and rows.trustworthy[last]
 
 
 @njit

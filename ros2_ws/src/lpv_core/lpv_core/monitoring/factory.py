@@ -17,27 +17,13 @@ from lpv_core.support.errors import ConfigError
 
 
 class Monitor(Protocol):
-    """Diagnosis of one arm's position sensors.
+    """Diagnosis of one arm's position sensors."""
 
-    Attributes
-    ----------
-    name : str
-        Name in diagnostics: the node's fully qualified name.
-    rejected : int
-        Messages that did not fit the arm.
-    method : str
-        How faults are found.
-    answer_type : numpy.dtype
-        Of a row of `take_many`'s answers.
-    needs_rates : bool
-        Whether measurements without rates are refused.
-    """
-
-    name: str
-    rejected: int
-    method: str
-    answer_type: np.dtype
-    needs_rates: bool
+    name: str  # name in diagnostics: the node's fully qualified name
+    rejected: int  # messages that did not fit the arm
+    method: str  # how faults are found
+    answer_type: np.dtype  # of a row of `take_many`'s answers
+    needs_rates: bool  # whether measurements without rates are refused
 
     @property
     def arm(self) -> Any:

@@ -38,24 +38,13 @@ _INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradic
 
 @dataclass(frozen=True)
 class Findings:
-    """What else is known of observer and sensors.
+    """What else is known of observer and sensors."""
 
-    Attributes
-    ----------
-    inconsistent : bool
-        Rates, torques and model contradict each other.
-    unsupported : bool
-        The arm rests, and the measured torques do not hold it.
-    warnings : tuple
-        For each sensor, what contradicts the arm file, by subject.
-    note : str
-        What the observer's message says where it would say that all is well.
-    """
-
-    inconsistent: bool
-    unsupported: bool
+    inconsistent: bool  # rates, torques and model contradict each other
+    unsupported: bool  # the arm rests, and the measured torques do not hold it
+    # for each sensor, what contradicts the arm file, by subject
     warnings: tuple[dict[str, str], ...]
-    note: str = ''
+    note: str = ''  # what the observer's message says where it would say that all is well
 
 
 def state_fields(state: np.record) -> dict[str, Any]:

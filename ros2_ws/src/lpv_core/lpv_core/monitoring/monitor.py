@@ -30,7 +30,7 @@ from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.model.joints import joint_angle
 from lpv_core.monitoring import message_fields
-from lpv_core.monitoring.answers import Answer, Answers, answer_type
+from lpv_core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv_core.observer.sampled_observer import (
     COUNTERS,
     ESTIMATE,
@@ -54,8 +54,6 @@ from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
-_LONGEST_STALE = 50_000_000
-"""Time without a usable measurement after which the last estimate is not trustworthy [ns]."""
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 _SENSOR_STALE = int(SensorState.STALE)
 
@@ -159,7 +157,7 @@ def monitor_step(
     else:
         # An unusable sample is answered with the last estimate; never with silence.
         _fill(params, state, answer, _STALE)
-        if stamp - state.observer.stamp > _LONGEST_STALE:
+        if stamp - state.observer.stamp > LONGEST_STALE:
             answer.state.trustworthy = False
     # On the clock of the data: replays then report alike.
     answer.due = answer.has_events or state.next_report == NEVER or stamp >= state.next_report

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
+from lpv_core.decision.diagnosis import Alarm, DiagnosisParameters, SensorState
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.monitoring import message_fields
-from lpv_core.monitoring.answers import Answer, Answers, answer_type
+from lpv_core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv_core.monitoring.compensation import (
     AnswerRows,
+    Compensation,
     Flags,
     Known,
     answer_rows,
@@ -36,9 +37,6 @@ from lpv_core.support.timestamps import NANOSECONDS, NEVER
 METHOD = 'momentum balances'
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
-_LONGEST_STALE = 50_000_000
-"""Time without a usable measurement after which the last estimate is not trustworthy, and without
-efforts after which the diagnosis goes on without them [ns]."""
 _LARGEST = (1e3, 1e4, 1e9)
 """Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
 _MOST_AT_ONCE = 2048
@@ -71,6 +69,15 @@ class _Batch(NamedTuple):
     samples: FloatArray
     records: np.recarray
     rows: AnswerRows
+
+
+class MonitorParts(NamedTuple):
+    """What a compiled loop calls the monitor's functions with."""
+
+    monitor: SteppedMonitor
+    compensation: Compensation
+    known: Known
+    flags: Flags
 
 
 class SerialSensorMonitor:
@@ -267,7 +274,7 @@ class SerialSensorMonitor:
         blind = not np.isfinite(sample[2]).all()
         if blind and not self._blind and self._stamp != NEVER:
             self.counters.without_effort += 1
-            if stamp - self._stamp <= _LONGEST_STALE:
+            if stamp - self._stamp <= LONGEST_STALE:
                 self._answer_stale(stamp, row)
                 return False
         if blind is not self._blind:
@@ -328,13 +335,23 @@ class SerialSensorMonitor:
         self._fill(batch, begin, end, answers)
         self._last = batch.records[end - 1 : end].copy()
 
-    def _decide(self, snapshot: Snapshot, stamp: int, row: int, answers: Answers) -> None:
-        """Take note of what has been decided at a sample, and of its alarms."""
+    @property
+    def parts(self) -> MonitorParts:
+        """Arguments of the compiled functions, until `note`; for closed-loop simulations."""
+        return MonitorParts(self._monitor, self._compensation, self._arrays, self._flags)
+
+    def note(self, snapshot: Snapshot, stamp: int) -> list[Alarm]:
+        """Take note of what has been decided at a sample [ns]; its alarm events."""
         onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
         events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
-        answers.events += [(row, event) for event in events]
         self._compensation.applied[:] += snapshot.jump
         self._know(snapshot, stamp)
+        return events
+
+    def _decide(self, snapshot: Snapshot, stamp: int, row: int, answers: Answers) -> None:
+        """What has been decided counts from a sample on."""
+        events = self.note(snapshot, stamp)
+        answers.events += [(row, event) for event in events]
         if events:
             self._next_report = NEVER
 
@@ -404,7 +421,7 @@ class SerialSensorMonitor:
         row.restarted, row.answered = restarted, True
         row.state.mode = Mode.STALE if row.has_fault[0] else Mode.NO_ESTIMATE
         row.fault.state = SensorState.STALE
-        if not row.has_fault[0] or stamp - self._stamp > _LONGEST_STALE:
+        if not row.has_fault[0] or stamp - self._stamp > LONGEST_STALE:
             row.state.trustworthy = False
 
     def _is_due(self, stamp: int) -> bool:

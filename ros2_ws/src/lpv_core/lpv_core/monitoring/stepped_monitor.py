@@ -98,10 +98,14 @@ class SteppedMonitor(SerialMonitor):
         super()._take(times, samples)
         self._row += len(times)
 
+    def decide(self, now: float, complete: bool) -> None:
+        """As of `SerialMonitor`."""
+        super().decide(now, complete)
+        self._balances += complete and self.uses_balances
+
     def _after(self, count: int, now: float, complete: bool) -> None:
         jumped = bool(self.sampler.found.any())
         self.decide(now, complete)
-        self._balances += complete and self.uses_balances
         if complete or jumped:
             self._snapshots.append(self.snapshot(self._row + count - 1))
 

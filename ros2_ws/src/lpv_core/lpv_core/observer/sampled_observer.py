@@ -57,23 +57,15 @@ _OBSERVING, _HOLDING, _INITIALISING = (int(m) for m in Mode if m <= Mode.INITIAL
 
 @dataclass
 class Counters:
-    """How many samples were not usable as they came.
+    """How many samples were not usable as they came."""
 
-    Attributes
-    ----------
-    duplicates, out_of_order, restarts, not_finite, implausible, gaps, late_steps : int
-        Samples with an old stamp; clock set back; NaN or infinite values; values that no arm of
-        this kind can have; intervals longer than the limit; intervals of several sample times
-        (lost samples) that were bridged.
-    """
-
-    duplicates: int = 0
-    out_of_order: int = 0
-    restarts: int = 0
-    not_finite: int = 0
-    implausible: int = 0
-    gaps: int = 0
-    late_steps: int = 0
+    duplicates: int = 0  # samples with the stamp of the one before
+    out_of_order: int = 0  # samples with an older stamp
+    restarts: int = 0  # the clock was set back
+    not_finite: int = 0  # NaN or infinite values
+    implausible: int = 0  # values that no arm of this kind can have
+    gaps: int = 0  # intervals longer than the limit
+    late_steps: int = 0  # intervals of several sample times (lost samples) that were bridged
 
 
 COUNTERS = record_type(*((name, 'i8') for name in Counters.__dataclass_fields__))

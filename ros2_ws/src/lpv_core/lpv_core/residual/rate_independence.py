@@ -37,18 +37,11 @@ _MOVED = 1e-3
 
 @dataclass(frozen=True)
 class RateSource:
-    """What the rates of one sensor are.
+    """What the rates of one sensor are."""
 
-    Attributes
-    ----------
-    source : str
-        One of `RATE_SOURCES`.
-    explained : float
-        Share of the rate's high-frequency variance that differences of the positions explain [1];
-        NaN where that cannot be told.
-    """
-
-    source: str
+    source: str  # one of `RATE_SOURCES`
+    # share of the rate's high-frequency variance that differences of the positions explain [1]; NaN
+    # where that cannot be told
     explained: float
 
 

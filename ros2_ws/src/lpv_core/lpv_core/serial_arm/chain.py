@@ -28,37 +28,22 @@ WORK_COLUMNS = 40
 
 
 class Chain(NamedTuple):
-    """A serial chain of n revolute joints; all arrays float64, C-contiguous.
+    """A serial chain of n revolute joints; all arrays float64, C-contiguous."""
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (n, 3, 3)
-        Orientation of joint frame i in frame i-1 (the base for i = 0) at q_i = 0.
-    translation : ndarray, shape (n, 3)
-        Origin of joint frame i in frame i-1 [m].
-    inertial : ndarray, shape (n, 10)
-        m, m*c, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of frame i [kg], [kg m], [kg m2].
-    motor : ndarray, shape (n, n)
-        Constant inertia of rotors and their couplings, added to M(q) [kg m2].
-    friction : ndarray, shape (n, 5)
-        Viscous [N m s], Coulomb [N m], load-dependent Coulomb [-], torque offset [N m], slope of
-        the smoothed sign [s/rad].
-    gravity : ndarray, shape (3,)
-        Acceleration of free fall in the base frame [m/s2].
-    tip_rotation : ndarray, shape (3, 3)
-        Orientation of the tip in the last joint frame.
-    tip_translation : ndarray, shape (3,)
-        Origin of the tip in the last joint frame [m].
-    """
-
+    # orientation of joint frame i in frame i-1 (the base for i = 0) at q_i = 0, shape (n, 3, 3)
     rotation: FloatArray
-    translation: FloatArray
+    translation: FloatArray  # origin of joint frame i in frame i-1, shape (n, 3) [m]
+    # m [kg], m*c [kg m], and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of frame i [kg m2],
+    # shape (n, 10)
     inertial: FloatArray
+    # constant inertia of rotors and their couplings, added to M(q), shape (n, n) [kg m2]
     motor: FloatArray
+    # viscous [N m s], Coulomb [N m], load-dependent Coulomb [-], torque offset [N m], slope of the
+    # smoothed sign [s/rad], shape (n, 5)
     friction: FloatArray
-    gravity: FloatArray
-    tip_rotation: FloatArray
-    tip_translation: FloatArray
+    gravity: FloatArray  # acceleration of free fall in the base frame, shape (3,) [m/s2]
+    tip_rotation: FloatArray  # orientation of the tip in the last joint frame, shape (3, 3)
+    tip_translation: FloatArray  # origin of the tip in the last joint frame, shape (3,) [m]
 
 
 def make_chain(

@@ -19,20 +19,13 @@ class LinkInertia:
     """Inertial parameters of a link and of all that is fixed to it.
 
     All refer to the URDF frame of the joint that moves the link (origin on its axis).
-
-    Attributes
-    ----------
-    mass : float
-        m [kg].
-    first_moment : tuple of float
-        m times the centre of mass, (x, y, z) [kg m].
-    inertia : tuple of float
-        (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about the joint frame's origin [kg m2], the order that
-        Pinocchio uses.
     """
 
-    mass: float
+    mass: float  # m [kg]
+    # m times the centre of mass, (x, y, z) [kg m]
     first_moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about the joint frame's origin [kg m2], the order that
+    # Pinocchio uses
     inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
 
     def to_vector(self) -> np.ndarray:
@@ -195,51 +188,26 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class SerialArm:
-    """A serial arm of n revolute joints, its sensors and what may vary.
+    """A serial arm of n revolute joints, its sensors and what may vary."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the arm.
-    joints : tuple of SerialJoint
-        From the base to the tip.
-    base_orientation : tuple of float
-        Roll, pitch, yaw of the base in a frame whose z-axis points up [rad].
-    gravity : float
-        g [m/s2].
-    tip : tuple of float
-        Reference point of a payload in the last joint's frame [m].
-    urdf : str
-        Path of the URDF that kinematics came from, or ''.
-    locked : tuple of (str, float)
-        Joints of the URDF that are held at an angle [rad] (a gripper's).
-    effort_includes_gravity : bool
-        Whether the reported efforts contain the torque that holds the arm's weight.
-    effort_unit : str
-        Unit of the reported efforts, ``torque_gain`` leads from it to N m.
-    uncertainty : Uncertainty
-        What may vary.
-    covariance : ParameterCovariance or None
-        Of the identified parameters.
-    effort_bandwidth : float
-        Above this frequency the reported efforts carry nothing [Hz]; inf if none is known.
-    sample_time : float
-        Ts [s].
-    """
-
-    name: str
-    joints: tuple[SerialJoint, ...]
+    name: str  # name of the arm
+    joints: tuple[SerialJoint, ...]  # from the base to the tip
+    # roll, pitch, yaw of the base in a frame whose z-axis points up [rad]
     base_orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    gravity: float = 9.81
+    gravity: float = 9.81  # g [m/s2]
+    # reference point of a payload in the last joint's frame [m]
     tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    urdf: str = ''
+    urdf: str = ''  # path of the URDF that kinematics came from, or ''
+    # joints of the URDF that are held at an angle [rad] (a gripper's)
     locked: tuple[tuple[str, float], ...] = ()
+    # whether the reported efforts contain the torque that holds the arm's weight
     effort_includes_gravity: bool = True
-    effort_unit: str = 'N m'
+    effort_unit: str = 'N m'  # unit of the reported efforts, ``torque_gain`` leads from it to N m
+    # above this frequency the reported efforts carry nothing [Hz]; inf if none is known
     effort_bandwidth: float = math.inf
-    uncertainty: Uncertainty = Uncertainty()
-    covariance: ParameterCovariance | None = None
-    sample_time: float = 0.002
+    uncertainty: Uncertainty = Uncertainty()  # what may vary
+    covariance: ParameterCovariance | None = None  # of the identified parameters
+    sample_time: float = 0.002  # Ts [s]
 
     @property
     def joint_names(self) -> tuple[str, ...]:

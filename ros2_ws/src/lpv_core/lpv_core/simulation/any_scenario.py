@@ -1,6 +1,7 @@
 """Scenarios and simulated arms of either kind."""
 
 from pathlib import Path
+from typing import Any
 
 from lpv_core.control.path import CartesianPath
 from lpv_core.control.serial_path import SerialPath
@@ -45,7 +46,13 @@ def load_any_scenario(path: str | Path, arm: Arm | None = None) -> AnyScenario:
     ConfigError
         Naming the offending field, or the kind where the arm is of the other one.
     """
-    data, source = read_yaml(path), str(Path(path))
+    return parse_any_scenario(read_yaml(path), str(Path(path)), arm)
+
+
+def parse_any_scenario(
+    data: dict[str, Any], source: str = 'scenario', arm: Arm | None = None
+) -> AnyScenario:
+    """Build a scenario of either kind from the mapping of its file, as `load_any_scenario`."""
     scenario: AnyScenario
     serial = is_serial_scenario(data)
     scenario = parse_serial_scenario(data, source) if serial else parse_scenario(data, source)

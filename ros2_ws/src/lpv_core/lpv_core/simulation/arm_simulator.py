@@ -168,39 +168,22 @@ def read_sensors(
 
 @dataclass(frozen=True)
 class Measurement:
-    """Readings of the sensors, in ROS joint coordinates.
+    """Readings of the sensors, in ROS joint coordinates."""
 
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (2,)
-        Faulty, noisy joint positions and noisy rates [rad], [rad/s].
-    effort : ndarray, shape (2,)
-        Joint torque that acted over the step before [N m].
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    effort: np.ndarray
+    position: np.ndarray  # faulty, noisy joint positions, shape (2,) [rad]
+    velocity: np.ndarray  # noisy joint rates, shape (2,) [rad/s]
+    effort: np.ndarray  # joint torque that acted over the step before, shape (2,) [N m]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """True state of the arm, which no observer may know.
+    """True state of the arm, which no observer may know."""
 
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (2,)
-        True joint positions and rates [rad], [rad/s].
-    fault : ndarray, shape (2,)
-        Fault of the physical sensors, reading minus truth before noise [rad]; NaN in a dropout.
-    disturbance : float
-        d over the step before.
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
+    position: np.ndarray  # true joint positions, shape (2,) [rad]
+    velocity: np.ndarray  # true joint rates, shape (2,) [rad/s]
+    # reading minus truth before noise, of the physical sensors, shape (2,) [rad]; NaN in a dropout
     fault: np.ndarray
-    disturbance: float
+    disturbance: float  # d over the step before
 
 
 class ArmSimulator:

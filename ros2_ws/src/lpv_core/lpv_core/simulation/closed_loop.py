@@ -161,9 +161,16 @@ class _Plant(NamedTuple):
     constants: np.record
     state: np.record
     faults: np.recarray
+
+
+class _Streams(NamedTuple):
+    """Generators of a run, apart from records: Numba finds the type of a tuple that holds a
+    generator anew at every call, that of a record with fields in milliseconds."""
+
     noise: np.random.Generator
     push: np.random.Generator
     chance: np.random.Generator
+    losses: np.random.Generator
 
 
 class _Monitor(NamedTuple):
@@ -198,7 +205,7 @@ class _Log(NamedTuple):
 def _run(
     loop: np.record,
     plant: _Plant,
-    losses: np.random.Generator,
+    streams: _Streams,
     monitor: _Monitor,
     tracker: _Tracker,
     log: _Log,
@@ -214,7 +221,7 @@ def _run(
         if loop.phase == _SENSE:
             if loop.found + 2 > len(log.events):
                 return k
-            _sense(loop, plant, losses, monitor, tracker, log, k)
+            _sense(loop, plant, streams, monitor, tracker, log, k)
             if loop.phase == _REFERENCE:
                 return k
         elif loop.phase == _REFERENCE:
@@ -222,7 +229,7 @@ def _run(
         if loop.phase == _COMMAND:
             _command(loop, monitor.answer.state, tracker, k)
         if loop.phase == _ACT:
-            _act(loop, plant, monitor, tracker, row, log.blocked[k], k)
+            _act(loop, plant, streams.push, monitor, tracker, row, log.blocked[k], k)
             if loop.phase == _ADVANCE:
                 return k
         loop.phase = _SENSE
@@ -234,7 +241,7 @@ def _run(
 def _sense(
     loop: np.record,
     plant: _Plant,
-    losses: np.random.Generator,
+    streams: _Streams,
     monitor: _Monitor,
     tracker: _Tracker,
     log: _Log,
@@ -242,9 +249,9 @@ def _sense(
 ) -> None:
     """Read the sensors and let the observer answer, unless the measurement is lost."""
     row, state = log.rows[k], plant.state
-    read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
+    read_sensors(plant.constants, state, plant.faults, streams.noise, streams.chance)
     _record_truth(state, row, k * loop.period)
-    row.lost = loop.loss > 0.0 and losses.random() < loop.loss
+    row.lost = loop.loss > 0.0 and streams.losses.random() < loop.loss
     row.lost = row.lost or log.blocked[k] & _NO_MEASUREMENT != 0
     loop.phase = _ACT
     now = round(k * loop.period * 1e9)
@@ -323,6 +330,7 @@ def _command(loop: np.record, estimate: np.record, tracker: _Tracker, k: int) ->
 def _act(
     loop: np.record,
     plant: _Plant,
+    push: np.random.Generator,
     monitor: _Monitor,
     tracker: _Tracker,
     row: np.record,
@@ -352,7 +360,7 @@ def _act(
     if row.braked:
         brake(plant.constants, plant.state)
         return
-    set_torque(plant.constants, plant.state, loop.torque[0], loop.torque[1], plant.push)
+    set_torque(plant.constants, plant.state, loop.torque[0], loop.torque[1], push)
     if loop.external:
         loop.phase = _ADVANCE
     else:
@@ -513,14 +521,7 @@ def run_closed_loop(
     )
     count = round(scenario.duration / arm.sample_time) + 1
     references = PathReferences(scenario.path(arm), arm.sample_time, count)
-    plant = _Plant(
-        simulator.constants,
-        simulator.state,
-        simulator.injector.records,
-        simulator.noise,
-        simulator.push,
-        simulator.injector.generator,
-    )
+    plant = _Plant(simulator.constants, simulator.state, simulator.injector.records)
     monitor = _Monitor._make([*sensor_monitor.parts, np.empty((3, 2))])
     latency = latency_limits(tolerated_latency(arm, gains))
     tracker = _Tracker(
@@ -537,10 +538,11 @@ def run_closed_loop(
     )
     # A stream of its own: losses must not change noise and disturbance.
     losses = np.random.default_rng([scenario.seed, 1])
+    streams = _Streams(simulator.noise, simulator.push, simulator.injector.generator, losses)
     alarms: list[Alarm] = []
     k = 0
     while k < count:
-        k = _run(loop, plant, losses, monitor, tracker, log, k)
+        k = _run(loop, plant, streams, monitor, tracker, log, k)
         alarms += sensor_monitor.alarms(log.events[: loop.found])
         loop.found = 0
         if loop.phase == _ADVANCE:

@@ -44,33 +44,20 @@ _FAULT = record_type(
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of one sensor.
+    """One fault of one sensor."""
 
-    Attributes
-    ----------
-    sensor : str
-        Name of the physical sensor.
-    kind : str
-        One of `KINDS`: ``bias`` adds ``size`` [rad]; ``drift`` grows with ``rate`` [rad/s] up to
-        ``size`` (without end if 0); ``scale`` multiplies the reading by 1 + ``size``; ``stuck``
-        freezes it; ``noise`` adds white noise of standard deviation ``size`` [rad]; ``spike``
-        adds +-``size`` [rad] to single samples, ``rate`` of them a second; ``dropout`` gives NaN;
-        ``rate_bias`` is no position fault: it adds ``size`` [rad/s] to the rate that belongs to
-        the sensor.
-    onset : float
-        Start [s].
-    duration : float
-        Length [s]; 0 until cleared.
-    size, rate : float
-        As above.
-    """
-
-    sensor: str
+    sensor: str  # name of the physical sensor
+    # one of `KINDS`: ``bias`` adds ``size`` [rad]; ``drift`` grows with ``rate`` [rad/s] up to
+    # ``size`` (without end if 0); ``scale`` multiplies the reading by 1 + ``size``; ``stuck``
+    # freezes it; ``noise`` adds white noise of standard deviation ``size`` [rad]; ``spike`` adds
+    # +-``size`` [rad] to single samples, ``rate`` of them a second; ``dropout`` gives NaN;
+    # ``rate_bias`` is no position fault: it adds ``size`` [rad/s] to the rate that belongs to the
+    # sensor
     kind: str
-    onset: float
-    duration: float = 0.0
-    size: float = 0.0
-    rate: float = 0.0
+    onset: float  # start [s]
+    duration: float = 0.0  # length [s]; 0 until cleared
+    size: float = 0.0  # see kind
+    rate: float = 0.0  # see kind
 
 
 @njit

@@ -4,6 +4,8 @@
 machine code is kept (see `lpv_core.support.jit`).
 """
 
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 from lpv_core.certificate.gains import Gains, load_gains
@@ -57,19 +59,28 @@ def precompile_serial(arm: SerialArm, scenario: SerialScenario) -> None:
     SerialSensorMonitor('precompile', arm).warm_up()
 
 
+def _two_link() -> None:
+    precompile(
+        load_arm(bringup_file('arms', 'paper')),
+        load_gains(bringup_file('gains', 'paper')),
+        load_scenario(bringup_file('scenarios', 'two_faults')),
+    )
+
+
+def _serial() -> None:
+    arm = load_any_arm(bringup_file('arms', 'ur10'))
+    scenario = load_any_scenario(bringup_file('scenarios', 'ur10'))
+    if isinstance(arm, SerialArm) and isinstance(scenario, SerialScenario):
+        precompile_serial(arm, scenario)
+
+
 def main() -> None:
-    """Entry point."""
+    """Entry point: both kinds of arms side by side, which share next to nothing."""
     if COMPILED:
-        serial = bringup_file('arms', 'ur10'), bringup_file('scenarios', 'ur10')
-        ur10, motion = load_any_arm(serial[0]), load_any_scenario(serial[1])
-        if isinstance(ur10, SerialArm) and isinstance(motion, SerialScenario):
-            precompile_serial(ur10, motion)
-        arm = load_arm(bringup_file('arms', 'paper'))
-        precompile(
-            arm,
-            load_gains(bringup_file('gains', 'paper')),
-            load_scenario(bringup_file('scenarios', 'two_faults')),
-        )
+        kinds: tuple[Callable[[], None], ...] = (_two_link, _serial)
+        with ProcessPoolExecutor(len(kinds)) as pool:
+            for done in [pool.submit(kind) for kind in kinds]:
+                done.result()
 
 
 if __name__ == '__main__':

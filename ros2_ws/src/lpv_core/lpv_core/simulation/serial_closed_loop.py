@@ -25,14 +25,22 @@ from lpv_core.control.watchdog import (
     note_stop,
     tracker_watchdog,
 )
-from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.monitoring.compensation import Compensation, compensate, new_compensation
-from lpv_core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
-from lpv_core.observer.sampled_observer import Mode
+from lpv_core.decision.diagnosis import Alarm, DiagnosisParameters
+from lpv_core.monitoring.answers import LONGEST_STALE, answer_type
+from lpv_core.monitoring.compensation import (
+    AnswerRows,
+    Compensation,
+    Flags,
+    Known,
+    answer_rows,
+    fill_answers,
+    repeat_answer,
+)
+from lpv_core.monitoring.serial_monitor import MonitorParts, SerialSensorMonitor
 from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray, workspace
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.balance import Balance
-from lpv_core.serial_arm.diagnosis.monitor import LONGEST_STEP, MonitorSettings, SerialAlarm
+from lpv_core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv_core.serial_arm.diagnosis.sampling import Sampler, take_samples
 from lpv_core.simulation.serial_scenario import SerialScenario
 from lpv_core.simulation.serial_simulator import (
@@ -63,11 +71,7 @@ class Phase(IntEnum):
 
 
 _SENSE, _GAP, _TAKE, _DECIDE, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = (int(p) for p in Phase)
-_OFF, _ALWAYS = COMPENSATION.index('off'), COMPENSATION.index('always')
-_OBSERVING, _STALE = int(Mode.OBSERVING), int(Mode.STALE)
 _NONE = int(StopReason.NONE)
-_LONGEST_STALE = 50_000_000
-"""As of the monitor of the node [ns]."""
 
 
 def _loop_type(joints: int) -> np.dtype:
@@ -75,7 +79,6 @@ def _loop_type(joints: int) -> np.dtype:
         ('phase', 'i8'),  # of `Phase`
         ('external', '?'),  # whether the plant is integrated outside
         ('period', 'f8'),  # sample time [s]
-        ('compensation', 'i8'),  # index in COMPENSATION
         ('previous', 'i8'),  # sample of the last command, or NEVER
         ('started', '?'),  # whether a command was ever given
         ('offset', 'i8'),  # samples by which the path is late
@@ -83,23 +86,8 @@ def _loop_type(joints: int) -> np.dtype:
         ('reason', 'i8'),  # `StopReason` of the tracker
         ('usable', 'i8'),  # the last usable sample, or NEVER
         ('complete', '?'),  # whether a momentum balance is complete
-        ('trustworthy', '?'),  # whether what is removed is known well enough
         ('feedback', 'f8', (joints,)),  # position that the loop is closed on [rad]
         ('rate', 'f8', (joints,)),  # rates that the loop is closed on [rad/s]
-    )
-
-
-def _known_type(joints: int) -> np.dtype:
-    """What the diagnosis knows since its last decision, see `Snapshot`."""
-    return record_type(
-        ('stamp', 'i8'),  # of the decision [ns]
-        ('fault', 'f8', (joints,)),  # estimated [rad]
-        ('confirmed', 'f8', (joints,)),  # its part that is confirmed [rad]
-        ('is_error', 'u1', (joints,)),
-        ('rate', 'f8', (joints,)),  # at which faults go on [rad/s]
-        ('drift', 'f8', (joints,)),  # error of derived rates [rad/s]
-        ('jump_limit', 'f8', (joints,)),  # [rad]
-        ('tuning', 'f8', (2,)),  # of `compensate`
     )
 
 
@@ -107,13 +95,11 @@ def _row_type(joints: int) -> np.dtype:
     return record_type(
         ('time', 'f8'),
         ('position', 'f8', (joints,)),
+        ('velocity', 'f8', (joints,)),
         ('measured', 'f8', (joints,)),
         ('measured_velocity', 'f8', (joints,)),
-        ('compensated', 'f8', (joints,)),
         ('reference', 'f8', (joints,)),
         ('fault', 'f8', (joints,)),
-        ('fault_estimate', 'f8', (joints,)),
-        ('alarm', 'u1', (joints,)),
         ('torque', 'f8', (joints,)),
         ('place', 'i8'),
         ('stop_reason', 'u1'),
@@ -128,18 +114,19 @@ class _Plant(NamedTuple):
     constants: np.record
     state: np.record
     faults: np.recarray
-    noise: np.random.Generator
-    chance: np.random.Generator
     scratch: FloatArray
     matrix: FloatArray
 
 
-class _Observer(NamedTuple):
-    """Arguments of `take_samples` and `compensate`; samples of the whole run, filled as they come.
+class _Streams(NamedTuple):
+    """Generators, apart from records: see `lpv_core.simulation.closed_loop`."""
 
-    Of the work space of `compensate`, ``now`` has shape (1,), ``confirmed`` (1, n), ``result``
-    (1, 3, n).
-    """
+    noise: np.random.Generator
+    chance: np.random.Generator
+
+
+class _Observer(NamedTuple):
+    """Arguments of `take_samples` and `fill_answers`, for all samples of the run."""
 
     sampler: Sampler
     balance: Balance
@@ -148,11 +135,11 @@ class _Observer(NamedTuple):
     times: FloatArray
     samples: FloatArray
     compensation: Compensation
-    known: np.record
-    independent: np.ndarray
+    known: Known
+    flags: Flags
+    answers: AnswerRows
+    feedback: FloatArray  # those positions of the answers that the loop is closed on
     gains: FloatArray
-    confirmed: FloatArray
-    result: FloatArray
 
 
 class _Tracker(NamedTuple):
@@ -170,6 +157,7 @@ class _Tracker(NamedTuple):
 def _run(
     loop: np.record,
     plant: _Plant,
+    streams: _Streams,
     observer: _Observer,
     tracker: _Tracker,
     rows: np.recarray,
@@ -178,7 +166,7 @@ def _run(
     """Go on from a sample until something is needed from outside, see `Phase`."""
     for k in range(first, len(rows)):
         if loop.phase == _SENSE:
-            _sense(loop, plant, observer, k)
+            _sense(loop, plant, streams, observer, k)
         if loop.phase == _GAP:
             return k
         if loop.phase == _TAKE:
@@ -198,10 +186,10 @@ def _run(
 
 
 @njit
-def _sense(loop: np.record, plant: _Plant, observer: _Observer, k: int) -> None:
+def _sense(loop: np.record, plant: _Plant, streams: _Streams, observer: _Observer, k: int) -> None:
     """Read the sensors; a sample with values that are missing is not used."""
     state, row = plant.state, observer.samples[k]
-    read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
+    read_sensors(plant.constants, state, plant.faults, streams.noise, streams.chance)
     loop.phase = _TAKE
     for i in range(row.shape[1]):
         row[0, i], row[1, i] = state.measured_position[i], state.measured_velocity[i]
@@ -235,33 +223,26 @@ def _take(loop: np.record, observer: _Observer, k: int) -> None:
 @njit
 def _estimate(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) -> None:
     """What the node answers: readings without confirmed faults; and whether to follow that."""
-    now, known, mode, trustworthy = observer.stamps[k], observer.known, _STALE, False
+    now, answers = observer.stamps[k], observer.answers
     if loop.usable == k:
-        mode, trustworthy = _OBSERVING, loop.trustworthy
-        elapsed = (now - known.stamp) / NANOSECONDS
-        for i in range(len(loop.feedback)):
-            confirmed = known.confirmed[i] + elapsed * known.rate[i]
-            observer.confirmed[0, i] = confirmed if known.is_error[i] != 0 else 0.0
-        compensate(
+        fill_answers(
             observer.compensation,
-            observer.stamps[k : k + 1],
-            observer.samples[k : k + 1, :2],
-            observer.confirmed,
-            known.drift,
-            known.jump_limit,
-            (known.tuning[0], known.tuning[1]),
-            observer.result,
+            answers,
+            (k, k + 1),
+            observer.stamps,
+            observer.samples,
+            observer.known,
+            observer.flags,
         )
-        for i in range(len(loop.feedback)):
-            position = observer.result[0, 0, i]
-            if loop.compensation == _OFF:
-                position = observer.samples[k, 0, i]
-            elif loop.compensation == _ALWAYS:
-                position += observer.result[0, 2, i] - known.fault[i] - elapsed * known.rate[i]
-            loop.feedback[i], loop.rate[i] = position, observer.result[0, 1, i]
-    elif loop.usable != NEVER and now - observer.stamps[loop.usable] <= _LONGEST_STALE:
-        trustworthy = loop.trustworthy
-    reason = check_estimate(tracker.watchdog, now, 0, mode, trustworthy, loop.rate)
+    else:
+        usable = loop.usable
+        fresh = usable != NEVER and now - observer.stamps[usable] <= LONGEST_STALE
+        repeat_answer(answers, k, usable, fresh)
+    for i in range(len(loop.feedback)):
+        loop.feedback[i], loop.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
+    reason = check_estimate(
+        tracker.watchdog, now, 0, answers.mode[k], answers.trustworthy[k], loop.rate
+    )
     if reason != _NONE:
         _stop(loop, tracker, reason)
     else:
@@ -304,15 +285,12 @@ def _act(
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
     row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason
-    known, elapsed = observer.known, (now - observer.known.stamp) / NANOSECONDS
     row.brake_reason = check_drive(tracker.drives, now, 0, loop.stop, state.velocity)
     for i in range(n):
-        row.position[i], row.measured[i] = state.position[i], state.measured_position[i]
-        row.measured_velocity[i], row.compensated[i] = state.measured_velocity[i], loop.feedback[i]
+        row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
+        row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]
+        row.measured_velocity[i] = state.measured_velocity[i]
         row.reference[i] = tracker.references[place, 0, i]
-        row.fault[i], row.fault_estimate[i] = state.fault[i], known.fault[i]
-        row.fault_estimate[i] += elapsed * known.rate[i]
-        row.alarm[i] = known.is_error[i]
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
@@ -330,18 +308,27 @@ class SerialLoopRun:
 
     time: FloatArray  # (m,) [s]
     position: FloatArray  # (m, n) true [rad]
-    measured: FloatArray  # (m, n) [rad]
+    velocity: FloatArray  # (m, n) true [rad/s]
+    measured: FloatArray  # (m, n) NaN in a dropout [rad]
     measured_velocity: FloatArray  # (m, n) [rad/s]
-    compensated: FloatArray  # (m, n) what the loop is closed on [rad]
+    compensated: FloatArray  # (m, n) measured less confirmed faults [rad]
+    estimate: FloatArray  # (m, n) measured less estimated faults [rad]
     reference: FloatArray  # (m, n) [rad]
     fault: FloatArray  # (m, n) of the sensors, NaN in a dropout [rad]
     fault_estimate: FloatArray  # (m, n) [rad]
+    threshold: FloatArray  # (m, n) beyond which an offset is a fault [rad]
     alarm: np.ndarray  # (m, n) 1 where the fault is confirmed
+    inconsistent: np.ndarray  # (m,) whether readings, torques and model contradict each other
     torque: FloatArray  # (m, n) over the step after the sample [N m]
     place: np.ndarray  # (m,) row of the path's references that is the sample's
     stop_reason: np.ndarray  # (m,) `StopReason` of the tracker
     brake_reason: np.ndarray  # (m,) `BrakeReason` of the drives
-    alarms: list[SerialAlarm]
+    alarms: list[Alarm]  # events
+
+    @property
+    def braked(self) -> np.ndarray:
+        """Whether the brakes held the arm over the step after each sample, shape (m,)."""
+        return self.brake_reason != 0
 
 
 def run_serial_loop(
@@ -349,7 +336,7 @@ def run_serial_loop(
     scenario: SerialScenario,
     compensation: str = 'confirmed',
     bandwidth: float = BANDWIDTH,
-    settings: MonitorSettings | None = None,
+    parameters: DiagnosisParameters | None = None,
     substeps: int = 2,
 ) -> SerialLoopRun:
     """Simulate a scenario with diagnosis and tracking.
@@ -364,8 +351,8 @@ def run_serial_loop(
         Which position the loop closes on.
     bandwidth : float, optional
         Of the tracker [rad/s].
-    settings : MonitorSettings, optional
-        Thresholds of the diagnosis.
+    parameters : DiagnosisParameters, optional
+        Tuning of the diagnosis.
     substeps : int, optional
         Least number of plant steps per sample.
 
@@ -380,9 +367,8 @@ def run_serial_loop(
         If arm, path, plant or faults are not possible together.
     """
     count = round(scenario.duration / arm.sample_time) + 1
-    simulator, monitor = SerialArmSimulator(arm, scenario, substeps), SteppedMonitor(arm)
-    if settings is not None:
-        monitor.settings = settings
+    simulator = SerialArmSimulator(arm, scenario, substeps)
+    monitor = SerialSensorMonitor('loop', arm, parameters)
     controller = ComputedTorqueController(arm, bandwidth)
     references = PathReferences(scenario.path(arm), arm.sample_time, count)
     plant = _Plant(
@@ -390,12 +376,14 @@ def run_serial_loop(
         simulator.constants,
         simulator.state,
         simulator.injector.records,
-        simulator.noise,
-        simulator.injector.generator,
         simulator.scratch,
         simulator.matrix,
     )
-    observer = _new_observer(arm, monitor, count)
+    streams = _Streams(simulator.noise, simulator.injector.generator)
+    answers = answer_rows(np.zeros(count, answer_type(len(arm.joints))))
+    fed_back = (answers.measured, answers.compensated, answers.position)
+    feedback = fed_back[COMPENSATION.index(compensation)]
+    stepped, observer = monitor.parts.monitor, _new_observer(arm, monitor.parts, answers, feedback)
     latency = latency_limits(controller.tolerated_latency)
     tracker = _Tracker(
         controller.chain,
@@ -408,28 +396,25 @@ def run_serial_loop(
     loop = new_record(
         _loop_type(len(arm.joints)),
         period=arm.sample_time,
-        compensation=COMPENSATION.index(compensation),
         previous=NEVER,
         usable=NEVER,
         stop=True,
         external=simulator.engine is not None,
     )
-    _note(loop, observer, monitor.snapshot(), 0)
     rows = np.zeros(count, _row_type(len(arm.joints))).view(np.recarray)
-    alarms: list[SerialAlarm] = []
+    alarms: list[Alarm] = []
     k = 0
     while k < count:
-        k = _run(loop, plant, observer, tracker, rows, k)
+        k = _run(loop, plant, streams, observer, tracker, rows, k)
         if simulator.state.failed:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
         if loop.phase == _GAP:
-            monitor.begin_again()
+            stepped.begin_again()
             loop.phase = _TAKE
         elif loop.phase == _DECIDE:
-            monitor.decide(float(observer.times[k]), bool(loop.complete))
-            known = monitor.snapshot()
-            alarms += known.alarms
-            _note(loop, observer, known, int(observer.stamps[k]))
+            stepped.decide(float(observer.times[k]), bool(loop.complete))
+            alarms += monitor.note(stepped.snapshot(), int(observer.stamps[k]))
+            observer = observer._replace(known=monitor.parts.known, flags=monitor.parts.flags)
             loop.phase = _ESTIMATE
         elif loop.phase == _START:
             references.restart(k - int(loop.offset), loop.feedback.copy())
@@ -437,37 +422,34 @@ def run_serial_loop(
         elif loop.phase == _ADVANCE:
             simulator.advance()
             loop.phase = _SENSE
-    return SerialLoopRun(**{name: rows[name] for name in rows.dtype.names}, alarms=alarms)
-
-
-def _new_observer(arm: SerialArm, monitor: SteppedMonitor, count: int) -> _Observer:
-    n = len(arm.joints)
-    stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
-    return _Observer(
-        monitor.sampler,
-        monitor.estimator.balance,
-        (monitor.plan.per_block, monitor.plan.blocks),
-        stamps,
-        stamps / NANOSECONDS,
-        np.empty((count, 3, n)),
-        new_compensation(n),
-        new_record(
-            _known_type(n), tuning=(DiagnosisParameters().compensation_rate, arm.sample_time)
-        ),
-        np.array([joint.sensors.rates == 'independent' for joint in arm.joints]),
-        np.array([joint.torque_gain for joint in arm.joints]),
-        np.empty((1, n)),
-        np.empty((1, 3, n)),
+    return SerialLoopRun(
+        **{name: rows[name] for name in rows.dtype.names},
+        compensated=answers.compensated,
+        estimate=answers.position,
+        fault_estimate=answers.estimate,
+        threshold=answers.threshold,
+        alarm=answers.alarm,
+        inconsistent=answers.inconsistent,
+        alarms=alarms,
     )
 
 
-def _note(loop: np.record, observer: _Observer, new: Snapshot, stamp: int) -> None:
-    """Take over what the diagnosis knows, as `SerialSensorMonitor` does."""
-    known, limits = observer.known, DiagnosisParameters()
-    observer.compensation.applied[:] += new.jump
-    known.stamp, known.fault, known.rate = stamp, new.fault, new.rate
-    known.is_error, known.jump_limit = new.is_error, new.jump_limit
-    known.confirmed = np.where(new.is_level, new.fault, new.removed)
-    known.drift = np.where(new.is_error & ~observer.independent, new.rate, 0.0)
-    sigma = np.where(new.is_level, new.sigma, new.removed_sigma)
-    loop.trustworthy = not (new.is_error & (limits.sigmas * sigma > limits.safe_stop_bound)).any()
+def _new_observer(
+    arm: SerialArm, parts: MonitorParts, answers: AnswerRows, feedback: FloatArray
+) -> _Observer:
+    count, n = feedback.shape
+    stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
+    return _Observer(
+        parts.monitor.sampler,
+        parts.monitor.estimator.balance,
+        (parts.monitor.plan.per_block, parts.monitor.plan.blocks),
+        stamps,
+        stamps / NANOSECONDS,
+        np.empty((count, 3, n)),
+        parts.compensation,
+        parts.known,
+        parts.flags,
+        answers,
+        feedback,
+        np.array([joint.torque_gain for joint in arm.joints]),
+    )

@@ -1,6 +1,7 @@
 """Contents of a simulated run of a serial arm: path, plant, faults; from one YAML file."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,14 +38,13 @@ class SerialScenario:
 
     def path(self, arm: SerialArm) -> SerialPath:
         """The path for an arm; ConfigError or UnreachableError where the arm cannot do it."""
-        if isinstance(self.waypoints, PoseWaypoints):
-            return SerialPath.through_poses(arm, self.times, self.waypoints)
-        n = len(arm.joints)
-        for i, row in enumerate(self.waypoints):
-            if len(row) != n:
-                field = f'path.waypoints[{i}].joints'
-                raise Section({}, self.name).error(field, f'must have {n} numbers for {arm.name}')
-        return SerialPath(arm, self.times, self.waypoints)
+        if not isinstance(self.waypoints, PoseWaypoints):
+            n = len(arm.joints)
+            for i, row in enumerate(self.waypoints):
+                if len(row) != n:
+                    field, reason = f'path.waypoints[{i}].joints', f'must have {n} numbers for'
+                    raise Section({}, self.name).error(field, f'{reason} {arm.name}')
+        return _path(arm, self.times, self.waypoints)
 
     def true_arm(self, arm: SerialArm) -> Chain:
         """The plant's chain: parameters with errors drawn from the seed, and the payload."""
@@ -66,6 +66,18 @@ class SerialScenario:
                 load=self.friction_factor * joint.friction.load,
             ),
         )
+
+
+@lru_cache(maxsize=4)
+def _path(
+    arm: SerialArm,
+    times: tuple[float, ...],
+    waypoints: tuple[tuple[float, ...], ...] | PoseWaypoints,
+) -> SerialPath:
+    """Kept: the simulator asks for the path of a run, and so does its tracker."""
+    if isinstance(waypoints, PoseWaypoints):
+        return SerialPath.through_poses(arm, times, waypoints)
+    return SerialPath(arm, times, waypoints)
 
 
 def is_serial_scenario(data: dict[str, Any]) -> bool:

@@ -25,30 +25,14 @@ LARGEST = 1e6
 
 @dataclass(frozen=True)
 class Recording:
-    """Samples of the joints of an arm, in the order of the arm.
+    """Samples of the joints of an arm, in the order of the arm."""
 
-    Attributes
-    ----------
-    source : str
-        Where they come from.
-    time : ndarray, shape (n,)
-        Stamps that increase [s].
-    position : ndarray, shape (n, joints)
-        [rad].
-    velocity : ndarray, shape (n, joints), or None
-        [rad/s]; None if the recording has no rates.
-    effort : ndarray, shape (n, joints)
-        In the unit of the driver.
-    warnings : tuple of str
-        What was wrong and could be mended.
-    """
-
-    source: str
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None
-    effort: np.ndarray
-    warnings: tuple[str, ...] = ()
+    source: str  # where they come from
+    time: np.ndarray  # stamps that increase, shape (n,) [s]
+    position: np.ndarray  # shape (n, joints) [rad]
+    velocity: np.ndarray | None  # [rad/s]; None if the recording has no rates, shape (n, joints)
+    effort: np.ndarray  # in the unit of the driver, shape (n, joints)
+    warnings: tuple[str, ...] = ()  # what was wrong and could be mended
 
     @property
     def duration(self) -> float:

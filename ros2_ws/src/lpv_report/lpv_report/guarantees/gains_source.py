@@ -84,7 +84,7 @@ def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGai
         raise BagError(f'{bag}: there is no such bag')
     if given:
         return read_used_gains(given)
-    file = _beside(bag, GAINS_NAME)
+    file = beside_bag(bag, GAINS_NAME)
     if file is None:
         return UNKNOWN
     try:
@@ -93,7 +93,7 @@ def find_used_gains(bag: str | Path, given: str | Path | None = None) -> UsedGai
         return UsedGains(problem=f'The gains in the bag cannot be used: {error}')
 
 
-def _beside(bag: str | Path, name: str) -> Path | None:
+def beside_bag(bag: str | Path, name: str) -> Path | None:
     """A file that accompanies a bag; None where there is none."""
     folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
     # A single file belongs to the folder's bag only if that is one.
@@ -114,7 +114,7 @@ def find_scenario(bag: str | Path) -> Scenario | None:
     Scenario or None
         For its path and obstacle: a damaged copy must not stand in the way of a report.
     """
-    file = _beside(bag, SCENARIO_NAME)
+    file = beside_bag(bag, SCENARIO_NAME)
     try:
         found = None if file is None else load_any_scenario(file)
         return found if isinstance(found, Scenario) else None

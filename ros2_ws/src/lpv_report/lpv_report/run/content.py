@@ -13,6 +13,7 @@ from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.guarantees.detectability import Detectability, summary
 from lpv_report.guarantees.examination import Certificate
 from lpv_report.guarantees.gains_source import UsedGains
+from lpv_report.guarantees.loop_certificate import LoopCertificate
 from lpv_report.guarantees.reproduction import Reproduction
 from lpv_report.history.episodes import Episode, Interval, episodes, missed_faults
 from lpv_report.history.motion import Motion
@@ -56,6 +57,7 @@ class Findings:
     detectable: Detectability | None  # what could be detected
     phases: list[Phase]  # intervals without an answer, stops, speeds above the limits
     motion: Motion  # extremes of the motion
+    loop: LoopCertificate | None = None  # of a serial arm's tracking loop
 
 
 def content(findings: Findings) -> dict[str, Any]:
@@ -91,6 +93,7 @@ def content(findings: Findings) -> dict[str, Any]:
         'detectable': summary(able, arm.sensor_names) if able is not None else [],
         'resting': able is not None and able.gains is not None,
         'certificate': certificate,
+        'loop': findings.loop,
         'no_gains': findings.used.problem,
         'reproduction': findings.reproduction,
         'no_design': (
@@ -176,13 +179,20 @@ def _tiles(findings: Findings, alarms: list[Episode], missed: list[Interval]) ->
     if move.path_error is not None:
         tiles.append(Tile('farthest from path', f'{move.path_error:.3g} m', 'true tip'))
     if isinstance(findings.arm, SerialArm):
-        return [*tiles, Tile('bounds', 'statistical', 'no certificate')]
+        return [*tiles, Tile('bounds', 'statistical'), _loop_tile(findings.loop)]
     return [*tiles, _certificate_tile(findings.certificate, findings.reproduction)]
 
 
 def _ongoing(alarms: list[Episode]) -> str:
     active = sum(alarm.cleared is None for alarm in alarms)
     return f'{active} to the end' if active else ''
+
+
+def _loop_tile(loop: LoopCertificate | None) -> Tile:
+    if loop is None or not loop.checks:
+        return Tile('certificate of the loop', 'none')
+    word, look = ('holds', 'good') if loop.holds else ('fails', 'bad')
+    return Tile('certificate of the loop', word, f'{len(loop.checks)} checks', look)
 
 
 def _certificate_tile(certificate: Certificate | None, again: Reproduction | None) -> Tile:

@@ -44,11 +44,11 @@ def is_paper_arm(arm: ArmParameters) -> bool:
 class Row:
     """One line of a table."""
 
-    signal: str  # what it is
-    meaning: str  # what it is
-    unit: str  # what it is
-    value: float  # ours
-    paper: float | None = None  # the paper's
+    signal: str  # name in the paper, joint or sensor
+    meaning: str  # in words
+    unit: str  # of the figures
+    value: float  # of this run
+    paper: float | None = None  # of the paper's Table 2
 
 
 def make_table(record: RunRecord, arm: Arm) -> list[Row]:
@@ -161,8 +161,9 @@ def print_table(rows: list[Row], console: Console | None = None) -> None:
         'mean squared errors over the run (MISE, eq. (70)): smaller is better' if errors else None
     )
     table = Table(title=title, box=box.SIMPLE_HEAD)
+    # In a narrow terminal the words wrap, and no figure is cut off.
     for name in ('signal', 'meaning', 'unit'):
-        table.add_column(name, no_wrap=True)
+        table.add_column(name, no_wrap=name != 'meaning')
     table.add_column('this run', justify='right', no_wrap=True)
     if with_paper:
         table.add_column('paper', justify='right', no_wrap=True)

@@ -12,6 +12,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_report.guarantees.detectability import Detectability, detectability
 from lpv_report.guarantees.examination import Certificate, examine
 from lpv_report.guarantees.gains_source import UsedGains, find_used_gains
+from lpv_report.guarantees.loop_certificate import examine_loop
 from lpv_report.guarantees.reproduction import Reproduction, reproduce
 from lpv_report.history.motion import motion, motion_phases
 from lpv_report.history.phases import phases
@@ -96,6 +97,7 @@ def write_report(
             key=lambda p: (p.start, p.what, p.sensor),
         ),
         motion(record, arm),
+        examine_loop(bag, arm) if isinstance(arm, SerialArm) else None,
     )
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)

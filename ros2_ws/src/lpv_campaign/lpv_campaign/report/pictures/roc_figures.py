@@ -53,7 +53,7 @@ def draw_roc(data: dict[str, Any]) -> Figure | None:
         for axis, kind in zip(axes.flat, kinds):
             for curve in data['curves']:
                 if curve['kind'] == kind and curve['points']['factor']:
-                    _curve(axis, curve, SENSOR[sensors.index(curve['sensor']) % 2])
+                    _curve(axis, curve, SENSOR[sensors.index(curve['sensor'])])
             axis.set_title('all kinds' if kind == ALL else kind)
             _rates(axis)
         for axis in axes.flat[len(kinds) :]:
@@ -119,7 +119,7 @@ def _rates(axis: Axes) -> None:
 
 
 def _legend(figure: Figure, sensors: Sequence[str]) -> None:
-    handles = [plt.Line2D([], [], color=SENSOR[i % 2], label=s) for i, s in enumerate(sensors)]
+    handles = [plt.Line2D([], [], color=SENSOR[i], label=s) for i, s in enumerate(sensors)]
     handles += [
         plt.Line2D(
             [],

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from lpv_campaign.plan.spec import BOTH
 from lpv_campaign.report.statistics.intervals import share, spread
 from lpv_campaign.report.statistics.probability import detection_curve
 from lpv_campaign.report.statistics.results import Results, dose_of
@@ -17,17 +18,19 @@ PROBABILITIES = (0.95, 0.99)
 def detection(results: Results) -> list[dict[str, Any]]:
     """Detection of each kind of fault by each sensor.
 
-    Returns ``kind``, ``sensor`` (a name, or both), rates ``detected`` and ``isolated``, spreads
-    of ``delay`` and ``onset_error`` [s] and of ``size_error`` [rad], ``dose`` and ``unit``,
-    ``classes`` of sizes, ``curve``, ``smallest`` size by probability, and ``cases``.
+    Returns ``kind``, ``sensor`` (a name, or ``both`` for any two at once), rates ``detected`` and
+    ``isolated``, spreads of ``delay`` and ``onset_error`` [s] and of ``size_error`` [rad],
+    ``dose`` and ``unit``, ``classes`` of sizes, ``curve``, ``smallest`` size by probability, and
+    ``cases``.
     """
     entries = []
     found, isolated = results.flag('detected'), results.flag('isolated')
     delay = results.number('detection_delay')
     for kind in results.kinds:
         size, dose = results.dose(kind), dose_of(kind)
-        for sensor in (*results.sensors, 'both'):
-            chosen = (results.kind == kind) & (results.sensor == sensor)
+        for sensor in (*results.sensors, BOTH):
+            mine = results.several if sensor == BOTH else results.sensor == sensor
+            chosen = (results.kind == kind) & mine
             if not chosen.any():
                 continue
             entries.append(

@@ -8,6 +8,8 @@ import numpy as np
 from lpv_campaign.execution.run_metrics import BINS
 from lpv_campaign.report.statistics.intervals import spread
 from lpv_campaign.report.statistics.results import Results
+from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import LpvError
 from lpv_design.guarantee import guarantee
 
@@ -23,6 +25,8 @@ def estimates(results: Results) -> list[dict[str, Any]]:
     [rad]; ``threshold``: at rest, by cosine, least and largest over the other link's angles
     [rad].
     """
+    if isinstance(results.campaign.arm, SerialArm):
+        return []  # see `sensor_errors`
     entries, designs = [], results.text('design')
     for design in dict.fromkeys(designs):
         chosen = designs == design
@@ -40,6 +44,18 @@ def estimates(results: Results) -> list[dict[str, Any]]:
                 }
             )
     return entries
+
+
+def sensor_errors(results: Results) -> list[dict[str, Any]]:
+    """RMS error of each sensor's fault estimate and its mean threshold, spreads over runs [rad]."""
+    return [
+        {
+            'sensor': sensor,
+            'error': spread(results.number(f'error_rms_{i + 1}')),
+            'threshold': spread(results.number(f'mean_threshold_{i + 1}')),
+        }
+        for i, sensor in enumerate(results.sensors)
+    ]
 
 
 def _classes(squares: np.ndarray, counts: np.ndarray) -> list[dict[str, Any]]:
@@ -64,6 +80,8 @@ def _guaranteed(results: Results, design: str, chosen: np.ndarray) -> list[list[
     times = results.number('sample_time')[chosen]
     times, arm = times[np.isfinite(times)], results.campaign.arm
     time = float(times[0]) if times.size else arm.sample_time
+    if not isinstance(arm, ArmParameters):
+        return [[], []]
     try:
         found = guarantee(replace(arm, sample_time=time), results.campaign.gains(design, time))
     except (LpvError, KeyError):

@@ -87,7 +87,8 @@ def _design(campaign: Campaign, key: str, data: dict[str, Any]) -> dict[str, Any
     gains = campaign.gains(name, float(time))
     observer: Any = gains.observer
     controller: Any = gains.controller
-    checks = verify(replace(campaign.arm, sample_time=float(time)), gains)
+    arm: Any = campaign.arm
+    checks = verify(replace(arm, sample_time=float(time)), gains)
     return {
         'name': name,
         'sample_time': float(time),

@@ -47,7 +47,7 @@ def tracking(results: Results) -> list[dict[str, Any]]:
 def false_alarms(results: Results, chosen: np.ndarray | None = None) -> dict[str, Any]:
     """False alarms per hour of operation without a fault, with exact intervals.
 
-    Returns as `poisson_rate`, of alarms of either sensor before the fault, after it, or without
+    Returns as `poisson_rate`, of alarms of any sensor before the fault, after it, or without
     any; ``before`` and ``after``: the same of those before any fault, and of those after its
     end, where a fault that was not detected ends in a change; ``runs``: the rate of runs with
     any.
@@ -55,7 +55,10 @@ def false_alarms(results: Results, chosen: np.ndarray | None = None) -> dict[str
     chosen = np.ones(results.count, bool) if chosen is None else chosen
     alarms = np.nan_to_num(results.number('false_alarms')[chosen])
     hours, early = results.healthy_hours[chosen].sum(), results.early_hours[chosen].sum()
-    before = sum(np.nan_to_num(results.number(f'alarms_before_{i}')[chosen]).sum() for i in (1, 2))
+    before = sum(
+        np.nan_to_num(results.number(f'alarms_before_{i + 1}')[chosen]).sum()
+        for i in range(len(results.sensors))
+    )
     return {
         **poisson_rate(alarms.sum(), hours),
         'before': poisson_rate(before, early),
@@ -65,5 +68,5 @@ def false_alarms(results: Results, chosen: np.ndarray | None = None) -> dict[str
 
 
 def wrong_alarms(results: Results) -> dict[str, Any]:
-    """Rate of runs in which a healthy sensor raised an alarm while the other one was faulty."""
+    """Rate of runs in which a healthy sensor raised an alarm while another one was faulty."""
     return share(results.number('wrong_alarms') > 0.0, results.faulty)

@@ -91,7 +91,7 @@ def _run(results: Results, folder: str | Path, row: int, value: float) -> dict[s
         'said': results.text('said_kind')[row],
         'value': value if math.isfinite(value) else None,
         'stable': bool(results.flag('stable')[row]),
-        'command': command(folder, number),
+        'command': '' if results.campaign.is_serial else command(folder, number),
     }
 
 

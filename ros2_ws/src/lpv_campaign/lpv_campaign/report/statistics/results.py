@@ -56,7 +56,7 @@ class Results:
     count : int
         Number of rows.
     sensors : tuple of str
-        Names of both sensors.
+        Names of the sensors.
     kind, sensor : ndarray of str, shape (count,)
         Injected fault.
     faulty : ndarray of bool, shape (count,)
@@ -112,8 +112,15 @@ class Results:
         return [kind for kind in KINDS if kind in present]
 
     def of_sensor(self, index: int) -> np.ndarray:
-        """Runs in which a sensor is faulty, alone or with the other; shape (count,)."""
-        return np.isin(self.sensor, (self.sensors[index], BOTH)) & self.faulty
+        """Runs in which a sensor is faulty, alone or with others; shape (count,)."""
+        name = self.sensors[index]
+        mine = [sensor == BOTH or name in sensor.split('+') for sensor in self.sensor]
+        return np.array(mine, bool) & self.faulty
+
+    @property
+    def several(self) -> np.ndarray:
+        """Runs in which several sensors are faulty; shape (count,)."""
+        return np.array([sensor == BOTH or '+' in sensor for sensor in self.sensor], bool)
 
     def dose(self, kind: str) -> np.ndarray:
         """Size of the faults of a kind, without sign; NaN elsewhere and where it is not known."""

@@ -102,27 +102,14 @@ def jacobian(chain: Chain, q: npt.ArrayLike) -> FloatArray:
 
 
 class InverseKinematics(NamedTuple):
-    """Answer of `inverse_kinematics`.
+    """Answer of `inverse_kinematics`."""
 
-    Attributes
-    ----------
-    q : ndarray, shape (n,)
-        Joint positions [rad]; the closest found where the pose is out of reach.
-    reached : bool
-        Whether the pose is met within the tolerances.
-    position_error : float
-        Distance of the tip [m].
-    orientation_error : float
-        Angle of the tip [rad]; 0 where no orientation was asked for.
-    manipulability : float
-        Smallest singular value of the task's Jacobian; near 0 at a singularity.
-    """
-
+    # joint positions [rad]; the closest found where the pose is out of reach, shape (n,)
     q: FloatArray
-    reached: bool
-    position_error: float
-    orientation_error: float
-    manipulability: float
+    reached: bool  # whether the pose is met within the tolerances
+    position_error: float  # distance of the tip [m]
+    orientation_error: float  # angle of the tip [rad]; 0 where no orientation was asked for
+    manipulability: float  # smallest singular value of the task's Jacobian; near 0 at a singularity
 
 
 def _pose_error(

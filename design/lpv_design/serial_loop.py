@@ -1,0 +1,350 @@
+"""Certificate of a serial arm's computed-torque loop: the solver's part.
+
+What is found is rebuilt and judged by `lpv_core.serial_arm.certificate.conditions`.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+
+from lpv_core.certificate.conditions import Check
+from lpv_core.certificate.lmi import largest_eigenvalue
+from lpv_core.control.computed_torque import serial_loop_latency
+from lpv_core.serial_arm.certificate.conditions import (
+    error_bound,
+    loop_numbers,
+    region_lines,
+    verify_loop,
+)
+from lpv_core.serial_arm.certificate.link_forms import chain_inequalities, invariant_basis, steps
+from lpv_core.serial_arm.certificate.loop_gains import (
+    COEFFICIENTS,
+    ErrorProof,
+    LoopGains,
+    LoopProof,
+)
+from lpv_core.serial_arm.certificate.loop_inequality import (
+    LoopNumbers,
+    motion_matrix,
+    sampled_matrix,
+)
+from lpv_core.serial_arm.certificate.model_bounds import (
+    BOUNDS,
+    ChainNumbers,
+    ModelBounds,
+    bound_inequalities,
+    chain_numbers,
+    invariant_forms,
+    twists_of,
+)
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.support.errors import ConfigError
+from lpv_design.solve import InfeasibleError, solve
+
+_SLACKS = (1.005, 1.01, 1.02, 1.05)
+"""A bound over the best one, tried in turn: inequalities at the optimum have no margin."""
+_MARGIN = 1e-7
+"""Of the loop's inequalities, which are of size one."""
+_SHARES = (0.9, 0.8, 0.65, 0.5, 0.3)
+"""Of the largest region, tried in turn: at the largest one nothing decays."""
+_DECAY = 0.8
+"""Of the fastest decay that a region allows."""
+_ERROR_SHARE = 0.1
+"""Of the velocity limits: region on which the tracking error is bounded, if not too large."""
+
+
+@dataclass(frozen=True)
+class LoopRequest:
+    """What to certify."""
+
+    bandwidth: float = 10.0  # w [rad/s]
+    model_error: float = 0.05  # d [-]
+    rate_share: float = 0.0  # of the velocity limits; 0: as large as possible [-]
+    acceleration: float = 1.0  # of the reference, for the bound of the error [rad/s2]
+
+
+@dataclass(frozen=True)
+class LoopDesign:
+    """A certificate, its checks, and what the designer should read."""
+
+    gains: LoopGains
+    checks: list[Check]
+    lines: list[str]
+
+
+def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
+    """Find a certificate of the loop and check it.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    request : LoopRequest
+        What to certify.
+
+    Returns
+    -------
+    LoopDesign
+        Certificate with a region of rates.
+
+    Raises
+    ------
+    InfeasibleError
+        If there is none; it says what limits it.
+    """
+    _check_request(arm, request)
+    model = model_bounds(arm)
+    blank = LoopProof(1.0, np.eye(3), np.ones(2))
+    gains = LoopGains(
+        arm.name,
+        arm.sha256(),
+        request.bandwidth,
+        request.model_error,
+        1.0,
+        model,
+        blank,
+        blank,
+        ErrorProof(1.0, np.eye(3), np.ones(2), 1.0, request.acceleration, 1.0, model.inertia),
+    )
+    largest = largest_share(arm, gains)
+    if largest <= 0.0:
+        raise InfeasibleError(
+            f'no decay even at rest: payload {arm.uncertainty.payload:g} kg is {model.payload:.3g} '
+            f'of the inertia, model error {request.model_error:g}; state less'
+        )
+    gains = _with_motion(arm, gains, largest, request.rate_share)
+    gains = _with_error(arm, gains)
+    checks = verify_loop(arm, gains)
+    for check in checks:
+        if not check.holds:
+            raise InfeasibleError(f'{check.name}: {check.margin:.3g} is not negative')
+    lines = [*_check_lines(checks), *region_lines(arm, gains), *_limit_lines(arm, gains, largest)]
+    return LoopDesign(gains, checks, lines)
+
+
+def _check_request(arm: SerialArm, request: LoopRequest) -> None:
+    ranges = {
+        'bandwidth': (0.1, 100.0),  # as of the tracker's parameter
+        'model_error': (0.0, 0.5),
+        'rate_share': (0.0, 1.0),
+        'acceleration': (0.0, 1e3),
+    }
+    for name, (low, high) in ranges.items():
+        if not low <= getattr(request, name) <= high:
+            raise ConfigError(name, f'must be {low:g} to {high:g}')
+    if len(arm.joints) < 2:
+        raise InfeasibleError('the certificate is for arms of 2 joints or more')
+    if serial_loop_latency(request.bandwidth, arm.sample_time) < arm.sample_time:
+        raise InfeasibleError(
+            f'bandwidth: {request.bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
+        )
+
+
+def model_bounds(arm: SerialArm) -> ModelBounds:
+    """The least bounds of the mass matrix, widened a little, and what proves them."""
+    numbers = chain_numbers(arm)
+    found: dict[str, Any] = {}
+    forms: dict[str, np.ndarray] = {}
+    for bound in BOUNDS:
+        best = _best_value(numbers, bound)
+        for slack in _SLACKS:
+            value = best / slack if bound == 'inertia' else max(slack * float(best), 1e-3)
+            proof = _forms(numbers, bound, value)
+            if proof is not None:
+                found[bound], forms[bound] = value, proof
+                break
+        else:
+            raise InfeasibleError(f'no bound of {bound} with a margin: is the arm physical?')
+    return ModelBounds(forms=forms, **found)
+
+
+def _variables(joints: int, twists: int) -> tuple[list[Any], list[Any]]:
+    """Coefficients of B_2, ..., B_n, and these matrices."""
+    size = 6 * twists
+    basis = invariant_basis(twists).reshape(COEFFICIENTS[twists], size * size).T
+    rows = [cp.Variable(COEFFICIENTS[twists]) for _ in range(joints - 1)]
+    return rows, [cp.reshape(basis @ row, (size, size), order='C') for row in rows]
+
+
+def _best_value(numbers: ChainNumbers, bound: str) -> Any:
+    """Smallest k, phi or nu; the largest c, joint by joint about as much of its inertia."""
+    n = len(numbers.rotor)
+    _, invariant = _variables(n, twists_of(bound))
+    value = cp.Variable(n) if bound == 'inertia' else cp.Variable()
+    objective, unit = value, 1.0
+    if bound == 'inertia':
+        typical = np.array([float(form[2, 2]) for form in numbers.inertia]) + numbers.rotor
+        objective = cp.sum(cp.multiply(typical, cp.inv_pos(value)))
+    if bound == 'growth':
+        unit = float(numbers.rates.sum())
+        matrices = _growth_inequalities(numbers, value, unit, invariant)
+    else:
+        matrices = bound_inequalities(numbers, bound, value, invariant)
+    status = solve(objective, [_positive(matrix) for matrix in matrices])
+    if value.value is None:
+        raise InfeasibleError(f'no bound of {bound} (solver: {status}): is the arm physical?')
+    return unit * value.value
+
+
+def _growth_inequalities(
+    numbers: ChainNumbers, value: Any, unit: float, invariant: list[Any]
+) -> Iterator[Any]:
+    """As `bound_inequalities`, linear in nu over ``unit``: time is in units of 1/unit."""
+    zero = np.zeros((6, 6))
+    forms = [cp.bmat([[value * form, -form], [-form, zero]]) for form in numbers.inertia]
+    joint_steps = steps(2, [rate / unit for rate in numbers.rates])
+    rotors = [value * rotor for rotor in numbers.rotor]
+    yield from chain_inequalities(numbers.placement, forms, rotors, invariant, joint_steps)
+
+
+def _forms(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray | None:
+    """Coefficients of the matrices that prove a bound, with the largest margin; None if none do."""
+    rows, invariant = _variables(len(numbers.rotor), twists_of(bound))
+    margin = cp.Variable()
+    constraints = [
+        _positive(matrix, margin) for matrix in bound_inequalities(numbers, bound, value, invariant)
+    ]
+    solve(-margin, [*constraints, margin <= 1.0])
+    if margin.value is None:
+        return None
+    found = np.array([row.value for row in rows])
+    rebuilt = bound_inequalities(numbers, bound, value, invariant_forms(found, twists_of(bound)))
+    holds = all(largest_eigenvalue(-np.asarray(matrix, dtype=float)) < 0.0 for matrix in rebuilt)
+    return found if holds else None
+
+
+def _positive(matrix: Any, margin: Any = 0.0) -> Any:
+    """Constraint matrix >= margin I, of a matrix that is symmetric by construction."""
+    return 0.5 * (matrix + matrix.T) >> margin * np.eye(matrix.shape[0])
+
+
+def _proof(
+    matrix: Callable[..., Any], size: int, numbers: LoopNumbers, decay: float, bandwidth: float
+) -> LoopProof | None:
+    """Lyapunov matrix with the largest margin; None where there is none."""
+    p, multipliers = cp.Variable((size, size), symmetric=True), cp.Variable(2, nonneg=True)
+    margin = cp.Variable()
+    constraints = [
+        cp.trace(p) == 1.0,
+        _positive(p, margin),
+        _positive(-matrix(p, multipliers, numbers, decay), margin),
+    ]
+    solve(-margin, constraints)
+    if margin.value is None or margin.value < _MARGIN:
+        return None
+    return LoopProof(decay * bandwidth, np.array(p.value), np.array(multipliers.value))
+
+
+def _sampled_proof(numbers: LoopNumbers, decay: float, bandwidth: float) -> LoopProof | None:
+    if 2.0 * numbers.step * numbers.growth >= 1.0:
+        return None
+    return _proof(sampled_matrix, 4, numbers, decay, bandwidth)
+
+
+def _largest(works: Callable[[float], bool], top: float, accuracy: float) -> float:
+    """Largest number up to ``top`` that works, by bisection; 0 if none does."""
+    if works(top):
+        return top
+    low, high = 0.0, top
+    while high - low > accuracy * top:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if works(middle) else (low, middle)
+    return low
+
+
+def largest_share(arm: SerialArm, gains: LoopGains) -> float:
+    """Largest share of the velocity limits at which the loop, sampled too, is certified [-]."""
+
+    def works(share: float) -> bool:
+        numbers = loop_numbers(arm, gains, share)
+        motion = _proof(motion_matrix, 3, numbers, 0.0, gains.bandwidth)
+        return motion is not None and _sampled_proof(numbers, 0.0, gains.bandwidth) is not None
+
+    return _largest(works, 1.0, 0.005)
+
+
+def _with_motion(arm: SerialArm, gains: LoopGains, largest: float, asked: float) -> LoopGains:
+    """Proofs of the decay on a region of rates."""
+    if asked > largest:
+        raise InfeasibleError(
+            f'rates: a share of {asked:g} of the velocity limits cannot be certified, '
+            f'{largest:.3g} can; ask for less, for a larger bandwidth, or state less payload'
+        )
+    shares = [share * largest for share in ((1.0,) if largest == 1.0 else _SHARES)]
+    for share in [asked] if asked else shares:
+        numbers = loop_numbers(arm, gains, share)
+        motion = _fast_proof(motion_matrix, 3, numbers, gains.bandwidth)
+        sampled = _fast_proof(sampled_matrix, 4, numbers, gains.bandwidth)
+        if motion is not None and sampled is not None:
+            return replace(gains, rate_share=share, motion=motion, sampled=sampled)
+    raise InfeasibleError('no region of rates on which the loop decays, sampled and with delay')
+
+
+def _fast_proof(
+    matrix: Callable[..., Any], size: int, numbers: LoopNumbers, bandwidth: float
+) -> LoopProof | None:
+    """Proof of most of the fastest decay; None where nothing decays."""
+
+    def works(decay: float) -> bool:
+        return _proof(matrix, size, numbers, decay, bandwidth) is not None
+
+    decay = _DECAY * _largest(works, 1.0, 0.002)
+    return _proof(matrix, size, numbers, decay, bandwidth) if decay > 0.0 else None
+
+
+def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
+    """Bound of the tracking error, on a part of the region."""
+    share = min(_ERROR_SHARE, 0.5 * gains.rate_share)
+    numbers = loop_numbers(arm, gains, share)
+    best = None
+    for decay in np.geomspace(0.02, 0.8, 12):
+        found = _error_proof(numbers, float(decay))
+        if found is not None and (best is None or found[0] < best[0]):
+            best = (*found, float(decay))
+    if best is None:
+        raise InfeasibleError('no bound of the tracking error')
+    level, p, multipliers, decay = best
+    proof = ErrorProof(
+        decay * gains.bandwidth, p, multipliers, share, gains.error.acceleration, level,
+        np.zeros(len(arm.joints)),
+    )  # fmt: skip
+    gains = replace(gains, error=proof)
+    bound = np.sum(list(error_bound(arm, gains).values()), axis=0)
+    return replace(gains, error=replace(proof, bound=bound))
+
+
+def _error_proof(numbers: LoopNumbers, decay: float) -> tuple[float, np.ndarray, np.ndarray] | None:
+    """Least level mu for a decay, widened a little, with P and multipliers."""
+    p, multipliers = cp.Variable((3, 3), symmetric=True), cp.Variable(2, nonneg=True)
+    level, middle = cp.Variable(nonneg=True), np.diag([0.0, 1.0, 0.0])
+    matrix = motion_matrix(p, multipliers, numbers, decay, level)
+    constraints = [_positive(p - middle, _MARGIN), _positive(-matrix, _MARGIN)]
+    solve(level, constraints)
+    if level.value is None:
+        return None
+    return float(level.value), np.array(p.value), np.array(multipliers.value)
+
+
+def _check_lines(checks: list[Check]) -> list[str]:
+    return [f'holds ({check.margin:.3g} < 0): {check.name}' for check in checks]
+
+
+def _limit_lines(arm: SerialArm, gains: LoopGains, largest: float) -> list[str]:
+    """What limits the region: how far it would reach with one of its figures changed."""
+    unloaded = replace(gains, model=replace(gains.model, payload=1e-3))
+    true = replace(gains, model_error=0.0)
+    undamped = replace(gains, model=replace(gains.model, damping=1e-3))
+    faster = replace(gains, bandwidth=1.5 * gains.bandwidth)
+    others = (
+        ('without payload', unloaded),
+        ('with a true model', true),
+        ('without viscous friction', undamped),
+        (f'with a bandwidth of {faster.bandwidth:g} rad/s', faster),
+    )
+    return [
+        f'largest region: {largest:.3g} of all velocity limits at once; what limits it:',
+        *(f'  {text}: {largest_share(arm, other):.3g}' for text, other in others),
+    ]

@@ -1,0 +1,76 @@
+"""Certificates of serial arms' loops: what is found, what limits it, what is refused."""
+
+from dataclasses import replace
+
+import pytest
+from places import BRINGUP
+
+from lpv_cli.main import main
+from lpv_core.serial_arm.arm_file import load_serial_arm
+from lpv_core.serial_arm.certificate.conditions import require_loop
+from lpv_core.serial_arm.description import Uncertainty
+from lpv_core.support.errors import ConfigError
+from lpv_design.serial_loop import LoopRequest, certify_loop, model_bounds
+from lpv_design.solve import InfeasibleError
+
+
+@pytest.fixture(scope='module')
+def arm():
+    """The first three joints of the UR10, which carry a load at the elbow's end."""
+    whole = load_serial_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    return replace(whole, name='short', joints=whole.joints[:3], tip=(-0.57, 0.0, 0.0))
+
+
+@pytest.fixture(scope='module')
+def found(arm):
+    return certify_loop(arm, LoopRequest())
+
+
+def test_given_an_arm_when_designed_then_its_certificate_holds_and_says_what_limits_it(arm, found):
+    require_loop(arm, found.gains)
+    assert any('what limits it' in line for line in found.lines)
+
+
+def test_given_half_the_payload_when_bounded_then_so_is_its_ratio(arm, found):
+    lighter = replace(arm, uncertainty=replace(arm.uncertainty, payload=1.0))
+    ratio = model_bounds(lighter).payload / found.gains.model.payload
+    assert ratio == pytest.approx(0.5, rel=0.01)
+
+
+def test_given_a_small_region_when_asked_for_then_the_loop_decays_faster_on_it(arm, found):
+    slow = certify_loop(arm, LoopRequest(rate_share=0.2)).gains
+    assert slow.rate_share == 0.2 and slow.motion.decay > found.gains.motion.decay
+
+
+def test_given_more_than_can_be_certified_when_asked_for_then_the_largest_region_is_told(arm):
+    with pytest.raises(InfeasibleError, match='cannot be certified, .* can'):
+        certify_loop(arm, LoopRequest(bandwidth=3.0, rate_share=1.0))
+
+
+def test_given_a_load_beyond_all_bounds_when_designed_then_it_is_named(arm):
+    heavy = replace(arm, uncertainty=Uncertainty(payload=500.0))
+    with pytest.raises(InfeasibleError, match='payload 500 kg'):
+        certify_loop(heavy, LoopRequest())
+
+
+@pytest.mark.parametrize(
+    'request_', [LoopRequest(bandwidth=float('nan')), LoopRequest(model_error=0.9)]
+)
+def test_given_figures_out_of_range_when_designed_then_the_field_is_named(arm, request_):
+    with pytest.raises(ConfigError, match='must be'):
+        certify_loop(arm, request_)
+
+
+def test_given_the_shipped_gains_when_verified_on_the_command_line_then_all_is_told(capsys):
+    gains = str(BRINGUP / 'gains' / 'ur10.yaml')
+    assert main(['verify', gains]) == 0
+    out = capsys.readouterr().out
+    assert 'the certificate holds' in out and 'region: every position, joint rates to' in out
+    assert main(['verify', gains, '--arm', 'panda']) == 2
+    assert main(['verify', gains, '--arm', 'paper']) == 2
+
+
+def test_given_a_requirement_when_a_serial_arm_is_designed_then_it_is_refused(tmp_path, capsys):
+    out = str(tmp_path / 'gains.yaml')
+    assert main(['design', '--arm', 'ur10', '--requirement', 'paper', '--out', out]) == 2
+    assert '--requirement' in capsys.readouterr().err
