@@ -68,7 +68,7 @@ class Contact(NamedTuple):
     vectors: FloatArray
     shares: FloatArray
     costs: FloatArray
-    smooth: tuple[FloatArray, FloatArray, FloatArray]
+    smooth: tuple[FloatArray, ...]
     horizon: FloatArray
     along: FloatArray
 
