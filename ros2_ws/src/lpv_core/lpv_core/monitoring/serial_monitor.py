@@ -297,7 +297,7 @@ class SerialSensorMonitor:
         if not missing.any() and not self._is_missing:
             return
         self._missing_since[missing & (self._missing_since == NEVER)] = stamp
-        long = missing & (stamp - self._missing_since > _LONGEST_STALE)
+        long = missing & (stamp - self._missing_since > LONGEST_STALE)
         events = self._alarms.dropouts(long, self._missing_since, stamp)
         answers.events += [(row, event) for event in events]
         self._missing_since[~missing] = NEVER

@@ -55,6 +55,8 @@ CONTACT_MARGIN = 6.0
 """The same for torques from outside, which are commoner than faults of encoders."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
+RARE = 0.01
+"""Share of repeated readings below which a reading that rests is frozen."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -431,9 +433,10 @@ class SerialMonitor:
         return best
 
     def _is_frozen(self) -> BoolArray:
-        """Whether a reading stopped dead while it moved."""
+        """Whether a reading stopped dead while it moved, or has lost its noise."""
         still = self.sampler.still * self.arm.sample_time > STILL_TIME
-        return still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
+        stopped = self.sampler.stop * STILL_TIME > self.settings.smallest_step
+        return still & (stopped | (self.sampler.repeats < RARE))
 
     def _rest(self) -> tuple[IntArray, FloatArray]:
         """For how many balances each reading rests, and its speed before [rad/s]."""

@@ -61,6 +61,8 @@ class Sampler(NamedTuple):
         Last reading as it came [rad].
     still : ndarray, shape (n,)
         Samples for which the reading has not changed at all.
+    repeats : ndarray, shape (n,)
+        Share of readings that equal the one before, as of quantised encoders that move slowly.
     stop : ndarray, shape (n,)
         Speed of the reading before it came to rest [rad/s].
     counters : ndarray of int64, shape (5,)
@@ -83,6 +85,7 @@ class Sampler(NamedTuple):
     size: FloatArray
     raw: FloatArray
     still: IntArray
+    repeats: FloatArray
     stop: FloatArray
     counters: IntArray
     clock: FloatArray
@@ -114,7 +117,7 @@ def new_sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         smallest.copy(), np.zeros(n), np.zeros(n), derived.copy(), np.zeros((3, n)),
         np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64), np.zeros(n),
-        np.zeros(n), np.zeros(n, np.int64), np.zeros(n), counters,
+        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), counters,
         np.zeros(3))  # fmt: skip
 
 
@@ -149,8 +152,11 @@ def push_sample(
         reading = y[i] - sampler.correction[i]
         if y[i] != sampler.raw[i]:
             sampler.still[i] = 0
+            sampler.repeats[i] -= sampler.repeats[i] / 256.0
         else:
             sampler.still[i] += 1
+            if sampler.still[i] <= 3:
+                sampler.repeats[i] += (1.0 - sampler.repeats[i]) / 256.0
             if sampler.still[i] == 1:
                 way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 5, 0, i]
                 sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[HISTORY - 5])
