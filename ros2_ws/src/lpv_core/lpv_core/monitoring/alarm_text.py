@@ -12,7 +12,12 @@ _KINDS = {
     'spike': 'single wrong readings (spike)',
     'stuck': 'reading stands still (stuck)',
     'noise': 'too much noise',
+    'rate_bias': 'of the rate sensor',
+    'torque_offset': 'of the torque sensor',
+    'torque_gain': 'of the gain of the torque sensor',
 }
+_UNITS = {'rate_bias': ' rad/s', 'torque_offset': ' N m', 'torque_gain': ''}
+"""Of sizes that are no position errors."""
 _CERTAIN = 0.9995
 """Confidence from which on only a lower limit is given."""
 COUNTER_TEXT = {
@@ -30,11 +35,13 @@ COUNTER_TEXT = {
 def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
-    error = f'{event.size:+.3f} rad (bound {event.bound:.3f} rad)'
+    unit = _UNITS.get(event.kind, ' rad')
+    error = f'{event.size:+.3f}{unit} (bound {event.bound:.3f}{unit})'
+    if event.kind == 'dropout':
+        over = ' is over' if event.event == AlarmEvent.CLEARED else ''
+        return f'{head}no readings (dropout){over}'
     if event.event == AlarmEvent.CLEARED:
         return f'{head}{event.kind} is over, remaining error {error}'
-    if event.kind == 'dropout':
-        return f'{head}no readings (dropout)'
     sure = f'{event.confidence:.1%}' if event.confidence < _CERTAIN else '> 99.9%'
     if event.kind == 'inconsistent':
         return (

@@ -151,6 +151,8 @@ class SerialSensorMonitor:
         self._know(self._monitor.snapshot(), 0)
         self._compensation = new_compensation(self._joints)
         self._alarms = AlarmConverter(self.arm)
+        self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
+        self._is_missing = False
         self._last = np.zeros(1, self.answer_type).view(np.recarray)  # row with the last estimate
         self._warned: set[str] = set()
 
@@ -221,8 +223,10 @@ class SerialSensorMonitor:
         begin = 0
         while begin < len(stamps):
             count = self._regular(stamps[begin:], samples[begin:])
-            row = records[begin : begin + 1]
-            if count or self._prepare(int(stamps[begin]), samples[begin], row):
+            row, first = records[begin : begin + 1], samples[begin]
+            usable = count or self._prepare(int(stamps[begin]), first, row)
+            self._watch_dropouts(int(stamps[begin]), first, begin, answers)
+            if usable:
                 self._run(batch, begin, begin + max(1, count), answers)
             elif rows.answered[begin] and self._is_due(int(stamps[begin])):
                 self._report(int(stamps[begin]), begin, answers)
@@ -288,6 +292,20 @@ class SerialSensorMonitor:
             self._stamp, self._reading = stamp, sample[0].copy()
             return False
         return True
+
+    def _watch_dropouts(self, stamp: int, sample: FloatArray, row: int, answers: Answers) -> None:
+        """Report sensors whose readings are missing, or are there again."""
+        missing = ~np.isfinite(sample[0])
+        if not missing.any() and not self._is_missing:
+            return
+        self._missing_since[missing & (self._missing_since == NEVER)] = stamp
+        long = missing & (stamp - self._missing_since > LONGEST_STALE)
+        events = self._alarms.dropouts(long, self._missing_since, stamp)
+        answers.events += [(row, event) for event in events]
+        self._missing_since[~missing] = NEVER
+        self._is_missing = bool(missing.any())
+        if events:
+            self._next_report = NEVER
 
     def _is_new(self, stamp: int, row: np.recarray) -> bool:
         """Whether a stamp is later than the last one, or of a clock that was set back."""

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
 
+from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
+from lpv_core.serial_arm.dynamics.kinematics import jacobian
 from lpv_core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
 from lpv_core.support.errors import SampleError
 
@@ -81,6 +83,32 @@ def test_push_is_no_fault_of_an_encoder():
     pushes = [Push(4.0, 4.6, (0.0, 25.0, 12.0)), Push(6.0, 6.3, (15.0, -20.0, 0.0))]
     monitor, _ = watched(shoulder_arm(), pushes=pushes)
     assert {alarm.kind for alarm in monitor.alarms} == {'contact'}
+
+
+SHAPES = {
+    'half-sine': lambda place: np.sin(np.pi * np.clip(place, 0.0, 1.0)),
+    'ramp that stays': lambda place: np.clip(place, 0.0, 1.0),
+    'step': lambda place: (place > 0.0) * (place < 1.0),
+}
+
+
+@pytest.mark.parametrize('shape', SHAPES)
+@pytest.mark.parametrize('seed', [1, 2])
+def test_slow_push_or_force_on_the_tip_is_no_fault_of_an_encoder(shape, seed):
+    arm, rng = shoulder_arm(), np.random.default_rng(seed)
+    run = SerialSimulator(arm, wrong_plant(arm, seed), seed).run(7.0)
+    place = (run.stamps * 1e-9 - 3.5) / rng.uniform(0.5, 3.0)
+    force, chain = rng.normal(size=3) * 15.0, compile_chain(arm)
+    torque = np.array([jacobian(chain, q)[:3].T @ force for q in run.position])
+    run.samples[:, 2] -= SHAPES[shape](place)[:, None] * torque
+    monitor = SerialMonitor(arm)
+    monitor.update_many(run.stamps, run.samples)
+    assert named(monitor) <= {''}
+
+
+def test_confirmed_step_keeps_its_kind():
+    monitor, _ = watched(shoulder_arm(), [EncoderFault(1, 'bias', 3.5, 0.1)], duration=7.0)
+    assert [alarm.kind for alarm in monitor.alarms] == ['bias']
 
 
 def test_samples_one_by_one_give_the_same_bits():

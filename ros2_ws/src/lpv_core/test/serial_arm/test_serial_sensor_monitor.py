@@ -142,6 +142,20 @@ def test_given_independent_rates_when_they_are_missing_then_samples_are_not_used
     assert answer.fault is None and answer.corrected is None and monitor.counters.not_finite == 1
 
 
+@pytest.mark.parametrize('parts', [1, 7])
+def test_given_readings_of_one_joint_missing_when_observed_then_its_sensor_is_named(
+    recording, parts
+):
+    stamps, samples = recording[0], recording[1].copy()
+    samples[100:200, 0, 2] = np.nan
+    _, answers = observe((stamps, samples), parts=parts)
+    events = [event for part in answers for _, event in part.events if event.kind == 'dropout']
+    assert [(one.event, one.sensor) for one in events] == [
+        (AlarmEvent.RAISED, 'encoder3'), (AlarmEvent.CLEARED, 'encoder3')]  # fmt: skip
+    assert events[0].onset == stamps[100]
+    assert 50e6 < events[0].detected - stamps[100] < 60e6
+
+
 def test_given_joints_in_another_order_and_more_of_them_when_taken_then_names_decide():
     monitor = SerialSensorMonitor('/uio', ARM)
     names = ('gripper', 'joint3', 'joint1', 'joint2')

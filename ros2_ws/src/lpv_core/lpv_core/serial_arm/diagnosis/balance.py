@@ -51,6 +51,8 @@ class Balance(NamedTuple):
         Residual and derivatives of the last complete hat [N m s].
     clock : ndarray, shape (2,)
         Length of the previous interval, 0 if there is none; moment from which drifts count [s].
+    poses : ndarray, shape (2, n)
+        Positions at the ends of the previous and of the current interval [rad].
     rigid : ndarray, shape (n, n)
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
@@ -66,6 +68,7 @@ class Balance(NamedTuple):
     falling: FloatArray
     rows: FloatArray
     clock: FloatArray
+    poses: FloatArray
     rigid: FloatArray
     work: FloatArray
     vectors: FloatArray
@@ -98,7 +101,7 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
-        np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((n, n)),
+        np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), np.zeros((n, n)),
         workspace(chain), np.zeros((9, n)))  # fmt: skip
 
 
@@ -241,6 +244,8 @@ def close_interval(balance: Balance, length: float) -> bool:
             balance.rising[1, i, c] = 0.0
             balance.falling[1, i, c] = 0.0
     balance.clock[LENGTH] = length
+    balance.poses[0] = balance.poses[1]
+    balance.poses[1] = balance.vectors[0]
     return complete
 
 

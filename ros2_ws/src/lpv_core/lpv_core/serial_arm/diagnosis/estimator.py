@@ -232,6 +232,7 @@ def take_balance(
         move_epoch(balance, time)
     _make_absolute(balance.rows, balance.reference)
     join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
+    window.poses[slot(window, 0)] = balance.poses[0]
     weigh(window, null, 1)
 
 

@@ -17,6 +17,16 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import EPOCH, OFFSET, RATE
+from lpv_core.serial_arm.diagnosis.contact import (
+    Contact,
+    force_levers,
+    joint_levers,
+    new_contact,
+    rough_contact,
+    smooth_contact,
+    watch_noise,
+    weigh_outliers,
+)
 from lpv_core.serial_arm.diagnosis.estimator import (
     HorizonPlan,
     OffsetEstimator,
@@ -50,12 +60,6 @@ STUCK_ACCELERATION = 10.0
 ONSET = 2
 """Balances at the start of a window in which a fault may come in any way: they are explained by
 free torques, for encoders as for contacts."""
-CONTACT_TIME = 0.3
-"""Over which a torque from outside is correlated [s]."""
-CONTACT_SHARES = (1.0, 0.3, 0.1, 0.03)
-"""Amplitudes of torques from outside that are tried, in the largest plausible one."""
-CONTACT_PENALTY = 1.4
-"""Logarithm of the number of amplitudes."""
 PRIOR = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 
@@ -86,39 +90,26 @@ class Search(NamedTuple):
         Of the windows, then of their onsets [balances].
     prior : ndarray, shape (S,)
         Standard deviations of the faults' sizes; 0 of those that cannot be.
-    torque : ndarray, shape (n,)
-        Standard deviation of torques that may act from outside [N m].
+    outside : Contact
+        Torques from outside, for the windows and their onsets.
     gain, information, size : ndarray, shape (W, S)
         LLR, I and size of each hypothesis.
-    contact : ndarray, shape (W,)
-        LLR of torques from outside.
-    variance : ndarray, shape (n,)
-        Of balances [N2 m2 s2], for which ``shares`` and ``costs`` hold.
-    known : ndarray of int64, shape (W + 1,)
-        Whether they do.
-    values, vectors : ndarray, shapes (W + 1, L) and (W + 1, L, L)
-        Of the correlation of torques from outside.
-    shares, costs : ndarray, shapes (W + 1, K, n, L) and (W + 1, K, n)
-        Factors of squared residuals along eigenvectors, and what the freedom of K amplitudes costs.
-    columns, along : ndarray, shapes (m, S) and (L,)
+    contact, onset : ndarray, shape (W,)
+        LLR of torques from outside: all the time, and only at the onset of a fault.
+    columns, shared : ndarray, shapes (m, S) and (n,)
         Scratch.
     """
 
     lengths: IntArray
     prior: FloatArray
-    torque: FloatArray
+    outside: Contact
     gain: FloatArray
     information: FloatArray
     size: FloatArray
     contact: FloatArray
-    variance: FloatArray
-    known: IntArray
-    values: FloatArray
-    vectors: FloatArray
-    shares: FloatArray
-    costs: FloatArray
+    onset: FloatArray
     columns: FloatArray
-    along: FloatArray
+    shared: FloatArray
 
 
 def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
@@ -138,22 +129,14 @@ def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
     """
     plan, n, m = estimator.plan, estimator.joints, len(estimator.prior)
     lengths = [*_lengths(plan, WINDOWS + MORE_WINDOWS), ONSET + 1]
-    count, longest = len(lengths), max(lengths)
     prior = np.concatenate([np.full(n, PRIOR[k]) if k in PRIOR else torque for k in KINDS])
     prior[RATE * n : (RATE + 1) * n] *= estimator.balance.derived == 0.0
-    values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
-    for w, length in enumerate(lengths):
-        place = plan.interval * np.arange(length)
-        correlation = np.exp(-np.abs(place - place[:, None]) / CONTACT_TIME)
-        values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(correlation)
-    values *= plan.interval**2
-    results = [np.zeros((count - 1, len(KINDS) * n)) for _ in range(3)]
-    shares = len(CONTACT_SHARES)
+    windows = len(lengths) - 1
+    results = [np.zeros((windows, len(KINDS) * n)) for _ in range(3)]
     return Search(
-        np.array(lengths), prior, torque, results[0], results[1], results[2], np.zeros(count - 1),
-        np.zeros(n), np.zeros(count, np.int64), values, vectors,
-        np.zeros((count, shares, n, longest)), np.zeros((count, shares, n)),
-        np.zeros((m, len(KINDS) * n)), np.zeros(longest))  # fmt: skip
+        np.array(lengths), prior, new_contact(lengths, torque, plan.interval, plan.capacity),
+        results[0], results[1], results[2], np.zeros(windows), np.zeros(windows),
+        np.zeros((m, len(KINDS) * n)), np.zeros(n))  # fmt: skip
 
 
 def _lengths(plan: HorizonPlan, seconds: tuple[float, ...]) -> list[int]:
@@ -190,13 +173,13 @@ def evaluate(
     float
         The best LLR.
     """
-    _watch_noise(search, null)
+    watch_noise(search.outside, null)
     best, longest = -np.inf, 0
     for w in range(first, end):
         longest = max(longest, search.lengths[w])
     last = min(longest + 1, window.counters[COUNT])
     set_residuals(window, null, last)
-    _weigh_outliers(null, last)
+    weigh_outliers(null, last)
     for w in range(first, end):
         length = search.lengths[w]
         search.gain[w] = -np.inf
@@ -205,9 +188,9 @@ def evaluate(
             continue
         begin = window.times[slot(window, length - 1)] - interval - epoch
         _faults(search, window, null, begin, w)
-        onset = _contact(search, null, search.lengths.shape[0] - 1, length)
-        search.gain[w] += onset
-        search.contact[w] = _contact(search, null, w, length - 1)
+        search.onset[w] = rough_contact(search.outside, null, search.lengths.shape[0] - 1, length)
+        search.gain[w] += search.onset[w]
+        search.contact[w] = rough_contact(search.outside, null, w, length - 1)
         best = max(best, search.contact[w], search.gain[w].max())
     return best
 
@@ -239,87 +222,122 @@ def _faults(search: Search, window: Window, null: Posterior, begin: float, w: in
             own[i] -= begin * own[offset + i]
         for s in range(count):
             gain[s] -= own[s] * null.mean[a]
+    for i in range(n):
+        search.shared[i] = columns[i, i]
     whiten(null.factor, columns)
     for a in range(m):
         own = columns[a]
         for s in range(count):
             information[s] -= own[s] * own[s]
+        for i in range(n):
+            search.shared[i] -= own[i] * own[offset + i]
     for s in range(count):
         if search.prior[s] == 0.0:
             gain[s] = -np.inf
             continue
         score, variance = gain[s], search.prior[s] * search.prior[s]
-        information[s] = max(information[s], 0.0) + 1.0 / variance
-        search.size[w, s] = score / information[s]
-        gain[s] = 0.5 * (score * score / information[s] - np.log(information[s] * variance))
+        information[s] = max(information[s], 0.0)
+        power = information[s] + 1.0 / variance
+        gain[s] = 0.5 * (score * score / power - np.log(power * variance))
+        search.size[w, s] = score / power
+        if s < n and search.prior[RATE * n + s] == 0.0:
+            _begin_earlier(search, w, s, (score, gain[offset + s]), information[offset + s])
+        information[s] += 1.0 / variance
 
 
 @njit
-def _weigh_outliers(null: Posterior, last: int) -> None:
-    """Shrink large residuals as the weights of least squares do (soft L1).
+def _begin_earlier(search: Search, w: int, i: int, score: tuple[float, float], slip: float) -> None:
+    """Let the drift of encoder i have begun at any time: an offset at the window's start is free.
 
-    A torque from outside must not gain from outliers what the faults' columns do not.
+    ``slip`` is the information on that offset.  What explains more is kept.
     """
-    for back in range(last):
-        for i in range(null.noise.shape[0]):
-            ratio = null.residual[back, i] / (3.0 * null.noise[i])
-            null.residual[back, i] /= (1.0 + ratio * ratio) ** 0.25
+    n = search.shared.shape[0]
+    first, second = search.prior[i] ** -2.0, search.prior[OFFSET * n + i] ** -2.0
+    a, b, c = search.information[w, i] + first, search.shared[i], max(slip, 0.0) + second
+    determinant = max(a * c - b * b, first * second)
+    fit = c * score[0] ** 2 - 2.0 * b * score[0] * score[1] + a * score[1] ** 2
+    gain = 0.5 * (fit / determinant - np.log(determinant / (first * second)))
+    if gain > search.gain[w, i]:
+        search.gain[w, i] = gain
+        search.size[w, i] = (c * score[0] - b * score[1]) / determinant
+        search.information[w, i] = determinant / c - first
 
 
-@njit
-def _watch_noise(search: Search, null: Posterior) -> None:
-    """Forget what depends on the noise, where that has changed."""
-    for i in range(null.noise.shape[0]):
-        variance = null.noise[i] * null.noise[i] * null.inflation[i]
-        if search.variance[i] != variance:
-            search.variance[i] = variance
-            search.known[:] = 0
+def excludes_contact(
+    search: Search, estimator: OffsetEstimator, fault: Explanation, margin: float
+) -> bool:
+    """Whether a fault explains more than smooth torques from outside do, in any window.
 
+    As for a fault, what came at the onset is explained by free torques.
 
-@njit
-def _contact(search: Search, null: Posterior, w: int, oldest: int) -> float:
-    """Ratio of marginal likelihoods of torques from outside that come, change and go.
+    Parameters
+    ----------
+    search : Search
+        All windows have been evaluated.
+    estimator : OffsetEstimator
+        Its posterior is the null hypothesis.
+    fault : Explanation
+        What is to be named.
+    margin : float
+        By which it must explain more.
 
-    On each joint a torque of unknown amplitude a, correlated over `CONTACT_TIME`; joints that
-    need none have none.  With the eigenvalues l_k of the correlation and z_k the residuals along
-    its eigenvectors, sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).
-    The residuals begin ``oldest`` balances before the last one.
+    Returns
+    -------
+    bool
+        False as soon as one course of torques explains too much.
     """
-    if search.known[w] == 0:
-        _set_shares(search, w)
-    total, length, along = 0.0, search.lengths[w], search.along
-    for i in range(search.torque.shape[0]):
-        along[:length] = 0.0
-        for j in range(length):
-            residual, vector = null.residual[oldest - j, i], search.vectors[w, j]
-            for k in range(length):
-                along[k] += residual * vector[k]
-        for k in range(length):
-            along[k] *= along[k]
-        best = 0.0
-        for c in range(search.costs.shape[1]):
-            ratio, shares = -search.costs[w, c, i], search.shares[w, c, i]
-            for k in range(length):
-                ratio += shares[k] * along[k]
-            best = max(best, ratio)
-        total += best
-    return total
+    null, window, outside = estimator.posterior, estimator.window, search.outside
+    windows = np.nonzero(search.contact > -np.inf)[0]
+    begins = np.array([estimator.times(int(search.lengths[w]))[0] for w in windows])
+    for w in windows[np.argsort(np.abs(begins - fault.begin))]:
+        last = int(search.lengths[w]) - ONSET
+        for levers in _levers(search, estimator, last):
+            for courses in outside.smooth:
+                gain = search.onset[w] + smooth_contact(courses, levers, window, null, last)
+                if gain > fault.gain - margin:
+                    return False
+    return True
 
 
-@njit
-def _set_shares(search: Search, w: int) -> None:
-    """Write what `_contact` needs for a window at the present noise."""
-    for i in range(search.torque.shape[0]):
-        variance = search.variance[i]
-        for c in range(len(CONTACT_SHARES)):
-            amplitude = CONTACT_SHARES[c] * search.torque[i]
-            cost = CONTACT_PENALTY
-            for k in range(search.lengths[w]):
-                signal = search.values[w, k] * amplitude * amplitude / variance
-                search.shares[w, c, i, k] = 0.5 * signal / ((1.0 + signal) * variance)
-                cost += 0.5 * np.log1p(signal)
-            search.costs[w, c, i] = cost
-    search.known[w] = 1
+def _levers(search: Search, estimator: OffsetEstimator, last: int) -> tuple[FloatArray, FloatArray]:
+    """Of torques on single joints, and of a force on the tip."""
+    torque, chain = search.outside.torque, estimator.balance.chain
+    return joint_levers(torque, last), force_levers(chain, torque, estimator.window, last)
+
+
+def offset_against_contact(search: Search, estimator: OffsetEstimator, joint: int) -> float:
+    """Log-likelihood ratio of an offset of one encoder to torques over the whole horizon.
+
+    Parameters
+    ----------
+    search : Search
+        Of the arm.
+    estimator : OffsetEstimator
+        Its posterior holds the offset.
+    joint : int
+        Of the encoder.
+
+    Returns
+    -------
+    float
+        Positive where the offset explains more; offsets of other encoders are free.
+    """
+    null, window = estimator.posterior, estimator.window
+    upper = np.triu(null.factor)
+    column = np.linalg.solve(upper.T @ upper, np.eye(len(null.mean))[joint])
+    variance, offset = column[joint], null.mean[joint]
+    held = upper.T @ upper
+    held[joint, joint] += 1e6 / variance
+    without = null._replace(
+        mean=null.mean - column * offset / variance,
+        factor=np.ascontiguousarray(np.linalg.cholesky(held).T),
+    )
+    gain = 0.5 * (offset**2 / variance - np.log(estimator.prior[joint] ** 2 / variance))
+    last, courses = len(estimator), search.outside.horizon
+    return float(gain) - max(
+        smooth_contact(courses, levers, window, without, last)
+        for levers in _levers(search, estimator, last)
+    )
 
 
 def explanations(

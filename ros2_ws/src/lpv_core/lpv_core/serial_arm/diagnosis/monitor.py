@@ -23,8 +23,10 @@ from lpv_core.serial_arm.diagnosis.hypotheses import (
     CONTACT,
     Explanation,
     all_windows,
+    excludes_contact,
     explanations,
     new_search,
+    offset_against_contact,
 )
 from lpv_core.serial_arm.diagnosis.information import NEXT
 from lpv_core.serial_arm.diagnosis.jump_bound import jump_bound
@@ -48,17 +50,16 @@ BoolArray = npt.NDArray[np.bool_]
 NANOSECONDS = 1_000_000_000
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
-NAMED_AFTER = {'stuck': 0.0, 'drift': 0.6, 'scale': 0.6, 'slip': 1.7}
+NAMED_AFTER = {'stuck': 0.0, 'drift': 0.0, 'scale': 0.6, 'slip': 1.7}
 """Shortest windows that tell a fault from a torque from outside [s]; a slip, which changes the
 torques of gravity only, takes longest."""
-MARGINS = {'stuck': 4.0, 'drift': 6.0, 'scale': 10.0, 'slip': 12.0}
-"""By which a fault's evidence must exceed that of all that is not this sensor's: a slow push looks
-more like a slip or a scale error than like a drift."""
+MARGINS = {'stuck': 4.0, 'drift': 4.0, 'scale': 10.0, 'slip': 12.0}
+"""By which a fault's evidence must exceed that of all that is not this sensor's."""
+CONTACT_MARGIN = 6.0
+"""The same for torques from outside, which are commoner than faults of encoders."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
-RECENT = 1.0
-"""After a jump so long ago a reading is suspected first [s]."""
-RARE = 0.3
+RARE = 0.01
 """Share of repeated readings below which a reading that rests is frozen."""
 GUARANTEE_EVERY = 20
 """Balances after which guaranteed thresholds are evaluated anew."""
@@ -88,7 +89,7 @@ class MonitorSettings:
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
-    dwell: int = 3  # balances in a row for which a decision must hold
+    dwell: int = 1  # balances in a row for which a decision must hold
     contact_dwell: int = 8  # the same for torques from outside
     level_dwell: int = 20  # the same for the level
     horizon: float = 10.0  # [s]
@@ -177,7 +178,6 @@ class SerialMonitor:
         self._state = [SensorState.OK] * n
         self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.contact_dwell)
         self._level_held = np.zeros(n, int)
-        self._jumped = np.full(n, -np.inf)
         self._moving: MovingFault | None = None
         self._suspects: tuple[str, ...] = ()
         self._last_time = -np.inf
@@ -332,7 +332,6 @@ class SerialMonitor:
                 sigma = float(self.sampler.scale[i])
                 size = float(self.sampler.size[i])
                 self._raise(i, 'bias', now, size, sigma, abs(size) > self._jump_bound[i])
-                self._jumped[i] = now
             elif self.sampler.found[i] == SPIKE:
                 self.alarms.append(SerialAlarm(self._sensor(i), 'spike', now, now, 0.0, 0.0, ()))
             self.sampler.found[i] = 0
@@ -375,7 +374,7 @@ class SerialMonitor:
         if self._decide_rates():
             return
         found = explanations(
-            self.search, self.estimator, self._rest(), np.nonzero(self._is_conspicuous())[0],
+            self.search, self.estimator, self._rest(), np.nonzero(self._is_frozen())[0],
             0.5 * self.settings.evidence)  # fmt: skip
         if not found or found[0].gain < self.settings.evidence:
             self._suspects = ()
@@ -430,13 +429,13 @@ class SerialMonitor:
     def _verdict(self, found: list[Explanation]) -> Explanation | None:
         """The explanation that is beyond doubt for now, if there is one.
 
-        A reading that froze or jumped is evidence of its own, and what the linear columns say of
-        it is rough; else a torque from outside, which may have any course, is excluded only by an
-        encoder's fault that explains clearly more, over a second or longer.
+        A reading that froze is evidence of its own.  Else an encoder is named only where its fault
+        explains clearly more than faults of other sensors, and than torques from outside of any
+        course do; those that are smooth are evaluated only here, for they cost most.
         """
-        for i in np.nonzero(self._is_conspicuous())[0]:
+        for i in np.nonzero(self._is_frozen())[0]:
             own = [one for one in found if one.joint == i and one.is_encoder]
-            if own and own[0].gain > 0.0:
+            if own and own[0].gain > MARGINS['stuck']:
                 return own[0]
         contact = max(one.gain for one in found if one.kind == CONTACT)
         encoder = [one for one in found if one.is_encoder]
@@ -447,15 +446,18 @@ class SerialMonitor:
             return None
         joint = late[0].joint
         rival = max(one.gain for one in found if one.joint != joint or not one.is_encoder)
-        own = [one for one in late if one.joint == joint]
-        return next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
+        own = [one for one in late if one.joint == joint and one.gain > contact + CONTACT_MARGIN]
+        best = next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
+        if best and not excludes_contact(self.search, self.estimator, best, CONTACT_MARGIN):
+            self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
+            return None
+        return best
 
-    def _is_conspicuous(self) -> BoolArray:
-        """Whether a reading froze while it moved, or jumped not long ago."""
+    def _is_frozen(self) -> BoolArray:
+        """Whether a reading stopped dead while it moved, or has lost its noise."""
         still = self.sampler.still * self.arm.sample_time > STILL_TIME
-        froze = still & (self.sampler.stop * STILL_TIME > self.settings.smallest_step)
-        froze |= still & (self.sampler.repeats < RARE)
-        return froze | (self._last() - self._jumped < RECENT)
+        stopped = self.sampler.stop * STILL_TIME > self.settings.smallest_step
+        return still & (stopped | (self.sampler.repeats < RARE))
 
     def _rest(self) -> tuple[IntArray, FloatArray]:
         """For how many balances each reading rests, and its speed before [rad/s]."""
@@ -493,15 +495,21 @@ class SerialMonitor:
         )
         beyond &= sigma < self.settings.widest_level
         self._level_held = np.where(beyond, self._level_held + 1, 0)
-        held = np.nonzero(self._level_held >= self.settings.level_dwell)[0]
-        new = [int(i) for i in held if self._state[i] is not SensorState.ERROR]
-        if new:
-            self._evaluate_guarantee()
-        for i in new:
-            guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
-            self._raise(i, 'bias', 0.0, float(offsets[i]), float(sigma[i]), guaranteed)
-            if not guaranteed:
-                self._unproved.add(i)
+        for i in np.nonzero(self._level_held >= self.settings.level_dwell)[0]:
+            if self._state[i] is SensorState.ERROR:
+                continue
+            if offset_against_contact(self.search, self.estimator, int(i)) < self.settings.margin:
+                self._suspects = (f'{self._sensor(int(i))}:bias', CONTACT)
+                continue
+            self._raise_level(int(i), float(offsets[i]), float(sigma[i]))
+
+    def _raise_level(self, i: int, offset: float, sigma: float) -> None:
+        """The offset of a sensor is confirmed."""
+        self._evaluate_guarantee()
+        guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
+        self._raise(i, 'bias', 0.0, offset, sigma, guaranteed)
+        if not guaranteed:
+            self._unproved.add(i)
 
     def _evaluate_guarantee(self) -> None:
         """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""

@@ -1,0 +1,359 @@
+"""Torques from outside: what they explain of the last balances, whatever their course.
+
+A torque of unknown amplitude acts on each joint, or a force on the tip; it is a Gaussian process in
+time, rough (as of impacts), smooth, or constant.  What is not needed is zero.  Amplitudes and kind
+of course are those that explain most, less the logarithm of their number.  Leading eigenfunctions
+of the kernel are columns like those of a fault, so that what the arm's unknowns could explain as
+well is taken off.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
+from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals
+from lpv_core.serial_arm.diagnosis.information import Window, factorise, slot, whiten
+from lpv_core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
+from lpv_core.support.jit import njit
+
+ROUGH_TIME = 0.3
+"""Over which rough torques are correlated [s]."""
+AMPLITUDES = (1.0, 0.3, 0.1, 0.03)
+"""Amplitudes of torques from outside that are tried, in the largest plausible one."""
+ROUGH_PENALTY = 1.4
+"""Logarithm of the number of amplitudes."""
+SMOOTH_PENALTY = 2.5
+"""Logarithm of the number of amplitudes and courses."""
+SMOOTH_TIMES = (1e3, 1.0, 0.5)
+"""Correlation times of the smooth courses [s]; the first one is constant."""
+HORIZON_TIME = 2.0
+"""The same for a torque over the whole horizon [s]."""
+_MODES = 8
+_HORIZON_MODES = 12
+_NEGLIGIBLE = 1e-4
+"""Share of the largest eigenvalue below which an eigenfunction is left out."""
+
+
+class Contact(NamedTuple):
+    """Models of torques from outside, for W windows.
+
+    Attributes
+    ----------
+    lengths : ndarray of int64, shape (W,)
+        Of the windows [balances].
+    torque : ndarray, shape (n,)
+        Largest plausible torques [N m].
+    variance : ndarray, shape (n,)
+        Of balances [N2 m2 s2], for which ``shares`` and ``costs`` hold.
+    known : ndarray of int64, shape (W,)
+        Whether they do.
+    values, vectors : ndarray, shapes (W, L) and (W, L, L)
+        Of the correlation of rough torques.
+    shares, costs : ndarray, shapes (W, K, n, L) and (W, K, n)
+        Factors of squared residuals along eigenvectors, and what the freedom of K amplitudes costs.
+    smooth : tuple of ndarray, shapes (L, M)
+        Courses of unit variance along eigenfunctions, as impulses, newest first [s].
+    horizon : ndarray, shape (capacity, M')
+        The same, for all of the horizon.
+    along : ndarray, shape (L,)
+        Scratch.
+    """
+
+    lengths: IntArray
+    torque: FloatArray
+    variance: FloatArray
+    known: IntArray
+    values: FloatArray
+    vectors: FloatArray
+    shares: FloatArray
+    costs: FloatArray
+    smooth: tuple[FloatArray, ...]
+    horizon: FloatArray
+    along: FloatArray
+
+
+def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacity: int) -> Contact:
+    """Models of torques from outside.
+
+    Parameters
+    ----------
+    lengths : list of int
+        Of the windows [balances].
+    torque : ndarray, shape (n,)
+        Largest plausible torques [N m].
+    interval : float
+        Between balances [s].
+    capacity : int
+        Balances of the horizon.
+
+    Returns
+    -------
+    Contact
+        For any noise.
+    """
+    count, longest, n = len(lengths), max(lengths), len(torque)
+    values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
+    for w, length in enumerate(lengths):
+        distance = _distances(length, interval) / ROUGH_TIME
+        values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(np.exp(-distance))
+    smooth = tuple(_courses(longest, interval, one, _MODES) for one in SMOOTH_TIMES)
+    shares = len(AMPLITUDES)
+    return Contact(
+        np.array(lengths), torque, np.zeros(n), np.zeros(count, np.int64),
+        values * interval**2, vectors, np.zeros((count, shares, n, longest)),
+        np.zeros((count, shares, n)), smooth,
+        _courses(capacity, interval, HORIZON_TIME, _HORIZON_MODES), np.zeros(longest))  # fmt: skip
+
+
+def _distances(count: int, interval: float) -> FloatArray:
+    place = interval * np.arange(count)
+    return np.abs(place - place[:, None])
+
+
+def _courses(count: int, interval: float, time: float, modes: int) -> FloatArray:
+    """Leading eigenfunctions of a Gaussian kernel that are not negligible."""
+    kernel = np.exp(-0.5 * (_distances(count, interval) / time) ** 2)
+    values, vectors = (part[..., ::-1][..., :modes] for part in np.linalg.eigh(kernel))
+    kept = values > _NEGLIGIBLE * values[0]
+    return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
+
+
+@njit
+def watch_noise(contact: Contact, null: Posterior) -> None:
+    """Forget what depends on the noise, where that has changed."""
+    for i in range(null.noise.shape[0]):
+        variance = null.noise[i] * null.noise[i] * null.inflation[i]
+        if contact.variance[i] != variance:
+            contact.variance[i] = variance
+            contact.known[:] = 0
+
+
+@njit
+def weigh_outliers(null: Posterior, last: int) -> None:
+    """Shrink large residuals as the weights of least squares do (soft L1).
+
+    A torque from outside must not gain from outliers what the faults' columns do not.
+    """
+    for back in range(last):
+        for i in range(null.noise.shape[0]):
+            ratio = null.residual[back, i] / (3.0 * null.noise[i])
+            null.residual[back, i] /= (1.0 + ratio * ratio) ** 0.25
+
+
+@njit
+def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> float:
+    """Ratio of marginal likelihoods of rough torques, for all windows in any case.
+
+    With the eigenvalues l_k of the correlation and z_k the residuals along its eigenvectors,
+    sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).  The arm's
+    unknowns are held.
+
+    Parameters
+    ----------
+    contact : Contact
+        Its scratch is changed.
+    null : Posterior
+        With residuals.
+    w : int
+        Index of the window's length.
+    oldest : int
+        Balances before the last one at which the window begins.
+
+    Returns
+    -------
+    float
+        Its logarithm.
+    """
+    if contact.known[w] == 0:
+        _set_shares(contact, w)
+    total, length, along = 0.0, contact.lengths[w], contact.along
+    for i in range(contact.torque.shape[0]):
+        along[:length] = 0.0
+        for j in range(length):
+            residual, vector = null.residual[oldest - j, i], contact.vectors[w, j]
+            for k in range(length):
+                along[k] += residual * vector[k]
+        for k in range(length):
+            along[k] *= along[k]
+        best = 0.0
+        for c in range(contact.costs.shape[1]):
+            ratio, shares = -contact.costs[w, c, i], contact.shares[w, c, i]
+            for k in range(length):
+                ratio += shares[k] * along[k]
+            best = max(best, ratio)
+        total += best
+    return total
+
+
+@njit
+def _set_shares(contact: Contact, w: int) -> None:
+    """Write what `rough_contact` needs for a window at the present noise."""
+    for i in range(contact.torque.shape[0]):
+        variance = contact.variance[i]
+        for c in range(len(AMPLITUDES)):
+            amplitude = AMPLITUDES[c] * contact.torque[i]
+            cost = ROUGH_PENALTY
+            for k in range(contact.lengths[w]):
+                signal = contact.values[w, k] * amplitude * amplitude / variance
+                contact.shares[w, c, i, k] = 0.5 * signal / ((1.0 + signal) * variance)
+                cost += 0.5 * np.log1p(signal)
+            contact.costs[w, c, i] = cost
+    contact.known[w] = 1
+
+
+@njit
+def joint_levers(torque: FloatArray, last: int) -> FloatArray:
+    """Largest plausible torque of each joint alone, shape (last, n, n) [N m]."""
+    levers = np.zeros((last, torque.shape[0], torque.shape[0]))
+    for i in range(torque.shape[0]):
+        levers[:, i, i] = torque[i]
+    return levers
+
+
+@njit
+def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) -> FloatArray:
+    """Torques by the largest plausible force on the tip along x, y and z of the base.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+    torque : ndarray, shape (n,)
+        Largest plausible torques [N m].
+    window : Window
+        With the poses.
+    last : int
+        Number of balances.
+
+    Returns
+    -------
+    ndarray, shape (last, 3, n)
+        Newest first [N m].
+    """
+    n = torque.shape[0]
+    levers, jacobian = np.zeros((last, 3, n)), np.zeros((6, n))
+    rotations, origins = np.zeros((n + 1, 3, 3)), np.zeros((n + 1, 3))
+    largest = 1e-9
+    for back in range(last):
+        joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
+        fill_jacobian(rotations, origins, jacobian)
+        levers[back] = jacobian[:3]
+        for i in range(n):
+            for k in range(3):
+                largest = max(largest, abs(jacobian[k, i]) / torque[i])
+    return levers / largest
+
+
+@njit
+def smooth_contact(
+    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
+) -> float:
+    """Ratio of marginal likelihoods of smooth torques in the last balances.
+
+    Parameters
+    ----------
+    courses : ndarray, shape (L, M)
+        Of unit variance, as impulses, newest first [s].
+    levers : ndarray, shape (last, G, n)
+        Torques of what acts independently: one joint each, or a force along one axis each [N m].
+    window : Window
+        Balances.
+    null : Posterior
+        The null hypothesis, whose unknowns are free; its residuals are written.
+    last : int
+        Number of balances.
+
+    Returns
+    -------
+    float
+        Its logarithm; 0 where none is needed.
+    """
+    set_residuals(window, null, last)
+    groups, modes = levers.shape[1], courses.shape[1]
+    score, information = _contact_columns(courses, levers, window, null, last)
+    amplitude, single = np.zeros(groups), np.zeros(groups)
+    for g in range(groups):
+        best = 0.0
+        for share in AMPLITUDES:
+            single[g] = share
+            gain = _free_torques(score, information, single, modes)
+            if gain > best:
+                best, amplitude[g] = gain, share
+        single[g] = 0.0
+    best = _free_torques(score, information, amplitude, modes)
+    for share in AMPLITUDES:
+        single[:] = share
+        gain = _free_torques(score, information, single, modes)
+        if gain > best:
+            best, amplitude[:] = gain, share
+    for g in range(groups):
+        kept = amplitude[g]
+        amplitude[g] = 0.0
+        gain = _free_torques(score, information, amplitude, modes)
+        if gain > best:
+            best = gain
+        else:
+            amplitude[g] = kept
+    return best
+
+
+@njit
+def _contact_columns(
+    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
+) -> tuple[FloatArray, FloatArray]:
+    """Score and information of courses of unit size; the arm's unknowns are eliminated."""
+    m, groups, modes = null.mean.shape[0], levers.shape[1], courses.shape[1]
+    size = groups * modes
+    score, cross, information = np.zeros(size), np.zeros((size, m)), np.zeros((size, size))
+    for back in range(last):
+        at, course = slot(window, back), courses[back]
+        for g in range(groups):
+            for i in range(levers.shape[2]):
+                if levers[back, g, i] == 0.0:
+                    continue
+                unknowns = window.rows[at, i, window.rows.shape[2] - m :]
+                weight = window.weights[at, i] * levers[back, g, i]
+                for k in range(modes):
+                    column, factor = g * modes + k, weight * course[k]
+                    score[column] -= factor * null.residual[back, i]
+                    own = cross[column]
+                    for a in range(m):
+                        own[a] += factor * unknowns[a]
+                    for h in range(groups):
+                        share = factor * levers[back, h, i]
+                        if share != 0.0:
+                            for j in range(modes):
+                                information[column, h * modes + j] += share * course[j]
+    whitened = cross.T.copy()
+    whiten(null.factor, whitened)
+    for a in range(m):
+        for c in range(size):
+            share, own = whitened[a, c], information[c]
+            for d in range(size):
+                own[d] -= share * whitened[a, d]
+    return score, information
+
+
+@njit
+def _free_torques(
+    score: FloatArray, information: FloatArray, amplitude: FloatArray, modes: int
+) -> float:
+    """Logarithm of the ratio of marginal likelihoods for given amplitudes; 0 without any."""
+    active = np.nonzero(amplitude)[0]
+    size = len(active) * modes
+    matrix, right = np.empty((size, size)), np.empty((size, 1))
+    for r in range(size):
+        g, row = active[r // modes], active[r // modes] * modes + r % modes
+        right[r, 0] = amplitude[g] * score[row]
+        for c in range(size):
+            h = active[c // modes]
+            entry = information[row, h * modes + c % modes]
+            matrix[r, c] = amplitude[g] * amplitude[h] * entry
+        matrix[r, r] += 1.0
+    factorise(matrix, np.full(size, 1e-3))
+    whiten(matrix, right)
+    gain = -SMOOTH_PENALTY * len(active)
+    for r in range(size):
+        gain += 0.5 * right[r, 0] * right[r, 0] - np.log(matrix[r, r])
+    return gain
