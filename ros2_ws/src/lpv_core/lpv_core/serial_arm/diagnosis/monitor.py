@@ -59,10 +59,12 @@ CONTACT_MARGIN = 6.0
 """The same for torques from outside, which are commoner than faults of encoders."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
-RARE = 0.01
+RARE = 0.3
 """Share of repeated readings below which a reading that rests is frozen."""
 GUARANTEE_EVERY = 20
 """Balances after which guaranteed thresholds are evaluated anew."""
+FROZEN_DWELL = 3
+"""Balances for which a frozen reading must be to blame: joints that turn round rest shortly."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -394,7 +396,9 @@ class SerialMonitor:
             learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
             if learned and self._has_held(verdict, self.settings.contact_dwell):
                 self._report_contact(now)
-        elif self._has_held(verdict, self.settings.dwell) and now > self._contact_until:
+            return
+        dwell = FROZEN_DWELL if self._is_frozen()[verdict.joint] else self.settings.dwell
+        if self._has_held(verdict, dwell) and now > self._contact_until:
             self._blame(verdict)
 
     def _decide_rates(self) -> bool:
@@ -435,7 +439,7 @@ class SerialMonitor:
         """
         for i in np.nonzero(self._is_frozen())[0]:
             own = [one for one in found if one.joint == i and one.is_encoder]
-            if own and own[0].gain > MARGINS['stuck']:
+            if own and own[0].gain > 0.0:
                 return own[0]
         contact = max(one.gain for one in found if one.kind == CONTACT)
         encoder = [one for one in found if one.is_encoder]
