@@ -20,7 +20,8 @@ from lpv_design.solve import InfeasibleError
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
 _SERIAL_HELP = {
     'bandwidth': 'distance of the three poles of every joint from zero [rad/s]; default 10',
-    'model_error': "relative error of each link's mass and inertia; default 0.05",
+    'model_error': "relative error of each link's mass and inertia; default: as the arm file "
+    'states, or 0.05',
     'rate_share': 'region: share of all velocity limits at once; without, as large as possible',
 }
 
@@ -40,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "real_arm); without, the one with the arm's name",
     )
     serial = parser.add_argument_group('serial arms of n joints (docs/serial-arm.md)')
-    for name, value in (('bandwidth', 10.0), ('model_error', 0.05), ('rate_share', 0.0)):
+    for name, value in (('bandwidth', 10.0), ('model_error', None), ('rate_share', 0.0)):
         serial.add_argument(
             f'--{name.replace("_", "-")}', type=float, default=value, help=_SERIAL_HELP[name]
         )
@@ -105,7 +106,10 @@ def _certify_serial(arm: SerialArm, arguments: argparse.Namespace) -> int:
 
     if arguments.requirement:
         raise ConfigError('--requirement', 'is for two-link arms; see lpv design --help')
-    request = LoopRequest(arguments.bandwidth, arguments.model_error, arguments.rate_share)
+    error = arguments.model_error
+    if error is None:
+        error = arm.uncertainty.model_error or LoopRequest.model_error
+    request = LoopRequest(arguments.bandwidth, error, arguments.rate_share)
     found = certify_loop(arm, request)
     comment = [f'Tracking of arm {arm.name!r} and its certificate, written by lpv design.']
     save_loop_gains(found.gains, arguments.out, '\n'.join([*comment, *found.lines]))

@@ -387,6 +387,15 @@ def test_given_times_of_the_epoch_when_chunks_are_written_then_index_and_order_a
 # ------------------------------------------------------------------ threads
 
 
+@pytest.fixture
+def no_thread_is_left():
+    """Fails a test after which a thread runs that did not run before."""
+    before = set(threading.enumerate())
+    yield
+    assert set(threading.enumerate()) <= before
+
+
+@pytest.mark.usefixtures('no_thread_is_left')
 def test_given_items_when_read_ahead_then_they_come_in_order_and_errors_too():
     def items():
         yield from range(50)
@@ -397,9 +406,9 @@ def test_given_items_when_read_ahead_then_they_come_in_order_and_errors_too():
         for item in ahead(items()):
             found.append(item)
     assert found == list(range(50))
-    assert threading.active_count() == 1
 
 
+@pytest.mark.usefixtures('no_thread_is_left')
 def test_given_a_reader_that_gives_up_when_reading_ahead_then_the_source_is_closed():
     closed = []
 
@@ -413,9 +422,9 @@ def test_given_a_reader_that_gives_up_when_reading_ahead_then_the_source_is_clos
         if item == 5:
             break
     assert closed == [True]
-    assert threading.active_count() == 1
 
 
+@pytest.mark.usefixtures('no_thread_is_left')
 def test_given_a_write_that_fails_when_writing_behind_then_the_error_is_raised_here():
     done = []
 
@@ -428,4 +437,3 @@ def test_given_a_write_that_fails_when_writing_behind_then_the_error_is_raised_h
         for number in range(100):
             behind(number)
     assert done == [0, 1, 2]
-    assert threading.active_count() == 1

@@ -34,6 +34,21 @@ def test_given_reports_of_one_stamp_when_heard_in_any_order_then_they_are_stored
     assert stored(reports) == stored(reports[::-1]) == reports
 
 
+def test_given_reports_of_several_senders_when_one_is_heard_late_then_the_order_is_that_of_stamps():
+    steps = [('/lpv/joint_states', k * STEP, b'', 1) for k in range(10000)]
+    reports = [
+        ('/diagnostics', 500 * k * STEP, name, name)
+        for k in range(20)
+        for name in (b'drives', b'tracking')
+    ]
+    late = [report for report in reports if report[2] == b'tracking' and report[1] >= 2500 * STEP]
+    sent = sorted([*steps, *reports], key=lambda message: message[1])
+    # From the fifth second on the tracker is heard three seconds late.
+    heard = sorted(sent, key=lambda message: message[1] + 1500 * STEP * (message in late))
+    written = [(stamp, topic) for topic, stamp, _ in stored(heard)]
+    assert written == sorted(written) and len(written) == len(sent)
+
+
 def test_given_events_of_one_sender_and_stamp_when_sorted_then_they_stay_in_their_order():
     events = [('/lpv/fault_alarm', STEP, b'b'), ('/lpv/fault_alarm', STEP, b'a')]
     assert stored(events) == events

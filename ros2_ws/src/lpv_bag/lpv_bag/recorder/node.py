@@ -213,7 +213,7 @@ class RecorderNode(ManagedNode):
         elif heard.stamp is not None:
             # Runs with one seed are to give the same bytes, garbage between fields included.
             data = writer.without_garbage(self._types[heard.topic], heard.data)
-            self._order.add(heard.topic, heard.stamp, data)
+            self._order.add(heard.topic, heard.stamp, data, heard.publisher)
         else:
             self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
 

@@ -1,15 +1,16 @@
 """Messages of a lockstep run in an order that does not depend on the order of arrival."""
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 WINDOW = 500_000_000
 """How far stamps may run ahead of a message that is still to come [ns].
 
 What is held back is lost if the recorder is killed."""
-PATIENCE = 2_000_000_000
-"""A topic that lags behind the newest stamp by more, or has not begun, is not waited for [ns]."""
+PATIENCE = 10_000_000_000
+"""A publisher that lags behind the newest stamp by more, or has not begun, is not waited for
+[ns]."""
 _SHARED = '/diagnostics'
 """The topic with several senders, whose messages of one stamp arrive in any order."""
 
@@ -19,7 +20,7 @@ class StampSorter:
 
     In lockstep all messages of one stamp are published before those of the next, but a recorder
     hears several publishers in an order that differs from run to run.  A message is released when
-    every topic that still comes has gone on by `WINDOW`: a publisher that is heard late, on a busy
+    every publisher that still sends has gone on by `WINDOW`: one that is heard late, on a busy
     machine, is waited for.
     """
 
@@ -28,15 +29,16 @@ class StampSorter:
         self._heap: list[tuple[int, str, bytes, int, bytes]] = []
         self._count = 0
         self._first: int | None = None
-        self._last: dict[str, int] = {}
+        self._last: dict[tuple[str, Hashable], int] = {}
 
-    def add(self, topic: str, stamp: int, data: bytes) -> None:
-        """Take one message."""
+    def add(self, topic: str, stamp: int, data: bytes, publisher: Hashable = None) -> None:
+        """Take one message of a publisher."""
         # The counter keeps messages of one sender and stamp in the order of their arrival.
         content = data if topic == _SHARED else b''
         heapq.heappush(self._heap, (stamp, topic, content, self._count, data))
         self._count += 1
-        self._last[topic] = max(stamp, self._last.get(topic, stamp))
+        sender = topic, publisher
+        self._last[sender] = max(stamp, self._last.get(sender, stamp))
         newest = max(self._last.values())
         self._first = stamp if self._first is None else self._first
         if newest - self._first < PATIENCE:
