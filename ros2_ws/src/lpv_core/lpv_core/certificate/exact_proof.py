@@ -46,7 +46,7 @@ def is_positive_definite(matrix: np.ndarray) -> bool:
     return True
 
 
-def _negative(matrix: np.ndarray) -> bool:
+def is_negative(matrix: np.ndarray) -> bool:
     """Whether sym(matrix) < 0."""
     matrix = exact(matrix)
     return is_positive_definite(-(matrix + matrix.T))
@@ -116,10 +116,10 @@ def _prove_exact(arm: ArmParameters, observer: ExactObserverGains) -> dict[str, 
         sampled = [np.eye(2, dtype=int) + dt * n + dt**2 / 2 * n.dot(n) for n in closed]
         results[f'{name}: P > 0'] = is_positive_definite(p)
         results[f'{name}: poles in the disc'] = all(
-            _negative(disc(p, p.dot(n), q, r)) for n in closed
+            is_negative(disc(p, p.dot(n), q, r)) for n in closed
         )
         results[f'{name}: sampled recursion contracts'] = all(
-            _negative(a.T.dot(p).dot(a) - p) for a in sampled
+            is_negative(a.T.dot(p).dot(a) - p) for a in sampled
         )
         results[f'{name}: real poles at every slope'] = 4 * kappa * slopes[1] < mu**2
         noises = [_noise(arm, i, (inertia, off), kappa, mu) for off in (o - b, o + b)]
@@ -234,7 +234,7 @@ def _prove_controller(arm: ArmParameters, controller: ControllerGains) -> dict[s
         loop[:4, :4] = a
         loop[4, 0] = loop[5, 1] = Fraction(-1)
         loop[:4] += b.dot(m)
-        holds = holds and _negative(p.dot(loop) + alpha * p)
+        holds = holds and is_negative(p.dot(loop) + alpha * p)
     return {
         'controller: P > 0': is_positive_definite(p),
         f'controller: LMI (67), alpha {controller.decay:g}/s': holds,
@@ -260,7 +260,7 @@ def _prove_paper(arm: ArmParameters, observer: PaperObserverGains) -> dict[str, 
             matrices = [bounded_real_disc(p, pn, p.dot(bd), p.dot(bf), level**2, q, r)]
         else:
             matrices = [bounded_real(p, pn, p.dot(bd), p.dot(bf), level**2), disc(p, pn, q, r)]
-        holds = holds and all(_negative(m) for m in matrices)
+        holds = holds and all(is_negative(m) for m in matrices)
     return {
         'observer: P > 0': is_positive_definite(p),
         f'observer: LMI ({observer.lmi}) at 8 vertices': holds,

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from lpv_core.model.arm import ArmParameters
-from lpv_core.support.config import Section, read_yaml, sha256_of
+from lpv_core.support.config import Section, read_yaml, sha256_of, write_parameters
 from lpv_core.support.errors import ConfigError
 
 FORMAT = 3
@@ -271,15 +270,7 @@ def save_gains(gains: Gains, path: str | Path, comment: str = '') -> None:
     comment : str, optional
         Text for the head of the file.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    head = ''.join(f'# {line}\n' for line in comment.splitlines())
-    data = {'/**': {'ros__parameters': {'gains': gains_to_dict(gains)}}}
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
-    # A half-written gains file must never be found by a node: write aside, then rename.
-    part = path.with_name(path.name + '.part')
-    part.write_text(head + text, encoding='utf-8')
-    part.replace(path)
+    write_parameters(path, {'gains': gains_to_dict(gains)}, comment)
 
 
 def load_gains(path: str | Path) -> Gains:

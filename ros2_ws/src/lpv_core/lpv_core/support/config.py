@@ -109,6 +109,29 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     return data
 
 
+def write_parameters(path: str | Path, parameters: dict[str, Any], comment: str = '') -> None:
+    """Write a ROS 2 parameter file for all nodes (``/**: ros__parameters: ...``).
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File to write; parent directories are made.
+    parameters : dict
+        Plain YAML data.
+    comment : str, optional
+        Text for the head of the file.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    head = ''.join(f'# {line}\n' for line in comment.splitlines())
+    data = {'/**': {'ros__parameters': parameters}}
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    # A half-written file must never be found by a node: write aside, then rename.
+    part = path.with_name(path.name + '.part')
+    part.write_text(head + text, encoding='utf-8')
+    part.replace(path)
+
+
 def _values(data: object, source: str) -> Iterator[tuple[str, Any]]:
     """Values with their names; those that aliases repeat come as often."""
     left: list[tuple[str, Any, int]] = [('', data, 0)]

@@ -6,9 +6,7 @@ arm with exactly these numbers.
 
 from fractions import Fraction
 
-import numpy as np
-
-from lpv_core.certificate.exact_proof import exact, is_positive_definite
+from lpv_core.certificate.exact_proof import exact, is_negative
 from lpv_core.serial_arm.certificate.conditions import bound_name, loop_matrices
 from lpv_core.serial_arm.certificate.loop_gains import LoopGains
 from lpv_core.serial_arm.certificate.model_bounds import (
@@ -43,10 +41,10 @@ def prove_loop(arm: SerialArm, gains: LoopGains) -> dict[str, bool]:
         value = exact(stored) if bound == 'inertia' else Fraction(stored)
         invariant = invariant_forms(exact(gains.model.forms[bound]), twists_of(bound))
         results[bound_name(gains, bound)] = all(
-            _is_positive(matrix) for matrix in bound_inequalities(numbers, bound, value, invariant)
+            is_negative(-matrix) for matrix in bound_inequalities(numbers, bound, value, invariant)
         )
     for name, matrix in loop_matrices(arm, gains, Fraction):
-        results[name] = _is_positive(-matrix)
+        results[name] = is_negative(matrix)
     return results
 
 
@@ -57,8 +55,3 @@ def _exact_numbers(arm: SerialArm) -> ChainNumbers:
         [exact(matrix) for matrix in numbers.inertia],
         *(exact(array) for array in numbers[2:]),
     )
-
-
-def _is_positive(matrix: np.ndarray) -> bool:
-    """Whether the symmetric part is positive definite."""
-    return is_positive_definite(exact(matrix) + exact(matrix).T)

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from lpv_core.serial_arm.certificate.model_bounds import BOUNDS, ModelBounds, twists_of
 from lpv_core.serial_arm.chain import MAX_JOINTS, FloatArray
-from lpv_core.support.config import Section, read_yaml, sha256_of
+from lpv_core.support.config import Section, read_yaml, sha256_of, write_parameters
 from lpv_core.support.errors import ConfigError
 
 FORMAT = 1
@@ -188,18 +187,10 @@ def save_loop_gains(gains: LoopGains, path: str | Path, comment: str = '') -> No
     comment : str, optional
         Text for the head of the file.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     loop = loop_to_dict(gains)
     loop['checksum'] = loop_checksum(gains)
     bandwidth = loop.pop('bandwidth')
-    head = ''.join(f'# {line}\n' for line in comment.splitlines())
-    data = {'/**': {'ros__parameters': {'bandwidth': bandwidth, 'loop': loop}}}
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
-    # A half-written file must never be found by a node: write aside, then rename.
-    part = path.with_name(path.name + '.part')
-    part.write_text(head + text, encoding='utf-8')
-    part.replace(path)
+    write_parameters(path, {'bandwidth': bandwidth, 'loop': loop}, comment)
 
 
 def serial_parameters(path: str | Path) -> dict[str, Any] | None:

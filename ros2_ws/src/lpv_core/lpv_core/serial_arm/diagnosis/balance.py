@@ -8,7 +8,7 @@ which needs no acceleration and averages the noise of the rates.  q = y - f, so 
 the faults; it is linear in all parameters.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -106,10 +106,13 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
 
 
 @njit
-def _put(
-    balance: Balance, column: int, row: int, parts: tuple[float, float], weight: tuple[float, float]
+def put(
+    balance: Any, column: int, row: int, parts: tuple[float, float], weight: tuple[float, float]
 ) -> None:
-    """Add momentum and force of one entry, weighted by block length and place in the interval."""
+    """Add momentum and force of one entry, weighted by block length and place in the interval.
+
+    ``balance`` is any record with ``momentum``, ``rising`` and ``falling`` of two intervals.
+    """
     momentum, force = parts
     length, place = weight
     balance.momentum[1, row, column] += length * momentum
@@ -154,13 +157,13 @@ def add_block(
     momentum_balance(chain, angle, rate, balance.work, p, force)
     friction_torque(chain, rate, torque, friction)
     for i in range(n):
-        _put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
+        put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
         row = 1 + i
-        _put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
-        _put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
-        _put(balance, row + COULOMB * n, i,
+        put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
+        put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
+        put(balance, row + COULOMB * n, i,
              (0.0, -smooth_sign(rate[i], chain.friction[i, SLOPE])), weight)  # fmt: skip
-        _put(balance, row + GAIN * n, i, (0.0, torque[i]), weight)
+        put(balance, row + GAIN * n, i, (0.0, torque[i]), weight)
     for i in range(n):
         _add_fault_columns(balance, i, torque, time - balance.clock[EPOCH], weight)
     set_velocities(chain, angle, rate, balance.work)
@@ -171,7 +174,7 @@ def add_block(
         carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
             column = 1 + 8 * n + k
-            _put(balance, column, j, (p_by[j], force_by[j]), weight)
+            put(balance, column, j, (p_by[j], force_by[j]), weight)
 
 
 @njit
@@ -203,12 +206,12 @@ def _add_fault_columns(
                 smooth_sign(v_i + 0.5 / slip, slip) - smooth_sign(v_i - 0.5 / slip, slip)
             ) * slip
             force_v += row[0] + dry * bend
-        _put(balance, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
-        _put(balance, 1 + RATE * n + i, j, (p_v, force_v), weight)
+        put(balance, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
+        put(balance, 1 + RATE * n + i, j, (p_v, force_v), weight)
         drift = (time * p_f + derived * p_v, time * force_f + derived * force_v)
-        _put(balance, 1 + DRIFT * n + i, j, drift, weight)
+        put(balance, 1 + DRIFT * n + i, j, drift, weight)
         scale = (q_i * p_f + derived * v_i * p_v, q_i * force_f + derived * v_i * force_v)
-        _put(balance, 1 + SCALE * n + i, j, scale, weight)
+        put(balance, 1 + SCALE * n + i, j, scale, weight)
 
 
 @njit

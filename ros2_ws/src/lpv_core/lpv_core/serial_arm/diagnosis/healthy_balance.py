@@ -23,7 +23,7 @@ from lpv_core.serial_arm.chain import (
     workspace,
 )
 from lpv_core.serial_arm.diagnosis.balance import OFFSET as _READING
-from lpv_core.serial_arm.diagnosis.balance import RATE
+from lpv_core.serial_arm.diagnosis.balance import RATE, put
 from lpv_core.serial_arm.diagnosis.parameter_set import ParameterSet
 from lpv_core.serial_arm.dynamics.friction import smooth_sign
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
@@ -146,13 +146,13 @@ def _add_block(
                 balance.momentum[1, i, c] += length * momentum
                 balance.rising[1, i, c] += length * place * effect
                 balance.falling[1, i, c] += length * (1.0 - place) * effect
-        _put(balance, i, span + RESIDUAL, (p, force), (length, place))
-        _put(balance, i, span + SPEED, (v[i], 0.0), (length, place))
-        _put(balance, i, span + VISCOSITY, (0.0, v[i]), (length, place))
-        _put(balance, i, span + DRY, (0.0, sign), (length, place))
-        _put(balance, i, span + LOADED, (0.0, abs(torque[i]) * sign), (length, place))
-        _put(balance, i, span + ONE, (0.0, 1.0), (length, place))
-        _put(balance, i, span + TORQUE, (torque[i], 0.0), (length, place))
+        put(balance, span + RESIDUAL, i, (p, force), (length, place))
+        put(balance, span + SPEED, i, (v[i], 0.0), (length, place))
+        put(balance, span + VISCOSITY, i, (0.0, v[i]), (length, place))
+        put(balance, span + DRY, i, (0.0, sign), (length, place))
+        put(balance, span + LOADED, i, (0.0, abs(torque[i]) * sign), (length, place))
+        put(balance, span + ONE, i, (0.0, 1.0), (length, place))
+        put(balance, span + TORQUE, i, (torque[i], 0.0), (length, place))
         half, even = 0.0, 0.0
         if began:
             half = 0.5 * abs(v[i] - balance.last[1, i])
@@ -179,22 +179,6 @@ def _within(rate: float, half: float, slope: float) -> float:
     """What the mean of the smoothed sign over rates v +- half misses, at most."""
     ends = smooth_sign(rate + half, slope) + smooth_sign(rate - half, slope)
     return abs(0.5 * ends - smooth_sign(rate, slope))
-
-
-@njit
-def _put(
-    balance: HealthyBalance,
-    row: int,
-    column: int,
-    parts: tuple[float, float],
-    weight: tuple[float, float],
-) -> None:
-    """Add momentum and force of one entry, weighted by block length and place in the interval."""
-    momentum, force = parts
-    length, place = weight
-    balance.momentum[1, row, column] += length * momentum
-    balance.rising[1, row, column] += length * place * force
-    balance.falling[1, row, column] += length * (1.0 - place) * force
 
 
 @njit
