@@ -371,7 +371,8 @@ class SerialMonitor:
             return
         found = explanations(
             self.search, self.estimator, self._rest(), np.nonzero(self._is_frozen())[0],
-            0.5 * self.settings.evidence)  # fmt: skip
+            0.5 * self.settings.evidence, self._blocks)  # fmt: skip
+        found = [one for one in found if not self.rate_check.excludes(one, now)]
         if not found or found[0].gain < self.settings.evidence:
             self._suspects = ()
             self._held.clear()
