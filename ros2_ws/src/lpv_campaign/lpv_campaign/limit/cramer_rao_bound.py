@@ -21,16 +21,12 @@ from lpv_core.simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class Limit:
-    """Least standard deviations of errors, one row per sample."""
+    """Least standard deviations of errors: of causal estimators, and of smoothers."""
 
-    # (n, 2) Of an estimator that knows the data up to each sample: faults of the position sensors,
-    # absolute angles [rad]
-    fault: np.ndarray
-    # (n, 2) Of an estimator that knows the data up to each sample: faults of the position sensors,
-    # absolute angles [rad]
-    angle: np.ndarray
-    smoothed_fault: np.ndarray  # (n, 2) Of one that knows all data of the run [rad]
-    smoothed_angle: np.ndarray  # (n, 2) Of one that knows all data of the run [rad]
+    fault: np.ndarray  # (n, 2) Faults of the position sensors, from data up to each sample [rad]
+    angle: np.ndarray  # (n, 2) Absolute angles, likewise [rad]
+    smoothed_fault: np.ndarray  # (n, 2) The same from all data of the run [rad]
+    smoothed_angle: np.ndarray  # (n, 2) [rad]
 
 
 def accuracy_limit(

@@ -39,8 +39,8 @@ class LinearSystem:
     g: np.ndarray  # (n, 4) Its derivative by the disturbance d [rad], [rad/s]
     mean: float  # Mean of d
     push: np.ndarray  # (n,) Variance of d
-    memory: np.ndarray  # (N,) Of the other states; the first four entries are not used
-    growth: np.ndarray  # (N,) Of the other states; the first four entries are not used
+    memory: np.ndarray  # (N,) Factor of each other state per sample; first four entries unused
+    growth: np.ndarray  # (N,) Variance that each other state gains per sample; first four unused
     h: np.ndarray  # (n, 6, N) Jacobian of the readings
     readings: np.ndarray  # (n, 6) What the trajectory would read without noise
     r: np.ndarray  # (n, 6) Variance of the readings; infinite for what is not there

@@ -36,8 +36,8 @@ within a small fraction of a rad/s, about which full steps may swing."""
 class Smoothed:
     """Full-information estimate of one run."""
 
-    angle: np.ndarray  # (n, 2) Absolute angles and faults of the position sensors [rad]
-    fault: np.ndarray  # (n, 2) Absolute angles and faults of the position sensors [rad]
+    angle: np.ndarray  # (n, 2) Absolute angles [rad]
+    fault: np.ndarray  # (n, 2) Faults of the position sensors [rad]
     states: np.ndarray  # (n, N) All states, see `lpv_campaign.limit.linearisation`
     iterations: int  # Gauss-Newton steps
     converged: bool  # Whether the last one was small
