@@ -16,3 +16,9 @@ def paper_gains(paper_arm):
 def real_gains(real_arm):
     """Gains of the shipped requirement ``real_arm``."""
     return design(real_arm, load_requirement('real_arm')).gains
+
+
+@pytest.fixture(scope='session')
+def gains_of(paper_gains, real_gains):
+    """Gains by the arm's name."""
+    return {'paper': paper_gains, 'real_arm': real_gains}

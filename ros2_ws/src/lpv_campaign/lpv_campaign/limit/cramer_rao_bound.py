@@ -10,13 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_campaign.limit.arm_prior import ArmKnowledge
-from lpv_campaign.limit.fault_prior import FaultModel
 from lpv_campaign.limit.kalman_smoother import both_passes
-from lpv_campaign.limit.linearisation import linearise, true_states
-from lpv_core.model.arm import ArmParameters
-from lpv_core.simulation.closed_loop import Run
-from lpv_core.simulation.scenario import Scenario
+from lpv_campaign.limit.linearisation import linearise
+from lpv_campaign.limit.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -29,30 +25,13 @@ class Limit:
     smoothed_angle: np.ndarray  # (n, 2) [rad]
 
 
-def accuracy_limit(
-    arm: ArmParameters,
-    scenario: Scenario,
-    run: Run,
-    knowledge: ArmKnowledge,
-    faults: list[FaultModel],
-    substeps: int = 2,
-) -> Limit:
+def accuracy_limit(problem: Problem) -> Limit:
     """Posterior Cramer-Rao bounds of faults and angles along a run.
 
     Parameters
     ----------
-    arm : ArmParameters
-        Nominal arm.
-    scenario : Scenario
-        What happened: plant, noise, disturbance, faults.
-    run : Run
-        Its signals.
-    knowledge : ArmKnowledge
-        `lpv_campaign.limit.arm_prior.known_exactly` or ``known_within_priors``.
-    faults : list of FaultModel
-        What is known of the faults, see `lpv_campaign.limit.fault_prior`.
-    substeps : int, optional
-        Runge-Kutta steps per sample, as in the run.
+    problem : Problem
+        The run and what is known.
 
     Returns
     -------
@@ -64,7 +43,6 @@ def accuracy_limit(
     ConfigError
         If the plant is no rigid-body arm.
     """
-    states = true_states(arm, run, knowledge, faults)
-    passes = both_passes(linearise(arm, scenario, run, knowledge, faults, states, substeps))
+    passes = both_passes(linearise(problem, problem.true_states()))
     now, later = np.sqrt(passes.filtered_variances), np.sqrt(passes.smoothed_variances)
     return Limit(now[:, :2], now[:, 2:], later[:, :2], later[:, 2:])
