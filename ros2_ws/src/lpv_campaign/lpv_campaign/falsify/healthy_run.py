@@ -121,7 +121,7 @@ def run_healthy(
         )
         if used:
             update_dead_reckoning(setup.reckoning, work.reckoning, work.estimate)
-            update_bound(setup.bound, work.bound, work.estimate, work.reckoning.lost)
+            update_bound(setup.bound, work.bound, work.estimate, work.reckoning)
             judged += _judge(setup, work, stamp, samples[k])
         for i in range(2):
             samples[k, i], samples[k, 2 + i] = measured[i], measured[2 + i]
