@@ -240,17 +240,8 @@ def _move(
     noise: np.random.Generator,
 ) -> None:
     d = attack.disturbance * _sign(attack, time) + setup.push_deviation * noise.standard_normal()
-    dt = 0.5 * setup.sample_time
+    push = setup.direction[0] * d, setup.direction[1] * d
+    now, dt = (x[0], x[1], x[2], x[3]), 0.5 * setup.sample_time
     for _ in range(2):
-        x[0], x[1], x[2], x[3] = rk4_step(
-            x[0],
-            x[1],
-            x[2],
-            x[3],
-            torque[0] - torque[1],
-            torque[1],
-            setup.direction[0] * d,
-            setup.direction[1] * d,
-            dt,
-            attack.true_arm,
-        )
+        now = rk4_step(now, (torque[0] - torque[1], torque[1]), push, dt, attack.true_arm)
+    x[0], x[1], x[2], x[3] = now
