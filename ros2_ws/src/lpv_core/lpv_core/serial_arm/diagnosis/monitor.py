@@ -108,27 +108,13 @@ class SerialAlarm:
 
 @dataclass(frozen=True)
 class SerialEstimate:
-    """What is known after a sample.
+    """What is known after a sample."""
 
-    Attributes
-    ----------
-    stamp : int
-        Of the sample [ns].
-    fault : ndarray, shape (n,)
-        Estimated faults f of the position sensors, y = q + f [rad].
-    sigma : ndarray, shape (n,)
-        Their standard deviations [rad].
-    state : tuple of SensorState
-        Of each sensor.
-    suspects : tuple of str
-        What explains a contradiction, best first; empty if there is none.
-    """
-
-    stamp: int
-    fault: FloatArray
-    sigma: FloatArray
-    state: tuple[SensorState, ...]
-    suspects: tuple[str, ...]
+    stamp: int  # of the sample [ns]
+    fault: FloatArray  # estimated faults f of the position sensors, y = q + f, shape (n,) [rad]
+    sigma: FloatArray  # their standard deviations, shape (n,) [rad]
+    state: tuple[SensorState, ...]  # of each sensor
+    suspects: tuple[str, ...]  # what explains a contradiction, best first; empty if there is none
 
 
 class SerialMonitor:
