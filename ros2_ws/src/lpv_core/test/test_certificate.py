@@ -378,7 +378,7 @@ def test_given_a_forged_deviation_when_the_checksum_is_forged_too_then_it_is_sti
 ):
     observer = replace(paper_gains.observer, fault_sigma=factor * paper_gains.observer.fault_sigma)
     with pytest.raises(ConfigError, match='standard deviation'):
-        require(paper_arm, replace(paper_gains, observer=observer, checksum=''))
+        require(paper_arm, replace(paper_gains, observer=observer))
 
 
 def test_given_a_lyapunov_matrix_that_claims_less_noise_when_verified_then_the_covariance_fails(
@@ -387,6 +387,6 @@ def test_given_a_lyapunov_matrix_that_claims_less_noise_when_verified_then_the_c
     observer = paper_gains.observer
     quiet = replace(observer, lyapunov=1e4 * observer.lyapunov)
     quiet = replace(quiet, fault_sigma=exact_fault_sigma(paper_arm, quiet.lyapunov))
-    checks = verify(paper_arm, replace(paper_gains, observer=quiet, checksum=''))
+    checks = verify(paper_arm, replace(paper_gains, observer=quiet))
     failed = [check.name for check in checks if not check.holds]
     assert len(failed) == 2 and all('covariance' in name for name in failed)
