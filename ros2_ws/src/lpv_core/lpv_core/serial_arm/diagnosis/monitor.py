@@ -10,6 +10,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
+from lpv_core.serial_arm.certificate.jump_bound import jump_bound
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
@@ -24,7 +25,6 @@ from lpv_core.serial_arm.diagnosis.hypotheses import (
     offset_against_contact,
 )
 from lpv_core.serial_arm.diagnosis.information import NEXT
-from lpv_core.serial_arm.diagnosis.jump_bound import jump_bound
 from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
 from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
