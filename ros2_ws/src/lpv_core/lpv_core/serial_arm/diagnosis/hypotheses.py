@@ -84,34 +84,18 @@ class Explanation:
 
 
 class Search(NamedTuple):
-    """Results and memory of the search through W windows; S = 6 n hypotheses.
+    """Results and memory of the search through W windows; S = 6 n hypotheses."""
 
-    Attributes
-    ----------
-    lengths : ndarray of int64, shape (W + 1,)
-        Of the windows, then of their onsets [balances].
-    prior : ndarray, shape (S,)
-        Standard deviations of the faults' sizes; 0 of those that cannot be.
-    outside : Contact
-        Torques from outside, for the windows and their onsets.
-    gain, information, size : ndarray, shape (W, S)
-        LLR, I and size of each hypothesis.
-    contact, onset : ndarray, shape (W,)
-        LLR of torques from outside: all the time, and only at the onset of a fault.
-    columns, shared : ndarray, shapes (m, S) and (n,)
-        Scratch.
-    """
-
-    lengths: IntArray
-    prior: FloatArray
-    outside: Contact
-    gain: FloatArray
-    information: FloatArray
-    size: FloatArray
-    contact: FloatArray
-    onset: FloatArray
-    columns: FloatArray
-    shared: FloatArray
+    lengths: IntArray  # (W + 1,) of the windows, then of their onsets [balances]
+    prior: FloatArray  # (S,) standard deviations of sizes; 0: cannot be
+    outside: Contact  # torques from outside, for the windows and their onsets
+    gain: FloatArray  # (W, S) log-likelihood ratio of each hypothesis
+    information: FloatArray  # (W, S) information on its size
+    size: FloatArray  # (W, S) its size
+    contact: FloatArray  # (W,) log-likelihood ratio of torques from outside
+    onset: FloatArray  # (W,) the same only at the onset of a fault
+    columns: FloatArray  # (m, S) scratch
+    shared: FloatArray  # (n,) scratch
 
 
 def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
