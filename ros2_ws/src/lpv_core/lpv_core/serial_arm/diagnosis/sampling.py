@@ -222,14 +222,18 @@ def _wrong_stamp(sampler: Sampler) -> float:
     for c in range(n):
         if abs(_mean_rate(sampler, c)) < _SLOW:
             continue
-        guess, agree, differ = jumps[c] / _mean_rate(sampler, c), 0, 0
+        guess, agree, differ, common, weight = jumps[c] / _mean_rate(sampler, c), 0, 0, 0.0, 0.0
         for i in range(n):
-            way = guess * _mean_rate(sampler, i)
-            if max(abs(way), abs(jumps[i])) > 5.0 * sampler.scale[i]:
-                same = abs(jumps[i] - way) < 0.3 * abs(way)
-                agree, differ = agree + same, differ + (not same)
+            rate = _mean_rate(sampler, i)
+            way = guess * rate
+            if max(abs(way), abs(jumps[i])) <= 5.0 * sampler.scale[i]:
+                continue
+            if abs(jumps[i] - way) < 0.3 * abs(way):
+                agree, common, weight = agree + 1, common + jumps[i] * rate, weight + rate * rate
+            else:
+                differ += 1
         if agree > most and differ <= 1:
-            most, late = agree, guess
+            most, late = agree, common / weight
     return late
 
 
