@@ -40,7 +40,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     sum_slot,
     whiten,
 )
-from lpv_core.serial_arm.diagnosis.parameter_error import inertial_directions, inertial_factor
+from lpv_core.serial_arm.diagnosis.parameter_error import parameter_directions, parameter_factor
 from lpv_core.support.jit import njit
 
 OFFSET_PRIOR = 0.5
@@ -304,9 +304,9 @@ class OffsetEstimator:
         chain = compile_chain(arm)
         self.joints = n = len(arm.joints)
         speed = np.array([min(joint.limits.velocity, 3.0) for joint in arm.joints])
-        directions = inertial_directions(chain, inertial_factor(arm, chain), speed)
+        directions, frictions = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
-        self.balance: Balance = new_balance(chain, directions, derived)
+        self.balance: Balance = new_balance(chain, directions, derived, frictions)
         self.prior = np.concatenate([*_priors(arm, chain.friction), np.ones(len(directions))])
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
         noise = _expected_noise(arm, plan), _systematic_error(arm, plan)
