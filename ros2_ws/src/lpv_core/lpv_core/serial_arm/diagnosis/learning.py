@@ -70,7 +70,7 @@ def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     Learned
         The arm file's values with the prior's deviations, if there were none.
     """
-    n, chain, null = estimator.joints, compile_chain(arm), estimator.posterior
+    n, chain, null = estimator.joints, compile_chain(arm), estimator.level
     inverse = np.linalg.inv(np.triu(null.factor))
     along = estimator.balance.frictions[:, :, [OFFSET_PART, VISCOUS_PART, COULOMB_PART]]
     along = along.transpose(2, 1, 0).reshape(3 * n, -1)
