@@ -268,13 +268,16 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
 
 
 @njit
-def copy_noise(source: Posterior, level: Posterior) -> None:
-    """Take over what was learned of the noise; what is known to be missed remains."""
+def copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
+    """Take over what was learned of the noise, all of which lasts as long as a pose.
+
+    ``lasting`` is that time in balances.  What an identified arm is known to miss remains.
+    """
     level.noise[:] = source.noise
     level.rest[:] = source.rest
     for i in range(level.noise.shape[0]):
         least = level.systematic[i] / (level.noise[i] * level.noise[i])
-        level.inflation[i] = max(source.inflation[i], least)
+        level.inflation[i] = max(source.inflation[i], least, lasting)
 
 
 @njit
@@ -414,7 +417,7 @@ class OffsetEstimator:
         if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
             learn_noise(self.window, self.posterior)
             if self._slow is not None:
-                copy_noise(self.posterior, self.level)
+                copy_noise(self.posterior, self.level, _POSE_TIME / self.plan.interval)
         self._solve()
 
     def take(self, time: float, learn: bool) -> None:
