@@ -317,6 +317,27 @@ def report_faults(
     return table
 
 
+def report_levels(console: Console, title: str, run: Healthy, seconds: float = 5.0) -> None:
+    """Errors of all offsets after some seconds, from each second of a recording on."""
+    errors, sigmas = [], []
+    for begin in np.arange(0.0, run.duration - seconds, 1.0):
+        part = slice(_index(run, begin), _index(run, begin + seconds))
+        window = replace(run, stamps=run.stamps[part], samples=run.samples[part])
+        estimate = watch(window).estimate(0)
+        errors.append(estimate.fault)
+        sigmas.append(estimate.sigma)
+    error, sigma = np.array(errors), np.array(sigmas)
+    columns = (error, sigma, error / sigma)
+    rms, stated, ratio = (np.sqrt(np.mean(one**2, axis=0)) for one in columns)
+    table = Table(title=f'{title}: offsets after {seconds:g} s, {len(error)} windows')
+    for heading in ('sensor', 'RMS error [rad]', 'largest [rad]', 'stated [rad]', 'RMS ratio'):
+        table.add_column(heading)
+    for i, name in enumerate(run.arm.sensor_names):
+        values = (rms[i], np.abs(error[:, i]).max(), stated[i], ratio[i])
+        table.add_row(name, *(f'{value:.3f}' for value in values))
+    console.print(table)
+
+
 def report_kr300(console: Console, size: int) -> None:
     """Steps of 2 mrad in link-side encoders beside motor-side rates; efforts are not used."""
     names, delays, alarms = ('A', 'B', 'C'), [], 0
@@ -385,7 +406,7 @@ def main() -> None:
     parser.add_argument('--size', type=int, default=20, help='injections of each kind')
     arms = ['real_arm', 'ur10', 'panda', 'kr300', 'simulated']
     parser.add_argument('--arms', nargs='+', default=arms, choices=arms)
-    parser.add_argument('--only', default='', help='cases whose name contains this, or pushes')
+    parser.add_argument('--only', default='', help='cases whose name contains this; pushes; level')
     options = parser.parse_args()
     what = options.size, options.only
     console, rng = Console(width=150), np.random.default_rng(0)
@@ -396,6 +417,8 @@ def main() -> None:
     for folder, urdf, level in (('ur10', 'ur10.urdf', [1, 2]), ('panda', 'fer.urdf', [1, 3])):
         if recorded and folder in options.arms:
             runs = identified_run(folder, urdf)
+            if options.only in 'level':
+                report_levels(console, f'{folder}, recorded', runs[0])
             console.print(report_faults(console, f'{folder}, recorded', runs, level, *what))
     if recorded and 'kr300' in options.arms:
         report_kr300(console, options.size)
