@@ -21,6 +21,8 @@ GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coul
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
 of a healthy arm are the columns from `OFFSET` on."""
 DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
+VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART = range(4)
+"""Columns of `Balance.frictions`, as those of `Chain.friction`."""
 LENGTH, EPOCH = range(2)
 """Entries of `Balance.clock`."""
 SLOW_RATE = 0.1
@@ -61,6 +63,8 @@ class Balance(NamedTuple):
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
         Scratch.
+    frictions : ndarray, shape (k, n, 4)
+        What belongs to ``directions`` of viscous, Coulomb, load-dependent friction and offset.
     """
 
     chain: Chain
@@ -77,6 +81,7 @@ class Balance(NamedTuple):
     rigid: FloatArray
     work: FloatArray
     vectors: FloatArray
+    frictions: FloatArray
 
 
 def column_count(joints: int, directions: int) -> int:
@@ -84,7 +89,9 @@ def column_count(joints: int, directions: int) -> int:
     return 1 + len(GROUPS) * joints + directions
 
 
-def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Balance:
+def new_balance(
+    chain: Chain, directions: FloatArray, derived: FloatArray, frictions: FloatArray | None = None
+) -> Balance:
     """Empty balances.
 
     Parameters
@@ -95,6 +102,8 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
         Possible errors of the inertial parameters.
     derived : ndarray, shape (n,)
         1 where a rate is derived from the encoder, else 0.
+    frictions : ndarray, shape (k, n, 4), optional
+        Possible errors of friction that go with those of the inertial parameters; none by default.
 
     Returns
     -------
@@ -103,11 +112,12 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
     """
     n = joint_count(chain)
     size = (n, column_count(n, len(directions)))
+    along = np.zeros((len(directions), n, 4)) if frictions is None else frictions
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
         np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), _no_rates(n),
-        np.zeros((n, n)), workspace(chain), np.zeros((9, n)))  # fmt: skip
+        np.zeros((n, n)), workspace(chain), np.zeros((9, n)), along)  # fmt: skip
 
 
 @njit
@@ -196,8 +206,12 @@ def add_block(
             chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation)  # fmt: skip
         carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
-            column = 1 + 8 * n + k
-            put(balance, column, j, (p_by[j], force_by[j]), weight)
+            column, part = 1 + 8 * n + k, balance.frictions[k, j]
+            dry = part[COULOMB_PART] + part[LOAD_PART] * abs(torque[j])
+            lost = part[VISCOUS_PART] * rate[j] + part[OFFSET_PART]
+            if dry != 0.0:
+                lost += dry * smooth_sign(rate[j], chain.friction[j, SLOPE])
+            put(balance, column, j, (p_by[j], force_by[j] - lost), weight)
 
 
 @njit

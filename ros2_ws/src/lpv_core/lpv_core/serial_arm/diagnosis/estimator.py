@@ -41,7 +41,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     sum_slot,
     whiten,
 )
-from lpv_core.serial_arm.diagnosis.parameter_error import inertial_directions, inertial_factor
+from lpv_core.serial_arm.diagnosis.parameter_error import parameter_directions, parameter_factor
 from lpv_core.support.jit import njit
 
 OFFSET_PRIOR = 0.5
@@ -241,13 +241,16 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
 
 
 @njit
-def copy_noise(source: Posterior, level: Posterior) -> None:
-    """Take over what was learned of the noise; what is known to be missed remains."""
+def copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
+    """Take over what was learned of the noise, all of which lasts as long as a pose.
+
+    ``lasting`` is that time in balances.  What an identified arm is known to miss remains.
+    """
     level.noise[:] = source.noise
     level.rest[:] = source.rest
     for i in range(level.noise.shape[0]):
         least = level.systematic[i] / (level.noise[i] * level.noise[i])
-        level.inflation[i] = max(source.inflation[i], least)
+        level.inflation[i] = max(source.inflation[i], least, lasting)
 
 
 @njit
@@ -347,9 +350,9 @@ class OffsetEstimator:
         chain = compile_chain(arm)
         self.joints = n = len(arm.joints)
         speed = np.array([min(joint.limits.velocity, 3.0) for joint in arm.joints])
-        directions = inertial_directions(chain, inertial_factor(arm, chain), speed)
+        directions, frictions = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
-        self.balance: Balance = new_balance(chain, directions, derived)
+        self.balance: Balance = new_balance(chain, directions, derived, frictions)
         self.prior = np.concatenate([*_priors(arm, chain.friction), np.ones(len(directions))])
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
         noise, systematic = _expected_noise(arm, plan), _systematic_error(arm, plan)
@@ -387,7 +390,7 @@ class OffsetEstimator:
         if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
             learn_noise(self.window, self.posterior)
             if self._slow is not None:
-                copy_noise(self.posterior, self.level)
+                copy_noise(self.posterior, self.level, _POSE_TIME / self.plan.interval)
         self._solve()
 
     def take(self, time: float, learn: bool) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, FloatArray, compile_chain
 from lpv_core.serial_arm.description import LinkInertia, SerialArm, TorqueTolerance
+from lpv_core.serial_arm.diagnosis.balance import COULOMB_PART, OFFSET_PART, VISCOUS_PART
 from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv_core.serial_arm.dynamics.payload import payload_parameters
 
@@ -57,15 +58,17 @@ def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     """
     n, chain, null = estimator.joints, compile_chain(arm), estimator.level
     inverse = np.linalg.inv(np.triu(null.factor))
-    sigma = np.sqrt((inverse**2).sum(1))
-    change = null.mean[n : 4 * n].reshape(3, n)
+    along = estimator.balance.frictions[:, :, [OFFSET_PART, VISCOUS_PART, COULOMB_PART]]
+    along = along.transpose(2, 1, 0).reshape(3 * n, -1)
+    sigma = np.linalg.norm(inverse[n : 4 * n] + along @ inverse[4 * n :], axis=1)
+    change = (null.mean[n : 4 * n] + along @ null.mean[4 * n :]).reshape(3, n)
     share = payload_share(estimator)
     mass = float(share @ null.mean[4 * n :])
     spread = np.linalg.norm(share @ inverse[4 * n :]) if share.any() else np.inf
     return Learned(
         mass, float(spread), chain.friction[:, OFFSET] + change[0],
         chain.friction[:, VISCOUS] + change[1], chain.friction[:, COULOMB] + change[2],
-        sigma[n : 4 * n].reshape(3, n), null.noise / estimator.plan.interval,
+        sigma.reshape(3, n), null.noise / estimator.plan.interval,
         len(estimator) * estimator.plan.interval)  # fmt: skip
 
 

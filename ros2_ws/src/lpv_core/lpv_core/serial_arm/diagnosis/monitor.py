@@ -153,9 +153,10 @@ class SerialMonitor:
         self.guarantee: Guarantee | None = None
         self._unproved: set[int] = set()  # sensors with level alarms that are statistical so far
         self.search = new_search(self.estimator, self._push)
+        smallest = np.full(n, self.settings.smallest_step)
         self.sampler: Sampler = new_sampler(
-            self.estimator.balance.derived, 2.0 * noise,
-            np.full(n, self.settings.smallest_step), self._capacity)  # fmt: skip
+            self.estimator.balance.derived, np.maximum(2.0 * noise, 0.2 * smallest), smallest,
+            self._capacity)  # fmt: skip
         self.rate_check = RateCheck(arm, self.plan)
         self._rate_faults: set[int] = set()
         self._state = [SensorState.OK] * n
