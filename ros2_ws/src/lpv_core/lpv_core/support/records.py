@@ -60,6 +60,26 @@ def new_record(dtype: np.dtype, **values: Any) -> np.record:
     return record
 
 
+def memory(record: np.record) -> np.ndarray:
+    """A record as an array of one element.
+
+    Numba takes an array in a tenth of a microsecond, a record in one to twenty: it has NumPy
+    describe all the fields, at every call.  For what Python calls at every sample.
+
+    Parameters
+    ----------
+    record : numpy.record
+        Of `new_record`; what is written to it later is seen.
+
+    Returns
+    -------
+    ndarray, shape (1,)
+        Its memory; elements are plain, read by item alone.
+    """
+    plain_type = np.dtype((np.void, record.dtype))
+    return np.asarray(record.base).view(plain_type)
+
+
 def plain(record: np.record) -> np.void:
     """The memory of a record with fields by item alone, ``fields['name']``.
 
@@ -76,5 +96,4 @@ def plain(record: np.record) -> np.void:
     numpy.void
         Its fields; nested records are of the same kind, arrays are views.
     """
-    memory = np.asarray(record.base)  # a record array would give records
-    return memory.view(np.dtype((np.void, record.dtype)))[0]
+    return memory(record)[0]
