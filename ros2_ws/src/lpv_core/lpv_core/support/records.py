@@ -74,10 +74,9 @@ def memory(record: np.record) -> np.ndarray:
     Returns
     -------
     ndarray, shape (1,)
-        Its memory; elements are plain, read by item alone.
+        Its memory; the element is a record.
     """
-    plain_type = np.dtype((np.void, record.dtype))
-    return np.asarray(record.base).view(plain_type)
+    return np.asarray(record.base)
 
 
 def plain(record: np.record) -> np.void:
@@ -96,4 +95,4 @@ def plain(record: np.record) -> np.void:
     numpy.void
         Its fields; nested records are of the same kind, arrays are views.
     """
-    return memory(record)[0]
+    return memory(record).view(np.dtype((np.void, record.dtype)))[0]
