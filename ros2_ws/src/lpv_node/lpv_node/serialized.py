@@ -58,7 +58,7 @@ class SerializedMessage:
             if size != values.nbytes:
                 raise ValueError(f'{name} has {size} bytes in the message, not {values.nbytes}')
             target = memoryview(self._data)[start : start + size]
-            self._pieces.append((target, memoryview(values).cast('B')))
+            self._pieces.append((target, values.data.cast('B')))
         if deserialize_message(bytes(self._data), type(message)) != message:
             raise ValueError(f'the middleware reads another {type(message).__name__}')
 

@@ -159,7 +159,7 @@ class TrackerNode(ManagedNode):
             tracking_error=self.get_parameter('max_tracking_error').value,
         )
         self._estimate = np.zeros((len(ROWS), joints))
-        self._bytes = memoryview(self._estimate).cast('B')
+        self._bytes = self._estimate.data.cast('B')
         self._velocity = self._estimate[ROWS.index('velocity')]
         self._measured = self._estimate[ROWS.index('measured_position')]
         self._choose_feedback()

@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 from lpv_core.control.path import Reference
 from lpv_core.control.path_follower import PathFollower
 
-_AHEAD = 64
-"""Samples at a time: the cost of one for 64, and too few to delay a sample noticeably."""
+_AHEAD = 128
+"""Samples at a time: the cost of a few for all, and too few to delay a sample noticeably."""
 
 
 class UpcomingReferences:
@@ -35,7 +35,8 @@ class UpcomingReferences:
         kind = np.dtype([('motion', 'f8', (3, joints)), ('tip', 'f8', (tip,))])
         self._present, self._block = np.zeros(1, kind), np.zeros(_AHEAD, kind)
         self.motion: np.ndarray = self._present['motion'][0]
-        self.reference = Reference(*self.motion, self._present['tip'][0])
+        position, velocity, acceleration = self.motion
+        self.reference = Reference(position, velocity, acceleration, self._present['tip'][0])
         self._first: int | None = None  # stamp of the block's first row [ns]
         self._last: int | None = None  # stamp of the last reference [ns]
 

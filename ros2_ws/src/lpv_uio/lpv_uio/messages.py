@@ -35,6 +35,7 @@ class OutputMessages:
 
     def __init__(self, arm: Arm, answer_type: np.dtype) -> None:
         self._frame_id, self.record = arm.name, np.zeros(1, answer_type)
+        self._bytes = self.record.view(f'V{answer_type.itemsize}')
         state, fault = _views(self.record['state']), _views(self.record['fault'])
         fault['alarm'] = fault['alarm'].view(bool)
         joints, sensors = list(arm.joint_names), list(arm.sensor_names)
@@ -46,6 +47,10 @@ class OutputMessages:
             JointState(header=self._header(), name=joints),
             {'position': state['compensated_position'], 'velocity': state['velocity']},
         )
+
+    def fill(self, record: np.void) -> None:
+        """Copy an answer's record."""
+        self._bytes[0] = record.tobytes()  # not field by field
 
     def _header(self) -> Header:
         return Header(frame_id=self._frame_id)

@@ -235,7 +235,7 @@ class UioNode(ManagedNode):
         messages = self._messages
         if answer.restarted:
             self.get_logger().warning('time went backwards: observer and alarms restart')
-        messages.record[0] = answer.record
+        messages.fill(answer.record)
         self._publish_estimates(stamp)
         for fields in answer.alarms:
             self._alarm_out.publish(messages.alarm(stamp, fields))
@@ -276,7 +276,7 @@ class UioNode(ManagedNode):
             fault = self._monitor.stale_fault()
             if fault is not None:
                 record = self._messages.record['fault']
-                for name in record.dtype.names:
+                for name in record.dtype.names or ():
                     record[name] = fault[name]
                 self._fault_out.publish(self._messages.fault.at(now))
 

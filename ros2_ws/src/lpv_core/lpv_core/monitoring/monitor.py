@@ -356,7 +356,6 @@ class SensorMonitor:
             self._buffers,
             memory(self._answer),
         )
-        self._bytes = self._memory[-1].view(f'V{ANSWER.itemsize}')
         self._measured = np.zeros((3, 2))  # position, rate and torque of a measurement
         self._order = JointOrder(arm.joint_names)
         self.retune(parameters or DiagnosisParameters())
@@ -424,8 +423,8 @@ class SensorMonitor:
             self.rejected += 1
             raise
         _take(*self._memory, stamp, self._measured)
-        # As bytes: NumPy copies nested records field by field.
-        record = self._bytes.copy().view(ANSWER)[0]
+        # Copied as bytes: NumPy would copy nested records field by field.
+        record = np.frombuffer(self._memory[-1].tobytes(), ANSWER)[0]
         if not record['answered']:
             return None
         answer = Answer(stamp, record, self.arm)

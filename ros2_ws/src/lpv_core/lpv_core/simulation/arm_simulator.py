@@ -4,10 +4,10 @@ All functions take constants (`PLANT_CONSTANTS`) and state (`PLANT_STATE`).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics, rk4_step
@@ -188,13 +188,16 @@ def _take_readings(params: np.record, state: np.record, faults: np.ndarray) -> N
 
 
 @njit
-def _act(params: np.ndarray, state: np.ndarray, torque: tuple[float, float], draw: float) -> None:
+def _act(
+    params: np.ndarray,
+    state: np.ndarray,
+    torque: tuple[float, float],
+    draw: float,
+    integrates: bool,
+) -> None:
     _set_inputs(params[0], state[0], torque[0], torque[1], draw)
-
-
-@njit
-def _integrate(params: np.ndarray, state: np.ndarray) -> None:
-    integrate(params[0], state[0])
+    if integrates:
+        integrate(params[0], state[0])
 
 
 @njit
@@ -290,12 +293,12 @@ class ArmSimulator:
         """Time of the present sample [s]."""
         return self.step_count * self.sample_time
 
-    def step(self, joint_torque: ArrayLike) -> None:
+    def step(self, joint_torque: Sequence[float] | np.ndarray) -> None:
         """Apply a torque over one sample time.
 
         Parameters
         ----------
-        joint_torque : array_like, shape (2,)
+        joint_torque : sequence of float, shape (2,)
             Commanded joint torques [N m]; clipped to the arm's limits.
 
         Raises
@@ -303,20 +306,21 @@ class ArmSimulator:
         ValueError
             If a torque is not finite.
         """
-        torque = tuple(map(float, joint_torque))
-        if len(torque) != 2 or not all(map(math.isfinite, torque)):
+        if len(joint_torque) != 2 or not all(map(math.isfinite, joint_torque)):
             raise ValueError(f'torque must be two finite numbers, got {joint_torque!r}')
+        torque = float(joint_torque[0]), float(joint_torque[1])
         draw = self.push.standard_normal() if self._disturbed else 0.0
-        _act(*self._memory, torque, draw)
-        self.advance()
+        _act(*self._memory, torque, draw, self.engine is None)
+        if self.engine is not None:
+            self.advance()
         self._sensed = False
 
     def advance(self) -> None:
         """Advance the plant by one sample time under the torque that was set."""
-        if self.engine is None:
-            _integrate(*self._memory)
-            return
         params, state = self.constants, self.state
+        if self.engine is None:
+            integrate(params, state)
+            return
         torque = self.joints.absolute_torque(state.torque)
         push = params.direction * state.disturbance
         state.state[:] = self.engine.advance(
