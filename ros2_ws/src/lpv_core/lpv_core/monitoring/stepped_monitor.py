@@ -129,7 +129,7 @@ class SteppedMonitor(SerialMonitor):
         sigma = estimate.sigma.copy()
         if moving is not None:
             if moving.sigma == 0.0:  # named just now, and not followed yet
-                sigma[moving.joint] = self.estimator.posterior.sigma[moving.joint]
+                sigma[moving.joint] = self.estimator.level.sigma[moving.joint]
             rate[moving.joint] += moving.course[1]
             self._is_level[moving.joint] = True
         alarms = tuple(self.alarms)

@@ -23,6 +23,8 @@ of a healthy arm are the columns from `OFFSET` on."""
 DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
 LENGTH, EPOCH = range(2)
 """Entries of `Balance.clock`."""
+SLOW_RATE = 0.1
+"""Rate below which the friction of a joint may be anything up to that of rest [rad/s]."""
 _STEP = 1e-5
 """Step of the differences by which columns of angles and rates are found [rad], [rad/s]."""
 
@@ -53,6 +55,8 @@ class Balance(NamedTuple):
         Length of the previous interval, 0 if there is none; moment from which drifts count [s].
     poses : ndarray, shape (2, n)
         Positions at the ends of the previous and of the current interval [rad].
+    rates : ndarray, shape (3, 2, n)
+        Lowest and highest rate of both intervals of the last hat, and of the current one [rad/s].
     rigid : ndarray, shape (n, n)
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
@@ -69,6 +73,7 @@ class Balance(NamedTuple):
     rows: FloatArray
     clock: FloatArray
     poses: FloatArray
+    rates: FloatArray
     rigid: FloatArray
     work: FloatArray
     vectors: FloatArray
@@ -101,8 +106,15 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
-        np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), np.zeros((n, n)),
-        workspace(chain), np.zeros((9, n)))  # fmt: skip
+        np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), _no_rates(n),
+        np.zeros((n, n)), workspace(chain), np.zeros((9, n)))  # fmt: skip
+
+
+@njit
+def _no_rates(n: int) -> FloatArray:
+    rates = np.full((3, 2, n), np.inf)
+    rates[:, 1] = -np.inf
+    return rates
 
 
 @njit
@@ -154,6 +166,8 @@ def add_block(
     for i in range(n):
         angle[i] = q[i] - balance.reference[i]
         rate[i] = v[i]
+        balance.rates[2, 0, i] = min(balance.rates[2, 0, i], v[i])
+        balance.rates[2, 1, i] = max(balance.rates[2, 1, i], v[i])
     momentum_balance(chain, angle, rate, balance.work, p, force)
     friction_torque(chain, rate, torque, friction)
     for i in range(n):
@@ -249,7 +263,18 @@ def close_interval(balance: Balance, length: float) -> bool:
     balance.clock[LENGTH] = length
     balance.poses[0] = balance.poses[1]
     balance.poses[1] = balance.vectors[0]
+    balance.rates[:2] = balance.rates[1:]
+    balance.rates[2, 0] = np.inf
+    balance.rates[2, 1] = -np.inf
     return complete
+
+
+@njit
+def rests(balance: Balance, joint: int) -> bool:
+    """Whether a joint rests or reverses within the last hat."""
+    low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
+    high = max(balance.rates[0, 1, joint], balance.rates[1, 1, joint])
+    return low < SLOW_RATE and high > -SLOW_RATE
 
 
 @njit
@@ -271,6 +296,7 @@ def drop_interval(balance: Balance) -> None:
     balance.momentum[:] = 0.0
     balance.rising[:] = 0.0
     balance.falling[:] = 0.0
+    balance.rates[:] = _no_rates(balance.rates.shape[2])
     balance.clock[LENGTH] = 0.0
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
-from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals
+from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
 from lpv_core.serial_arm.diagnosis.information import Window, factorise, slot, whiten
 from lpv_core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv_core.support.jit import njit
@@ -130,15 +130,16 @@ def watch_noise(contact: Contact, null: Posterior) -> None:
 
 
 @njit
-def weigh_outliers(null: Posterior, last: int) -> None:
-    """Shrink large residuals as the weights of least squares do (soft L1).
+def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
+    """Scale residuals as the weights of least squares do: joints at rest, outliers (soft L1).
 
-    A torque from outside must not gain from outliers what the faults' columns do not.
+    A torque from outside must not gain from them what the faults' columns do not.
     """
     for back in range(last):
         for i in range(null.noise.shape[0]):
-            ratio = null.residual[back, i] / (3.0 * null.noise[i])
-            null.residual[back, i] /= (1.0 + ratio * ratio) ** 0.25
+            size = usual_size(window, null, back, i)
+            ratio = null.residual[back, i] / (3.0 * size)
+            null.residual[back, i] *= null.noise[i] / (size * (1.0 + ratio * ratio) ** 0.25)
 
 
 @njit

@@ -23,6 +23,7 @@ from lpv_core.serial_arm.diagnosis.balance import (
     fill_balances,
     move_epoch,
     new_balance,
+    rests,
 )
 from lpv_core.serial_arm.diagnosis.information import (
     COUNT,
@@ -56,6 +57,7 @@ NOISE_KNOWN_AFTER = 3.0
 _NOISE_EVERY = 10
 """Balances after which the noise is learned anew."""
 _LARGEST_INFLATION = 15.0
+_LARGEST_REST = 10.0
 _LAGS = 8
 """Balances over which what the model does not explain is correlated."""
 PAST_WEIGHT = 0.998
@@ -100,9 +102,13 @@ class Posterior(NamedTuple):
     noise, expected, inflation : ndarray, shape (n,)
         Usual size of what is left of a balance, and what is expected before any was seen [N m s];
         factor of its variance, since it is correlated in time.
+    rest : ndarray, shape (n,)
+        Usual size of what is left where a joint rests or reverses, over ``noise``: its friction
+        may be anything then, up to that of rest.
+    expected_rest : ndarray, shape (n,)
+        The same before any was seen.
     systematic : ndarray, shape (n,)
-        Smallest variance, correlation in time included: what the model of an identified arm is
-        known to miss, pose by pose [N2 m2 s2].
+        Smallest variance, correlation in time included [N2 m2 s2].
     residual : ndarray, shape (capacity, n)
         What the estimate leaves, newest first [N m s].
     weights : ndarray, shape (capacity, n)
@@ -118,6 +124,8 @@ class Posterior(NamedTuple):
     noise: FloatArray
     expected: FloatArray
     inflation: FloatArray
+    rest: FloatArray
+    expected_rest: FloatArray
     systematic: FloatArray
     residual: FloatArray
     weights: FloatArray
@@ -148,13 +156,20 @@ def set_residuals(window: Window, null: Posterior, last: int) -> None:
 
 
 @njit
+def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
+    """Usual size of what is left of a balance of joint i [N m s]."""
+    return null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[slot(window, back), i])
+
+
+@njit
 def weigh(window: Window, null: Posterior, last: int) -> None:
     """Sum up the last balances again, outliers with less weight (soft L1)."""
     set_residuals(window, null, last)
     for back in range(last - 1, -1, -1):
         for i in range(null.noise.shape[0]):
-            ratio = null.residual[back, i] / (3.0 * null.noise[i])
-            variance = null.noise[i] * null.noise[i] * null.inflation[i]
+            size = usual_size(window, null, back, i)
+            ratio = null.residual[back, i] / (3.0 * size)
+            variance = size * size * null.inflation[i]
             null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
         add_products(window, back, null.weights[back])
 
@@ -232,8 +247,34 @@ def take_balance(
         move_epoch(balance, time)
     _make_absolute(balance.rows, balance.reference)
     join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
-    window.poses[slot(window, 0)] = balance.poses[0]
+    at = slot(window, 0)
+    window.poses[at] = balance.poses[0]
+    for i in range(null.noise.shape[0]):
+        window.rest[at, i] = rests(balance, i)
     weigh(window, null, 1)
+
+
+@njit
+def copy_unknowns(source: Window, window: Window, last: int) -> None:
+    """Copy the last balances into a window without columns of faults; both hold as many."""
+    m = window.rows.shape[2] - 1
+    first = source.rows.shape[2] - m
+    for back in range(last):
+        at = slot(source, back)
+        window.rows[at, :, 0] = source.rows[at, :, 0]
+        window.rows[at, :, 1:] = source.rows[at, :, first:]
+        window.rest[at] = source.rest[at]
+        window.trust[at] = source.trust[at]
+
+
+@njit
+def copy_noise(source: Posterior, level: Posterior) -> None:
+    """Take over what was learned of the noise; what is known to be missed remains."""
+    level.noise[:] = source.noise
+    level.rest[:] = source.rest
+    for i in range(level.noise.shape[0]):
+        least = level.systematic[i] / (level.noise[i] * level.noise[i])
+        level.inflation[i] = max(source.inflation[i], least)
 
 
 @njit
@@ -249,34 +290,55 @@ def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
 def learn_noise(window: Window, null: Posterior) -> None:
     """Size and correlation of what the arm's model does not explain, from the horizon."""
     set_residuals(window, null, window.counters[COUNT])
+    for i in range(null.noise.shape[0]):
+        expected = null.expected[i]
+        noise = _learned_size(window, null, i, 0.0, expected)
+        null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
+        rest = _learned_size(window, null, i, 1.0, null.expected_rest[i] * null.noise[i])
+        null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_REST)
     count = 0
     for back in range(window.counters[COUNT]):
         if window.trust[slot(window, back)] == 1.0:
-            null.residual[count] = null.residual[back]
+            for i in range(null.noise.shape[0]):
+                null.residual[count, i] = null.residual[back, i] / usual_size(window, null, back, i)
             count += 1
     if count < 10:
         return
-    share = count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
+    share = _share(count)
     for i in range(null.noise.shape[0]):
-        ordered, expected = null.ordered[:count], null.expected[i]
-        for k in range(count):
-            ordered[k] = abs(null.residual[k, i])
-        ordered.sort()
-        size = 1.4826 * 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
-        noise = np.sqrt((1.0 - share) * expected * expected + share * size * size)
-        null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
-        learned = 1.0 + 2.0 * _correlation(null.residual[:count, i], 3.0 * null.noise[i])
-        learned = min(learned, _LARGEST_INFLATION)
-        least = null.systematic[i] / (null.noise[i] * null.noise[i])
-        null.inflation[i] = max((1.0 - share) * 2.0 + share * learned, least)
+        learned = min(1.0 + 2.0 * _correlation(null.residual[:count, i]), _LARGEST_INFLATION)
+        null.inflation[i] = (1.0 - share) * 2.0 + share * learned
 
 
 @njit
-def _correlation(values: FloatArray, largest: float) -> float:
-    """Sum of the positive autocorrelations of values that are clipped."""
+def _share(count: int) -> float:
+    """Weight of what was seen in so many balances, beside what is expected."""
+    return count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
+
+
+@njit
+def _learned_size(window: Window, null: Posterior, i: int, rest: float, expected: float) -> float:
+    """Usual size of residuals of joint i where it rests, or where it moves."""
+    count = 0
+    for back in range(window.counters[COUNT]):
+        at = slot(window, back)
+        if window.trust[at] == 1.0 and window.rest[at, i] == rest:
+            null.ordered[count] = abs(null.residual[back, i])
+            count += 1
+    if count < 10:
+        return expected
+    null.ordered[:count].sort()
+    size = 1.4826 * 0.5 * (null.ordered[(count - 1) // 2] + null.ordered[count // 2])
+    share = _share(count)
+    return np.sqrt((1.0 - share) * expected * expected + share * size * size)
+
+
+@njit
+def _correlation(values: FloatArray) -> float:
+    """Sum of the positive autocorrelations of values that are clipped at 3."""
     count, total, power = values.shape[0], 0.0, 0.0
     for k in range(count):
-        values[k] = min(max(values[k], -largest), largest)
+        values[k] = min(max(values[k], -3.0), 3.0)
         power += values[k] * values[k] / count
     if power == 0.0:
         return 0.0
@@ -297,6 +359,14 @@ class OffsetEstimator:
         Arm, sensors, and what may vary.
     plan : HorizonPlan
         Lengths of balances and horizon.
+
+    Attributes
+    ----------
+    posterior : Posterior
+        The null hypothesis, with which faults that begin are compared.
+    level : Posterior
+        The estimate of the offsets.  What the model of an identified arm is known to miss lasts
+        as long as a pose: it is an error of levels, hardly one of changes, and counts only here.
     """
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
@@ -309,8 +379,15 @@ class OffsetEstimator:
         self.balance: Balance = new_balance(chain, directions, derived)
         self.prior = np.concatenate([*_priors(arm, chain.friction), np.ones(len(directions))])
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
-        noise = _expected_noise(arm, plan), _systematic_error(arm, plan)
-        self.posterior = _prior_posterior(self.prior, *noise, plan.capacity)
+        noise, systematic = _expected_noise(arm, plan), _systematic_error(arm, plan)
+        # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
+        rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
+        self.posterior = _prior_posterior(self.prior, noise, rest, 0.0 * noise, plan.capacity)
+        self.level = self.posterior
+        self._slow: Window | None = None
+        if systematic.any():
+            self.level = _prior_posterior(self.prior, noise, rest, systematic, plan.capacity)
+            self._slow = new_window(n, 0, len(self.prior), plan.capacity)
         self._since_linearised = 0
 
     def __len__(self) -> int:
@@ -331,12 +408,37 @@ class OffsetEstimator:
         learn : bool
             Whether noise is learned, and what leaves the horizon remembered.
         """
-        take_balance(self.window, self.posterior, self.balance, time, learn)
+        self.take(time, learn)
         self._since_linearised += 1
         known = self.window.counters[NEXT] * self.plan.interval > NOISE_KNOWN_AFTER
         if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
             learn_noise(self.window, self.posterior)
+            if self._slow is not None:
+                copy_noise(self.posterior, self.level)
+        self._solve()
+
+    def take(self, time: float, learn: bool) -> None:
+        """Take the balance that is complete without estimating; parameters as those of `add`."""
+        take_balance(self.window, self.posterior, self.balance, time, learn)
+        if self._slow is not None:
+            join(self._slow, time, self._slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
+            self._weigh_slow(1)
+
+    def _solve(self) -> None:
         solve(self.window, self.posterior)
+        if self._slow is not None:
+            solve(self._slow, self.level)
+
+    def _weigh(self, last: int) -> None:
+        """Sum up the last balances again."""
+        weigh(self.window, self.posterior, last)
+        if self._slow is not None:
+            self._weigh_slow(last)
+
+    def _weigh_slow(self, last: int) -> None:
+        assert self._slow is not None
+        copy_unknowns(self.window, self._slow, last)
+        weigh(self._slow, self.level, last)
 
     def must_linearise(self) -> bool:
         """Whether the estimate has left the point of linearisation."""
@@ -346,10 +448,10 @@ class OffsetEstimator:
 
     def _step(self) -> FloatArray:
         """Ways to the estimates of those offsets that have surely moved, shape (n,) [rad]."""
-        step = self.posterior.mean[: self.joints] - self.balance.reference
+        step = self.level.mean[: self.joints] - self.balance.reference
         # The columns of the offsets are those of the nominal arm: what it carries is not in them.
         # Where gravity says little, the search would run away from the truth.
-        return np.where(np.abs(step) > _SURE * self.posterior.sigma, step, 0.0)
+        return np.where(np.abs(step) > _SURE * self.level.sigma, step, 0.0)
 
     def linearise(self, blocks: FloatArray) -> None:
         """Evaluate the balances of the horizon again, at the present estimate of the offsets.
@@ -361,14 +463,16 @@ class OffsetEstimator:
         """
         self.balance.reference[:] += np.clip(self._step(), -0.3, 0.3)
         self.replace_last(blocks)
-        solve(self.window, self.posterior)
+        self._solve()
         self._since_linearised = 0
 
     def restart(self) -> None:
         """Begin a new horizon after a gap; what the old one said of arm and offsets is kept."""
         last = len(self)
-        self.window.past[:] += products(self.window, last)
-        forget_newest(self.window, last)
+        for window in (self.window, self._slow):
+            if window is not None:
+                window.past[:] += products(window, last)
+                forget_newest(window, last)
 
     def replace_last(self, blocks: FloatArray) -> None:
         """Evaluate the last balances again, from their blocks; one interval more than balances."""
@@ -380,7 +484,7 @@ class OffsetEstimator:
         for back in range(last):
             _make_absolute(rows[-1 - back], self.balance.reference)
             self.window.rows[slot(self.window, back)] = rows[-1 - back]
-        weigh(self.window, self.posterior, last)
+        self._weigh(last)
 
     def distrust(self, last: int) -> None:
         """Take most of the weight off the last balances, and estimate anew."""
@@ -388,18 +492,18 @@ class OffsetEstimator:
         for back in range(last):
             at = slot(self.window, back)
             self.window.trust[at] = min(self.window.trust[at], DISTRUST)
-        weigh(self.window, self.posterior, last)
-        solve(self.window, self.posterior)
+        self._weigh(last)
+        self._solve()
 
 
 def _prior_posterior(
-    prior: FloatArray, expected: FloatArray, systematic: FloatArray, capacity: int
+    prior: FloatArray, expected: FloatArray, rest: FloatArray, systematic: FloatArray, capacity: int
 ) -> Posterior:
     n, m = len(expected), len(prior)
     inflation = np.maximum(2.0, systematic / expected**2)
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
-        inflation, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
+        inflation, rest.copy(), rest, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
         np.zeros((1 + m, m)), np.zeros((m, n)),
         np.zeros(capacity))  # fmt: skip
 

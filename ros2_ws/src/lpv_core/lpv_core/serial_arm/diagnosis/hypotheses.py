@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
-from lpv_core.serial_arm.diagnosis.balance import EPOCH, OFFSET, RATE
+from lpv_core.serial_arm.diagnosis.balance import EPOCH, OFFSET, RATE, Balance
 from lpv_core.serial_arm.diagnosis.contact import (
     Contact,
     force_levers,
@@ -25,7 +25,7 @@ from lpv_core.serial_arm.diagnosis.contact import (
     rough_contact,
     smooth_contact,
     watch_noise,
-    weigh_outliers,
+    weigh_residuals,
 )
 from lpv_core.serial_arm.diagnosis.estimator import (
     HorizonPlan,
@@ -41,6 +41,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     sum_slot,
     whiten,
 )
+from lpv_core.serial_arm.diagnosis.onset import Onset, sudden_drift
 from lpv_core.support.jit import njit
 
 WINDOWS = (0.3, 1.0, 2.5)
@@ -59,7 +60,7 @@ STUCK_ACCELERATION = 10.0
 """Usual acceleration of a joint whose reading rests [rad/s2]."""
 ONSET = 2
 """Balances at the start of a window in which a fault may come in any way: they are explained by
-free torques, for encoders as for contacts."""
+free torques, for encoders as for contacts; that it came suddenly is a hypothesis of its own."""
 PRIOR = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 
@@ -179,7 +180,7 @@ def evaluate(
         longest = max(longest, search.lengths[w])
     last = min(longest + 1, window.counters[COUNT])
     set_residuals(window, null, last)
-    weigh_outliers(null, last)
+    weigh_residuals(window, null, last)
     for w in range(first, end):
         length = search.lengths[w]
         search.gain[w] = -np.inf
@@ -261,6 +262,31 @@ def _begin_earlier(search: Search, w: int, i: int, score: tuple[float, float], s
         search.gain[w, i] = gain
         search.size[w, i] = (c * score[0] - b * score[1]) / determinant
         search.information[w, i] = determinant / c - first
+
+
+@njit
+def _sudden_drift(
+    search: Search, window: Window, null: Posterior, balance: Balance, joint: int, interval: float
+) -> Onset:
+    """The best onset of a drift within the longest window that is always looked at."""
+    last = min(search.lengths[len(WINDOWS) - 1] + 2, window.counters[COUNT])
+    set_residuals(window, null, last)
+    weigh_residuals(window, null, last)
+    free, onset = np.zeros(last), search.lengths.shape[0] - 1
+    for back in range(1, last - 1):
+        free[back] = rough_contact(search.outside, null, onset, back + 1)
+    times = balance.clock[EPOCH], interval, search.prior[joint]
+    return sudden_drift(window, null, balance, joint, times, free)
+
+
+def _sudden_drifts(search: Search, estimator: OffsetEstimator) -> list[Explanation]:
+    """Drifts of encoders whose rates are derived from them."""
+    window, null, balance = estimator.window, estimator.posterior, estimator.balance
+    found = []
+    for i in np.nonzero(balance.derived)[0]:
+        one = _sudden_drift(search, window, null, balance, int(i), estimator.plan.interval)
+        found.append(Explanation('drift', int(i), one.gain, one.size, one.sigma, one.begin))
+    return found
 
 
 def excludes_contact(
@@ -375,7 +401,7 @@ def explanations(
     found: list[Explanation] = []
     if best > suspicious:
         evaluate(*state, *times, some, all_of_them)
-        found = _found(search, estimator)
+        found = _found(search, estimator) + _sudden_drifts(search, estimator)
         conspicuous = np.arange(estimator.joints)
     for i in conspicuous:
         if resting[i] > 0 and len(estimator) > 0:
@@ -442,8 +468,10 @@ def stuck_explanation(
     rows = last_rows(estimator.window, count)
     set_residuals(estimator.window, null, count)
     residual = null.residual[:count][::-1]
-    ratio = residual / (3.0 * null.noise)
-    weights = 1.0 / (null.noise**2 * null.inflation * np.sqrt(1.0 + ratio**2))
+    size = _usual_sizes(estimator, count)
+    at_rest = size[:, joint].copy()
+    size[:, joint] = null.noise[joint]  # if the reading lies, the joint moves
+    weights = _weights(residual, size, null)
     columns = _rate_steps(rows, 1 + OFFSET * n + joint, 1 + RATE * n + joint, step)
     score = -np.einsum('kij,ki,ki->j', columns, weights, residual)
     unknowns = rows[..., rows.shape[2] - len(null.mean) :]
@@ -455,9 +483,36 @@ def stuck_explanation(
     scaled = walk @ information + np.eye(count)
     rates = np.linalg.solve(scaled, walk @ score)
     gain = 0.5 * (score @ rates - np.linalg.slogdet(scaled)[1])
+    gain += _rest_instead(residual[:, joint], at_rest, weights[:, joint], null, joint)
     begin = estimator.times(count)[0] - step
     sigma = step * np.sqrt(max(float(np.linalg.solve(scaled, walk).sum()), 0.0))
     return Explanation('stuck', joint, float(gain), float(step * rates.sum()), float(sigma), begin)
+
+
+def _weights(residual: FloatArray, size: FloatArray, null: Posterior) -> FloatArray:
+    """Inverse variances of balances, outliers with less weight; shape (last, n)."""
+    variance = size**2 * null.inflation
+    return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (3.0 * size)) ** 2)))
+
+
+def _rest_instead(
+    residual: FloatArray, size: FloatArray, weights: FloatArray, null: Posterior, joint: int
+) -> float:
+    """Change of the log-likelihood ratio where the joint rests as its reading says.
+
+    Its friction explains more then than in motion; at most what was counted against it.
+    """
+    resting = 1.0 / (size**2 * null.inflation[joint])
+    resting /= np.sqrt(1.0 + (residual / (3.0 * size)) ** 2)
+    change = 0.5 * residual**2 @ (resting - weights) + np.log(size / null.noise[joint]).sum()
+    return min(float(change), 0.0)
+
+
+def _usual_sizes(estimator: OffsetEstimator, last: int) -> FloatArray:
+    """Usual sizes of what is left of the last balances, oldest first, shape (last, n) [N m s]."""
+    window, null = estimator.window, estimator.posterior
+    rest = window.rest[[slot(window, back) for back in range(last - 1, -1, -1)]]
+    return np.asarray(null.noise * (1.0 + (null.rest - 1.0) * rest))
 
 
 def _rate_steps(rows: FloatArray, offset: int, rate: int, step: float) -> FloatArray:

@@ -28,8 +28,9 @@ class Window(NamedTuple):
         Of each balance.
     times, trust : ndarray, shape (capacity,)
         End of each [s]; factor of its weights, small where something acted from outside.
-    weights, poses : ndarray, shape (capacity, n)
-        With which each counts, trust included; positions in its middle [rad].
+    weights, poses, rest : ndarray, shape (capacity, n)
+        With which each counts, trust included; positions in its middle [rad]; 1 where the joint
+        rests or reverses.
     sums : ndarray, shape (capacity + 1, 1 + m, 1 + h + m)
         Sum of A^T W A before each balance; rows of the constant part and of the unknowns.
     squares : ndarray, shape (capacity + 1, h)
@@ -45,6 +46,7 @@ class Window(NamedTuple):
     trust: FloatArray
     weights: FloatArray
     poses: FloatArray
+    rest: FloatArray
     sums: FloatArray
     squares: FloatArray
     past: FloatArray
@@ -56,7 +58,7 @@ def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window
     size = 1 + faults + unknowns
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
-        np.zeros((capacity, joints)), np.zeros((capacity, joints)),
+        np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
         np.zeros((1 + unknowns, size)),
         np.zeros(2, np.int64))  # fmt: skip

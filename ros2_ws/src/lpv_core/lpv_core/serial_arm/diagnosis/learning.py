@@ -69,7 +69,7 @@ def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     Learned
         The arm file's values with the prior's deviations, if there were none.
     """
-    n, chain, null = estimator.joints, compile_chain(arm), estimator.posterior
+    n, chain, null = estimator.joints, compile_chain(arm), estimator.level
     inverse = np.linalg.inv(np.triu(null.factor))
     sigma = np.sqrt((inverse**2).sum(1))
     change = null.mean[n : 4 * n].reshape(3, n)

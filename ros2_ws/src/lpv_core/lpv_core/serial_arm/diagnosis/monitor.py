@@ -12,12 +12,7 @@ import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.estimator import (
-    NOISE_KNOWN_AFTER,
-    HorizonPlan,
-    OffsetEstimator,
-    take_balance,
-)
+from lpv_core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
 from lpv_core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv_core.serial_arm.diagnosis.hypotheses import (
     CONTACT,
@@ -55,7 +50,7 @@ NAMED_AFTER = {'stuck': 0.0, 'drift': 0.0, 'scale': 0.6, 'slip': 1.7}
 torques of gravity only, takes longest."""
 MARGINS = {'stuck': 4.0, 'drift': 4.0, 'scale': 10.0, 'slip': 12.0}
 """By which a fault's evidence must exceed that of all that is not this sensor's."""
-CONTACT_MARGIN = 6.0
+CONTACT_MARGIN = 9.0
 """The same for torques from outside, which are commoner than faults of encoders."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
@@ -308,7 +303,7 @@ class SerialMonitor:
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
-        posterior = self.estimator.posterior
+        posterior = self.estimator.level
         offsets, sigma = posterior.mean[: self.joints], posterior.sigma
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
@@ -361,8 +356,7 @@ class SerialMonitor:
     def _decide(self, now: float) -> None:
         """A balance is complete: estimate, compare explanations, decide."""
         if self._moving is not None:
-            state = self.estimator.window, self.estimator.posterior, self.estimator.balance
-            take_balance(*state, now, False)
+            self.estimator.take(now, False)
             follow(self._moving, self.estimator, self.sampler, now)
             return
         if self.healthy is not None:
@@ -492,7 +486,7 @@ class SerialMonitor:
 
     def _decide_level(self) -> None:
         """Offsets that gravity and motion show."""
-        posterior = self.estimator.posterior
+        posterior = self.estimator.level
         offsets, sigma = posterior.mean[: self.joints], posterior.sigma
         beyond = np.abs(offsets) > np.maximum(
             self.settings.level_sigmas * sigma, self.settings.smallest_level
@@ -520,7 +514,7 @@ class SerialMonitor:
         if self.healthy is None:
             return
         self.guarantee = self.healthy.evaluate()
-        sigma = self.estimator.posterior.sigma
+        sigma = self.estimator.level.sigma
         for i in [one for one in self._unproved if self.guarantee.exceeded[one]]:
             size = float(self.guarantee.estimate[i])
             self._raise(i, 'bias', 0.0, size, float(sigma[i]), True)
