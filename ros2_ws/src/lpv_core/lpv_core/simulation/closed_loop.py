@@ -160,7 +160,7 @@ class _Plant(NamedTuple):
 
     constants: np.record
     state: np.record
-    faults: np.recarray
+    faults: np.ndarray
 
 
 class _Streams(NamedTuple):
