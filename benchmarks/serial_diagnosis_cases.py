@@ -5,14 +5,12 @@ two-link arm whose masses (5 %) and friction (30 %) the monitor does not know, a
 Panda, identified on the first 60 % and tested on the rest; simulated arms have errors of the same
 kind.  Every line of the tables is one kind of fault, injected at random: named = the first sensor
 that is named is the faulty one, in time = within the limit of the line, wrong = another one is
-named at any time.  Faults are injected on joints whose level gravity shows, jumps on all.  On the
-two-link arm an EKF and a UKF of FilterPy follow in the same table; they raise an alarm beyond 1.2
-times their largest estimate over the healthy recordings.
+named at any time.  Faults are injected on joints whose level gravity shows, jumps on all.
 """
 
 import argparse
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +20,6 @@ from rich.console import Console
 from rich.table import Table
 
 from lpv_bag.run.csv_import import load_column_map
-from lpv_campaign.limit.kalman import make_ekf, make_ukf
-from lpv_core.model.arm import load_arm
 from lpv_core.serial_arm.chain import Chain, compile_chain
 from lpv_core.serial_arm.description import (
     JointFriction,
@@ -299,59 +295,47 @@ def simulate(
 
 
 def report_faults(
-    console: Console, title: str, runs: list[Healthy], level: list[int], size: int
+    console: Console, title: str, runs: list[Healthy], level: list[int], size: int, only: str
 ) -> Table:
-    """Healthy runs, then all cases; offsets only on joints whose level gravity shows."""
+    """Healthy runs, then cases by name; offsets only on joints whose level gravity shows."""
     rng = np.random.default_rng(1)
     alarms = [alarm for run in runs for alarm in watch(run).alarms]
     seconds = sum(run.duration for run in runs)
     console.print(f'{title}: {seconds:.0f} s without fault, alarms: {len(alarms)}')
     for alarm in alarms[:5]:
         console.print(f'  {alarm}')
-    watched = [watch(pushed(runs[k % len(runs)], rng)) for k in range(2 * size)]
-    blamed = sum(any(alarm.sensor for alarm in monitor.alarms) for monitor in watched)
-    console.print(f'{title}: {2 * size} pushes, {blamed} blamed on an encoder')
+    if only in 'pushes':
+        watched = [watch(pushed(runs[k % len(runs)], rng)) for k in range(2 * size)]
+        blamed = sum(any(alarm.sensor for alarm in monitor.alarms) for monitor in watched)
+        console.print(f'{title}: {2 * size} pushes, {blamed} blamed on an encoder')
     everyone = list(range(len(runs[0].arm.joints)))
     table = table_of(title)
-    for case in CASES:
+    for case in (one for one in CASES if only in one.name):
         joints = everyone if case.name.startswith('step') else level
         score = judge(runs, case, joints, size, rng)
         table.add_row(case.name, *score.row(case.limit))
     return table
 
 
-def peers(runs: list[Healthy], size: int, table: Table) -> None:
-    """EKF and UKF on the two-link arm, in the same table."""
-    planar = load_arm(bringup_file('arms', 'real_arm'))
-    for name, make in (('EKF', make_ekf), ('UKF', make_ukf)):
-        quiet = [_estimates(make, planar, run) for run in runs[:2]]
-        threshold = 1.2 * np.abs(np.concatenate(quiet)).max(0)
-        for case in CASES:
-            rng, score = np.random.default_rng(1), Score([], [])
-            for run, joint, onset, truth in injections(runs, case, [0, 1], size, rng):
-                found, time = _estimates(make, planar, run), (run.stamps - run.stamps[0]) * 1e-9
-                end = _index(run, SETTLED) - 1 if case.from_start else len(time) - 1
-                error = abs(float(found[end, joint]) - truth)
-                score.errors.append(error if np.isfinite(error) else np.inf)
-                beyond = (np.abs(found) > threshold) & (time >= onset)[:, None]
-                first = [time[np.argmax(b)] if b.any() else np.inf for b in beyond.T]
-                score.wrong += bool(np.isfinite(first[1 - joint]))
-                named = first[joint] < first[1 - joint]
-                score.delays.append(first[joint] - onset if named else np.inf)
-            table.add_row(f'{name}: {case.name}', *score.row(case.limit))
-
-
-def _estimates(make: Callable[..., Any], planar: Any, run: Healthy) -> np.ndarray:
-    """Fault estimates of a Kalman filter, shape (N, 2); NaN from where it fails on."""
-    kalman, found = make(planar, run.samples[0, 0]), np.full((len(run.samples), 2), np.nan)
-    for k, (position, velocity, effort) in enumerate(run.samples):
-        y = np.concatenate([position, velocity])  # sensors of the joints' angles
-        torque = np.array([effort[0] - effort[1], effort[1]])
-        try:
-            found[k] = kalman.take(y, torque)
-        except (np.linalg.LinAlgError, ValueError):
-            break
-    return found
+def report_levels(console: Console, title: str, run: Healthy, seconds: float = 5.0) -> None:
+    """Errors of all offsets after some seconds, from each second of a recording on."""
+    errors, sigmas = [], []
+    for begin in np.arange(0.0, run.duration - seconds, 1.0):
+        part = slice(_index(run, begin), _index(run, begin + seconds))
+        window = replace(run, stamps=run.stamps[part], samples=run.samples[part])
+        estimate = watch(window).estimate(0)
+        errors.append(estimate.fault)
+        sigmas.append(estimate.sigma)
+    error, sigma = np.array(errors), np.array(sigmas)
+    columns = (error, sigma, error / sigma)
+    rms, stated, ratio = (np.sqrt(np.mean(one**2, axis=0)) for one in columns)
+    table = Table(title=f'{title}: offsets after {seconds:g} s, {len(error)} windows')
+    for heading in ('sensor', 'RMS error [rad]', 'largest [rad]', 'stated [rad]', 'RMS ratio'):
+        table.add_column(heading)
+    for i, name in enumerate(run.arm.sensor_names):
+        values = (rms[i], np.abs(error[:, i]).max(), stated[i], ratio[i])
+        table.add_row(name, *(f'{value:.3f}' for value in values))
+    console.print(table)
 
 
 def report_kr300(console: Console, size: int) -> None:
@@ -420,28 +404,28 @@ def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--size', type=int, default=20, help='injections of each kind')
-    parser.add_argument('--peers', type=int, default=4, help='injections for EKF and UKF')
     arms = ['real_arm', 'ur10', 'panda', 'kr300', 'simulated']
     parser.add_argument('--arms', nargs='+', default=arms, choices=arms)
+    parser.add_argument('--only', default='', help='cases whose name contains this; pushes; level')
     options = parser.parse_args()
+    what = options.size, options.only
     console, rng = Console(width=150), np.random.default_rng(0)
     recorded = DATA.is_dir()
     if recorded and 'real_arm' in options.arms:
         runs = two_link_runs(max(1, options.size // 4), rng)
-        table = report_faults(console, 'two-link arm, recorded', runs, [0, 1], options.size)
-        if options.peers > 0:
-            peers(runs, options.peers, table)
-        console.print(table)
+        console.print(report_faults(console, 'two-link arm, recorded', runs, [0, 1], *what))
     for folder, urdf, level in (('ur10', 'ur10.urdf', [1, 2]), ('panda', 'fer.urdf', [1, 3])):
         if recorded and folder in options.arms:
             runs = identified_run(folder, urdf)
-            console.print(report_faults(console, f'{folder}, recorded', runs, level, options.size))
+            if options.only in 'level':
+                report_levels(console, f'{folder}, recorded', runs[0])
+            console.print(report_faults(console, f'{folder}, recorded', runs, level, *what))
     if recorded and 'kr300' in options.arms:
         report_kr300(console, options.size)
     if 'simulated' in options.arms:
         arm = shoulder_arm('derived')
         runs = [simulate(arm, seed, 9.0) for seed in range(max(2, options.size // 5))]
-        console.print(report_faults(console, 'shoulder, simulated', runs, [1, 2], options.size))
+        console.print(report_faults(console, 'shoulder, simulated', runs, [1, 2], *what))
         report_disturbances(console, max(2, options.size // 4))
 
 

@@ -13,18 +13,10 @@ from lpv_core.support.records import memory, plain
 
 @dataclass(frozen=True)
 class Command:
-    """One torque command.
+    """One torque command."""
 
-    Attributes
-    ----------
-    torque : ndarray, shape (n,)
-        Joint torques within limits [N m].
-    saturated : bool
-        Whether a limit was met.
-    """
-
-    torque: np.ndarray
-    saturated: bool
+    torque: np.ndarray  # joint torques within limits, shape (n,) [N m]
+    saturated: bool  # whether a limit was met
 
 
 @njit

@@ -13,7 +13,7 @@ from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics, rk4_step
 from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
 from lpv_core.model.polytope import sinc_box
-from lpv_core.model.state_space import lpv_rk4_step, vertex_matrices
+from lpv_core.model.state_space import LPV_PLANT, lpv_rk4_step, vertex_matrices
 from lpv_core.simulation.faults import (
     FaultInjector,
     apply_faults,
@@ -27,16 +27,11 @@ from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.jit import njit
 from lpv_core.support.records import memory, new_record, plain, record_type
 
-_LPV = record_type(
-    ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
-    ('a', 'f8', (8, 4, 4)),  # A of the vertices
-    ('b', 'f8', (8, 4, 2)),  # B of the vertices
-)
 PLANT_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
     ('arm', ARM_CONSTANTS),  # constants of the true arm
     ('is_lpv', '?'),
-    ('lpv', _LPV),  # the paper's plant
+    ('lpv', LPV_PLANT),  # the paper's plant
     ('sample_time', 'f8'),  # [s]
     ('substeps', 'i8'),  # Runge-Kutta steps per sample
     ('torque_limit', 'f8', (2,)),  # [N m]
@@ -93,33 +88,16 @@ def _set_inputs(
 @njit
 def integrate(params: np.record, state: np.record) -> None:
     """Advance the plant by one sample time."""
-    q_1, q_2 = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
-    push_1, push_2 = (
-        params.direction[0] * state.disturbance,
-        params.direction[1] * state.disturbance,
-    )
-    dt, x = params.sample_time / params.substeps, state.state
+    torque = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
+    d, x = state.disturbance, state.state
+    push = params.direction[0] * d, params.direction[1] * d
+    now, dt = (x[0], x[1], x[2], x[3]), params.sample_time / params.substeps
     for _ in range(params.substeps):
         if params.is_lpv:
-            x[0], x[1], x[2], x[3] = lpv_rk4_step(
-                x[0],
-                x[1],
-                x[2],
-                x[3],
-                q_1,
-                q_2,
-                push_1,
-                push_2,
-                dt,
-                params.lpv.a,
-                params.lpv.b,
-                params.lpv.box,
-                state.rho,
-            )
+            now = lpv_rk4_step(now, torque, push, dt, params.lpv, state.rho)
         else:
-            x[0], x[1], x[2], x[3] = rk4_step(
-                x[0], x[1], x[2], x[3], q_1, q_2, push_1, push_2, dt, params.arm
-            )
+            now = rk4_step(now, torque, push, dt, params.arm)
+    x[0], x[1], x[2], x[3] = now
     state.step_count += 1
 
 
@@ -381,5 +359,5 @@ def _plant_constants(
     if scenario.plant == 'lpv':
         box = sinc_box(scenario.sinc_min)
         a, b = vertex_matrices(box, true_arm.constants(False))
-        params.is_lpv, params.lpv = True, new_record(_LPV, box=box, a=a, b=b)
+        params.is_lpv, params.lpv = True, new_record(LPV_PLANT, box=box, a=a, b=b)
     return params

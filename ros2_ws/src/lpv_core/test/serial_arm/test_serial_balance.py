@@ -1,10 +1,13 @@
 """Momentum balances and their derivatives; windows of least squares."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm
 
 from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.serial_arm.description import ParameterCovariance, Uncertainty
 from lpv_core.serial_arm.diagnosis.balance import (
     COULOMB,
     GAIN,
@@ -26,7 +29,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     sum_slot,
     whiten,
 )
-from lpv_core.serial_arm.diagnosis.parameter_error import inertial_directions, relative_factor
+from lpv_core.serial_arm.diagnosis.parameter_error import parameter_directions, parameter_factor
 from lpv_core.serial_arm.simulation import SerialSimulator
 
 PER_BLOCK, PER_INTERVAL = 5, 5
@@ -52,9 +55,9 @@ def blocks():
     return np.array(rows)[PER_INTERVAL : PER_INTERVAL * (len(rows) // PER_INTERVAL)]
 
 
-def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0)):
+def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), frictions=None):
     directions = np.zeros((0, 3, 10)) if directions is None else directions
-    balance = new_balance(chain, directions, np.ones(3))
+    balance = new_balance(chain, directions, np.ones(3), frictions)
     balance.reference[:] = reference
     rows = np.empty((len(blocks) // PER_INTERVAL - 1, *balance.rows.shape))
     fill_balances(balance, blocks, PER_INTERVAL, rows)
@@ -90,13 +93,28 @@ def test_columns_of_friction_are_exact(blocks, group, field):
     np.testing.assert_allclose(change[:, :, 0], expected, atol=1e-12)
 
 
-def test_columns_of_inertial_directions_are_exact(blocks):
+def test_columns_of_parameter_directions_are_exact(blocks):
     chain = compile_chain(shoulder_arm())
-    directions = inertial_directions(chain, relative_factor(chain, 0.05), np.full(3, 2.0))
-    rows = rows_of(chain, blocks, directions)
-    moved = chain._replace(inertial=chain.inertial + 0.5 * directions[0])
+    factor = np.random.default_rng(0).normal(size=(5, 42))
+    directions, frictions = parameter_directions(chain, factor, np.full(3, 2.0))
+    rows = rows_of(chain, blocks, directions, frictions=frictions)
+    friction = chain.friction.copy()
+    friction[:, :4] += 0.5 * frictions[0]
+    moved = chain._replace(inertial=chain.inertial + 0.5 * directions[0], friction=friction)
     change = rows_of(moved, blocks)[:, :, 0] - rows[:, :, 0]
-    np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(GROUPS)], atol=1e-12)
+    np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(GROUPS)], atol=1e-10)
+
+
+def test_given_masses_and_friction_identified_together_then_they_are_wrong_together():
+    row = np.zeros((1, 45))
+    row[0, 21], row[0, 44] = 0.1, -2.0  # first moment of the last link, offset of its torque
+    covariance = ParameterCovariance(tuple(map(tuple, row)), 1)
+    arm = replace(shoulder_arm(), covariance=covariance, uncertainty=Uncertainty())
+    chain = compile_chain(arm)
+    factor = parameter_factor(arm, chain)
+    directions, frictions = parameter_directions(chain, factor, np.full(3, 2.0))
+    assert len(directions) == 1
+    assert frictions[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
 
 
 def test_column_of_a_torque_gain_is_the_torque(blocks):

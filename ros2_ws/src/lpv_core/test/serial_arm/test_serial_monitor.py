@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
 
+from lpv_core.serial_arm.arm_file import load_serial_arm
 from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
 from lpv_core.serial_arm.dynamics.kinematics import jacobian
 from lpv_core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
 from lpv_core.support.errors import SampleError
+from lpv_core.support.resources import bringup_file
 
 DURATION = 8.0
 
@@ -132,6 +134,39 @@ def test_bad_samples_are_refused_and_change_nothing():
     with pytest.raises(SampleError, match='shape'):
         monitor.update_many([3_000_000], np.zeros((1, 3, 2)))
     assert monitor.update(2_000_000, good, good, good).stamp == 2_000_000
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_step_when_one_more_sample_confirms_it_then_it_is_named(rates):
+    arm = replace(shoulder_arm(rates), sample_time=0.008)
+    monitor, run = watched(arm, [EncoderFault(1, 'bias', 4.0, 0.05)], duration=4.5)
+    assert [alarm.sensor for alarm in monitor.alarms] == ['encoder2']
+    assert monitor.alarms[0].detected == pytest.approx(4.0 + 0.008, abs=1e-6)
+
+
+def jumps_only(arm, samples):
+    monitor = SerialMonitor(replace(arm, effort_includes_gravity=False))
+    period = round(1e9 * arm.sample_time)
+    monitor.update_many(period * np.arange(len(samples)), samples)
+    return monitor
+
+
+def test_given_repeated_samples_when_an_encoder_jumps_at_one_then_it_alone_is_named():
+    arm = replace(load_serial_arm(bringup_file('arms', 'ur10')), sample_time=0.03)
+    rate = np.linspace(1.0, 2.0, 6)
+    phase = rate * 0.03 * np.arange(120)[:, None] + rate
+    samples = np.stack([0.5 * np.sin(phase), 0.5 * rate * np.cos(phase), 0.0 * phase], 1)
+    samples[25::50] = samples[24:-1:50]
+    assert jumps_only(arm, samples).alarms == []
+    samples[75:, 0, 2] += 0.02
+    assert named(jumps_only(arm, samples)) == {arm.sensor_names[2]}
+
+
+def test_given_a_joint_that_shakes_faster_than_it_is_sampled_then_it_has_not_jumped():
+    samples = np.zeros((60, 3, 3))
+    samples[:, 1, 1] = 0.4 * (-1.0) ** np.arange(60)
+    arm = replace(shoulder_arm('independent'), sample_time=0.033)
+    assert jumps_only(arm, samples).alarms == []
 
 
 def test_spike_is_no_lasting_fault():

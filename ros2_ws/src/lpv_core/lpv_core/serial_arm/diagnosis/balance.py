@@ -21,6 +21,8 @@ GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coul
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
 of a healthy arm are the columns from `OFFSET` on."""
 DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
+VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART = range(4)
+"""Columns of `Balance.frictions`, as those of `Chain.friction`."""
 LENGTH, EPOCH = range(2)
 """Entries of `Balance.clock`."""
 SLOW_RATE = 0.1
@@ -61,6 +63,8 @@ class Balance(NamedTuple):
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
         Scratch.
+    frictions : ndarray, shape (k, n, 4)
+        What belongs to ``directions`` of viscous, Coulomb, load-dependent friction and offset.
     """
 
     chain: Chain
@@ -77,6 +81,7 @@ class Balance(NamedTuple):
     rigid: FloatArray
     work: FloatArray
     vectors: FloatArray
+    frictions: FloatArray
 
 
 def column_count(joints: int, directions: int) -> int:
@@ -84,7 +89,9 @@ def column_count(joints: int, directions: int) -> int:
     return 1 + len(GROUPS) * joints + directions
 
 
-def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Balance:
+def new_balance(
+    chain: Chain, directions: FloatArray, derived: FloatArray, frictions: FloatArray | None = None
+) -> Balance:
     """Empty balances.
 
     Parameters
@@ -95,6 +102,8 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
         Possible errors of the inertial parameters.
     derived : ndarray, shape (n,)
         1 where a rate is derived from the encoder, else 0.
+    frictions : ndarray, shape (k, n, 4), optional
+        Possible errors of friction that go with those of the inertial parameters; none by default.
 
     Returns
     -------
@@ -103,11 +112,12 @@ def new_balance(chain: Chain, directions: FloatArray, derived: FloatArray) -> Ba
     """
     n = joint_count(chain)
     size = (n, column_count(n, len(directions)))
+    along = np.zeros((len(directions), n, 4)) if frictions is None else frictions
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
         np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), _no_rates(n),
-        np.zeros((n, n)), workspace(chain), np.zeros((9, n)))  # fmt: skip
+        np.zeros((n, n)), workspace(chain), np.zeros((9, n)), along)  # fmt: skip
 
 
 @njit
@@ -130,6 +140,22 @@ def put(
     balance.momentum[1, row, column] += length * momentum
     balance.rising[1, row, column] += length * place * force
     balance.falling[1, row, column] += length * (1.0 - place) * force
+
+
+@njit
+def add_residual(
+    balance: Balance, q: FloatArray, v: FloatArray, torque: FloatArray, weight: tuple[float, float]
+) -> None:
+    """Add the residual of a block to the current interval, without derivatives."""
+    angle, rate = balance.vectors[0], balance.vectors[1]
+    p, force, friction = balance.vectors[2], balance.vectors[3], balance.vectors[6]
+    for i in range(q.shape[0]):
+        angle[i] = q[i] - balance.reference[i]
+        rate[i] = v[i]
+    momentum_balance(balance.chain, angle, rate, balance.work, p, force)
+    friction_torque(balance.chain, rate, torque, friction)
+    for i in range(q.shape[0]):
+        put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
 
 
 @njit
@@ -160,18 +186,11 @@ def add_block(
     chain, n = balance.chain, q.shape[0]
     weight = (length, place)
     angle, rate = balance.vectors[0], balance.vectors[1]
-    p, force = balance.vectors[2], balance.vectors[3]
     p_by, force_by = balance.vectors[4], balance.vectors[5]
-    friction = balance.vectors[6]
+    add_residual(balance, q, v, torque, weight)
     for i in range(n):
-        angle[i] = q[i] - balance.reference[i]
-        rate[i] = v[i]
         balance.rates[2, 0, i] = min(balance.rates[2, 0, i], v[i])
         balance.rates[2, 1, i] = max(balance.rates[2, 1, i], v[i])
-    momentum_balance(chain, angle, rate, balance.work, p, force)
-    friction_torque(chain, rate, torque, friction)
-    for i in range(n):
-        put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
         row = 1 + i
         put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
         put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
@@ -187,8 +206,12 @@ def add_block(
             chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation)  # fmt: skip
         carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
-            column = 1 + 8 * n + k
-            put(balance, column, j, (p_by[j], force_by[j]), weight)
+            column, part = 1 + 8 * n + k, balance.frictions[k, j]
+            dry = part[COULOMB_PART] + part[LOAD_PART] * abs(torque[j])
+            lost = part[VISCOUS_PART] * rate[j] + part[OFFSET_PART]
+            if dry != 0.0:
+                lost += dry * smooth_sign(rate[j], chain.friction[j, SLOPE])
+            put(balance, column, j, (p_by[j], force_by[j] - lost), weight)
 
 
 @njit
@@ -331,3 +354,48 @@ def fill_balances(
                 rows[count] = balance.rows
                 count += 1
             length = 0.0
+
+
+@njit
+def residuals(
+    balance: Balance, blocks: FloatArray, per_interval: int, friction: FloatArray
+) -> FloatArray:
+    """Residuals of the balances of some blocks, without derivatives; the balance stays as it is.
+
+    Parameters
+    ----------
+    balance : Balance
+        Of the arm; its scratch is not changed either.
+    blocks : ndarray, shape (N, 3 n + 3)
+        As in `fill_balances`.
+    per_interval : int
+        Blocks of an interval.
+    friction : ndarray, shape (n, 5)
+        As in `Chain`.
+
+    Returns
+    -------
+    ndarray, shape (N / per_interval - 1, n)
+        [N m s].
+    """
+    n, intervals = balance.reference.shape[0], blocks.shape[0] // per_interval
+    chain = Chain(
+        balance.chain.rotation, balance.chain.translation, balance.chain.inertial,
+        balance.chain.motor, friction, balance.chain.gravity, balance.chain.tip_rotation,
+        balance.chain.tip_translation)  # fmt: skip
+    own = Balance(
+        chain, balance.directions, balance.reference, balance.derived,
+        np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
+        np.zeros(2), np.zeros((2, n)), _no_rates(n), balance.rigid, balance.work.copy(),
+        balance.vectors.copy())  # fmt: skip
+    result, length = np.zeros((intervals - 1, n)), 0.0
+    for k in range(intervals * per_interval):
+        block = blocks[k]
+        weight = (block[3 * n + 1], block[3 * n + 2])
+        add_residual(own, block[:n], block[n : 2 * n], block[2 * n : 3 * n], weight)
+        length += block[3 * n + 1]
+        if (k + 1) % per_interval == 0:
+            if close_interval(own, length):
+                result[(k + 1) // per_interval - 2] = own.rows[:, 0]
+            length = 0.0
+    return result

@@ -41,7 +41,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     sum_slot,
     whiten,
 )
-from lpv_core.serial_arm.diagnosis.parameter_error import inertial_directions, inertial_factor
+from lpv_core.serial_arm.diagnosis.parameter_error import parameter_directions, parameter_factor
 from lpv_core.support.jit import njit
 
 OFFSET_PRIOR = 0.5
@@ -87,51 +87,24 @@ class HorizonPlan:
 
 
 class Posterior(NamedTuple):
-    """Estimate of m offsets and parameters of n joints from all balances of the horizon.
+    """Estimate of m offsets and parameters of n joints from all balances of the horizon."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (m,)
-        Offsets [rad], then parameters, in the order of the balances' columns.
-    factor : ndarray, shape (m, m)
-        U of the information matrix U^T U.
-    sigma : ndarray, shape (n,)
-        Standard deviations of the offsets [rad].
-    least : ndarray, shape (m,)
-        Information of the prior.
-    noise, expected, inflation : ndarray, shape (n,)
-        Usual size of what is left of a balance, and what is expected before any was seen [N m s];
-        factor of its variance, since it is correlated in time.
-    rest : ndarray, shape (n,)
-        Usual size of what is left where a joint rests or reverses, over ``noise``: its friction
-        may be anything then, up to that of rest.
-    expected_rest : ndarray, shape (n,)
-        The same before any was seen.
-    systematic : ndarray, shape (n,)
-        Smallest variance, correlation in time included [N2 m2 s2].
-    residual : ndarray, shape (capacity, n)
-        What the estimate leaves, newest first [N m s].
-    weights : ndarray, shape (capacity, n)
-        Inverse variances of the balances, newest first.
-    recalled, inverse, ordered : ndarray, shapes (1 + m, m), (m, n) and (capacity,)
-        Scratch.
-    """
-
-    mean: FloatArray
-    factor: FloatArray
-    sigma: FloatArray
-    least: FloatArray
-    noise: FloatArray
-    expected: FloatArray
-    inflation: FloatArray
+    mean: FloatArray  # (m,) offsets [rad], then parameters, in the order of the columns of balances
+    factor: FloatArray  # U of the information matrix U^T U, shape (m, m)
+    sigma: FloatArray  # standard deviations of the offsets, shape (n,) [rad]
+    least: FloatArray  # information of the prior, shape (m,)
+    noise: FloatArray  # (n,) usual size of what is left of a balance [N m s]
+    expected: FloatArray  # (n,) the same before any was seen [N m s]
+    inflation: FloatArray  # (n,) factor of its variance, since it is correlated in time
+    # (n,) as `noise` where a joint rests or reverses, over `noise`: friction of any size
     rest: FloatArray
-    expected_rest: FloatArray
-    systematic: FloatArray
-    residual: FloatArray
-    weights: FloatArray
-    recalled: FloatArray
-    inverse: FloatArray
-    ordered: FloatArray
+    expected_rest: FloatArray  # (n,) the same before any was seen
+    systematic: FloatArray  # (n,) smallest variance, with correlation in time [N2 m2 s2]
+    residual: FloatArray  # what the estimate leaves, newest first, shape (capacity, n) [N m s]
+    weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
+    recalled: FloatArray  # (1 + m, m) scratch
+    inverse: FloatArray  # (m, n) scratch
+    ordered: FloatArray  # (capacity,) scratch
 
 
 @njit
@@ -268,13 +241,16 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
 
 
 @njit
-def copy_noise(source: Posterior, level: Posterior) -> None:
-    """Take over what was learned of the noise; what is known to be missed remains."""
+def copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
+    """Take over what was learned of the noise, all of which lasts as long as a pose.
+
+    ``lasting`` is that time in balances.  What an identified arm is known to miss remains.
+    """
     level.noise[:] = source.noise
     level.rest[:] = source.rest
     for i in range(level.noise.shape[0]):
         least = level.systematic[i] / (level.noise[i] * level.noise[i])
-        level.inflation[i] = max(source.inflation[i], least)
+        level.inflation[i] = max(source.inflation[i], least, lasting)
 
 
 @njit
@@ -374,9 +350,9 @@ class OffsetEstimator:
         chain = compile_chain(arm)
         self.joints = n = len(arm.joints)
         speed = np.array([min(joint.limits.velocity, 3.0) for joint in arm.joints])
-        directions = inertial_directions(chain, inertial_factor(arm, chain), speed)
+        directions, frictions = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
-        self.balance: Balance = new_balance(chain, directions, derived)
+        self.balance: Balance = new_balance(chain, directions, derived, frictions)
         self.prior = np.concatenate([*_priors(arm, chain.friction), np.ones(len(directions))])
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
         noise, systematic = _expected_noise(arm, plan), _systematic_error(arm, plan)
@@ -414,7 +390,7 @@ class OffsetEstimator:
         if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
             learn_noise(self.window, self.posterior)
             if self._slow is not None:
-                copy_noise(self.posterior, self.level)
+                copy_noise(self.posterior, self.level, _POSE_TIME / self.plan.interval)
         self._solve()
 
     def take(self, time: float, learn: bool) -> None:

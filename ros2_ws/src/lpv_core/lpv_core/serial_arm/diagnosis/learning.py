@@ -10,37 +10,24 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, FloatArray, compile_chain
 from lpv_core.serial_arm.description import LinkInertia, SerialArm, TorqueTolerance
+from lpv_core.serial_arm.diagnosis.balance import COULOMB_PART, OFFSET_PART, VISCOUS_PART
 from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv_core.serial_arm.dynamics.payload import payload_parameters
 
 
 @dataclass(frozen=True)
 class Learned:
-    """State of the learning; joints from the base to the tip.
+    """State of the learning; joints from the base to the tip."""
 
-    Attributes
-    ----------
-    payload, payload_sigma : float
-        Mass at the tip beyond that of the arm file, and its standard deviation [kg]; what looks
-        like it may be an error of the links' masses.
-    offset, viscous, coulomb : ndarray, shape (n,)
-        Friction as learned [N m], [N m s], [N m].
-    sigma : ndarray, shape (3, n)
-        Standard deviations of these three.
-    noise : ndarray, shape (n,)
-        Usual torque that the model misses, as a mean over a balance [N m].
-    seconds : float
-        Length of the horizon [s].
-    """
-
+    # mass at the tip beyond the arm file's; may be an error of the links' masses [kg]
     payload: float
-    payload_sigma: float
-    offset: FloatArray
-    viscous: FloatArray
-    coulomb: FloatArray
-    sigma: FloatArray
-    noise: FloatArray
-    seconds: float
+    payload_sigma: float  # its standard deviation [kg]
+    offset: FloatArray  # (n,) of friction [N m]
+    viscous: FloatArray  # (n,) of friction [N m s]
+    coulomb: FloatArray  # (n,) of friction [N m]
+    sigma: FloatArray  # standard deviations of these three, shape (3, n)
+    noise: FloatArray  # (n,) usual torque that the model misses, mean over a balance [N m]
+    seconds: float  # length of the horizon [s]
 
     def values(self) -> dict[str, str]:
         """Keys and values for a diagnostic message."""
@@ -71,15 +58,17 @@ def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     """
     n, chain, null = estimator.joints, compile_chain(arm), estimator.level
     inverse = np.linalg.inv(np.triu(null.factor))
-    sigma = np.sqrt((inverse**2).sum(1))
-    change = null.mean[n : 4 * n].reshape(3, n)
+    along = estimator.balance.frictions[:, :, [OFFSET_PART, VISCOUS_PART, COULOMB_PART]]
+    along = along.transpose(2, 1, 0).reshape(3 * n, -1)
+    sigma = np.linalg.norm(inverse[n : 4 * n] + along @ inverse[4 * n :], axis=1)
+    change = (null.mean[n : 4 * n] + along @ null.mean[4 * n :]).reshape(3, n)
     share = payload_share(estimator)
     mass = float(share @ null.mean[4 * n :])
     spread = np.linalg.norm(share @ inverse[4 * n :]) if share.any() else np.inf
     return Learned(
         mass, float(spread), chain.friction[:, OFFSET] + change[0],
         chain.friction[:, VISCOUS] + change[1], chain.friction[:, COULOMB] + change[2],
-        sigma[n : 4 * n].reshape(3, n), null.noise / estimator.plan.interval,
+        sigma.reshape(3, n), null.noise / estimator.plan.interval,
         len(estimator) * estimator.plan.interval)  # fmt: skip
 
 

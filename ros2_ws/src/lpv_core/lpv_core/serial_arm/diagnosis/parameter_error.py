@@ -1,13 +1,14 @@
-"""Directions in which the inertial parameters of an arm may be wrong.
+"""Directions in which the parameters of an arm may be wrong.
 
 The errors F^T z, z ~ N(0, I), of all parameters have many components that no motion shows.  What
 torques show of them is found from sampled motions: E F^T = U S V^T with E the regressors of the
-momentum's forces; rows of V^T F are independent directions of unit weight, largest effect first.
+momentum's forces and of friction; rows of V^T F are independent directions of unit weight, largest
+effect first.  An identification knows masses and friction better together than each for itself.
 """
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import MASS, MX, Chain, FloatArray, joint_count
+from lpv_core.serial_arm.chain import MASS, MX, SLOPE, Chain, FloatArray, joint_count
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.dynamics.payload import payload_parameters
@@ -19,26 +20,29 @@ _NEGLIGIBLE = 0.005
 """Directions with a smaller effect on the torques of all joints, relative to them, are left out."""
 
 
-def inertial_factor(arm: SerialArm, chain: Chain) -> FloatArray:
-    """Square root F of the covariance F^T F of the inertial parameters.
+def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
+    """Square root F of the covariance F^T F of inertial parameters and friction.
 
     Parameters
     ----------
     arm : SerialArm
-        Its covariance is taken where it was identified, else `MODEL_ERROR`.
+        Its covariance is taken where it was identified, else `MODEL_ERROR` without friction.
     chain : Chain
         The same arm, compiled.
 
     Returns
     -------
-    ndarray, shape (rows, 10 n)
-        The last four rows are the unknown payload: mass, and its place by 0.1 m.
+    ndarray, shape (rows, 14 n)
+        Columns: 10 inertial parameters of each link; viscous, Coulomb and load-dependent friction
+        and offsets of all joints.  The last four rows are the unknown payload: mass, and its place
+        by 0.1 m.
     """
     n = joint_count(chain)
     if arm.covariance is not None:
-        rows = [np.array(arm.covariance.factor)[:, : 10 * n]]
+        factor = np.array(arm.covariance.factor)
+        rows = [np.delete(factor, np.arange(10 * n, 11 * n), 1)]  # all but the rotors
     else:
-        rows = [relative_factor(chain, MODEL_ERROR)]
+        rows = [_without_friction(relative_factor(chain, MODEL_ERROR))]
     mass = arm.uncertainty.payload
     if mass > 0.0:
         load = np.zeros((4, n, 10))
@@ -46,8 +50,14 @@ def inertial_factor(arm: SerialArm, chain: Chain) -> FloatArray:
         load[0, -1] = at_tip
         for k in range(3):
             load[1 + k, -1, MX + k] = 0.1 * mass
-        rows.append(load.reshape(4, -1))
+        rows.append(_without_friction(load.reshape(4, -1)))
     return np.vstack(rows)
+
+
+def _without_friction(factor: FloatArray) -> FloatArray:
+    """The same rows, for inertial parameters and friction."""
+    n = factor.shape[1] // 10
+    return np.hstack([factor, np.zeros((len(factor), 4 * n))])
 
 
 def relative_factor(chain: Chain, relative: float) -> FloatArray:
@@ -86,17 +96,17 @@ def _inertia(body: FloatArray) -> FloatArray:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def inertial_directions(
+def parameter_directions(
     chain: Chain, factor: FloatArray, speed: FloatArray, limit: int = 16
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """The directions that matter most.
 
     Parameters
     ----------
     chain : Chain
         The arm.
-    factor : ndarray, shape (rows, 10 n)
-        F of the covariance F^T F of the inertial parameters.
+    factor : ndarray, shape (rows, 14 n)
+        F of `parameter_factor`.
     speed : ndarray, shape (n,)
         Usual rates [rad/s].
     limit : int, optional
@@ -104,21 +114,34 @@ def inertial_directions(
 
     Returns
     -------
-    ndarray, shape (k, n, 10)
-        Independent, of standard deviation one.
+    tuple of ndarray, shapes (k, n, 10) and (k, n, 4)
+        Inertial parameters and friction (columns of `Chain.friction`) of independent directions of
+        standard deviation one.
     """
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)
-    forces = []
+    forces, frictions = [], []
     for q in _poses(rng, n):
-        forces.append(model.momentum_regressor(q, speed * rng.uniform(-1.0, 1.0, n))[1])
+        rate = speed * rng.uniform(-1.0, 1.0, n)
+        force = model.momentum_regressor(q, rate)[1]
+        forces.append(force)
+        load = np.abs(force @ chain.inertial.ravel())
+        sign = 2.0 / np.pi * np.arctan(chain.friction[:, SLOPE] * rate)
+        frictions.append(
+            -np.hstack([np.diag(one) for one in (rate, sign, load * sign, 1.0 + 0.0 * rate)])
+        )
     usual = np.sqrt(np.mean([(force @ chain.inertial.ravel()) ** 2 for force in forces], axis=0))
     usual = np.maximum(usual, 0.01 * usual.max() + 1e-9)
-    effects = np.array([(force / usual[:, None]) @ factor.T for force in forces])
+    effects = np.array([
+        (np.hstack(both) / usual[:, None]) @ factor.T for both in zip(forces, frictions)
+    ])  # fmt: skip
     right = np.linalg.svd(effects.reshape(-1, len(factor)), full_matrices=False)[2]
     sizes = np.sqrt(((effects @ right.T) ** 2).mean(0)).max(0)
-    kept = right[:limit][sizes[:limit] > _NEGLIGIBLE]
-    return np.ascontiguousarray((kept @ factor).reshape(len(kept), n, 10))
+    found = right[:limit][sizes[:limit] > _NEGLIGIBLE] @ factor
+    friction = found[:, 10 * n :].reshape(-1, 4, n).transpose(0, 2, 1)
+    return (
+        np.ascontiguousarray(found[:, : 10 * n].reshape(-1, n, 10)), np.ascontiguousarray(friction)
+    )  # fmt: skip
 
 
 def _poses(rng: np.random.Generator, joints: int) -> FloatArray:

@@ -4,8 +4,9 @@ A reading that jumps shows in
 
     e_k = y_k - y_(k-1) - T (v_(k-1) + v_(k+1)) / 2,
 
-which leaves out v_k: where rates are differences of the same reading, v_k jumps with it.  What all
-joints have in common, e = v dt, is a wrong stamp, not an encoder.
+which leaves out v_k: where rates are differences of the same reading, v_k jumps with it.  Rates
+that are independent may leave out another one.  What all joints but one have in common, e = v dt,
+is a wrong stamp or a repeated sample, not an encoder.
 """
 
 from typing import NamedTuple
@@ -28,67 +29,31 @@ TIME, INTERVAL_START, BLOCK_START = range(3)
 """Entries of `Sampler.clock` [s]."""
 JUMP_SCALE = 10.0
 """A jump is larger than so many times the usual size of e."""
+_SLOW = 0.05
+"""Rates that do not tell whether a stamp is wrong [rad/s]."""
 
 
 class Sampler(NamedTuple):
-    """Samples on their way into the balance.
+    """Samples on their way into the balance."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (HISTORY,)
-        Stamps of the last samples, newest last [s].
-    samples : ndarray, shape (HISTORY, 3, n)
-        Readings, rates, torques.
-    jumps : ndarray, shape (HISTORY, n)
-        e of each.
-    scale : ndarray, shape (n,)
-        Usual size of e [rad].
-    smallest : ndarray, shape (n,)
-        Smallest jump that is looked for [rad].
-    correction, drift : ndarray, shape (n,)
-        Fault that is removed from the reading [rad] and its rate [rad/s].
-    derived : ndarray, shape (n,)
-        1 where the rate is derived from the reading.
-    sums : ndarray, shape (3, n)
-        Of the current block.
-    blocks : ndarray, shape (capacity, 3 n + 3)
-        Means q, v, tau of the last blocks, with their time, length and place: a ring.
-    found : ndarray, shape (n,)
-        `STEP`, `SPIKE` or `NONE` of the last sample.
-    size : ndarray, shape (n,)
-        Height of a step that was found [rad].
-    raw : ndarray, shape (n,)
-        Last reading as it came [rad].
-    still : ndarray, shape (n,)
-        Samples for which the reading has not changed at all.
-    repeats : ndarray, shape (n,)
-        Share of readings that equal the one before, as of quantised encoders that move slowly.
-    stop : ndarray, shape (n,)
-        Speed of the reading before it came to rest [rad/s].
-    counters : ndarray of int64, shape (5,)
-        Counters.
-    clock : ndarray, shape (3,)
-        Moments [s].
-    """
-
-    time: FloatArray
-    samples: FloatArray
-    jumps: FloatArray
-    scale: FloatArray
-    smallest: FloatArray
-    correction: FloatArray
-    drift: FloatArray
-    derived: FloatArray
-    sums: FloatArray
-    blocks: FloatArray
-    found: IntArray
-    size: FloatArray
-    raw: FloatArray
-    still: IntArray
-    repeats: FloatArray
-    stop: FloatArray
-    counters: IntArray
-    clock: FloatArray
+    time: FloatArray  # stamps of the last samples, newest last, shape (HISTORY,) [s]
+    samples: FloatArray  # readings, rates, torques, shape (HISTORY, 3, n)
+    jumps: FloatArray  # e of each, shape (HISTORY, n)
+    scale: FloatArray  # usual size of e, shape (n,) [rad]
+    smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
+    correction: FloatArray  # (n,) fault that is removed from the reading [rad]
+    drift: FloatArray  # (n,) its rate [rad/s]
+    derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
+    sums: FloatArray  # of the current block, shape (3, n)
+    blocks: FloatArray  # (capacity, 3 n + 3) ring: q, v, tau of blocks; time, length, place
+    found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
+    size: FloatArray  # height of a step that was found, shape (n,) [rad]
+    raw: FloatArray  # last reading as it came, shape (n,) [rad]
+    still: IntArray  # samples for which the reading has not changed at all, shape (n,)
+    repeats: FloatArray  # (n,) share of readings that equal the one before (quantised, slow)
+    stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
+    counters: IntArray  # (5,)
+    clock: FloatArray  # moments, shape (3,) [s]
 
 
 def new_sampler(
@@ -173,50 +138,119 @@ def push_sample(
 @njit
 def _set_jumps(sampler: Sampler) -> None:
     """Write e of the last sample but one, less what a wrong stamp explains."""
-    k, n = HISTORY - 2, sampler.scale.shape[0]
+    k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
     period = sampler.time[k] - sampler.time[k - 1]
-    moving, total, common, weight = 0, 0.0, 0.0, 0.0
     for i in range(n):
-        rate = 0.5 * (sampler.samples[k - 1, 1, i] + sampler.samples[k + 1, 1, i])
-        jump = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i] - period * rate
-        sampler.jumps[k, i] = jump
-        moving += abs(rate) > 0.05
-        total += jump * jump
-        common += jump * rate
-        weight += rate * rate
-    if moving < 3 or common * common < 0.9 * total * weight:
+        way = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
+        sampler.jumps[k, i] = way - period * _mean_rate(sampler, i)
+        beyond = beyond or abs(sampler.jumps[k, i]) > _smallest_jump(sampler, i)
+    if not beyond:
         return
+    period += _wrong_stamp(sampler)
     for i in range(n):
-        rate = 0.5 * (sampler.samples[k - 1, 1, i] + sampler.samples[k + 1, 1, i])
-        sampler.jumps[k, i] -= rate * common / weight
+        sampler.jumps[k, i] = _unexplained(sampler, i, period)
+
+
+@njit
+def _unexplained(sampler: Sampler, i: int, period: float) -> float:
+    """What no two of three rates explain of a way, if they are independent [rad].
+
+    A joint that shakes faster than it is sampled does not jump, nor does one whose rate is wrong.
+    """
+    k, rate = HISTORY - 2, sampler.samples[:, 1, i]
+    way = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
+    least = way - period * _mean_rate(sampler, i)
+    if sampler.derived[i] == 0.0:
+        for other in (k - 1, k + 1):
+            rest = way - 0.5 * period * (rate[k] + rate[other])
+            least = rest if abs(rest) < abs(least) else least
+    return least
+
+
+@njit
+def _mean_rate(sampler: Sampler, i: int) -> float:
+    """Mean rate of a joint before and after the last sample but one [rad/s]."""
+    return 0.5 * (sampler.samples[HISTORY - 3, 1, i] + sampler.samples[HISTORY - 1, 1, i])
+
+
+@njit
+def _wrong_stamp(sampler: Sampler) -> float:
+    """By how much the stamp of the last sample but one is wrong, 0 if that explains nothing [s].
+
+    Three joints or more have to agree, and all but one of those in which it shows: that one may
+    have jumped as well.
+    """
+    jumps, n, late, most = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 2
+    for c in range(n):
+        if abs(_mean_rate(sampler, c)) < _SLOW:
+            continue
+        guess, agree, differ, common, weight = jumps[c] / _mean_rate(sampler, c), 0, 0, 0.0, 0.0
+        for i in range(n):
+            rate = _mean_rate(sampler, i)
+            way = guess * rate
+            if max(abs(way), abs(jumps[i])) <= 5.0 * sampler.scale[i]:
+                continue
+            if abs(jumps[i] - way) < 0.3 * abs(way):
+                agree, common, weight = agree + 1, common + jumps[i] * rate, weight + rate * rate
+            else:
+                differ += 1
+        if agree > most and differ <= 1:
+            most, late = agree, common / weight
+    return late
 
 
 @njit
 def _find_jumps(sampler: Sampler) -> None:
-    """Wait for three samples after a large e, then say what it is."""
+    """After a large e, name clear steps at once, and what else it is 3 samples later."""
     n, k = sampler.scale.shape[0], HISTORY - 2
     if sampler.counters[PENDING] < 0:
         for i in range(n):
             size = abs(sampler.jumps[k, i])
-            limit = max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
-            if size > limit:
+            if size > _smallest_jump(sampler, i):
                 sampler.counters[PENDING] = 0
             else:
                 bounded = min(size, 3.0 * sampler.scale[i])
                 change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
                 sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / 256.0)
-        return
-    sampler.counters[PENDING] += 1
+        if sampler.counters[PENDING] < 0:
+            return
+    else:
+        sampler.counters[PENDING] += 1
+    for i in range(n):
+        if _is_clear_step(sampler, i):
+            _remove_step(sampler, i, k)
+            sampler.jumps[k - 1, i] = 0.0
     if sampler.counters[PENDING] < 3:
         return
     sampler.counters[PENDING] = -1
     for i in range(n):
-        _name_jump(sampler, i)
+        if sampler.found[i] == NONE:
+            _name_jump(sampler, i)
+
+
+@njit
+def _smallest_jump(sampler: Sampler, i: int) -> float:
+    """Size of e beyond which a reading jumps."""
+    return max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
+
+
+@njit
+def _is_clear_step(sampler: Sampler, i: int) -> bool:
+    """Whether the last sample but one jumped and the last one confirms it, whatever the rates."""
+    k, samples = HISTORY - 2, sampler.samples
+    jump = sampler.jumps[k, i]
+    if abs(jump) <= max(_smallest_jump(sampler, i), abs(sampler.jumps[k - 1, i]) / 0.6):
+        return False
+    way = samples[k + 1, 0, i] - samples[k - 1, 0, i] - jump
+    period = sampler.time[k + 1] - sampler.time[k - 1]
+    before, after = samples[k - 1, 1, i], samples[k + 1, 1, i]
+    largest = max(abs(way - period * before), abs(way - 0.5 * period * (before + after)))
+    return largest < 0.3 * abs(jump)
 
 
 @njit
 def _name_jump(sampler: Sampler, i: int) -> None:
-    """Tell step, spike and wrong rate apart by the pattern of e, and remove them."""
+    """Tell steps, spikes and wrong rates apart by the pattern of e, and remove them."""
     first, last = HISTORY - 5, HISTORY - 2
     largest = 0.0
     for k in range(first, last):
@@ -225,7 +259,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     while abs(sampler.jumps[peak, i]) < 0.9 * largest:
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
-    if abs(size) <= max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i]):
+    if abs(size) <= _smallest_jump(sampler, i):
         return
     if abs(after + size) < 0.3 * abs(size):
         sampler.found[i] = SPIKE
@@ -238,6 +272,13 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         if abs(again - size) < 0.3 * abs(size):
             _smooth_rates(sampler, i, peak + 1, 1)
             return
+    _remove_step(sampler, i, peak)
+
+
+@njit
+def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
+    """Take a step out of all readings since its first one."""
+    size = sampler.jumps[peak, i]
     sampler.found[i] = STEP
     sampler.size[i] = size
     sampler.correction[i] += size
