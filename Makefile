@@ -31,6 +31,8 @@ demo: setup ## design gains, run the graph on a 20 s scenario, record, report
 # One process more than cores, as many tests wait; files in the order of testpaths, where long ones
 # come first. A graph that must keep up with the wall clock needs the machine for itself.
 PARALLEL := -n $(shell expr $$(nproc) + 1) --dist loadfile --no-loadscope-reorder
+# Tests without nodes never wait; a process that has nothing left to do takes over from another.
+FAST := -n $(shell nproc) --dist worksteal
 
 test: setup-test ## run all tests, or those that TEST_ARGS selects
 ifeq ($(TEST_ARGS),)
@@ -41,7 +43,7 @@ else
 endif
 
 test-fast: setup-test ## run the tests that need neither nodes nor long runs (under two minutes)
-	@$(IN_ENV) python -m pytest $(PARALLEL) -m "not slow and not ros" $(TEST_ARGS)
+	@$(IN_ENV) python -m pytest $(FAST) -m "not slow and not ros" $(TEST_ARGS)
 
 fuzz: setup-test ## run the fuzzers, LPV_FUZZ_SECONDS (default 60) each
 	@$(IN_ENV) LPV_FUZZ_SECONDS=$${LPV_FUZZ_SECONDS:-60} python -m pytest -m fuzz --timeout=0 $(TEST_ARGS)

@@ -24,6 +24,7 @@ from lpv_campaign.limit.accuracy import NAMES, limit_figures, windows
 from lpv_campaign.limit.arm_prior import known_within_priors
 from lpv_campaign.limit.cramer_rao_bound import accuracy_limit
 from lpv_campaign.limit.fault_prior import anything, random_walks
+from lpv_campaign.limit.problem import Problem
 from lpv_campaign.limit.smoother import filter_adaptively
 from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters
 from lpv_core.simulation.closed_loop import run_closed_loop
@@ -141,9 +142,8 @@ def variant_run(job):
     arm_changes, changes, gain = VARIANTS[name]
     arm, scenario, run = simulate(number, (), changes, arm_changes, gain)
     found = limit_figures(arm, scenario, run, peers=False, smoother=False)
-    walk = accuracy_limit(
-        arm, scenario, run, known_within_priors(arm, scenario), random_walks(arm, run)
-    )
+    known = known_within_priors(arm, scenario)
+    walk = accuracy_limit(Problem(arm, scenario, run, known, random_walks(arm, run)))
     found['fault_walk'] = np.sqrt(np.mean(walk.fault[windows(arm, scenario, run)[0]] ** 2))
     return name, found
 
@@ -170,9 +170,8 @@ def told_run(job):
     for signal, factor in factors.items():
         run = replace(run, **{signal: factor * getattr(run, signal)})
     told = replace(arm, **arm_changes)
-    fault, _ = filter_adaptively(
-        told, scenario, run, known_within_priors(told, scenario), anything(run)
-    )
+    known = known_within_priors(told, scenario)
+    fault, _ = filter_adaptively(Problem(told, scenario, run, known, anything(run)))
     mask = windows(arm, scenario, run)[0]
     error = (fault - run.fault)[mask]
     return name, {'fault': np.sqrt(np.mean(error**2)), 'largest': np.abs(error).max()}

@@ -179,9 +179,7 @@ def _monitor(c, s, buffers, answer, measured, period, part, position, velocity, 
             c.observer, s.observer, s.estimate, round(k * period * 1e9), position, velocity, effort
         )
         if part == 1:
-            update_bound(
-                c.diagnosis.bound, s.diagnosis.bound, s.estimate, s.diagnosis.reckoning.lost
-            )
+            update_bound(c.diagnosis.bound, s.diagnosis.bound, s.estimate, s.diagnosis.reckoning)
 
 
 @njit

@@ -21,11 +21,11 @@ TORQUE = (5.0, -2.0)
 def ours(constants, dt):
     """Two Runge-Kutta steps a sample, as the simulator makes them."""
     state = (0.1, -0.2, 0.0, 0.0)
-    rk4_step(*state, *TORQUE, 0.0, 0.0, dt, constants)
+    rk4_step(state, TORQUE, (0.0, 0.0), dt, constants)
     start = time.perf_counter()
     for _ in range(SAMPLES):
         for _ in range(2):
-            state = rk4_step(*state, *TORQUE, 0.0, 0.0, dt / 2, constants)
+            state = rk4_step(state, TORQUE, (0.0, 0.0), dt / 2, constants)
     return time.perf_counter() - start, np.array(state)
 
 

@@ -42,21 +42,11 @@ class NotDetectableError(InfeasibleError):
 
 @dataclass
 class DesignResult:
-    """Gains and how they were checked.
+    """Gains and how they were checked."""
 
-    Attributes
-    ----------
-    gains : Gains
-        Ready to be written.
-    lines : list of str
-        What the designer should read: margins, poles, bounds.
-    guarantee : Guarantee
-        Thresholds over the region.
-    """
-
-    gains: Gains
-    lines: list
-    guarantee: Guarantee
+    gains: Gains  # ready to be written
+    lines: list  # what the designer should read: margins, poles, bounds
+    guarantee: Guarantee  # thresholds over the region
 
 
 def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:

@@ -29,10 +29,10 @@ class PaperProblem:
 
 
 def paper_problem(
-    arm: ArmParameters, s_min: float, q: float = 20.0, r: float = 15.0, s_max: float = 1.0
+    arm: ArmParameters, s_min: float, q: float = 20.0, r: float = 15.0
 ) -> PaperProblem:
-    """Set up the LMIs for phi2, phi3 in [s_min, s_max]."""
-    box = sinc_box(s_min, s_max)
+    """Set up the LMIs for phi2, phi3 in [s_min, 1]."""
+    box = sinc_box(s_min)
     a, b = vertex_matrices(box, arm.constants(coriolis=False))
     descriptor = Descriptor(a, b, arm)
     t1, t2 = decoupling(descriptor.e, descriptor.c)

@@ -16,12 +16,13 @@ from lpv_core.certificate.conditions import (
     verify,
 )
 from lpv_core.certificate.error_system import link_errors
-from lpv_core.certificate.gains import ExactObserverGains
+from lpv_core.certificate.gains import ExactObserverGains, load_gains
 from lpv_core.model.arm import ARM_CONSTANTS
 from lpv_core.model.polytope import sinc_box
 from lpv_core.model.state_space import vertex_matrices
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.records import new_record
+from lpv_core.support.resources import bringup_file
 from lpv_design.controller import (
     PUBLISHED_M1,
     PUBLISHED_M2,
@@ -358,6 +359,14 @@ def test_given_shipped_requirements_when_designed_then_every_check_holds(
 ):
     assert failing(arm, gains_of[arm.name]) == []
     assert failing(paper_arm, literal_gains) == []
+
+
+def test_given_shipped_requirements_when_designed_then_gains_are_the_shipped_ones(arm, gains_of):
+    found, shipped = gains_of[arm.name], load_gains(bringup_file('gains', arm.name))
+    for part, names in (('observer', ('kappa', 'mu')), ('controller', ('m1', 'm2'))):
+        for name in names:
+            wanted = getattr(getattr(shipped, part), name)
+            np.testing.assert_allclose(getattr(getattr(found, part), name), wanted, rtol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from fuzzing import Tally, cases
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from lpv_core.support.errors import LpvError
 
@@ -128,10 +128,12 @@ def numbers(message):
 class Output:
     """Takes the place of a publisher: keeps the numbers of what is published since `take`."""
 
-    def __init__(self):
-        self._kept, self.last = [], None
+    def __init__(self, kind):
+        self._kind, self._kept, self.last = kind, [], None
 
     def publish(self, message):
+        if isinstance(message, bytes):
+            message = deserialize_message(message, self._kind)
         self.last = message
         self._kept.append(numbers(message))
 

@@ -10,7 +10,7 @@ from lpv_core.decision.diagnosis import diagnosis_constants
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JointMap
 from lpv_core.observer.sampled_observer import ESTIMATE
-from lpv_core.residual import change_detection, sample_buffer
+from lpv_core.residual import change_detection, dead_reckoning, sample_buffer
 from lpv_core.support.records import new_record
 
 
@@ -136,12 +136,13 @@ class ErrorBound:
     def __init__(self, arm, gains, sigmas, friction_uncertainty):
         self.constants = error_bound.error_bound(arm, gains, sigmas, friction_uncertainty)
         self.state = new_record(error_bound.BOUND_STATE)
+        self.reckoning = new_record(dead_reckoning.RECKONING_STATE)
 
     def static(self, theta):
         return error_bound.static_bound(self.constants, theta)
 
     def update(self, estimate):
-        error_bound.update_bound(self.constants, self.state, estimate, np.zeros(2))
+        error_bound.update_bound(self.constants, self.state, estimate, self.reckoning)
         return self.state.bound.copy()
 
 

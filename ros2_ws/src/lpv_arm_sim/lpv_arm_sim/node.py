@@ -4,12 +4,12 @@ import sys
 import time
 from dataclasses import replace
 
-from builtin_interfaces.msg import Time
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from lpv_arm_sim.services import FaultServices
@@ -20,15 +20,13 @@ from lpv_core.control.watchdog import (
     UNKNOWN_LOOP,
     BrakeReason,
     DriveLimits,
+    DriveWatchdog,
     LatencyLimits,
-    check_drive,
-    drive_watchdog,
     latency_limits,
 )
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
-from lpv_core.simulation.arm_simulator import Measurement, Truth
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
@@ -36,8 +34,8 @@ from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import declare_gains, fixed, read_gains_if_set, required_text
 from lpv_node.qos import stream
-from lpv_node.sequences import doubles
-from lpv_node.stamps import set_stamp, to_nanoseconds
+from lpv_node.serialized import SerializedMessage
+from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
 SPECS = (
@@ -126,13 +124,14 @@ class SimulatorNode(ManagedNode):
         substeps = self.get_parameter('substeps').value
         self._plant = new_simulator(self._arm, scenario, substeps)
         limits = DriveLimits(self._latency_limits())
-        self._watchdog = drive_watchdog(self._arm, limits)
+        self._watchdog = DriveWatchdog(self._arm, limits)
         # Compile before the first step, not on it.
         trial = new_simulator(self._arm, scenario, substeps)
-        trial.sense()
+        trial.read()
         trial.step([0.0] * len(self._arm.joint_names))
         trial.hold()
-        check_drive(drive_watchdog(self._arm, limits), 1, 0, True, self._plant.state.velocity)
+        self._velocity = self._plant.signals['velocity']
+        DriveWatchdog(self._arm, limits).check(1, 0, True, self._velocity)
         self._start = self._first = self._answered = 0  # stamps of samples [ns]
         self._refusals = Refusals(self)
         self._period = round(self._arm.sample_time * NANOSECONDS)
@@ -146,10 +145,24 @@ class SimulatorNode(ManagedNode):
         self._status = StatusReporter(self, 'drives', self._arm.name)
         self._faults = FaultServices(self, self._plant)
         self.create_service(Trigger, '~/release_brakes', self._on_release)
-        self._state_message = JointState(name=list(self._arm.joint_names))
-        self._state_message.header.frame_id = 'base_link'
-        self._truth_message = GroundTruth()
-        self._truth_message.header.frame_id = self._arm.name
+        self._make_messages()
+
+    def _make_messages(self) -> None:
+        """Messages that are made of the simulator's own memory."""
+        now = self._plant.signals
+        self._clock_message = SerializedMessage(ClockMessage(), {}, 'clock')
+        self._state_message = SerializedMessage(
+            JointState(header=Header(frame_id='base_link'), name=list(self._arm.joint_names)),
+            {
+                'position': now['measured_position'],
+                'velocity': now['measured_velocity'],
+                'effort': now['effort'],
+            },
+        )
+        truth = {name: now[name] for name in ('position', 'velocity', 'fault', 'disturbance')}
+        self._truth_message = SerializedMessage(
+            GroundTruth(header=Header(frame_id=self._arm.name)), {**truth, 'torque': now['effort']}
+        )
 
     def _latency_limits(self) -> LatencyLimits:
         """As the gains of the loop allow, if they are known, or as parameters say."""
@@ -254,7 +267,7 @@ class SimulatorNode(ManagedNode):
         self._peers = peers
         if self._newcomers and time.monotonic() - self._sent > _PATIENCE:
             self._sent = time.monotonic()
-            self._joint_states_out.publish(self._state_message)
+            self._joint_states_out.publish(self._state_message.at(self._waiting))
 
     def _tick(self) -> None:
         """Make the steps that are due; only while it is braked may the arm leave some out."""
@@ -270,13 +283,11 @@ class SimulatorNode(ManagedNode):
 
     def _advance(self) -> None:
         """Let the present command act over one sample, or the brakes."""
-        command, velocity = self._command, self._plant.state.velocity
+        command = self._command
         reason = BrakeReason.NO_COMMAND
         if command is not None:
             age = 0 if self.lockstep else self._age()
-            reason = BrakeReason(
-                check_drive(self._watchdog, self._stamp, age, command.safe_stop, velocity)
-            )
+            reason = self._watchdog.check(self._stamp, age, command.safe_stop, self._velocity)
         if command is not None and reason is BrakeReason.NONE:
             self._plant.step(command.torque)
         else:
@@ -292,15 +303,18 @@ class SimulatorNode(ManagedNode):
             elif self._reason is None or reason is BrakeReason.OVERSPEED:
                 self.get_logger().error(f'brakes engaged: {self._brake_text(reason)}')
             self._reason = reason
-        values = {'samples left out': self._slips, **self._refusals.counts}
         if reason is BrakeReason.NO_COMMAND:
-            self._status.report(self._stamp, WARN, 'braked: no command yet', values)
+            status = WARN, 'braked: no command yet'
         elif reason is not None:
-            self._status.report(self._stamp, ERROR, f'braked: {self._brake_text(reason)}', values)
+            status = ERROR, f'braked: {self._brake_text(reason)}'
         elif self._refusals.is_recent:
-            self._status.report(self._stamp, WARN, 'driven; commands are refused', values)
+            status = WARN, 'driven; commands are refused'
         else:
-            self._status.report(self._stamp, OK, 'driven', values)
+            status = OK, 'driven'
+        self._status.report(self._stamp, *status, self._status_values)
+
+    def _status_values(self) -> dict[str, int]:
+        return {'samples left out': self._slips, **self._refusals.counts}
 
     def _count_senders(self) -> None:
         """Notice a second sender of commands, which is a fault of the graph."""
@@ -326,30 +340,15 @@ class SimulatorNode(ManagedNode):
         return response
 
     def _publish(self) -> None:
-        measurement, truth = self._plant.sense()
+        self._plant.read()
         stamp = self._stamp
         self._waiting = stamp
         if self._clock_out is not None:
-            clock = ClockMessage(clock=Time())
-            set_stamp(clock.clock, stamp)
-            self._clock_out.publish(clock)
-        self._publish_truth(stamp, truth, measurement)
-        message = self._state_message
-        set_stamp(message.header.stamp, stamp)
-        message.position = doubles(measurement.position)
-        message.velocity = doubles(measurement.velocity)
-        message.effort = doubles(measurement.effort)
-        self._joint_states_out.publish(message)
+            self._clock_out.publish(self._clock_message.at(stamp))
+        self._truth_out.publish(self._truth_message.at(stamp))
+        self._joint_states_out.publish(self._state_message.at(stamp))
         self._sent = time.monotonic()
         self._report_progress()
-
-    def _publish_truth(self, stamp: int, truth: Truth, measurement: Measurement) -> None:
-        message = self._truth_message
-        set_stamp(message.header.stamp, stamp)
-        message.position, message.velocity = doubles(truth.position), doubles(truth.velocity)
-        message.torque, message.fault = doubles(measurement.effort), doubles(truth.fault)
-        message.disturbance = float(truth.disturbance)
-        self._truth_out.publish(message)
 
     def _report_progress(self) -> None:
         step = self._plant.step_count

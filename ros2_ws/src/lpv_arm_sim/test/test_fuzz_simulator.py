@@ -7,11 +7,13 @@ from places import BRINGUP
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 from hostile import Output, Refused, forge, node_of, request_service, run_cases, set_parameters  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from lpv_arm_sim.node import SimulatorNode  # noqa: E402
 from lpv_core.simulation.faults import MAX_FAULTS  # noqa: E402
-from lpv_msgs.msg import TorqueCommand  # noqa: E402
+from lpv_msgs.msg import GroundTruth, TorqueCommand  # noqa: E402
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
@@ -24,8 +26,8 @@ class Drives:
 
     def __init__(self, node):
         self.node = node
-        self.states = node._joint_states_out = Output()
-        node._truth_out = node._clock_out = Output()
+        self.states = node._joint_states_out = Output(JointState)
+        node._truth_out, node._clock_out = Output(GroundTruth), Output(Clock)
         node._ticker, node._newcomers, node._peers = object(), False, (1, 1)
         node._count_peers = lambda: (1, 1)
         node._publish()

@@ -12,7 +12,8 @@ from lpv_campaign.limit.arm_prior import known_exactly, known_within_priors
 from lpv_campaign.limit.cramer_rao_bound import accuracy_limit
 from lpv_campaign.limit.fault_prior import anything, known_shape, random_walks
 from lpv_campaign.limit.kalman_smoother import both_passes
-from lpv_campaign.limit.linearisation import LinearSystem, linearise, measurements, true_states
+from lpv_campaign.limit.linearisation import LinearSystem, linearise, measurements
+from lpv_campaign.limit.problem import Problem
 from lpv_campaign.limit.smoother import filter_adaptively, smooth
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.arm_simulator import ArmSimulator
@@ -151,8 +152,9 @@ def test_given_another_state_or_arm_when_simulated_then_it_moves_as_the_jacobian
     arm = replace(rough_arm, disturbance_variance=0.0)
     run = run_closed_loop(rough_arm, rough_gains, scenario)
     knowledge = known_within_priors(arm, scenario)
-    states = true_states(arm, run, knowledge, [])
-    system = linearise(arm, scenario, run, knowledge, [], states)
+    problem = Problem(arm, scenario, run, knowledge, [])
+    states = problem.true_states()
+    system = linearise(problem, states)
     assert knowledge.names == ('mass 1', 'inertia 1', 'mass 2', 'inertia 2', 'payload', 'friction')
 
     def after(k, state, changed=scenario, mean=arm.disturbance_mean):
@@ -192,12 +194,13 @@ def test_given_a_fault_and_no_noise_when_linearised_at_the_truth_then_readings_a
     scenario = short(two_faults, faults=(fault,), noise=False)
     run = run_closed_loop(paper_arm, paper_gains, scenario, transport=Transport(3, 0.1))
     knowledge, faults = known_exactly(paper_arm, scenario), known_shape(paper_arm, scenario, run)
-    states = true_states(paper_arm, run, knowledge, faults)
+    problem = Problem(paper_arm, scenario, run, knowledge, faults)
+    states = problem.true_states()
     if fault.kind in ('bias', 'drift', 'rate_bias'):
         states[:, 4] = fault.rate if fault.kind == 'drift' else fault.size
     elif fault.kind in ('stuck', 'noise', 'spike'):
         states[:, 4] = run.fault[:, paper_arm.sensor_names.index(fault.sensor)]
-    system = linearise(paper_arm, scenario, run, knowledge, faults, states)
+    system = linearise(problem, states)
     there = np.isfinite(system.r)
     assert there[:, 4:].any() and not there[run.lost].any()
     assert np.allclose(measurements(paper_arm, run)[there], system.readings[there], atol=1e-9)
@@ -205,10 +208,7 @@ def test_given_a_fault_and_no_noise_when_linearised_at_the_truth_then_readings_a
     for j in range(states.shape[1]):
         step = np.zeros_like(states)
         step[:, j] = 1e-6
-        moved = [
-            linearise(paper_arm, scenario, run, knowledge, faults, states + s).readings
-            for s in (step, -step)
-        ]
+        moved = [linearise(problem, states + s).readings for s in (step, -step)]
         assert np.allclose((moved[0] - moved[1]) / 2e-6, system.h[:, :, j], atol=1e-6)
 
 
@@ -218,8 +218,9 @@ def test_given_a_run_when_the_truth_moves_then_only_the_disturbance_is_not_expla
     scenario = short(two_faults, mass_factors=(1.04, 0.97), disturbance_factor=1.5)
     run = run_closed_loop(paper_arm, paper_gains, scenario, transport=Transport(2))
     knowledge = known_exactly(paper_arm, scenario)
-    states = true_states(paper_arm, run, knowledge, [])
-    system = linearise(paper_arm, scenario, run, knowledge, [], states)
+    problem = Problem(paper_arm, scenario, run, knowledge, [])
+    states = problem.true_states()
+    system = linearise(problem, states)
     left = states[1:] - system.moved[:-1]
     push = left[:, 2] / np.where(system.g[:-1, 2] == 0.0, 1.0, system.g[:-1, 2])
     # Coriolis terms are quadratic in what one push changes.
@@ -258,8 +259,8 @@ def test_given_many_runs_when_smoothed_then_the_limit_is_reached_and_not_passed(
         scenario = normal_arm(rough_arm, short(two_faults, faults=both, seed=number), rng)
         run = run_closed_loop(rough_arm, rough_gains, scenario)
         knowledge, faults = know(rough_arm, scenario), known_shape(rough_arm, scenario, run)
-        best = smooth(rough_arm, scenario, run, knowledge, faults)
-        least = accuracy_limit(rough_arm, scenario, run, knowledge, faults)
+        problem = Problem(rough_arm, scenario, run, knowledge, faults)
+        best, least = smooth(problem), accuracy_limit(problem)
         assert best.converged
         squares['fault'].append(((best.fault - run.fault)[-1] / least.smoothed_fault[-1]) ** 2)
         angle = best.angle - joints.absolute_position(run.position)
@@ -280,7 +281,7 @@ def test_given_less_knowledge_when_limits_are_compared_then_they_are_ordered(
     shapes = known_shape(rough_arm, scenario, run)
 
     def last(knowledge, faults, changed=scenario):
-        return accuracy_limit(rough_arm, changed, run, knowledge, faults).fault[-1, 0]
+        return accuracy_limit(Problem(rough_arm, changed, run, knowledge, faults)).fault[-1, 0]
 
     ordered = [
         last(exact, shapes),
@@ -291,7 +292,7 @@ def test_given_less_knowledge_when_limits_are_compared_then_they_are_ordered(
     assert np.all(np.diff(ordered) > 0.0)
     assert last(exact, shapes, replace(scenario, noise_factor=2.0)) > 1.3 * ordered[0]
     # Given anything at all at each sample, a fault is known as well as the angle and the noise.
-    free = accuracy_limit(rough_arm, scenario, run, exact, anything(run))
+    free = accuracy_limit(Problem(rough_arm, scenario, run, exact, anything(run)))
     assert np.allclose(
         free.fault[1:, 0], np.hypot(free.angle[1:, 0], rough_arm.position_noise), rtol=1e-3
     )
@@ -306,14 +307,15 @@ def test_given_unknown_faults_and_arm_when_filtered_then_the_causal_limit_is_rea
         scenario = normal_arm(rough_arm, short(two_faults, duration=2.0, seed=number), rng)
         run = run_closed_loop(rough_arm, rough_gains, scenario)
         knowledge = known_within_priors(rough_arm, scenario)
-        fault, angle = filter_adaptively(rough_arm, scenario, run, knowledge, anything(run))
-        least = accuracy_limit(rough_arm, scenario, run, knowledge, anything(run))
+        problem = Problem(rough_arm, scenario, run, knowledge, anything(run))
+        fault, angle = filter_adaptively(problem)
+        least = accuracy_limit(problem)
         error = angle - joints.absolute_position(run.position)
         squares.append((error / least.angle)[[300, 600, -1]] ** 2)
         assert np.allclose(fault, joints.sensor_position(run.measured) - angle, atol=1e-6)
         # Position sensors do not reach the angles, but for what is called arbitrary: 10 rad.
         liar = replace(run, measured=run.measured + np.where(run.time > 0.0, 0.3, 0.0)[:, None])
-        told = filter_adaptively(rough_arm, scenario, liar, knowledge, anything(run))[1]
+        told = filter_adaptively(replace(problem, run=liar))[1]
         assert np.allclose(told, angle, atol=1e-4)
     assert 0.6 < np.mean(squares) < 1.8
 

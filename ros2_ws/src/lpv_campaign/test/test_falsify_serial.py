@@ -22,6 +22,7 @@ def ur10():
     )
 
 
+@pytest.mark.slow
 def test_given_any_candidate_when_made_an_attack_then_it_is_within_the_arm_file(ur10):
     attacker, rng = SerialAttacker(ur10, 0.5), np.random.default_rng(3)
     for _ in range(5):
@@ -33,17 +34,20 @@ def test_given_any_candidate_when_made_an_attack_then_it_is_within_the_arm_file(
         assert np.abs(attack.shares).max() <= 1.0
 
 
+@pytest.mark.slow
 def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(ur10):
     worst = search(SerialAttacker(ur10, 2.0), 20)
     assert 0.4 < worst.ratio < 1.0
     assert worst.threshold < 1.5
 
 
+@pytest.mark.slow
 def test_given_a_monitor_that_is_told_too_little_when_searched_then_it_is_crossed(ur10):
     told = replace(ur10, uncertainty=Uncertainty(0.2, 0.05, 0.01))
     assert search(SerialAttacker(ur10, 2.0, told), 8).ratio > 1.0
 
 
+@pytest.mark.slow
 def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
     ur10, tmp_path, capsys
 ):

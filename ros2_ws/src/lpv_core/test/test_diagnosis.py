@@ -419,7 +419,7 @@ def test_given_a_wrong_arm_within_its_file_when_it_moves_then_errors_stay_in_the
         torque = inverse_dynamics(*state, *(pull - size * speed**2 * np.sin(angle)), true)
         effort = joints.joint_torque(torque)
         push = signs[k] * arm.disturbance_mean * np.asarray(arm.disturbance_direction)
-        state = rk4_step(*state, *torque, *push, dt, true)
+        state = rk4_step(tuple(state), tuple(torque), tuple(push), dt, true)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ def frictionless(arm):
 
 def roll(state, dt, steps, c, torque=(0.0, 0.0), push=(0.0, 0.0)):
     for _ in range(steps):
-        state = rk4_step(*state, *torque, *push, dt, c)
+        state = rk4_step(tuple(state), torque, push, dt, c)
     return np.array(state)
 
 

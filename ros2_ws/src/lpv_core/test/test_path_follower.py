@@ -135,33 +135,6 @@ def test_given_any_zero_of_q1_when_approaching_then_the_tip_is_that_of_the_refer
     )
 
 
-def test_given_an_arm_that_stands_still_when_the_reference_moves_on_then_commands_are_unheeded(
-    paper_arm, path
-):
-    there = path.sample(0.0).position + 0.5
-    guide = PathFollower(path)
-    first = guide.reference(0, there)
-    assert not guide.arm_not_following(first)
-    later = guide.reference(10**9, there)
-    assert guide.arm_not_following(later)
-    guide.stop()
-    again = guide.reference(10**9 + STEP, there)
-    np.testing.assert_allclose(again.position, there, atol=1e-12)
-    # An arm that has moved may stand still later: against an obstacle, or with a faulty sensor.
-    assert not guide.arm_not_following(guide.reference(10**9 + 2 * STEP, there - 0.02))
-    assert not guide.arm_not_following(guide.reference(2 * 10**9, there))
-
-
-def test_given_a_direct_start_beside_the_path_when_the_arm_has_not_moved_yet_then_it_gets_time(
-    paper_arm, path
-):
-    beside = path.sample(0.0).position + 0.04
-    guide = PathFollower(path)
-    assert not guide.arm_not_following(guide.reference(0, beside))
-    assert not guide.arm_not_following(guide.reference(STEP, beside))
-    assert guide.arm_not_following(guide.reference(3 * 10**9, beside))
-
-
 @pytest.mark.parametrize('offset', [0.0, 0.6])
 def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
     paper_arm, path, offset
@@ -176,11 +149,3 @@ def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
             np.testing.assert_allclose(getattr(ahead, name), values, atol=1e-12, err_msg=name)
         guide.stop()
         other.stop(int(stamps[-1]))
-
-
-def test_given_an_arm_that_follows_slowly_when_watched_then_its_commands_are_heard(paper_arm, path):
-    guide = PathFollower(path)
-    rows = follow(guide, path.sample(0.0).position, 0, 2.0)
-    guide = PathFollower(path)
-    for k, late in enumerate(np.vstack([rows['position'][:1]] * 20 + [rows['position']])[:1000]):
-        assert not guide.arm_not_following(guide.reference(k * STEP, late))

@@ -191,7 +191,7 @@ def swing(arm, plant, seconds, steps, torque=(0.0, 0.0), push=(0.0, 0.0)):
         q = np.array(torque) * math.sin(0.01 * k)
         other = plant.advance(other, q, push, 0.002, steps)
         for _ in range(steps):
-            state = rk4_step(*state, *q, *push, 0.002 / steps, c)
+            state = rk4_step(state, tuple(q), tuple(push), 0.002 / steps, c)
         worst = max(worst, np.abs(other - state).max())
     return worst
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from lpv_core.model.polytope import sinc_box
 from lpv_core.model.state_space import (
+    LPV_PLANT,
     Descriptor,
     disturbance_matrix,
     gravity_matrix,
@@ -18,6 +19,7 @@ from lpv_core.model.state_space import (
     output_matrices,
     vertex_matrices,
 )
+from lpv_core.support.records import new_record
 
 ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-5.0, 5.0), st.floats(-100.0, 100.0)
 
@@ -79,7 +81,8 @@ def test_given_any_state_when_the_lpv_plant_is_evaluated_then_it_is_eq_25(
     published, th_1, th_2, v_1, v_2, u_1, u_2
 ):
     a, b = published
-    got = lpv_rates(th_1, th_2, v_1, v_2, u_1, u_2, a, b, sinc_box(-0.2), np.zeros(8))
+    plant = new_record(LPV_PLANT, a=a, b=b, box=sinc_box(-0.2))
+    got = lpv_rates((th_1, th_2, v_1, v_2), (u_1, u_2), plant, np.zeros(8))
     expected = lpv_right_side(np.array([th_1, th_2, v_1, v_2]), (u_1, u_2), (0, 0))[2:]
     np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11)
 
@@ -91,7 +94,8 @@ def test_given_torque_and_disturbance_when_the_lpv_plant_steps_then_it_is_runge_
     k_2 = lpv_right_side(x + dt / 2 * k_1, u, push)
     k_3 = lpv_right_side(x + dt / 2 * k_2, u, push)
     k_4 = lpv_right_side(x + dt * k_3, u, push)
-    got = lpv_rk4_step(*x, *u, *push, dt, a, b, sinc_box(-0.2), np.zeros(8))
+    plant = new_record(LPV_PLANT, a=a, b=b, box=sinc_box(-0.2))
+    got = lpv_rk4_step(tuple(x), u, push, dt, plant, np.zeros(8))
     np.testing.assert_allclose(got, x + dt / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4), rtol=1e-13)
 
 

@@ -102,10 +102,14 @@ def test_given_an_arm_off_its_reference_when_it_stays_there_then_it_stops_until_
     assert check_estimate(tracker, STEP, 0, OBSERVING, True, STILL) == StopReason.TRACKING_ERROR
 
 
-def test_given_an_arm_that_stands_still_when_its_reference_leaves_then_it_is_not_following(tracker):
+@pytest.mark.parametrize('beside', [0.0, 0.04])
+def test_given_an_arm_that_stands_still_when_its_reference_leaves_then_it_is_not_following(
+    tracker, beside
+):
     position = np.zeros(2)
     reasons = [
-        check_motion(tracker, k * STEP, np.array([0.001 * k, 0.0]), position) for k in range(50)
+        check_motion(tracker, k * STEP, np.array([0.001 * k + beside, 0.0]), position)
+        for k in range(50)
     ]
     assert first(reasons, StopReason.NOT_FOLLOWING) == 21
     note_stop(tracker)

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Iterable, Sized
+from itertools import chain
 
 from rclpy.node import Node
 
@@ -18,17 +19,12 @@ _CONFIRMATIONS = 3
 
 def all_finite(*fields: Iterable[float]) -> bool:
     """Whether all elements of some number fields are finite."""
-    return all(math.isfinite(value) for field in fields for value in field)
-
-
-def all_within(largest: float, *fields: Iterable[float]) -> bool:
-    """Whether all elements of some number fields are at most so large; NaN is not."""
-    return all(abs(value) <= largest for field in fields for value in field)
+    return all(map(math.isfinite, chain.from_iterable(fields)))
 
 
 def all_sized(count: int, *fields: Sized) -> bool:
     """Whether some fields have one element for each of the arm's joints."""
-    return all(len(field) == count for field in fields)
+    return {*map(len, fields)} == {count}
 
 
 class StampGuard:

@@ -4,7 +4,7 @@ from builtin_interfaces.msg import Time
 
 from lpv_core.support.timestamps import NANOSECONDS
 
-_LAST = 2**31 * NANOSECONDS - 1
+LAST_STAMP = 2**31 * NANOSECONDS - 1
 
 
 def to_nanoseconds(stamp: Time) -> int:
@@ -15,4 +15,4 @@ def to_nanoseconds(stamp: Time) -> int:
 def set_stamp(stamp: Time, nanoseconds: int) -> None:
     """Write nanoseconds into a stamp, the last one of its type if they are more."""
     # Stamps of others may have more than a second in their nanoseconds.
-    stamp.sec, stamp.nanosec = divmod(min(nanoseconds, _LAST), NANOSECONDS)
+    stamp.sec, stamp.nanosec = divmod(min(nanoseconds, LAST_STAMP), NANOSECONDS)

@@ -1,6 +1,6 @@
 """One node's status on /diagnostics."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
@@ -36,13 +36,18 @@ class StatusReporter:
         self._last: tuple[bytes, str] | None = None
         self._due = 0
 
-    def report(self, stamp: int, level: bytes, message: str, values: Mapping[str, object]) -> None:
-        """Report a status as of a stamp [ns] with a level of diagnostic_msgs/DiagnosticStatus."""
+    def report(
+        self, stamp: int, level: bytes, message: str, values: Callable[[], Mapping[str, object]]
+    ) -> None:
+        """Report a status as of a stamp [ns] with a level of diagnostic_msgs/DiagnosticStatus.
+
+        ``values`` is called where the status is published.
+        """
         if self._last == (level, message) and self._due - NANOSECONDS <= stamp < self._due:
             return
         self._last, self._due = (level, message), stamp + NANOSECONDS
         self._status.level, self._status.message = level, message
-        self._status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
+        self._status.values = [KeyValue(key=k, value=str(v)) for k, v in values().items()]
         array = DiagnosticArray(status=[self._status])
         set_stamp(array.header.stamp, max(0, stamp))
         self.publisher.publish(array)

@@ -22,7 +22,6 @@ from lpv_core.support.resources import bringup_file  # noqa: E402
 from lpv_node.input_check import StampGuard, all_finite, all_sized  # noqa: E402
 from lpv_node.parameter_service import CheckedParameterService  # noqa: E402
 from lpv_node.parameters import declare_gains, read_gains  # noqa: E402
-from lpv_node.sequences import doubles  # noqa: E402
 from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
 
 STEP = 2_000_000
@@ -150,8 +149,3 @@ def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order
 def test_given_fields_when_one_is_not_as_long_as_the_arm_has_joints_then_they_do_not_fit():
     assert all_sized(2, [0.0, 1.0], np.zeros(2), array('d', [1.0, 2.0]))
     assert not all_sized(2, [0.0, 1.0], [0.0, 1.0, 2.0]) and not all_sized(2, [])
-
-
-@pytest.mark.parametrize('values', [[1.5, -0.0], np.array([1.5, -0.0]), np.arange(6.0)[1::2]])
-def test_given_numbers_when_put_into_a_sequence_then_it_is_of_the_type_that_is_copied_whole(values):
-    assert doubles(values) == array('d', list(values)) and doubles(values).typecode == 'd'

@@ -51,10 +51,10 @@ class Tolerances:
 class Figure:
     """One figure of both runs."""
 
-    name: str  # what it is
-    unit: str  # what it is
-    first: float | None  # values; None where a run does not have it
-    second: float | None  # values; None where a run does not have it
+    name: str  # what is compared
+    unit: str  # of both values
+    first: float | None  # value of the first run; None where it has none
+    second: float | None  # value of the second run, likewise
     same: bool  # within the tolerance
 
 
@@ -76,10 +76,10 @@ class Comparison:
     # by signal the largest difference (``second``) against its tolerance (``first``)
     differences: list[Figure] = field(default_factory=list)
     alarms: list[AlarmPair] = field(default_factory=list)  # in the order of time
-    common: int = 0  # answers with the same stamp in both runs, and others
-    only_first: int = 0  # answers with the same stamp in both runs, and others
-    only_second: int = 0  # answers with the same stamp in both runs, and others
-    missing_allowed: float = 0.0
+    common: int = 0  # answers with the same stamp in both runs
+    only_first: int = 0  # answers of the first run alone
+    only_second: int = 0  # answers of the second run alone
+    missing_allowed: float = 0.0  # share of all answers that only one run may have
 
     @property
     def complete(self) -> bool:

@@ -1,29 +1,28 @@
 """Tracker node: torques from estimates and from inverse-kinematics references."""
 
 import sys
+from operator import attrgetter
 
 import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController
+from lpv_core.control.estimate_check import ROWS, ValueFault, check_values
 from lpv_core.control.latency import tolerated_latency
-from lpv_core.control.path import Reference
 from lpv_core.control.path_follower import PathFollower
-from lpv_core.control.tracking import COMPENSATION, TrackingController, feedback_position
+from lpv_core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, TrackingController
 from lpv_core.control.watchdog import (
     STOP_TEXT,
     LatencyLimits,
     StopReason,
     TrackerLimits,
-    check_estimate,
-    check_motion,
+    TrackerWatchdog,
     latency_limits,
     mean_limit,
-    note_stop,
-    tracker_watchdog,
 )
 from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import load_any_arm
@@ -31,7 +30,7 @@ from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified
 from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized, all_within
+from lpv_node.input_check import Refusals, StampGuard, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import (
@@ -44,8 +43,8 @@ from lpv_node.parameters import (
     required_text,
 )
 from lpv_node.qos import stream
-from lpv_node.sequences import doubles
-from lpv_node.stamps import set_stamp, to_nanoseconds
+from lpv_node.serialized import SerializedMessage
+from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_tracker.upcoming import UpcomingReferences
 
@@ -107,9 +106,10 @@ SPECS = (
         100.0,
     ),
 )
-_FARTHEST, _FASTEST = 100.0, 1e6
-"""Positions [rad] and rates [rad/s] that no arm has: sixteen turns; rates above the velocity limit
-are judged by the watchdog."""
+_REFUSALS = {
+    ValueFault.NOT_FINITE: 'estimate with values that are not finite',
+    ValueFault.IMPOSSIBLE: 'estimate with values that no arm has',
+}
 _OTHER_CLOCK = 10 * NANOSECONDS
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
 
@@ -133,6 +133,7 @@ class TrackerNode(ManagedNode):
         self._watch: Timer | None = None
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
         self._last: int | None = None  # stamp of the last estimate [ns]
+        self.add_post_set_parameters_callback(self._choose_feedback)
 
     def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
@@ -141,8 +142,10 @@ class TrackerNode(ManagedNode):
         scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
         self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
-        period = round(self._arm.sample_time * NANOSECONDS)
-        self._follower = UpcomingReferences(PathFollower(self._path, speed), period)
+        period, joints = round(self._arm.sample_time * NANOSECONDS), len(self._arm.joint_names)
+        tip = len(self._path.sample(0.0).tip)
+        follower = PathFollower(self._path, speed)
+        self._follower = UpcomingReferences(follower, period, joints, tip)
         certified = latency_limits(self._tolerated)
         single = chosen_limit(self, 'max_latency', certified.single)
         # The default of the mean follows a longer single latency, which was warned of.
@@ -155,8 +158,13 @@ class TrackerNode(ManagedNode):
             latency=LatencyLimits(single, mean),
             tracking_error=self.get_parameter('max_tracking_error').value,
         )
+        self._estimate = np.zeros((len(ROWS), joints))
+        self._bytes = self._estimate.data.cast('B')
+        self._velocity = self._estimate[ROWS.index('velocity')]
+        self._measured = self._estimate[ROWS.index('measured_position')]
+        self._choose_feedback()
         self._compile()
-        self._watchdog = tracker_watchdog(self._arm, self._limits)
+        self._watchdog = TrackerWatchdog(self._arm, self._limits)
         self._guard, self._refusals, self._stops = StampGuard(), Refusals(self), 0
         self._last = None
         self._previous: int | None = None  # stamp of the last estimate that was followed [ns]
@@ -167,8 +175,30 @@ class TrackerNode(ManagedNode):
         self._reference_out = self.create_publisher(JointReference, 'reference', qos)
         self._status = StatusReporter(self, 'tracking', self._arm.name)
         self.create_service(Trigger, '~/resume', self._on_resume)
-        self._command, self._reference = TorqueCommand(), JointReference()
-        self._command.header.frame_id = self._reference.header.frame_id = self._arm.name
+        self._make_messages()
+
+    def _make_messages(self) -> None:
+        """Messages that are made of references and commands where these are."""
+        self._torque, self._safe_stop = np.zeros(len(self._arm.joint_names)), np.zeros(1, bool)
+        header, reference = Header(frame_id=self._arm.name), self._follower.reference
+        self._command = SerializedMessage(
+            TorqueCommand(header=header), {'torque': self._torque, 'safe_stop': self._safe_stop}
+        )
+        self._reference = SerializedMessage(
+            JointReference(header=header),
+            {
+                'position': reference.position,
+                'velocity': reference.velocity,
+                'acceleration': reference.acceleration,
+                'tip_position': reference.tip,
+            },
+        )
+
+    def _choose_feedback(self, _parameters: object = None) -> None:
+        """Let the loop close on the position that a parameter names."""
+        if hasattr(self, '_estimate'):
+            field = FEEDBACK_FIELDS[self.get_parameter('compensation').value]
+            self._position = self._estimate[ROWS.index(field)]
 
     def _make_controller(self) -> None:
         """The law of the arm's kind: designed gains, or computed torque."""
@@ -190,13 +220,12 @@ class TrackerNode(ManagedNode):
     def _compile(self) -> None:
         """Compile before the first estimate, not on it."""
         still = np.zeros(len(self._arm.joint_names))
-        tilted = still + 0.1
-        self._controller.update(self._path.sample(0.0), tilted, still, tilted, 0.0)
+        self._controller.answer(np.zeros((3, len(still))), still + 0.1, still, still + 0.1, 0.0)
         self._controller.reset()
-        watchdog = tracker_watchdog(self._arm, self._limits)
-        check_estimate(watchdog, 1, 0, 0, True, still)
-        check_motion(watchdog, 1, still, still)
-        note_stop(watchdog)
+        watchdog = TrackerWatchdog(self._arm, self._limits)
+        watchdog.check_estimate(1, 0, 0, True, still)
+        watchdog.check_motion(1, still, still)
+        check_values(self._estimate)
 
     def outputs(self) -> dict[Publisher, int]:
         """Publishers to be matched before estimates are taken."""
@@ -229,10 +258,10 @@ class TrackerNode(ManagedNode):
         stamp = to_nanoseconds(message.header.stamp)
         if not self._is_usable(message, stamp):
             return
-        now = self.get_clock().now().nanoseconds
+        now = 0 if self.lockstep else self.get_clock().now().nanoseconds
         if self._last is not None and stamp <= self._last:
             if self.lockstep and stamp == self._last:
-                self._answer_again()
+                self._answer_again(stamp)
                 return
             if not self.lockstep and self._last - stamp < NANOSECONDS:
                 return  # duplicate or out of order
@@ -240,32 +269,30 @@ class TrackerNode(ManagedNode):
         self._received, self._last = now, stamp
         reason = self._judge(message, stamp, now)
         if reason is StopReason.NONE:
-            position = np.asarray(
-                feedback_position(self.get_parameter('compensation').value, message)
-            )
-            reference = self._follower.reference(stamp, position)
-            reason = StopReason(check_motion(self._watchdog, stamp, reference.position, position))
+            self._follower.advance(stamp, self._position)
+            reference = self._follower.reference.position
+            reason = self._watchdog.check_motion(stamp, reference, self._position)
         if reason is not StopReason.NONE:
             self._stop(reason)
             return
         if self._reason is not None:
             self._reason = None
             self.get_logger().info('following the path')
-        self._publish_command(message, position, stamp, reference)
-        self._publish_reference(stamp, reference)
+        self._publish_command(stamp)
+        self._reference_out.publish(self._reference.at(stamp))
         self._previous = stamp
         self._report(stamp)
 
     def _is_usable(self, message: StateEstimate, stamp: int) -> bool:
         """Whether an estimate can be one of the observer's; others are counted and ignored."""
-        positions = message.position, message.compensated_position, message.measured_position
-        rates = message.velocity, message.measured_velocity
-        if not all_sized(len(self._arm.joint_names), *positions, *rates):
+        fields = _fields(message)
+        if not all_sized(self._estimate.shape[1], *fields):
             self._refusals.add('estimate with another number of joints than the arm')
-        elif not all_finite(*positions, *rates):
-            self._refusals.add('estimate with values that are not finite')
-        elif not (all_within(_FARTHEST, *positions) and all_within(_FASTEST, *rates)):
-            self._refusals.add('estimate with values that no arm has')
+            return False
+        self._bytes[:] = b''.join(fields)
+        wrong = check_values(self._estimate)
+        if wrong:
+            self._refusals.add(_REFUSALS[ValueFault(wrong)])
         elif stamp < 0:
             self._refusals.add('estimate with a negative stamp')
         elif not (self.lockstep or self._guard.accept(stamp)):
@@ -279,58 +306,41 @@ class TrackerNode(ManagedNode):
         self._latency = 0
         if not self.lockstep and abs(now - stamp) < _OTHER_CLOCK:
             self._latency = now - stamp
-        reason = check_estimate(
-            self._watchdog,
-            stamp,
-            self._latency,
-            message.mode,
-            message.trustworthy,
-            np.asarray(message.velocity),
+        reason = self._watchdog.check_estimate(
+            stamp, self._latency, message.mode, message.trustworthy, self._velocity
         )
         # A node that was held up itself has seen no silence: the drives have braked meanwhile.
         silent = self._previous is not None and self._is_silence(stamp - self._previous)
-        return StopReason.SILENCE if silent and not reason else StopReason(reason)
+        return StopReason.SILENCE if silent and reason is StopReason.NONE else reason
 
     def _restart(self) -> None:
         """Time has restarted, and so does the path."""
         self._forget()
         self._follower.reset()
         latched = self._watchdog.latched
-        self._watchdog = tracker_watchdog(self._arm, self._limits)
+        self._watchdog = TrackerWatchdog(self._arm, self._limits)
         self._watchdog.latched = latched
 
     def _forget(self) -> None:
         self._controller.reset()
         self._follower.stop()
-        note_stop(self._watchdog)
+        self._watchdog.note_stop()
         self._previous = None
 
-    def _answer_again(self) -> None:
+    def _answer_again(self, stamp: int) -> None:
         """The same estimate again: a restarted node missed the answer."""
-        self._command_out.publish(self._command)
-        if not self._command.safe_stop:
-            self._reference_out.publish(self._reference)
+        self._command_out.publish(self._command.at(stamp))
+        if not self._safe_stop[0]:
+            self._reference_out.publish(self._reference.at(stamp))
 
-    def _publish_command(
-        self, message: StateEstimate, position: np.ndarray, stamp: int, reference: Reference
-    ) -> None:
-        integrated = message.measured_position if self._integrates_measurement else position
+    def _publish_command(self, stamp: int) -> None:
+        integrated = self._measured if self._integrates_measurement else self._position
         interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
-        command = self._controller.update(
-            reference, position, message.velocity, integrated, interval
+        self._controller.answer(
+            self._follower.motion, self._position, self._velocity, integrated, interval
         )
-        set_stamp(self._command.header.stamp, stamp)
-        self._command.torque, self._command.safe_stop = doubles(command.torque), False
-        self._command_out.publish(self._command)
-
-    def _publish_reference(self, stamp: int, reference: Reference) -> None:
-        message = self._reference
-        set_stamp(message.header.stamp, stamp)
-        message.position = doubles(reference.position)
-        message.velocity = doubles(reference.velocity)
-        message.acceleration = doubles(reference.acceleration)
-        message.tip_position = doubles(reference.tip)
-        self._reference_out.publish(message)
+        self._torque[:], self._safe_stop[0] = self._controller.torque, False
+        self._command_out.publish(self._command.at(stamp))
 
     def _check_silence(self) -> None:
         """Stop safely when the observer is silent: the drives then brake."""
@@ -350,10 +360,8 @@ class TrackerNode(ManagedNode):
         if reason is not self._reason:
             self._reason, self._stops = reason, self._stops + 1
             self.get_logger().error(f'safe stop: {self._stop_text()}')
-        set_stamp(self._command.header.stamp, stamp)
-        self._command.torque = doubles([0.0] * len(self._arm.joint_names))
-        self._command.safe_stop = True
-        self._command_out.publish(self._command)
+        self._torque[:], self._safe_stop[0] = 0.0, True
+        self._command_out.publish(self._command.at(stamp))
         self._report(stamp)
 
     def _stop_text(self) -> str:
@@ -361,19 +369,22 @@ class TrackerNode(ManagedNode):
         return f'{text}; stays until ~/resume is called' if self._watchdog.latched else text
 
     def _report(self, stamp: int) -> None:
-        values = {
+        if self._reason is not None:
+            status = ERROR, f'safe stop: {self._stop_text()}'
+        elif self._refusals.is_recent:
+            status = WARN, 'following the path; messages are refused'
+        else:
+            status = OK, 'following the path'
+        self._status.report(stamp, *status, self._status_values)
+
+    def _status_values(self) -> dict[str, object]:
+        return {
             'safe stops': self._stops,
             'latency [ms]': f'{self._latency * 1e-6:.1f}',
             'tolerated constant latency [ms]': f'{self._tolerated * 1e3:.1f}',
             'certificate of the loop': self._certificate,
             **self._refusals.counts,
         }
-        if self._reason is not None:
-            self._status.report(stamp, ERROR, f'safe stop: {self._stop_text()}', values)
-        elif self._refusals.is_recent:
-            self._status.report(stamp, WARN, 'following the path; messages are refused', values)
-        else:
-            self._status.report(stamp, OK, 'following the path', values)
 
     def _on_resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
@@ -381,6 +392,10 @@ class TrackerNode(ManagedNode):
         self._watchdog.latched = 0
         self.get_logger().info(f'~/resume: {response.message}')
         return response
+
+
+_fields = attrgetter(*ROWS)
+"""Values of a StateEstimate, in the order of `ROWS`."""
 
 
 def main(argv: list[str] | None = None) -> None:

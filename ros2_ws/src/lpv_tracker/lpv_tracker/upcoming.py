@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 from lpv_core.control.path import Reference
 from lpv_core.control.path_follower import PathFollower
 
-_AHEAD = 64
-"""Samples at a time: the cost of one for 64, and too few to delay a sample noticeably."""
+_AHEAD = 128
+"""Samples at a time: the cost of a few for all, and too few to delay a sample noticeably."""
 
 
 class UpcomingReferences:
@@ -19,37 +19,56 @@ class UpcomingReferences:
         Gives the references.
     period : int
         Sample time [ns].
+    joints, tip : int
+        Numbers of joints and of coordinates of the tip.
+
+    Attributes
+    ----------
+    motion : ndarray, shape (3, joints)
+        Position, velocity and acceleration of the present reference [rad], [rad/s], [rad/s2].
+    reference : Reference
+        The present reference, in the same memory throughout.
     """
 
-    def __init__(self, follower: PathFollower, period: int) -> None:
+    def __init__(self, follower: PathFollower, period: int, joints: int, tip: int) -> None:
         self._follower, self._period = follower, period
-        self._block: Reference | None = None
-        self._first = 0  # stamp of the block's first row [ns]
+        kind = np.dtype([('motion', 'f8', (3, joints)), ('tip', 'f8', (tip,))])
+        self._present, self._block = np.zeros(1, kind), np.zeros(_AHEAD, kind)
+        self.motion: np.ndarray = self._present['motion'][0]
+        position, velocity, acceleration = self.motion
+        self.reference = Reference(position, velocity, acceleration, self._present['tip'][0])
+        self._first: int | None = None  # stamp of the block's first row [ns]
         self._last: int | None = None  # stamp of the last reference [ns]
 
-    def reference(self, stamp: int, position: ArrayLike) -> Reference:
-        """As `PathFollower.reference`."""
+    def advance(self, stamp: int, position: ArrayLike) -> None:
+        """Go to what `PathFollower.reference` gives for a stamp [ns] and position."""
         even = self._last is not None and stamp - self._last == self._period
         self._last = stamp
-        over = self._block is None or stamp >= self._first + _AHEAD * self._period
+        over = self._first is None or stamp >= self._first + _AHEAD * self._period
         # On the way to the path the two are the same but for rounding.
         if even and over and self._follower.is_on_path:
             self._first = stamp
-            self._block = self._follower.ahead(stamp + self._period * np.arange(_AHEAD))
-        row, rest = divmod(stamp - self._first, self._period)
-        if self._block is None or rest or not 0 <= row < _AHEAD:
-            return self._follower.reference(stamp, position)
-        block = self._block
-        return Reference(
-            block.position[row], block.velocity[row], block.acceleration[row], block.tip[row]
-        )
+            _fill(self._block, self._follower.ahead(stamp + self._period * np.arange(_AHEAD)))
+        if self._first is not None:
+            row, rest = divmod(stamp - self._first, self._period)
+            if rest == 0 and 0 <= row < _AHEAD:
+                self._present[0] = self._block[row]
+                return
+        _fill(self._present, self._follower.reference(stamp, position))
 
     def stop(self) -> None:
         """As `PathFollower.stop`."""
         self._follower.stop(self._last)
-        self._block = self._last = None
+        self._first = self._last = None
 
     def reset(self) -> None:
         """As `PathFollower.reset`."""
         self._follower.reset()
-        self._block = self._last = None
+        self._first = self._last = None
+
+
+def _fill(rows: np.ndarray, reference: Reference) -> None:
+    """Write references into rows."""
+    motion, rows['tip'] = rows['motion'], reference.tip
+    motion[:, 0], motion[:, 1] = reference.position, reference.velocity
+    motion[:, 2] = reference.acceleration

@@ -10,7 +10,7 @@ from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  
 from std_srvs.srv import Trigger  # noqa: E402
 
 from lpv_core.control.watchdog import StopReason  # noqa: E402
-from lpv_msgs.msg import StateEstimate  # noqa: E402
+from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
@@ -24,8 +24,8 @@ class Driver:
 
     def __init__(self, node):
         self.node, self.stamp = node, 10**9
-        self.commands = node._command_out = Output()
-        self.references = node._reference_out = Output()
+        self.commands = node._command_out = Output(TorqueCommand)
+        self.references = node._reference_out = Output(JointReference)
         self.start = node._path.sample(0.0).position
 
     def good(self):

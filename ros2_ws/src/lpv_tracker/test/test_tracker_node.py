@@ -6,8 +6,9 @@ from places import BRINGUP
 rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 import ros  # noqa: E402
+from rclpy.serialization import deserialize_message  # noqa: E402
 
-from lpv_msgs.msg import StateEstimate  # noqa: E402
+from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -16,11 +17,15 @@ pytestmark = pytest.mark.ros
 class Publisher:
     """Keeps what is published."""
 
-    def __init__(self):
-        self.safe_stops = []
+    def __init__(self, kind):
+        self.kind, self.sent = kind, []
 
-    def publish(self, message):
-        self.safe_stops.append(getattr(message, 'safe_stop', None))
+    def publish(self, data):
+        self.sent.append(deserialize_message(data, self.kind))
+
+    @property
+    def safe_stops(self):
+        return [message.safe_stop for message in self.sent]
 
 
 @pytest.fixture
@@ -36,8 +41,8 @@ def node():
     rclpy.init(args=['--ros-args', *words], domain_id=ros.next_domain())
     tracker = TrackerNode()
     tracker.setup()
-    tracker.sent = tracker._command_out = Publisher()
-    tracker._reference_out = Publisher()
+    tracker.sent = tracker._command_out = Publisher(TorqueCommand)
+    tracker._reference_out = Publisher(JointReference)
     yield tracker
     tracker.destroy_node()
     rclpy.shutdown()

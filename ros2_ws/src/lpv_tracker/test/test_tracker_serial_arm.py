@@ -1,5 +1,7 @@
 """Answers of the tracker node of a serial arm to single estimates, without a graph."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from places import BRINGUP
@@ -7,10 +9,11 @@ from places import BRINGUP
 rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 import ros  # noqa: E402
+from rclpy.serialization import deserialize_message  # noqa: E402
 
 from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE  # noqa: E402
 from lpv_core.support.errors import ConfigError  # noqa: E402
-from lpv_msgs.msg import StateEstimate  # noqa: E402
+from lpv_msgs.msg import StateEstimate, TorqueCommand  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -19,14 +22,15 @@ START = np.array([0.0, -1.6, 1.5, -1.4, -1.5, 0.0])
 
 
 class Publisher:
-    """Keeps copies of what is published."""
+    """Keeps the commands that are published."""
 
     def __init__(self):
         self.torques, self.safe_stops = [], []
 
-    def publish(self, message):
-        self.torques.append(list(getattr(message, 'torque', ())))
-        self.safe_stops.append(getattr(message, 'safe_stop', None))
+    def publish(self, data):
+        message = deserialize_message(data, TorqueCommand)
+        self.torques.append(list(message.torque))
+        self.safe_stops.append(message.safe_stop)
 
 
 def start_node(scenario, *words):
@@ -45,7 +49,7 @@ def node():
     tracker = start_node(BRINGUP / 'scenarios' / 'ur10.yaml')
     tracker.setup()
     tracker.sent = tracker._command_out = Publisher()
-    tracker._reference_out = Publisher()
+    tracker._reference_out = SimpleNamespace(publish=lambda data: None)
     yield tracker
     tracker.destroy_node()
     rclpy.shutdown()

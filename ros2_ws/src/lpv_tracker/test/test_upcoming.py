@@ -35,22 +35,24 @@ def test_given_stamps_when_references_come_ahead_then_they_are_those_of_the_foll
 ):
     path = two_faults.path(paper_arm)
     alone = PathFollower(path)
-    ahead = UpcomingReferences(PathFollower(path), STEP)
+    ahead = UpcomingReferences(PathFollower(path), STEP, 2, 2)
     position = path.sample(0.0).position + away
     for k, stamp in enumerate(stamps):
         if k in stops:
             alone.stop()
             ahead.stop()
         expected = alone.reference(stamp, position)
-        np.testing.assert_array_equal(astuple(ahead.reference(stamp, position)), astuple(expected))
+        ahead.advance(stamp, position)
+        np.testing.assert_array_equal(astuple(ahead.reference), astuple(expected))
         position = expected.position + away * (k in stops)
 
 
 def test_given_a_reset_when_followed_again_then_the_path_begins_anew(paper_arm, two_faults):
     path = two_faults.path(paper_arm)
-    ahead = UpcomingReferences(PathFollower(path), STEP)
+    ahead = UpcomingReferences(PathFollower(path), STEP, 2, 2)
     start = path.sample(0.0).position
     for stamp in steps(200):
-        ahead.reference(stamp, start)
+        ahead.advance(stamp, start)
     ahead.reset()
-    np.testing.assert_array_equal(ahead.reference(steps(1)[0], start).position, start)
+    ahead.advance(steps(1)[0], start)
+    np.testing.assert_array_equal(ahead.reference.position, start)

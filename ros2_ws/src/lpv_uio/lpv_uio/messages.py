@@ -1,56 +1,69 @@
-"""Puts the fields of lpv_core.monitoring.message_fields into ROS messages."""
+"""ROS messages of the observer's answers."""
 
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
-from lpv_node.sequences import doubles
+from lpv_node.serialized import SerializedMessage
 from lpv_node.stamps import set_stamp
 
 Fields = dict[str, Any]
-M = TypeVar('M', StateEstimate, FaultEstimate, FaultAlarm, JointState)
 
 
 class OutputMessages:
-    """Messages of one arm; those of the fast topics are reused from call to call.
+    """Messages of one arm.
 
     Parameters
     ----------
-    frame_id : str
-        Of every header: the arm's name.
+    arm : ArmParameters or SerialArm
+        Its name is the frame of every header.
+    answer_type : numpy.dtype
+        Of the monitor's answers.
+
+    Attributes
+    ----------
+    record : ndarray, shape (1,)
+        The answer that `state`, `fault` and `corrected` are made of.
+    state, fault, corrected : SerializedMessage
+        lpv_msgs/StateEstimate, lpv_msgs/FaultEstimate and sensor_msgs/JointState.
     """
 
-    def __init__(self, frame_id: str) -> None:
-        self._frame_id = frame_id
-        self._state, self._fault = self._headed(StateEstimate()), self._headed(FaultEstimate())
-        self._corrected = self._headed(JointState())
+    def __init__(self, arm: Arm, answer_type: np.dtype) -> None:
+        self._frame_id, self.record = arm.name, np.zeros(1, answer_type)
+        self._bytes = self.record.view(f'V{answer_type.itemsize}')
+        state, fault = _views(self.record['state']), _views(self.record['fault'])
+        fault['alarm'] = fault['alarm'].view(bool)
+        joints, sensors = list(arm.joint_names), list(arm.sensor_names)
+        self.state = SerializedMessage(StateEstimate(header=self._header()), state)
+        self.fault = SerializedMessage(
+            FaultEstimate(header=self._header(), sensor_names=sensors), fault
+        )
+        self.corrected = SerializedMessage(
+            JointState(header=self._header(), name=joints),
+            {'position': state['compensated_position'], 'velocity': state['velocity']},
+        )
 
-    def _headed(self, message: M) -> M:
-        message.header.frame_id = self._frame_id
-        return message
+    def fill(self, record: np.void) -> None:
+        """Copy an answer's record."""
+        self._bytes[0] = record.tobytes()  # not field by field
 
-    def state(self, stamp: int, fields: Fields) -> StateEstimate:
-        """lpv_msgs/StateEstimate with a stamp [ns] and fields."""
-        return _fill(self._state, stamp, fields)
-
-    def fault(self, stamp: int, fields: Fields) -> FaultEstimate:
-        """lpv_msgs/FaultEstimate with a stamp [ns] and fields."""
-        return _fill(self._fault, stamp, fields)
-
-    def corrected(self, stamp: int, fields: Fields) -> JointState:
-        """sensor_msgs/JointState with a stamp [ns] and fields."""
-        return _fill(self._corrected, stamp, fields)
+    def _header(self) -> Header:
+        return Header(frame_id=self._frame_id)
 
     def alarm(self, stamp: int, fields: Fields) -> FaultAlarm:
         """A new lpv_msgs/FaultAlarm with a stamp [ns] and fields."""
-        message = self._headed(FaultAlarm())
-        times = {name: fields[name] for name in ('onset', 'detected')}
-        _fill(message, stamp, {k: v for k, v in fields.items() if k not in times})
-        for name, value in times.items():
-            set_stamp(getattr(message, name), value)
+        message = FaultAlarm(header=self._header())
+        set_stamp(message.header.stamp, stamp)
+        for name, value in fields.items():
+            if name in ('onset', 'detected'):
+                set_stamp(getattr(message, name), value)
+            else:
+                setattr(message, name, value)
         return message
 
     @staticmethod
@@ -72,8 +85,7 @@ class OutputMessages:
         return array
 
 
-def _fill(message: M, stamp: int, fields: Fields) -> M:
-    set_stamp(message.header.stamp, stamp)
-    for name, value in fields.items():
-        setattr(message, name, doubles(value) if isinstance(value, np.ndarray) else value)
-    return message
+def _views(record: np.ndarray) -> Fields:
+    """Memory of the fields of a record, shape (1,)."""
+    fields = {name: record[name] for name in record.dtype.names or ()}
+    return {name: value[0] if value.ndim > 1 else value for name, value in fields.items()}

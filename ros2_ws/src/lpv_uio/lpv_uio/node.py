@@ -97,6 +97,8 @@ SPECS = DIAGNOSIS_SPECS + (
     ),
 )
 _COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
+_NOT_ESTIMATED = int(Mode.STALE)
+"""From this mode on there is nothing to correct."""
 _RECENT = 100
 """Measurements that a command may answer, where torques are taken from commands."""
 _UNHEARD = 5.0
@@ -128,11 +130,12 @@ class UioNode(ManagedNode):
             self._monitor.warm_up()
         finally:
             note.cancel()
-        self._messages = OutputMessages(self._arm.name)
+        self._messages = OutputMessages(self._arm, self._monitor.answer_type)
         self._from_command = self.get_parameter('torque_source').value == 'command'
         self._torque = [math.nan] * len(self._arm.joint_names)
-        self._received: int | None = None  # time of the last measurement that fits the arm [ns]
-        self._answer: Answer | None = None
+        self._received: int | None = None  # about when the last measurement came that fits [ns]
+        self._is_new = False  # whether one came since the last look for silence
+        self._answered: int | None = None  # stamp of the last answer [ns]
         self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
         self._stale = False
         self._refusals = Refusals(self)
@@ -205,9 +208,9 @@ class UioNode(ManagedNode):
 
     def _on_measurement(self, message: JointState) -> None:
         stamp = to_nanoseconds(message.header.stamp)
-        if self.lockstep and self._answer is not None and stamp <= self._answer.stamp:
-            if stamp == self._answer.stamp:
-                self._publish_estimates(self._answer)  # a restarted node missed it
+        if self.lockstep and self._answered is not None and stamp <= self._answered:
+            if stamp == self._answered:
+                self._publish_estimates(stamp)  # a restarted node missed it
                 return
             # Nothing overtakes here: the simulator was restarted, however short its run was.
             self.get_logger().warning('lockstep was restarted: observer and alarms restart')
@@ -220,19 +223,20 @@ class UioNode(ManagedNode):
         except SampleError as error:
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
-        self._received, self._silent_since = self.get_clock().now().nanoseconds, None
+        self._is_new = True
         if answer is not None:
             self._publish(answer)
 
     def _publish(self, answer: Answer) -> None:
-        if self._answer is None or self._stale:
+        if self._answered is None or self._stale:
             self.get_logger().info('measurements flow')
         self._stale = False
-        self._answer = answer
-        stamp, messages = answer.stamp, self._messages
+        self._answered = stamp = answer.stamp
+        messages = self._messages
         if answer.restarted:
             self.get_logger().warning('time went backwards: observer and alarms restart')
-        self._publish_estimates(answer)
+        messages.fill(answer.record)
+        self._publish_estimates(stamp)
         for fields in answer.alarms:
             self._alarm_out.publish(messages.alarm(stamp, fields))
         for event in answer.events:
@@ -242,12 +246,13 @@ class UioNode(ManagedNode):
         if answer.status is not None:
             self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
 
-    def _publish_estimates(self, answer: Answer) -> None:
-        self._state_out.publish(self._messages.state(answer.stamp, answer.state))
-        if answer.fault is not None:
-            self._fault_out.publish(self._messages.fault(answer.stamp, answer.fault))
-        if answer.corrected is not None:
-            self._corrected_out.publish(self._messages.corrected(answer.stamp, answer.corrected))
+    def _publish_estimates(self, stamp: int) -> None:
+        messages = self._messages
+        self._state_out.publish(messages.state.at(stamp))
+        if messages.record['has_fault'][0]:
+            self._fault_out.publish(messages.fault.at(stamp))
+        if messages.record['state']['mode'][0] < _NOT_ESTIMATED:
+            self._corrected_out.publish(messages.corrected.at(stamp))
 
     def _log(self, event: Alarm) -> None:
         if event.event == AlarmEvent.RAISED:
@@ -257,6 +262,8 @@ class UioNode(ManagedNode):
 
     def _check_silence(self) -> None:
         now = self.get_clock().now().nanoseconds
+        if self._is_new:
+            self._received, self._silent_since, self._is_new = now, None, False
         if self._received is None or self._stale:
             self._warn_of_silence(now)
             return
@@ -268,7 +275,10 @@ class UioNode(ManagedNode):
             )
             fault = self._monitor.stale_fault()
             if fault is not None:
-                self._fault_out.publish(self._messages.fault(now, fault))
+                record = self._messages.record['fault']
+                for name in record.dtype.names or ():
+                    record[name] = fault[name]
+                self._fault_out.publish(self._messages.fault.at(now))
 
     def _warn_of_silence(self, now: int) -> None:
         """Say every few seconds that no measurement comes, and whether anybody publishes any."""

@@ -6,6 +6,7 @@ from places import BRINGUP
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
@@ -13,7 +14,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from lpv_core.observer.sampled_observer import Mode  # noqa: E402
 from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
 from lpv_core.simulation.scenario import load_scenario  # noqa: E402
-from lpv_msgs.msg import TorqueCommand  # noqa: E402
+from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
@@ -27,7 +28,8 @@ class Arm:
 
     def __init__(self, node):
         self.node, self.stamp = node, 10**9
-        self.state, self.others = Output(), [Output() for _ in range(3)]
+        kinds = FaultEstimate, FaultAlarm, DiagnosticArray
+        self.state, self.others = Output(StateEstimate), [Output(kind) for kind in kinds]
         node._state_out = self.state
         node._fault_out, node._alarm_out, node._diagnostics_out = self.others
         arm = node._arm

@@ -1,12 +1,16 @@
 """Messages of the observer's topics, from plain fields."""
 
-from array import array
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
+from rclpy.serialization import deserialize_message  # noqa: E402
+
+from lpv_core.monitoring.answers import answer_type  # noqa: E402
+from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_uio.messages import OutputMessages  # noqa: E402
 
 STAMP = 3_000_000_007
@@ -23,8 +27,15 @@ ALARM = {
 }
 
 
+def messages_of(joints):
+    """Messages of an arm of so many joints."""
+    names = [f'j{i}' for i in range(joints)]
+    arm = SimpleNamespace(name='some_arm', joint_names=names, sensor_names=names)
+    return OutputMessages(arm, answer_type(joints))
+
+
 def test_given_an_alarm_when_put_into_a_message_then_times_and_fields_are_in_it():
-    message = OutputMessages('some_arm').alarm(STAMP, ALARM)
+    message = messages_of(2).alarm(STAMP, ALARM)
     assert (message.header.frame_id, message.header.stamp.sec) == ('some_arm', 3)
     assert message.header.stamp.nanosec == 7
     assert (message.onset.sec, message.detected.nanosec) == (1, 500_000_000)
@@ -32,7 +43,7 @@ def test_given_an_alarm_when_put_into_a_message_then_times_and_fields_are_in_it(
 
 
 def test_given_two_alarms_when_put_into_messages_then_each_is_its_own():
-    messages = OutputMessages('some_arm')
+    messages = messages_of(2)
     first = messages.alarm(STAMP, ALARM)
     messages.alarm(STAMP, {**ALARM, 'kind': 'drift'})
     assert first.kind == 'bias'
@@ -50,8 +61,13 @@ def test_given_a_status_when_put_into_diagnostics_then_level_and_values_are_thos
 def test_given_estimates_of_any_number_of_joints_when_put_into_messages_then_all_are_in_them(
     joints,
 ):
-    messages = OutputMessages('some_arm')
-    fields = {'estimate': np.arange(float(joints)), 'state': [0] * joints}
-    message = messages.fault(STAMP, {**fields, 'alarm': [True] * joints})
-    assert message.estimate == array('d', range(joints))
-    assert list(message.state) == [0] * joints and message.alarm == [True] * joints
+    messages = messages_of(joints)
+    state, fault = messages.record['state'], messages.record['fault']
+    state['position'], state['mode'], state['trustworthy'] = np.arange(joints), 3, True
+    fault['bound'], fault['state'], fault['alarm'] = np.arange(joints), 2, True
+    found = deserialize_message(messages.state.at(STAMP), StateEstimate)
+    assert list(found.position) == list(range(joints))
+    assert (found.header.frame_id, found.mode, found.trustworthy) == ('some_arm', 3, True)
+    found = deserialize_message(messages.fault.at(STAMP), FaultEstimate)
+    assert list(found.bound) == list(range(joints))
+    assert (list(found.state), found.alarm) == ([2] * joints, [True] * joints)

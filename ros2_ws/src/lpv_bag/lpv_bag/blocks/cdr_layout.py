@@ -97,12 +97,10 @@ class Layout:
         found = rows(buffer, f'V{size}', starts + field.offset)
         return found.view(field.dtype).reshape(len(starts), field.count)
 
-    def stamps(
-        self, buffer: np.ndarray, starts: np.ndarray, name: str = 'header.stamp'
-    ) -> np.ndarray:
+    def stamps(self, buffer: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Times of messages of this shape as nanoseconds, int64, shape (k,)."""
-        seconds = self.read(buffer, starts, f'{name}.sec')[:, 0].astype(np.int64)
-        return seconds * 1_000_000_000 + self.read(buffer, starts, f'{name}.nanosec')[:, 0]
+        seconds = self.read(buffer, starts, 'header.stamp.sec')[:, 0].astype(np.int64)
+        return seconds * 1_000_000_000 + self.read(buffer, starts, 'header.stamp.nanosec')[:, 0]
 
     def _constant_words(self) -> list[tuple[int, np.unsignedinteger]]:
         """What all messages of the shape have in common, as few numbers to compare."""

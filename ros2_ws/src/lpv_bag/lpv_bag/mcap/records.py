@@ -4,9 +4,10 @@ Every length is checked against the bytes that are there before anything is read
 be consumed exactly: a flipped bit in a length is then noticed in the record that has it.
 """
 
+import functools
 import struct
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
 
@@ -21,7 +22,7 @@ MAX_CHUNK = 1 << 27
 """Largest chunk that is read, decompressed [bytes]."""
 MAX_RECORD = 1 << 30
 """Largest record that is read [bytes]."""
-_CHUNK = struct.Struct('<QQQI')
+T = TypeVar('T')
 
 
 class Schema(NamedTuple):
@@ -129,26 +130,34 @@ def _pairs(cursor: Cursor) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def parse_schema(content: bytes | memoryview) -> Schema:
+def _record(read: Callable[[Cursor], T]) -> Callable[[bytes | memoryview], T]:
+    """Parser of a content from a function that reads its fields: nothing may be left over."""
+
+    @functools.wraps(read)
+    def parse(content: bytes | memoryview) -> T:
+        cursor = Cursor(content)
+        result = read(cursor)
+        cursor.finish()
+        return result
+
+    return parse
+
+
+@_record
+def parse_schema(cursor: Cursor) -> Schema:
     """`Schema` from a record's content; DamageError if it is none."""
-    cursor = Cursor(content)
-    result = Schema(
-        cursor.number('H'), cursor.text(), cursor.text(), bytes(cursor.take(cursor.number('I')))
-    )
-    cursor.finish()
-    if result.id == 0:
+    number = cursor.number('H')
+    if number == 0:
         raise DamageError('a schema has the number 0')
-    return result
+    return Schema(number, cursor.text(), cursor.text(), bytes(cursor.take(cursor.number('I'))))
 
 
-def parse_channel(content: bytes | memoryview) -> Channel:
+@_record
+def parse_channel(cursor: Cursor) -> Channel:
     """`Channel` from a record's content; DamageError if it is none."""
-    cursor = Cursor(content)
-    result = Channel(
+    return Channel(
         cursor.number('H'), cursor.number('H'), cursor.text(), cursor.text(), _pairs(cursor.block())
     )
-    cursor.finish()
-    return result
 
 
 def parse_chunk(content: bytes | memoryview, whole: bool = True) -> Chunk:
@@ -164,94 +173,67 @@ def parse_chunk(content: bytes | memoryview, whole: bool = True) -> Chunk:
     return result
 
 
-def parse_chunk_index(content: bytes | memoryview) -> ChunkIndex:
-    """`ChunkIndex` from a record's content; DamageError if it is none."""
-    cursor = Cursor(content)
-    start, end, offset, length = cursor.numbers('QQQQ')
+def _by_channel(cursor: Cursor, what: str) -> dict[int, int]:
+    """A block of pairs of a channel and a number."""
     entries = cursor.block()
     if entries.left % 10:
-        raise DamageError('a chunk index has half an entry')
-    offsets = dict(struct.iter_unpack('<HQ', entries.take(entries.left)))
+        raise DamageError(f'{what} half an entry')
+    return dict(struct.iter_unpack('<HQ', entries.take(entries.left)))
+
+
+@_record
+def parse_chunk_index(cursor: Cursor) -> ChunkIndex:
+    """`ChunkIndex` from a record's content; DamageError if it is none."""
+    start, end, offset, length = cursor.numbers('QQQQ')
+    offsets = _by_channel(cursor, 'a chunk index has')
     index_length, compression = cursor.number('Q'), cursor.text()
     data_size, size = cursor.numbers('QQ')
-    result = ChunkIndex(
+    return ChunkIndex(
         start, end, offset, length, offsets, index_length, compression, data_size, size
     )
-    cursor.finish()
-    return result
 
 
-def parse_message_index(content: bytes | memoryview) -> tuple[int, int]:
+@_record
+def parse_message_index(cursor: Cursor) -> tuple[int, int]:
     """Channel and number of its messages, of a message index; DamageError if it is none."""
-    cursor = Cursor(content)
     channel, entries = cursor.number('H'), cursor.block()
-    cursor.finish()
     if entries.left % 16:
         raise DamageError('a message index has half an entry')
     return channel, entries.left // 16
 
 
-def parse_metadata(content: bytes | memoryview) -> tuple[str, dict[str, str]]:
+@_record
+def parse_metadata(cursor: Cursor) -> tuple[str, dict[str, str]]:
     """Name and dict of a metadata record; DamageError if it is none."""
-    cursor = Cursor(content)
-    result = cursor.text(), dict(_pairs(cursor.block()))
-    cursor.finish()
-    return result
+    return cursor.text(), dict(_pairs(cursor.block()))
 
 
-def parse_statistics(content: bytes | memoryview) -> dict[int, int]:
+@_record
+def parse_statistics(cursor: Cursor) -> dict[int, int]:
     """Number of messages by channel; DamageError if it is no statistics record."""
-    cursor = Cursor(content)
     total = cursor.numbers('QHIIIIQQ')[0]
-    entries = cursor.block()
-    cursor.finish()
-    if entries.left % 10:
-        raise DamageError('the statistics have half an entry')
-    counts = dict(struct.iter_unpack('<HQ', entries.take(entries.left)))
+    counts = _by_channel(cursor, 'the statistics have')
     if sum(counts.values()) != total:
         raise DamageError('the statistics do not add up')
     return counts
 
 
-def _fixed(layout: str) -> Callable[[bytes | memoryview], tuple[int, ...]]:
-    def parse(content: bytes | memoryview) -> tuple[int, ...]:
-        cursor = Cursor(content)
-        result = cursor.numbers(layout)
-        cursor.finish()
-        return result
-
-    return parse
+def _fixed(layout: str) -> Callable[[bytes | memoryview], tuple[Any, ...]]:
+    return _record(lambda cursor: cursor.numbers(layout))
 
 
-def _texts(content: bytes | memoryview) -> tuple[str, str]:
-    cursor = Cursor(content)
-    result = cursor.text(), cursor.text()
-    cursor.finish()
-    return result
-
-
-def _metadata_index(content: bytes | memoryview) -> tuple[Any, ...]:
-    cursor = Cursor(content)
-    result = (*cursor.numbers('QQ'), cursor.text())
-    cursor.finish()
-    return result
-
-
-def _attachment(content: bytes | memoryview) -> tuple[str, str]:
-    cursor = Cursor(content)
+@_record
+def _attachment(cursor: Cursor) -> tuple[str, str]:
     cursor.numbers('QQ')
     result = cursor.text(), cursor.text()
     cursor.take(cursor.number('Q') + 4)
-    cursor.finish()
     return result
 
 
-def _attachment_index(content: bytes | memoryview) -> tuple[str, str]:
-    cursor = Cursor(content)
+@_record
+def _attachment_index(cursor: Cursor) -> tuple[str, str]:
     cursor.numbers('QQQQQ')
-    result = cursor.text(), cursor.text()
-    cursor.finish()
-    return result
+    return cursor.text(), cursor.text()
 
 
 def _message(content: bytes | memoryview) -> tuple[int, ...]:
@@ -261,7 +243,7 @@ def _message(content: bytes | memoryview) -> tuple[int, ...]:
 
 
 PARSERS: dict[int, Callable[[bytes | memoryview], Any]] = {
-    Opcode.HEADER: _texts,
+    Opcode.HEADER: _record(lambda cursor: (cursor.text(), cursor.text())),
     Opcode.FOOTER: _fixed('QQI'),
     Opcode.SCHEMA: parse_schema,
     Opcode.CHANNEL: parse_channel,
@@ -273,7 +255,7 @@ PARSERS: dict[int, Callable[[bytes | memoryview], Any]] = {
     Opcode.ATTACHMENT_INDEX: _attachment_index,
     Opcode.STATISTICS: parse_statistics,
     Opcode.METADATA: parse_metadata,
-    Opcode.METADATA_INDEX: _metadata_index,
+    Opcode.METADATA_INDEX: _record(lambda cursor: (*cursor.numbers('QQ'), cursor.text())),
     Opcode.SUMMARY_OFFSET: _fixed('BQQ'),
     Opcode.DATA_END: _fixed('I'),
 }

@@ -62,12 +62,9 @@ def _as_row(answer: Answer | None, kind: np.dtype) -> Answers:
     result = Answers(**arrays, events=[], reports=[])
     if answer is None:
         return result
-    row.answered, row.has_fault = True, answer.fault is not None
-    row.restarted, row.inconsistent = answer.restarted, answer.inconsistent
-    for part, fields in ((row.state, answer.state), (row.fault, answer.fault)):
-        if fields is not None:
-            for name in part.dtype.names:
-                part[name][0] = fields[name]
+    row[0] = answer.record
+    if answer.fault is None:
+        row.fault = np.zeros(1, kind['fault'])
     result.events = [(0, event) for event in answer.events]
     result.reports = [(0, answer.status)] if answer.status is not None else []
     return result

@@ -195,18 +195,17 @@ def damage(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def open_bag(path: str | Path, typestore: Typestore | None = None) -> Iterator[BagReader]:
+def open_bag(path: str | Path) -> Iterator[BagReader]:
     """Open a bag; whatever goes wrong in reading is a BagError with a message.
 
     MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
-    and in ``warnings`` of the reader) and read as far as its checksums are right.
+    and in ``warnings`` of the reader) and read as far as its checksums are right.  Bags without
+    message definitions are read with the standard types and lpv_msgs.
 
     Parameters
     ----------
     path : str or pathlib.Path
         rosbag2 directory or single ``.mcap`` or ``.db3`` file.
-    typestore : rosbags typestore, optional
-        For bags that carry no message definitions; the standard types and lpv_msgs if not given.
 
     Yields
     ------
@@ -224,7 +223,7 @@ def open_bag(path: str | Path, typestore: Typestore | None = None) -> Iterator[B
     with contextlib.ExitStack() as stack:
         with damage(path):
             source = _source(path, stack)
-        yield BagReader(path, source, typestore or _standard_types())
+        yield BagReader(path, source, _standard_types())
 
 
 @functools.lru_cache(maxsize=1)

@@ -33,9 +33,9 @@ class RunPlan:
     scenario: Scenario  # What happens
     parameters: DiagnosisParameters  # Tuning of the diagnosis
     compensation: str  # What the loop closes on
-    substeps: int  # As in `lpv_core.simulation.closed_loop.run_closed_loop`
-    delay: int  # As in `lpv_core.simulation.closed_loop.run_closed_loop`
-    loss: float  # Likewise
+    substeps: int  # Least number of plant steps per sample
+    delay: int  # Samples from a measurement to the effect of its command
+    loss: float  # Probability that a measurement is lost
 
     def simulate(self, faults: bool = True) -> Run:
         """Run the closed loop; ``faults=False``: its healthy twin."""

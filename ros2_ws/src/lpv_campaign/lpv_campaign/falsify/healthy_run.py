@@ -121,7 +121,7 @@ def run_healthy(
         )
         if used:
             update_dead_reckoning(setup.reckoning, work.reckoning, work.estimate)
-            update_bound(setup.bound, work.bound, work.estimate, work.reckoning.lost)
+            update_bound(setup.bound, work.bound, work.estimate, work.reckoning)
             judged += _judge(setup, work, stamp, samples[k])
         for i in range(2):
             samples[k, i], samples[k, 2 + i] = measured[i], measured[2 + i]
@@ -240,17 +240,8 @@ def _move(
     noise: np.random.Generator,
 ) -> None:
     d = attack.disturbance * _sign(attack, time) + setup.push_deviation * noise.standard_normal()
-    dt = 0.5 * setup.sample_time
+    push = setup.direction[0] * d, setup.direction[1] * d
+    now, dt = (x[0], x[1], x[2], x[3]), 0.5 * setup.sample_time
     for _ in range(2):
-        x[0], x[1], x[2], x[3] = rk4_step(
-            x[0],
-            x[1],
-            x[2],
-            x[3],
-            torque[0] - torque[1],
-            torque[1],
-            setup.direction[0] * d,
-            setup.direction[1] * d,
-            dt,
-            attack.true_arm,
-        )
+        now = rk4_step(now, (torque[0] - torque[1], torque[1]), push, dt, attack.true_arm)
+    x[0], x[1], x[2], x[3] = now

@@ -18,32 +18,15 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Finding:
-    """One evaluated attack.
+    """One evaluated attack."""
 
-    Attributes
-    ----------
-    ratio : float
-        Largest abs(f^)/threshold; 1 or more breaks the guarantee.
-    sensor : int
-        Of which sensor.
-    time : float
-        When [s].
-    threshold : float
-        What it was compared with [rad].
-    attack : object
-        What was done.
-    ratios, thresholds : tuple of float, optional
-        Of each sensor: the same, as far as it was looked at; the search keeps the largest of all
-        runs.
-    """
-
-    ratio: float
-    sensor: int
-    time: float
-    threshold: float
-    attack: Any
-    ratios: tuple[float, ...] = ()
-    thresholds: tuple[float, ...] = ()
+    ratio: float  # largest abs(f^)/threshold; 1 or more breaks the guarantee
+    sensor: int  # of which sensor
+    time: float  # when [s]
+    threshold: float  # what it was compared with [rad]
+    attack: Any  # what was done
+    ratios: tuple[float, ...] = ()  # of each sensor, the largest of all runs
+    thresholds: tuple[float, ...] = ()  # at these ratios [rad]
 
 
 class Attacker(Protocol):

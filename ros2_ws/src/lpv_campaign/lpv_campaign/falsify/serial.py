@@ -43,26 +43,14 @@ _SHARED = 7
 
 @dataclass(frozen=True)
 class SerialAttack:
-    """A motion, a true arm and time profiles that the arm file allows.
+    """A motion, a true arm and time profiles that the arm file allows."""
 
-    Attributes
-    ----------
-    course : list of list of float, shape (6, n)
-        As `Course.joints`.
-    rest, switch_speed, switch_phase : float
-        As of `Course`.
-    shares : list of float
-        Of the generators, as of `parameter_set.member`.
-    seed : int
-        Of the noise.
-    """
-
-    course: list[list[float]]
-    rest: float
-    switch_speed: float
-    switch_phase: float
-    shares: list[float]
-    seed: int
+    course: list[list[float]]  # as `Course.joints`, shape (6, n)
+    rest: float  # as `Course.rest` [s]
+    switch_speed: float  # as `Course.switch_speed` [rad/s]
+    switch_phase: float  # as `Course.switch_phase` [rad]
+    shares: list[float]  # of the generators, see `parameter_set.member`
+    seed: int  # of the noise
 
 
 class SerialAttacker:

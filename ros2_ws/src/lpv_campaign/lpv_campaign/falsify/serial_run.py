@@ -19,23 +19,14 @@ CENTRE, SWING, SPEED, PHASE, PUSH, RATE_BIAS = range(6)
 
 
 class Course(NamedTuple):
-    """Motion and time profiles of a run.
+    """Motion and time profiles of a run."""
 
-    Attributes
-    ----------
-    joints : ndarray, shape (6, n)
-        Centres and amplitudes of the motion [rad], circular frequencies [rad/s], phases [rad];
-        largest torques that the model misses [N m], biases of the rates [rad/s].
-    rest : float
-        The arm comes to rest from this moment on [s].
-    switch_speed, switch_phase : float
-        Of the sign of the torques that the model misses [rad/s], [rad]; 0 [rad/s] for constant.
-    """
-
+    # (6, n) centres and amplitudes of the motion [rad], circular frequencies [rad/s], phases [rad];
+    # largest torques that the model misses [N m], biases of the rates [rad/s]
     joints: FloatArray
-    rest: float
-    switch_speed: float
-    switch_phase: float
+    rest: float  # from when on the arm comes to rest [s]
+    switch_speed: float  # of the sign of the torques that the model misses; 0: constant [rad/s]
+    switch_phase: float  # of that sign [rad]
 
 
 class Sensing(NamedTuple):

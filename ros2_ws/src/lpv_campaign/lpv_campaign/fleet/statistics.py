@@ -22,8 +22,8 @@ class Rate:
 
     count: int  # Events
     hours: float  # Time under observation [h]
-    low: float  # Exact limits of the rate of a Poisson process, 95 % [1/h]
-    high: float  # Exact limits of the rate of a Poisson process, 95 % [1/h]
+    low: float  # Lower limit of the rate of a Poisson process, exact, 95 % [1/h]
+    high: float  # Upper limit [1/h]
 
     @property
     def value(self) -> float:
@@ -46,13 +46,11 @@ class Trend:
 
     unit: str  # The arm
     sensor: int  # Index of the sensor
-    # (n,) Time of each bag since the first one [d], and its mean fault estimate [rad]
-    days: np.ndarray
-    # (n,) Time of each bag since the first one [d], and its mean fault estimate [rad]
-    means: np.ndarray
-    slope: float  # Theil-Sen slope and its interval, 95 % [rad/d]
-    low: float  # Theil-Sen slope and its interval, 95 % [rad/d]
-    high: float  # Theil-Sen slope and its interval, 95 % [rad/d]
+    days: np.ndarray  # (n,) Time of each bag since the first one [d]
+    means: np.ndarray  # (n,) Its mean fault estimate [rad]
+    slope: float  # Theil-Sen slope [rad/d]
+    low: float  # Lower end of its 95 % interval [rad/d]
+    high: float  # Upper end [rad/d]
     probability: float  # That independent values are so much in order (Kendall's tau)
     significant: bool  # Whether that is less than 5 % over all trends together (Bonferroni)
     threshold: float  # Median of the bags' mean thresholds [rad]
@@ -65,16 +63,14 @@ class Trend:
 class FleetStatistics:
     """Statistics of an archive."""
 
-    bags: int  # All bags, and those that could not be read
-    failed: int  # All bags, and those that could not be read
+    bags: int  # All bags
+    failed: int  # Bags that could not be read
     hours: float  # Time under observation [h]
     alarms: dict  # Alarms by sensor, and ``all``
     kinds: dict  # Alarms by sensor and kind
     false_alarms: Rate  # Alarms without a fault, of bags where that is known
-    # Bags with a true fault, and those of them in which it was found on all its sensors
-    detected: int
-    # Bags with a true fault, and those of them in which it was found on all its sensors
-    faulty: int
+    detected: int  # Faulty bags in which the fault was found on all its sensors
+    faulty: int  # Bags with a true fault
     ranking: list  # Rows of all bags that could be read, the most suspicious first
     failures: list  # Rows of those that could not
     trends: list  # The least probable first

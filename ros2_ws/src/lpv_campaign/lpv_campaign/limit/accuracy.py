@@ -7,6 +7,7 @@ root mean square may be below a limit, the root of the mean square over many run
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from lpv_campaign.limit.arm_prior import known_exactly, known_within_priors
 from lpv_campaign.limit.cramer_rao_bound import accuracy_limit
 from lpv_campaign.limit.fault_prior import FaultModel, acting, anything, biases_since, known_shape
 from lpv_campaign.limit.kalman import filter_run, make_ekf, make_ukf
+from lpv_campaign.limit.problem import Problem
 from lpv_campaign.limit.smoother import filter_adaptively, smooth
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.joints import JointMap
@@ -155,7 +157,7 @@ def _estimates(
         tasks['ekf'] = lambda: filter_run(make_ekf, arm, run)
         tasks['ukf'] = lambda: filter_run(make_ukf, arm, run)
         tasks['adaptive'] = lambda: filter_adaptively(
-            arm, scenario, run, known_within_priors(arm, scenario), anything(run), substeps
+            Problem(arm, scenario, run, known_within_priors(arm, scenario), anything(run), substeps)
         )
     if smoother:
         tasks['smoother'] = lambda: _smoothed(arm, scenario, run, substeps)
@@ -170,14 +172,8 @@ def _estimates(
 def _smoothed(
     arm: ArmParameters, scenario: Scenario, run: Run, substeps: int
 ) -> tuple[np.ndarray, ...]:
-    best = smooth(
-        arm,
-        scenario,
-        run,
-        known_within_priors(arm, scenario),
-        fault_models(arm, scenario, run),
-        substeps,
-    )
+    knowledge, faults = known_within_priors(arm, scenario), fault_models(arm, scenario, run)
+    best = smooth(Problem(arm, scenario, run, knowledge, faults, substeps))
     if not best.converged:
         raise LpvError('the smoother did not converge')
     return best.fault, best.angle
@@ -191,12 +187,11 @@ def _limits(
         ('arm_known', known_exactly(arm, scenario)),
         ('within_priors', known_within_priors(arm, scenario)),
     ):
-        best = accuracy_limit(
-            arm, scenario, run, knowledge, fault_models(arm, scenario, run), substeps
-        )
+        problem = Problem(arm, scenario, run, knowledge, fault_models(arm, scenario, run), substeps)
+        best = accuracy_limit(problem)
         found[f'limit_{arm_known}'] = best.fault, best.angle
         found[f'smoothed_limit_{arm_known}'] = best.smoothed_fault, best.smoothed_angle
-        any_fault = accuracy_limit(arm, scenario, run, knowledge, anything(run), substeps)
+        any_fault = accuracy_limit(replace(problem, faults=anything(run)))
         found[f'limit_any_fault_{arm_known}'] = any_fault.fault, any_fault.angle
     return found
 

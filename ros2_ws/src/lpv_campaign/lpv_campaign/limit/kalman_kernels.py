@@ -71,10 +71,10 @@ def _flow(z: np.ndarray, torque: np.ndarray, disturbance: float, arm: SampledArm
         constants += z[4 + j] * arm.sensitivity[j]
     set_constants(arm.work, constants)
     push, dt = arm.direction * disturbance, arm.sample_time / arm.substeps
-    a, b, u, v = z[0], z[1], z[2], z[3]
+    x = z[0], z[1], z[2], z[3]
     for _ in range(arm.substeps):
-        a, b, u, v = rk4_step(a, b, u, v, torque[0], torque[1], push[0], push[1], dt, arm.work)
-    return np.array([a, b, u, v])
+        x = rk4_step(x, (torque[0], torque[1]), (push[0], push[1]), dt, arm.work)
+    return np.array(x)
 
 
 @njit

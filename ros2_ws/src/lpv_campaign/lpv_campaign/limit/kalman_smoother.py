@@ -12,13 +12,11 @@ from lpv_campaign.limit.linearisation import LinearSystem
 class Passes:
     """Results of both passes over n samples."""
 
-    means: np.ndarray  # (n, N) Deviations given the readings up to each sample, and given all
-    smoothed: np.ndarray  # (n, N) Deviations given the readings up to each sample, and given all
+    means: np.ndarray  # (n, N) Deviations given the readings up to each sample
+    smoothed: np.ndarray  # (n, N) Deviations given all readings
     covariances: np.ndarray  # (n, N, N) Given the readings up to each sample
-    # (n, 4) Of the faults of both position sensors and of both absolute angles [rad2]
-    filtered_variances: np.ndarray
-    # (n, 4) Of the faults of both position sensors and of both absolute angles [rad2]
-    smoothed_variances: np.ndarray
+    filtered_variances: np.ndarray  # (n, 4) Of both faults and both absolute angles [rad2]
+    smoothed_variances: np.ndarray  # (n, 4) The same given all readings [rad2]
 
 
 def both_passes(

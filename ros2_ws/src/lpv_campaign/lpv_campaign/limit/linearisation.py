@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_campaign.limit.arm_prior import ArmKnowledge
-from lpv_campaign.limit.fault_prior import RATE, SCALE, FaultModel, acting
+from lpv_campaign.limit.fault_prior import RATE, SCALE, acting
 from lpv_campaign.limit.kalman_kernels import Noise, SampledArm, move_and_derive
+from lpv_campaign.limit.problem import Problem
 from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters, vector_slice
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.closed_loop import Run
@@ -39,8 +40,8 @@ class LinearSystem:
     g: np.ndarray  # (n, 4) Its derivative by the disturbance d [rad], [rad/s]
     mean: float  # Mean of d
     push: np.ndarray  # (n,) Variance of d
-    memory: np.ndarray  # (N,) Of the other states; the first four entries are not used
-    growth: np.ndarray  # (N,) Of the other states; the first four entries are not used
+    memory: np.ndarray  # (N,) Factor of each other state per sample; first four entries unused
+    growth: np.ndarray  # (N,) Variance that each other state gains per sample; first four unused
     h: np.ndarray  # (n, 6, N) Jacobian of the readings
     readings: np.ndarray  # (n, 6) What the trajectory would read without noise
     r: np.ndarray  # (n, 6) Variance of the readings; infinite for what is not there
@@ -54,49 +55,15 @@ class LinearSystem:
         return Noise(self.push, self.memory, self.growth, self.h, self.r)
 
 
-def true_states(
-    arm: ArmParameters, run: Run, knowledge: ArmKnowledge, faults: list[FaultModel]
-) -> np.ndarray:
-    """Trajectory of the run's true state.
-
-    Returns ndarray of shape (n, N): States.
-    """
-    joints, p = JointMap(arm), len(knowledge.truth)
-    states = np.zeros((len(run.time), 4 + p + len(faults)))
-    states[:, :2] = joints.absolute_position(run.position)
-    states[:, 2:4] = joints.absolute_velocity(run.velocity)
-    states[:, 4 : 4 + p] = knowledge.truth
-    states[:, 4 + p :] = [model.truth for model in faults]
-    return states
-
-
-def linearise(
-    arm: ArmParameters,
-    scenario: Scenario,
-    run: Run,
-    knowledge: ArmKnowledge,
-    faults: list[FaultModel],
-    states: np.ndarray,
-    substeps: int = 2,
-) -> LinearSystem:
+def linearise(problem: Problem, states: np.ndarray) -> LinearSystem:
     """Linearise a run along a trajectory.
 
     Parameters
     ----------
-    arm : ArmParameters
-        Nominal arm, with sensors and disturbance.
-    scenario : Scenario
-        What happened.
-    run : Run
-        What was measured, torques, brakes, lost samples.
-    knowledge : ArmKnowledge
-        What is known of the arm.
-    faults : list of FaultModel
-        What is known of the faults.
+    problem : Problem
+        The run and what is known.
     states : ndarray, shape (n, N)
         Trajectory.
-    substeps : int, optional
-        Runge-Kutta steps per sample, as in the run.
 
     Returns
     -------
@@ -108,22 +75,23 @@ def linearise(
     ConfigError
         If the plant is no rigid-body arm.
     """
+    arm, scenario, run = problem.arm, problem.scenario, problem.run
+    knowledge, faults = problem.knowledge, problem.faults
     if scenario.plant == 'lpv':
         raise ConfigError(
             'plant.model', "must be a rigid-body arm for a limit of accuracy, got 'lpv'"
         )
-    n, size = states.shape
+    size = states.shape[1]
     torques = JointMap(arm).absolute_torque(run.torque)
-    sampled = sampled_arm(arm, scenario, knowledge, substeps)
+    sampled = sampled_arm(problem)
     moved, f, g = move_and_derive(
         np.ascontiguousarray(states), torques, np.ascontiguousarray(run.braked), sampled
     )
     push = disturbance_variance(arm, scenario) * ~run.braked
-    p = len(knowledge.deviation)
     memory, growth = np.ones(size), np.zeros(size)
-    memory[4 + p :] = [model.memory for model in faults]
-    growth[4 + p :] = [model.growth for model in faults]
-    h, readings, fault = _sensors(arm, run, knowledge, faults, states)
+    memory[problem.first_fault :] = [model.memory for model in faults]
+    growth[problem.first_fault :] = [model.growth for model in faults]
+    h, readings, fault = _sensors(problem, states)
     start = np.zeros(size)
     start[:2] = JointMap(arm).absolute_position(run.measured[0])
     deviation = np.concatenate(
@@ -146,19 +114,18 @@ def linearise(
     )
 
 
-def sampled_arm(
-    arm: ArmParameters, scenario: Scenario, knowledge: ArmKnowledge, substeps: int
-) -> SampledArm:
-    """The arm of a scenario as the compiled recursions take it."""
+def sampled_arm(problem: Problem) -> SampledArm:
+    """The arm of a problem as the compiled recursions take it."""
+    arm, scenario = problem.arm, problem.scenario
     mean = scenario.disturbance_factor * arm.disturbance_mean if scenario.disturbance else 0.0
     direction = np.asarray(arm.disturbance_direction, float)
     return SampledArm(
-        knowledge.constants,
-        knowledge.sensitivity,
+        problem.knowledge.constants,
+        problem.knowledge.sensitivity,
         direction,
         mean,
         arm.sample_time,
-        substeps,
+        problem.substeps,
         new_record(ARM_CONSTANTS),
     )
 
@@ -179,23 +146,17 @@ def noise_deviations(arm: ArmParameters, scenario: Scenario) -> tuple[float, flo
     )
 
 
-def _sensors(
-    arm: ArmParameters,
-    run: Run,
-    knowledge: ArmKnowledge,
-    faults: list[FaultModel],
-    states: np.ndarray,
-) -> tuple[np.ndarray, ...]:
+def _sensors(problem: Problem, states: np.ndarray) -> tuple[np.ndarray, ...]:
     """Jacobians and values of the readings, Jacobians of the faults."""
     n, size = states.shape
-    s, p = JointMap(arm).sensor_matrix, len(knowledge.deviation)
+    s, first = JointMap(problem.arm).sensor_matrix, problem.first_fault
     angles, rates = states[:, :2] @ s.T, states[:, 2:4] @ s.T
     h, fault = np.zeros((n, READINGS, size)), np.zeros((n, 2, size))
     readings = np.concatenate([angles, rates, np.zeros((n, 2))], axis=1)
     h[:, :2, :2] = s
     h[:, 2:4, 2:4] = s
-    for j, model in enumerate(faults):
-        column, i, number = 4 + p + j, model.sensor, states[:, 4 + p + j]
+    for column, model in enumerate(problem.faults, first):
+        i, number = model.sensor, states[:, column]
         if model.kind == RATE:
             h[:, 2 + i, column] = model.shape
             readings[:, 2 + i] += model.shape * number
@@ -206,14 +167,15 @@ def _sensors(
         if model.kind == SCALE:
             fault[:, i, :2] += (model.shape * number)[:, None] * s[i]
     h[:, :2] += fault
-    _holding(knowledge, states, p, h, readings)
+    _holding(problem.knowledge, states, h, readings)
     return h, readings, fault
 
 
 def _holding(
-    knowledge: ArmKnowledge, states: np.ndarray, p: int, h: np.ndarray, readings: np.ndarray
+    knowledge: ArmKnowledge, states: np.ndarray, h: np.ndarray, readings: np.ndarray
 ) -> None:
     """Torques that hold a braked arm against gravity: Q_i = -G_i sin theta_i."""
+    p = len(knowledge.deviation)
     constants = knowledge.constants + states[:, 4 : 4 + p] @ knowledge.sensitivity
     first = vector_slice('gravity').start
     for i, entry in enumerate((first, first + 1)):

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv_campaign.limit.arm_prior import ArmKnowledge
-from lpv_campaign.limit.fault_prior import FaultModel
 from lpv_campaign.limit.kalman_kernels import filter_extended
 from lpv_campaign.limit.kalman_smoother import both_passes
 from lpv_campaign.limit.linearisation import linearise, measurements, sampled_arm
-from lpv_core.model.arm import ArmParameters
+from lpv_campaign.limit.problem import Problem
 from lpv_core.model.joints import JointMap
-from lpv_core.simulation.closed_loop import Run
-from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.errors import LpvError
 
 _ITERATIONS = 25
@@ -36,22 +33,14 @@ within a small fraction of a rad/s, about which full steps may swing."""
 class Smoothed:
     """Full-information estimate of one run."""
 
-    angle: np.ndarray  # (n, 2) Absolute angles and faults of the position sensors [rad]
-    fault: np.ndarray  # (n, 2) Absolute angles and faults of the position sensors [rad]
+    angle: np.ndarray  # (n, 2) Absolute angles [rad]
+    fault: np.ndarray  # (n, 2) Faults of the position sensors [rad]
     states: np.ndarray  # (n, N) All states, see `lpv_campaign.limit.linearisation`
     iterations: int  # Gauss-Newton steps
     converged: bool  # Whether the last one was small
 
 
-def smooth(
-    arm: ArmParameters,
-    scenario: Scenario,
-    run: Run,
-    knowledge: ArmKnowledge,
-    faults: list[FaultModel],
-    substeps: int = 2,
-    iterations: int = _ITERATIONS,
-) -> Smoothed:
+def smooth(problem: Problem, iterations: int = _ITERATIONS) -> Smoothed:
     """Most probable trajectory of a run given all its data (iterated extended Kalman smoother).
 
     Each iteration linearises along the last result and solves for all samples at once: Gauss-Newton
@@ -59,8 +48,8 @@ def smooth(
 
     Parameters
     ----------
-    arm, scenario, run, knowledge, faults, substeps
-        As `lpv_campaign.limit.linearisation.linearise`.
+    problem : Problem
+        The run and what is known.
     iterations : int, optional
         At most so many.
 
@@ -74,12 +63,13 @@ def smooth(
     LpvError
         If iteration diverged.
     """
-    states, readings = _first_guess(arm, run, knowledge, faults), measurements(arm, run)
+    knowledge = problem.knowledge
+    states, readings = _first_guess(problem), measurements(problem.arm, problem.run)
     before = np.inf
     for count in range(1, iterations + 1):
-        system = linearise(arm, scenario, run, knowledge, faults, states, substeps)
+        system = linearise(problem, states)
         if count <= _ARM_HELD:
-            system.deviation[4 : 4 + len(knowledge.deviation)] *= _HELD
+            system.deviation[4 : problem.first_fault] *= _HELD
         defect = np.zeros_like(states)
         defect[:-1] = system.memory * states[:-1] - states[1:]
         defect[:-1, :4] = system.moved[:-1] - states[1:, :4]
@@ -107,24 +97,14 @@ def _length(step: np.ndarray, knowledge: ArmKnowledge) -> float:
     return float(np.delete(moved / small, (2, 3)).max())
 
 
-def _first_guess(
-    arm: ArmParameters, run: Run, knowledge: ArmKnowledge, faults: list[FaultModel]
-) -> np.ndarray:
-    joints = JointMap(arm)
-    states = np.zeros((len(run.time), 4 + len(knowledge.deviation) + len(faults)))
-    states[:, :2] = joints.absolute_position(run.estimate)
-    states[:, 2:4] = joints.absolute_velocity(run.estimated_velocity)
+def _first_guess(problem: Problem) -> np.ndarray:
+    joints, states = JointMap(problem.arm), problem.new_states()
+    states[:, :2] = joints.absolute_position(problem.run.estimate)
+    states[:, 2:4] = joints.absolute_velocity(problem.run.estimated_velocity)
     return states
 
 
-def filter_adaptively(
-    arm: ArmParameters,
-    scenario: Scenario,
-    run: Run,
-    knowledge: ArmKnowledge,
-    faults: list[FaultModel],
-    substeps: int = 2,
-) -> tuple[np.ndarray, ...]:
+def filter_adaptively(problem: Problem) -> tuple[np.ndarray, ...]:
     """Causal extended Kalman filter that learns the arm's parameters.
 
     Given `lpv_campaign.limit.fault_prior.anything`, position sensors serve it for the first sample
@@ -132,10 +112,8 @@ def filter_adaptively(
 
     Parameters
     ----------
-    arm, scenario, run, knowledge, substeps
-        As `smooth`.
-    faults : list of FaultModel
-        Additive ones and those of rates.
+    problem : Problem
+        The run and what is known; its faults are additive ones and those of rates.
 
     Returns
     -------
@@ -147,13 +125,13 @@ def filter_adaptively(
     LpvError
         If the filter diverged.
     """
-    nominal = np.zeros((len(run.time), 4 + len(knowledge.deviation) + len(faults)))
-    system = linearise(arm, scenario, run, knowledge, faults, nominal, substeps)
+    arm, run = problem.arm, problem.run
+    system = linearise(problem, problem.new_states())
     system.r[:, 4:] = np.inf  # not linear in the angles
     states = filter_extended(
         JointMap(arm).absolute_torque(run.torque),
         np.ascontiguousarray(run.braked),
-        sampled_arm(arm, scenario, knowledge, substeps),
+        sampled_arm(problem),
         system.noise,
         measurements(arm, run),
         system.start,

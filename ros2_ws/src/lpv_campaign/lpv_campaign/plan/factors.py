@@ -31,8 +31,8 @@ class Choice:
 class Range:
     """A number between two ends, uniform in its value or in its logarithm."""
 
-    low: float  # Ends
-    high: float  # Ends
+    low: float  # Lower end
+    high: float  # Upper end
     logarithmic: bool = False  # Whether the logarithm is uniform
     levels: int = 2  # Values in a factorial plan, both ends among them
 

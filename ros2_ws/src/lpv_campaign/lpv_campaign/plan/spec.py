@@ -93,8 +93,8 @@ class CampaignSpec:
     seed: int  # Seed of the plan and, with the number of a run, of the run
     method: str  # One of `lpv_campaign.plan.sampling.METHODS`
     runs: int  # Number of runs
-    arm: str  # Arm and base scenario: files, or names of shipped ones
-    scenario: str  # Arm and base scenario: files, or names of shipped ones
+    arm: str  # Arm file, or name of a shipped arm
+    scenario: str  # Base scenario: a file, or name of a shipped one
     duration: float | None  # Length of a run [s]; None: the scenario's
     designs: tuple  # Requirement or gains files, or names of shipped requirements
     factors: dict  # What varies, and what is fixed to another value than the default

@@ -51,9 +51,9 @@ _PAGE_WIDTH = 9.8
 class CampaignReport:
     """What was written."""
 
-    html: Path  # The files
-    json: Path  # The files
-    numbers: dict  # Content of the second one
+    html: Path  # The report
+    json: Path  # Its numbers
+    numbers: dict  # Content of that file
 
 
 def write_report(campaign: Campaign, table: pa.Table, folder: str | Path) -> CampaignReport:

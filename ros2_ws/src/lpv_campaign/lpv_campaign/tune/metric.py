@@ -48,8 +48,8 @@ class Figure:
     where: dict[str, Any] | None = None  # Runs that count: by column the values that it may have
     weight: float = 0.0  # Of the figure in the cost; 0: it is only watched
     scale: float | None = None  # What counts as 1 in the cost; None: the figure of the first trial
-    at_most: float = math.inf  # Largest value, as it is and over that of the first trial
-    at_most_ratio: float = math.inf  # Largest value, as it is and over that of the first trial
+    at_most: float = math.inf  # Largest value
+    at_most_ratio: float = math.inf  # Largest value over that of the first trial
 
     def values(self, rows: list[dict[str, Any]], length: float) -> np.ndarray:
         """The column over all runs.

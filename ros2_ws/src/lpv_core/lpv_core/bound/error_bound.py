@@ -156,7 +156,7 @@ def reset_bound(state: np.record) -> None:
 
 @njit
 def update_bound(
-    params: np.record, state: np.record, estimate: np.record, lost: np.ndarray
+    params: np.record, state: np.record, estimate: np.record, reckoning: np.record
 ) -> None:
     """Follow the configuration; fills ``bound`` and ``momentum`` of the state.
 
@@ -166,9 +166,11 @@ def update_bound(
         Constants and state.
     estimate : numpy.record
         Latest estimate.
-    lost : ndarray, shape (2,)
-        What samples that were lost just before leave unknown of each sensor's angle [rad].
+    reckoning : numpy.record
+        State of dead reckoning: ``lost`` is what samples that were lost just before leave unknown
+        of each sensor's angle [rad].
     """
+    lost = reckoning.lost
     if params.exact:
         _follow_set(params, state, estimate, lost)
         return

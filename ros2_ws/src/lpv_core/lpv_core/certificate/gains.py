@@ -25,8 +25,8 @@ class PaperObserverGains:
     box: np.ndarray  # ranges of phi1, phi2, phi3, shape (3, 2)
     lmi: str  # which inequalities hold: '55' or '54+disc'
     gamma: float  # attenuation level
-    q: float  # disc of the poles [1/s]
-    r: float  # disc of the poles [1/s]
+    q: float  # the poles' disc has its centre at -q [1/s]
+    r: float  # radius of that disc [1/s]
     fault_sigma: np.ndarray  # standard deviation of the fault estimates, shape (2,) [rad]
     method = 'paper'
 

@@ -30,18 +30,10 @@ _LONGEST = 10.0
 
 @dataclass(frozen=True)
 class SampledLoop:
-    """One sample of the loop, z+ = (L + R) z.
+    """One sample of the loop, z+ = (L + R) z."""
 
-    Attributes
-    ----------
-    vertices : ndarray, shape (n, 8, 8)
-        L is a convex combination of these.
-    remainder : ndarray, shape (8, 8)
-        Bound of abs(R), entry by entry.
-    """
-
-    vertices: np.ndarray
-    remainder: np.ndarray
+    vertices: np.ndarray  # L is a convex combination of these, shape (n, 8, 8)
+    remainder: np.ndarray  # bound of abs(R), entry by entry, shape (8, 8)
 
     def contraction(self, lyapunov: np.ndarray) -> float:
         """Largest factor by which sqrt(z' P z) changes in a sample; infinite without P > 0."""

@@ -125,7 +125,7 @@ class ComputedTorqueController(TrackingLaw):
         """The model that torques are computed with."""
         return self._chain
 
-    def _answer(
+    def answer(
         self,
         reference: FloatArray,
         position: FloatArray,
@@ -133,6 +133,7 @@ class ComputedTorqueController(TrackingLaw):
         integrated: FloatArray,
         interval: float,
     ) -> None:
+        """As `TrackingLaw.answer`."""
         computed_torque(
             self._chain, self.state, reference, position, velocity, integrated, interval, self._work
         )

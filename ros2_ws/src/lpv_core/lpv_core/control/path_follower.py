@@ -14,10 +14,6 @@ _RAMP = 0.5
 _SHORTEST = 1.0
 """Least time of an approach [s]: a short distance in less time asks for torques that throw an
 upright arm far if one of them is held for too long."""
-_REFERENCE_MOVED = 0.02
-"""Motion of the reference, with the arm at rest, from which the arm is not following [rad]."""
-_ARM_MOVED = 0.01
-"""Motion of an arm that follows, from where it was found: above the noise of estimates [rad]."""
 _FIELDS = ('position', 'velocity', 'acceleration', 'tip')
 
 
@@ -45,7 +41,6 @@ class PathFollower:
         """Return to the start of the path."""
         self._start: int | None = None  # stamp of the first reference since the last stop [ns]
         self._reached = 0.0  # time on the path's clock [s]
-        self._arm_moved = False
 
     def stop(self, stamp: int | None = None) -> None:
         """Stop the clock of the path until the next reference.
@@ -86,12 +81,10 @@ class PathFollower:
         Reference
             Of one time.
         """
-        found = np.asarray(position, float)
         start = self._start
         if start is None:
             start = stamp
-            self._restart(stamp, found)
-        self._arm_moved |= bool(np.abs(found - self._arm_start).max() > _ARM_MOVED)
+            self._restart(stamp, np.asarray(position, float))
         time = (stamp - start) / NANOSECONDS
         if time < self._approach:
             return self._approach_at(time / self._approach)
@@ -120,36 +113,14 @@ class PathFollower:
                 getattr(result, name)[approaching] = getattr(references, name)
         return result
 
-    def arm_not_following(self, reference: Reference) -> bool:
-        """Whether the arm has stood still since the start although the reference has moved on.
-
-        The commands then have no effect: the drives still brake.  To go on would build up torque
-        for the moment in which they have; the loop had better stop and start again.
-
-        Parameters
-        ----------
-        reference : Reference
-            The present one.
-
-        Returns
-        -------
-        bool
-            Always False once the arm has moved.
-        """
-        moved = np.abs(reference.position - self._reference_start).max()
-        return bool(not self._arm_moved and moved > _REFERENCE_MOVED)
-
     def _restart(self, stamp: int, position: np.ndarray) -> None:
         self._start, self._from = stamp, self._reached
-        self._arm_moved = False
         self._offset = position - self._path.sample(self._from).position
         distance = float(np.abs(self._offset).max())
         at_end = not self._path.start < self._from < self._path.end
         self._ramp = 0.0 if at_end else _RAMP
         # The peak rate of the quintic is 15/8 of its mean.
         self._approach = max(1.875 * distance / self._speed, _SHORTEST) if distance > _NEAR else 0.0
-        self._arm_start = position
-        self._reference_start = position if self._approach else position - self._offset
 
     def _approach_at(self, share: float | np.ndarray) -> Reference:
         """Between where the arm was found and the path, at a share of the approach's time."""

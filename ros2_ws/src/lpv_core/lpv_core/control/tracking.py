@@ -10,10 +10,16 @@ from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics
 from lpv_core.model.joints import JOINT_MAP, JointMap
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import memory, new_record, record_type
 
-COMPENSATION = ('off', 'confirmed', 'always')
-"""Which position the loop closes on: measured, with confirmed faults removed, or estimated."""
+FEEDBACK_FIELDS = {
+    'off': 'measured_position',
+    'confirmed': 'compensated_position',
+    'always': 'position',
+}
+"""Field of lpv_msgs/StateEstimate that the loop closes on: as measured, with confirmed faults
+removed, or as estimated."""
+COMPENSATION = tuple(FEEDBACK_FIELDS)
 
 TRACKING_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
@@ -112,6 +118,20 @@ def _feedback(params: np.record, state: np.record, i: int) -> float:
     return total
 
 
+@njit
+def _track(
+    params: np.ndarray,
+    state: np.ndarray,
+    reference: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    integrated: np.ndarray,
+    interval: float,
+) -> None:
+    """`track` for Python: with the memory of records."""
+    track(params[0], state[0], reference, position, velocity, integrated, interval)
+
+
 class TrackingController(TrackingLaw):
     """State feedback u = M1 x + M2 eps (65), eps' = w - y (59).
 
@@ -133,10 +153,10 @@ class TrackingController(TrackingLaw):
     """
 
     def __init__(self, arm: ArmParameters, gains: Gains) -> None:
-        self._constants = tracking_constants(arm, gains)
+        self._params = memory(tracking_constants(arm, gains))
         super().__init__(new_record(TRACKING_STATE))
 
-    def _answer(
+    def answer(
         self,
         reference: np.ndarray,
         position: np.ndarray,
@@ -144,7 +164,8 @@ class TrackingController(TrackingLaw):
         integrated: np.ndarray,
         interval: float,
     ) -> None:
-        track(self._constants, self.state, reference, position, velocity, integrated, interval)
+        """As `TrackingLaw.answer`."""
+        _track(self._params, self._memory, reference, position, velocity, integrated, interval)
 
 
 def feedback_position(compensation: str, estimate: Any) -> np.ndarray:
@@ -157,8 +178,5 @@ def feedback_position(compensation: str, estimate: Any) -> np.ndarray:
     estimate : object
         With the fields of lpv_msgs/StateEstimate.
     """
-    if compensation == 'always':
-        return estimate.position
-    return (
-        estimate.compensated_position if compensation == 'confirmed' else estimate.measured_position
-    )
+    position: np.ndarray = getattr(estimate, FEEDBACK_FIELDS[compensation])
+    return position

@@ -8,23 +8,15 @@ from numpy.typing import ArrayLike
 
 from lpv_core.control.path import Reference
 from lpv_core.support.jit import njit
-from lpv_core.support.records import plain
+from lpv_core.support.records import memory, plain
 
 
 @dataclass(frozen=True)
 class Command:
-    """One torque command.
+    """One torque command."""
 
-    Attributes
-    ----------
-    torque : ndarray, shape (n,)
-        Joint torques within limits [N m].
-    saturated : bool
-        Whether a limit was met.
-    """
-
-    torque: np.ndarray
-    saturated: bool
+    torque: np.ndarray  # joint torques within limits, shape (n,) [N m]
+    saturated: bool  # whether a limit was met
 
 
 @njit
@@ -57,11 +49,17 @@ class TrackingLaw(ABC):
     ----------
     state : numpy.record
         With ``integral``, ``torque``, ``saturated``.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (n,)
+        Joint torques of the last command [N m].
     """
 
     def __init__(self, state: np.record) -> None:
         self.state = state
-        self._shown = plain(state)
+        self._memory, self._shown = memory(state), plain(state)
+        self.torque: np.ndarray = self._memory['torque'][0]
 
     @property
     def integral(self) -> np.ndarray:
@@ -98,17 +96,17 @@ class TrackingLaw(ABC):
         Command
             Joint torques.
         """
-        self._answer(
+        self.answer(
             np.array([reference.position, reference.velocity, reference.acceleration]),
             np.ascontiguousarray(position, dtype=float),
             np.ascontiguousarray(velocity, dtype=float),
             np.ascontiguousarray(integrated_position, dtype=float),
             float(interval),
         )
-        return Command(self._shown['torque'].copy(), bool(self._shown['saturated']))
+        return Command(self.torque.copy(), bool(self._shown['saturated']))
 
     @abstractmethod
-    def _answer(
+    def answer(
         self,
         reference: np.ndarray,
         position: np.ndarray,
@@ -116,4 +114,14 @@ class TrackingLaw(ABC):
         integrated: np.ndarray,
         interval: float,
     ) -> None:
-        """Write the command into the state."""
+        """Write the command for the present sample into ``torque``.
+
+        Parameters
+        ----------
+        reference : ndarray, shape (3, n)
+            Positions, rates and accelerations [rad], [rad/s], [rad/s2].
+        position, velocity, integrated : ndarray, shape (n,)
+            As of `update`, contiguous.
+        interval : float
+            As of `update`.
+        """

@@ -13,7 +13,7 @@ import numpy as np
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
@@ -342,3 +342,102 @@ def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
     for i in range(velocity.shape[0]):
         fast = fast or not abs(velocity[i]) <= limit[i]  # so that NaN is too fast
     return fast
+
+
+@njit
+def _check_estimate(
+    dog: np.ndarray, stamp: int, latency: int, mode: int, trustworthy: bool, velocity: np.ndarray
+) -> int:
+    return check_estimate(dog[0], stamp, latency, mode, trustworthy, velocity)
+
+
+@njit
+def _check_motion(dog: np.ndarray, stamp: int, reference: np.ndarray, position: np.ndarray) -> int:
+    return check_motion(dog[0], stamp, reference, position)
+
+
+@njit
+def _check_drive(dog: np.ndarray, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
+    return check_drive(dog[0], now, age, safe_stop, velocity)
+
+
+class _Watchdog:
+    """What both watchdogs have for Python: the memory of a record, and what is latched."""
+
+    def __init__(self, record: np.record) -> None:
+        self._memory = memory(record)
+
+    @property
+    def latched(self) -> int:
+        """Reason that lasts until it is set to 0."""
+        return int(self._memory['latched'][0])
+
+    @latched.setter
+    def latched(self, reason: int) -> None:
+        self._memory['latched'] = reason
+
+
+class TrackerWatchdog(_Watchdog):
+    """The tracker's watchdog, estimate by estimate.
+
+    Parameters
+    ----------
+    arm : ArmParameters or SerialArm
+        The arm.
+    limits : TrackerLimits
+        Limits.
+
+    Attributes
+    ----------
+    silence : int
+        Longest interval between estimates [ns].
+    """
+
+    def __init__(self, arm: Arm, limits: TrackerLimits) -> None:
+        super().__init__(tracker_watchdog(arm, limits))
+        self.silence = _nanoseconds(limits.silence)
+
+    def check_estimate(
+        self, stamp: int, latency: int, mode: int, trustworthy: bool, velocity: np.ndarray
+    ) -> StopReason:
+        """As the function `check_estimate`."""
+        return _STOP_REASONS[
+            _check_estimate(self._memory, stamp, latency, mode, trustworthy, velocity)
+        ]
+
+    def check_motion(self, stamp: int, reference: np.ndarray, position: np.ndarray) -> StopReason:
+        """As the function `check_motion`."""
+        return _STOP_REASONS[_check_motion(self._memory, stamp, reference, position)]
+
+    def note_stop(self) -> None:
+        """As the function `note_stop`."""
+        self._memory['started'] = False
+
+
+class DriveWatchdog(_Watchdog):
+    """The drives' watchdog, sample by sample.
+
+    Parameters
+    ----------
+    arm : ArmParameters or SerialArm
+        The arm.
+    limits : DriveLimits
+        Limits.
+
+    Attributes
+    ----------
+    command_age : int
+        Greatest age of the measurement that was answered last [ns].
+    """
+
+    def __init__(self, arm: Arm, limits: DriveLimits) -> None:
+        super().__init__(drive_watchdog(arm, limits))
+        self.command_age = _nanoseconds(limits.latency.single)
+
+    def check(self, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> BrakeReason:
+        """As the function `check_drive`."""
+        return _BRAKE_REASONS[_check_drive(self._memory, now, age, safe_stop, velocity)]
+
+
+_STOP_REASONS, _BRAKE_REASONS = tuple(StopReason), tuple(BrakeReason)
+"""By number: quicker than to make them."""

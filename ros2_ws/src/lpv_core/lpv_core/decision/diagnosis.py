@@ -275,7 +275,7 @@ def diagnose(
     state.stamp = estimate.stamp
     decision, bound, consistency = state.decision, state.bound, state.consistency
     update_dead_reckoning(params.reckoning, state.reckoning, estimate)
-    update_bound(params.bound, bound, estimate, state.reckoning.lost)
+    update_bound(params.bound, bound, estimate, state.reckoning)
     noise = _largest_excess(state)
     update_consistency(params.consistency, consistency, estimate, bound.momentum, noise)
     decision.inconsistent = consistency.inconsistent

@@ -14,17 +14,13 @@ from lpv_core.serial_arm.chain import IXX, MASS, MX, Chain, FloatArray
 from lpv_core.support.errors import ConfigError
 
 
-def chain_mjcf(chain: Chain, name: str = 'arm', timestep: float = 1e-3) -> str:
+def chain_mjcf(chain: Chain) -> str:
     """Write a serial arm as MJCF, without friction, drives, contacts and shapes.
 
     Parameters
     ----------
     chain : Chain
         The arm.
-    name : str, optional
-        Of the model.
-    timestep : float, optional
-        Of MuJoCo's Runge-Kutta steps [s].
 
     Returns
     -------
@@ -38,10 +34,10 @@ def chain_mjcf(chain: Chain, name: str = 'arm', timestep: float = 1e-3) -> str:
     """
     if np.any(chain.motor != np.diag(np.diag(chain.motor))):
         raise ConfigError('motor', 'must not be coupled for MuJoCo')
-    root = ElementTree.Element('mujoco', model=name)
+    root = ElementTree.Element('mujoco', model='arm')
     add_element(root, 'compiler', angle='radian', autolimits='true')
     option = add_element(
-        root, 'option', integrator='RK4', timestep=timestep, gravity=tuple(chain.gravity)
+        root, 'option', integrator='RK4', timestep=1e-3, gravity=tuple(chain.gravity)
     )
     add_element(option, 'flag', contact='disable')
     parent = add_element(root, 'worldbody')

@@ -158,26 +158,17 @@ def _slope(
 
 @njit
 def rk4_step(
-    theta_1: float,
-    theta_2: float,
-    rate_1: float,
-    rate_2: float,
-    torque_1: float,
-    torque_2: float,
-    push_1: float,
-    push_2: float,
-    dt: float,
-    params: np.record,
-) -> tuple[float, ...]:
+    x: State, torque: tuple[float, float], push: tuple[float, float], dt: float, params: np.record
+) -> State:
     """Advance the nonlinear arm by one Runge-Kutta step with torques held.
 
     Parameters
     ----------
-    theta_1, theta_2, rate_1, rate_2 : float
-        Absolute state [rad], [rad/s].
-    torque_1, torque_2 : float
+    x : tuple of float
+        Absolute angles and rates of both links [rad], [rad/s].
+    torque : tuple of float
         Generalised torques Q [N m].
-    push_1, push_2 : float
+    push : tuple of float
         Acceleration Bd*d of the disturbance, eq. (31) [rad/s2].
     dt : float
         Step [s].
@@ -189,8 +180,6 @@ def rk4_step(
     tuple of float
         The absolute state after ``dt``.
     """
-    x = (theta_1, theta_2, rate_1, rate_2)
-    torque, push = (torque_1, torque_2), (push_1, push_2)
     k1 = _slope(x, torque, push, params)
     k2 = _slope(ahead(x, k1, 0.5 * dt), torque, push, params)
     k3 = _slope(ahead(x, k2, 0.5 * dt), torque, push, params)

@@ -38,13 +38,15 @@ class JointOrder:
             self._names = names
         return self._index
 
-    def pick(self, message: Any) -> tuple[list[Any], ...]:
+    def pick(self, message: Any, torque: Sequence[float] | None = None) -> tuple[list[Any], ...]:
         """Positions, rates and efforts of the arm's joints.
 
         Parameters
         ----------
         message : sensor_msgs.msg.JointState
             The measurement.
+        torque : sequence of float, optional
+            Torques of the arm's joints in place of the message's effort.
 
         Returns
         -------
@@ -57,7 +59,7 @@ class JointOrder:
             If joints are unknown or an array has the wrong size.
         """
         index, count = self.indices(message.name), len(message.name)
-        picked = []
+        picked: list[list[Any]] = []
         for field, needed in (
             ('position', True),
             ('velocity', self._needs_rates),
@@ -66,6 +68,9 @@ class JointOrder:
             values = getattr(message, field)
             if len(values) != count and (needed or len(values)):
                 raise SampleError(f'{field} has {len(values)} values for {count} joints')
-            missing = [math.nan] * len(index)
-            picked.append([values[i] for i in index] if len(values) else missing)
+            picked.append([values[i] for i in index] if len(values) else [math.nan] * len(index))
+        if torque is not None:
+            if len(torque) != len(index):
+                raise SampleError(f'torque has {len(torque)} values for {len(index)} joints')
+            picked[2] = list(torque)
         return tuple(picked)

@@ -7,6 +7,14 @@ from lpv_core.model.joints import JointMap
 from lpv_core.model.polytope import paper_scheduling, paper_vertices, paper_weights
 from lpv_core.model.runge_kutta import State, ahead, weighted
 from lpv_core.support.jit import njit
+from lpv_core.support.records import record_type
+
+LPV_PLANT = record_type(
+    ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
+    ('a', 'f8', (8, 4, 4)),  # A of the vertices
+    ('b', 'f8', (8, 4, 2)),  # B of the vertices
+)
+"""The paper's plant, eq. (25)."""
 
 
 def inertia_matrix(phi_1: float, params: np.record) -> np.ndarray:
@@ -137,29 +145,18 @@ class Descriptor:
 
 @njit
 def lpv_rates(
-    theta_1: float,
-    theta_2: float,
-    rate_1: float,
-    rate_2: float,
-    torque_1: float,
-    torque_2: float,
-    a: np.ndarray,
-    b: np.ndarray,
-    box: np.ndarray,
-    rho: np.ndarray,
-) -> tuple[float, ...]:
+    x: State, torque: tuple[float, float], plant: np.record, rho: np.ndarray
+) -> tuple[float, float]:
     """Right side of the paper's own LPV plant, eq. (25) without disturbance.
 
     Parameters
     ----------
-    theta_1, theta_2, rate_1, rate_2 : float
-        State x, eq. (21).
-    torque_1, torque_2 : float
+    x : tuple of float
+        State, eq. (21) [rad], [rad/s].
+    torque : tuple of float
         Input u [N m], absolute coordinates.
-    a, b : ndarray, shapes (8, 4, 4) and (8, 4, 2)
-        Vertices.
-    box : ndarray, shape (3, 2)
-        Ranges of the scheduling variables; phi is clipped to it.
+    plant : numpy.record
+        Vertices and box, of type `LPV_PLANT`; phi is clipped to the box.
     rho : ndarray, shape (8,)
         Scratch for the weights.
 
@@ -168,21 +165,16 @@ def lpv_rates(
     tuple of float
         theta'' [rad/s2]; the upper rows of (25) are theta' itself.
     """
-    phi_1, phi_2, phi_3 = paper_scheduling(theta_1, theta_2)
-    paper_weights(phi_1, phi_2, phi_3, box, rho)
+    a, b = plant.a, plant.b
+    phi_1, phi_2, phi_3 = paper_scheduling(x[0], x[1])
+    paper_weights(phi_1, phi_2, phi_3, plant.box, rho)
     acc_1, acc_2 = 0.0, 0.0
     for i in range(8):
         acc_1 += rho[i] * (
-            a[i, 2, 0] * theta_1
-            + a[i, 2, 1] * theta_2
-            + b[i, 2, 0] * torque_1
-            + b[i, 2, 1] * torque_2
+            a[i, 2, 0] * x[0] + a[i, 2, 1] * x[1] + b[i, 2, 0] * torque[0] + b[i, 2, 1] * torque[1]
         )
         acc_2 += rho[i] * (
-            a[i, 3, 0] * theta_1
-            + a[i, 3, 1] * theta_2
-            + b[i, 3, 0] * torque_1
-            + b[i, 3, 1] * torque_2
+            a[i, 3, 0] * x[0] + a[i, 3, 1] * x[1] + b[i, 3, 0] * torque[0] + b[i, 3, 1] * torque[1]
         )
     return acc_1, acc_2
 
@@ -192,55 +184,40 @@ def _slope(
     x: State,
     torque: tuple[float, float],
     push: tuple[float, float],
-    a: np.ndarray,
-    b: np.ndarray,
-    box: np.ndarray,
+    plant: np.record,
     rho: np.ndarray,
 ) -> State:
-    acc_1, acc_2 = lpv_rates(x[0], x[1], x[2], x[3], torque[0], torque[1], a, b, box, rho)
+    acc_1, acc_2 = lpv_rates(x, torque, plant, rho)
     return x[2], x[3], acc_1 + push[0], acc_2 + push[1]
 
 
 @njit
 def lpv_rk4_step(
-    theta_1: float,
-    theta_2: float,
-    rate_1: float,
-    rate_2: float,
-    torque_1: float,
-    torque_2: float,
-    push_1: float,
-    push_2: float,
+    x: State,
+    torque: tuple[float, float],
+    push: tuple[float, float],
     dt: float,
-    a: np.ndarray,
-    b: np.ndarray,
-    box: np.ndarray,
+    plant: np.record,
     rho: np.ndarray,
-) -> tuple[float, ...]:
+) -> State:
     """Advance the LPV plant (25) by one Runge-Kutta step with torques held.
 
     Parameters
     ----------
-    theta_1, theta_2, rate_1, rate_2 : float
-        State.
-    torque_1, torque_2 : float
-        Input u [N m], absolute coordinates.
-    push_1, push_2 : float
+    x, torque, plant, rho
+        As `lpv_rates`.
+    push : tuple of float
         Bd*d [rad/s2].
     dt : float
         Step [s].
-    a, b, box, rho
-        As `lpv_rates`.
 
     Returns
     -------
     tuple of float
         The state after ``dt``.
     """
-    x = (theta_1, theta_2, rate_1, rate_2)
-    torque, push = (torque_1, torque_2), (push_1, push_2)
-    k1 = _slope(x, torque, push, a, b, box, rho)
-    k2 = _slope(ahead(x, k1, 0.5 * dt), torque, push, a, b, box, rho)
-    k3 = _slope(ahead(x, k2, 0.5 * dt), torque, push, a, b, box, rho)
-    k4 = _slope(ahead(x, k3, dt), torque, push, a, b, box, rho)
+    k1 = _slope(x, torque, push, plant, rho)
+    k2 = _slope(ahead(x, k1, 0.5 * dt), torque, push, plant, rho)
+    k3 = _slope(ahead(x, k2, 0.5 * dt), torque, push, plant, rho)
+    k4 = _slope(ahead(x, k3, dt), torque, push, plant, rho)
     return weighted(x, k1, k2, k3, k4, dt)

@@ -1,11 +1,13 @@
 """What a measurement leads to, for any number of joints."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from lpv_core.decision.diagnosis import Alarm
+from lpv_core.monitoring import message_fields
 from lpv_core.support.records import record_type
 
 LONGEST_STALE = 50_000_000
@@ -45,42 +47,65 @@ def answer_type(joints: int) -> np.dtype:
 
 @dataclass
 class Answer:
-    """What one measurement leads to; each entry holds the fields of one message.
+    """What one measurement leads to: a record, and what there is to say now and then.
+
+    Fields of messages are made of the record where they are asked for: a node has messages of its
+    own, which it copies the record into.
 
     Attributes
     ----------
     stamp : int
         Of the measurement [ns]; of every message, too.
-    state : dict
-        lpv_msgs/StateEstimate.
-    corrected : dict or None
-        sensor_msgs/JointState with confirmed faults removed; None where nothing was estimated.
-    fault : dict or None
-        lpv_msgs/FaultEstimate.
-    alarms : list of dict
-        lpv_msgs/FaultAlarm.
+    record : numpy.void
+        Of `answer_type`.
+    arm : ArmParameters or SerialArm
+        Names of joints and sensors.
     status : list of dict or None
         diagnostic_msgs/DiagnosticArray's statuses where a report is due.
     events : list of Alarm
-        The alarm events themselves.
+        Alarm events.
     warnings : list of str
         What contradicts the arm file and was not said before.
-    restarted : bool
-        The clock was set back: observer and alarms restarted.
-    inconsistent : bool
-        Rates, torques and model contradict each other.
     """
 
     stamp: int
-    state: dict[str, Any]
-    corrected: dict[str, Any] | None = None
-    fault: dict[str, Any] | None = None
-    alarms: list[dict[str, Any]] = field(default_factory=list)
+    record: np.void
+    arm: Any
     status: list[dict[str, Any]] | None = None
     events: list[Alarm] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    restarted: bool = False
-    inconsistent: bool = False
+
+    @cached_property
+    def state(self) -> dict[str, Any]:
+        """Fields of lpv_msgs/StateEstimate."""
+        return message_fields.state_fields(self.record['state'])
+
+    @cached_property
+    def fault(self) -> dict[str, Any] | None:
+        """Fields of lpv_msgs/FaultEstimate, if there is one."""
+        if not self.record['has_fault']:
+            return None
+        return message_fields.fault_fields(self.record['fault'], self.arm.sensor_names)
+
+    @property
+    def corrected(self) -> dict[str, Any] | None:
+        """Fields of sensor_msgs/JointState with confirmed faults removed, if there is one."""
+        return message_fields.corrected_fields(self.record['state'], self.arm.joint_names)
+
+    @property
+    def alarms(self) -> list[dict[str, Any]]:
+        """Fields of lpv_msgs/FaultAlarm, one for each event."""
+        return [message_fields.alarm_fields(event) for event in self.events]
+
+    @property
+    def restarted(self) -> bool:
+        """The clock was set back: observer and alarms restarted."""
+        return bool(self.record['restarted'])
+
+    @property
+    def inconsistent(self) -> bool:
+        """Rates, torques and model contradict each other."""
+        return bool(self.record['inconsistent'])
 
 
 @dataclass

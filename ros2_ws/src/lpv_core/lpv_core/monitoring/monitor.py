@@ -41,7 +41,6 @@ from lpv_core.observer.sampled_observer import (
     counters,
     observe,
     observer_constants,
-    pair,
     reset_observer,
 )
 from lpv_core.residual.noise_estimation import excess
@@ -49,7 +48,7 @@ from lpv_core.residual.rate_independence import RATE_SOURCES, UNDECIDED, contrad
 from lpv_core.residual.sample_buffer import RATE, READING, SampleBuffer, buffer_of
 from lpv_core.support.errors import SampleError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, plain, record_type
+from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 _REPORT_INTERVAL = NANOSECONDS
@@ -276,6 +275,21 @@ def _steps(
 
 
 @njit
+def _take(
+    params: np.ndarray,
+    state: np.ndarray,
+    buffers: SampleBuffer,
+    answer: np.ndarray,
+    stamp: int,
+    measured: np.ndarray,
+) -> None:
+    """`monitor_step` for Python: with the memory of records, and rows of a measurement."""
+    monitor_step(
+        params[0], state[0], buffers, answer[0], stamp, measured[0], measured[1], measured[2]
+    )
+
+
+@njit
 def copy_event(event: np.record, to: np.record) -> None:
     """Copy an alarm event, of type `lpv_core.decision.diagnosis.ALARM_EVENT`."""
     to.happened, to.sensor, to.onset = event.happened, event.sensor, event.onset
@@ -335,8 +349,14 @@ class SensorMonitor:
             MONITOR_CONSTANTS, observer=observer_constants(arm, gains, initial_samples, max_gap)
         )
         self._state, self._answer = new_record(MONITOR_STATE), new_record(ANSWER)
-        self._shown = plain(self._answer)
         self._buffers = diagnosis_buffers(arm)
+        self._memory = (
+            memory(self._constants),
+            memory(self._state),
+            self._buffers,
+            memory(self._answer),
+        )
+        self._measured = np.zeros((3, 2))  # position, rate and torque of a measurement
         self._order = JointOrder(arm.joint_names)
         self.retune(parameters or DiagnosisParameters())
         self.reset()
@@ -354,9 +374,9 @@ class SensorMonitor:
 
     def warm_up(self) -> None:
         """Compile with two made-up samples, and forget them: the first real ones must not wait."""
-        still = np.zeros(2)
+        measured = np.array([[0.0, 0.1], [0.0, 0.0], [0.0, 0.0]])
         for stamp in (1, 1 + round(self.arm.sample_time * NANOSECONDS)):
-            self._step(stamp, np.array([0.0, 0.1]), still, still)
+            _take(*self._memory, stamp, measured)
         self.reset()
 
     @property
@@ -372,11 +392,6 @@ class SensorMonitor:
     def alarms(self, events: Iterable[np.record]) -> list[Alarm]:
         """Alarms of events of type `lpv_core.decision.diagnosis.ALARM_EVENT`."""
         return [make_alarm(event, self.arm, self._parameters) for event in events]
-
-    def _step(
-        self, stamp: int, position: np.ndarray, velocity: np.ndarray, effort: np.ndarray
-    ) -> None:
-        monitor_step(*self.parts, stamp, position, velocity, effort)
 
     def take(
         self, stamp: int, message: Any, torque: Sequence[float] | None = None
@@ -403,36 +418,23 @@ class SensorMonitor:
             If joints are unknown or sizes are wrong; it is counted.
         """
         try:
-            position, velocity, effort = self._order.pick(message)
-            measured = (
-                pair(position, 'position'),
-                pair(velocity, 'velocity'),
-                pair(effort if torque is None else torque, 'torque'),
-            )
+            self._measured[:] = self._order.pick(message, torque)
         except SampleError:
             self.rejected += 1
             raise
-        self._step(stamp, *measured)
-        now = self._shown
-        if not now['answered']:
+        _take(*self._memory, stamp, self._measured)
+        # Copied as bytes: NumPy would copy nested records field by field.
+        record = np.frombuffer(self._memory[-1].tobytes(), ANSWER)[0]
+        if not record['answered']:
             return None
-        answer = Answer(
-            stamp,
-            message_fields.state_fields(now['state']),
-            restarted=bool(now['restarted']),
-            inconsistent=bool(now['inconsistent']),
-        )
-        answer.corrected = message_fields.corrected_fields(now['state'], self.arm.joint_names)
-        if now['has_fault']:
-            answer.fault = message_fields.fault_fields(now['fault'], self.arm.sensor_names)
-        if now['has_events']:
+        answer = Answer(stamp, record, self.arm)
+        if record['has_events']:
             answer.events = self.alarms(
                 event
                 for event in self._state.diagnosis.decision.events
                 if event.happened != NOTHING
             )
-            answer.alarms = [message_fields.alarm_fields(event) for event in answer.events]
-        if now['due']:
+        if record['due']:
             report = self._report_now()
             answer.status = self._status(report)
             answer.warnings = self._new_warnings(report)

@@ -170,34 +170,25 @@ class SerialSensorMonitor:
     ) -> Answer | None:
         """Use one measurement; as `lpv_core.monitoring.monitor.SensorMonitor.take`."""
         try:
-            position, velocity, effort = (np.array(v) for v in self._order.pick(message))
-            if torque is not None:
-                effort = np.array(torque, dtype=float)
-            if effort.shape != (self._joints,):
-                raise SampleError(f'torque has {len(effort)} values for {self._joints} joints')
+            measured = np.array(self._order.pick(message, torque), dtype=float)
         except SampleError:
             self.rejected += 1
             raise
-        answers = self.take_many(np.array([stamp]), position[None], velocity[None], effort[None])
+        answers = self.take_many(np.array([stamp]), *measured[:, None])
         return self._one(stamp, answers) if answers.answered[0] else None
 
     def _one(self, stamp: int, answers: Answers) -> Answer:
         """The answer of one row."""
-        state = answers.state[0]
-        events = [event for _, event in answers.events]
+        record = np.zeros(1, self.answer_type)
+        for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
+            record[name] = getattr(answers, name)
         return Answer(
             stamp,
-            message_fields.state_fields(state),
-            message_fields.corrected_fields(state, self.arm.joint_names),
-            message_fields.fault_fields(answers.fault[0], self.arm.sensor_names)
-            if answers.has_fault[0]
-            else None,
-            [message_fields.alarm_fields(event) for event in events],
+            record[0],
+            self.arm,
             answers.reports[0][1] if answers.reports else None,
-            events,
+            [event for _, event in answers.events],
             self._new_warnings() if answers.reports else [],
-            bool(answers.restarted[0]),
-            bool(answers.inconsistent[0]),
         )
 
     def take_many(

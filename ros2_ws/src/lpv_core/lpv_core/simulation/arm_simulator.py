@@ -4,38 +4,34 @@ All functions take constants (`PLANT_CONSTANTS`) and state (`PLANT_STATE`).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.model.dynamics import inverse_dynamics, rk4_step
 from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
 from lpv_core.model.polytope import sinc_box
-from lpv_core.model.state_space import lpv_rk4_step, vertex_matrices
+from lpv_core.model.state_space import LPV_PLANT, lpv_rk4_step, vertex_matrices
 from lpv_core.simulation.faults import (
     FaultInjector,
     apply_faults,
     derived_rate_error,
+    draw_chances,
     is_frozen,
     rate_bias,
 )
 from lpv_core.simulation.mujoco_plant import MujocoPlant
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, plain, record_type
+from lpv_core.support.records import memory, new_record, plain, record_type
 
-_LPV = record_type(
-    ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
-    ('a', 'f8', (8, 4, 4)),  # A of the vertices
-    ('b', 'f8', (8, 4, 2)),  # B of the vertices
-)
 PLANT_CONSTANTS = record_type(
     ('joints', JOINT_MAP),
     ('arm', ARM_CONSTANTS),  # constants of the true arm
     ('is_lpv', '?'),
-    ('lpv', _LPV),  # the paper's plant
+    ('lpv', LPV_PLANT),  # the paper's plant
     ('sample_time', 'f8'),  # [s]
     ('substeps', 'i8'),  # Runge-Kutta steps per sample
     ('torque_limit', 'f8', (2,)),  # [N m]
@@ -48,6 +44,7 @@ PLANT_CONSTANTS = record_type(
     ('velocity_noise', 'f8'),  # standard deviation [rad/s]
     ('derived', '?'),  # rates are differences of the positions: faults are in both
 )
+SIGNALS = ('position', 'velocity', 'fault', 'measured_position', 'measured_velocity')
 PLANT_STATE = record_type(
     ('state', 'f8', (4,)),  # absolute angles and rates [rad], [rad/s]
     ('step_count', 'i8'),  # number of the present sample
@@ -59,6 +56,7 @@ PLANT_STATE = record_type(
     ('measured_velocity', 'f8', (2,)),  # [rad/s]
     ('fault', 'f8', (2,)),  # of the physical sensors, NaN in a dropout [rad]
     ('reading', 'f8', (2,)),  # work space: readings of the physical sensors [rad]
+    ('draw', 'f8', (4,)),  # standard normal numbers for the noise of the present readings
     ('rho', 'f8', (8,)),  # work space of the LPV plant
 )
 
@@ -72,43 +70,34 @@ def set_torque(
     generator: np.random.Generator,
 ) -> None:
     """Set joint torques [N m] for the coming step, within limits, and draw the disturbance."""
+    draw = generator.standard_normal() if params.disturbed else 0.0
+    _set_inputs(params, state, torque_1, torque_2, draw)
+
+
+@njit
+def _set_inputs(
+    params: np.record, state: np.record, torque_1: float, torque_2: float, draw: float
+) -> None:
     state.torque[0] = min(max(torque_1, -params.torque_limit[0]), params.torque_limit[0])
     state.torque[1] = min(max(torque_2, -params.torque_limit[1]), params.torque_limit[1])
     state.disturbance = 0.0
     if params.disturbed:
-        state.disturbance = params.push_mean + params.push_deviation * generator.standard_normal()
+        state.disturbance = params.push_mean + params.push_deviation * draw
 
 
 @njit
 def integrate(params: np.record, state: np.record) -> None:
     """Advance the plant by one sample time."""
-    q_1, q_2 = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
-    push_1, push_2 = (
-        params.direction[0] * state.disturbance,
-        params.direction[1] * state.disturbance,
-    )
-    dt, x = params.sample_time / params.substeps, state.state
+    torque = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
+    d, x = state.disturbance, state.state
+    push = params.direction[0] * d, params.direction[1] * d
+    now, dt = (x[0], x[1], x[2], x[3]), params.sample_time / params.substeps
     for _ in range(params.substeps):
         if params.is_lpv:
-            x[0], x[1], x[2], x[3] = lpv_rk4_step(
-                x[0],
-                x[1],
-                x[2],
-                x[3],
-                q_1,
-                q_2,
-                push_1,
-                push_2,
-                dt,
-                params.lpv.a,
-                params.lpv.b,
-                params.lpv.box,
-                state.rho,
-            )
+            now = lpv_rk4_step(now, torque, push, dt, params.lpv, state.rho)
         else:
-            x[0], x[1], x[2], x[3] = rk4_step(
-                x[0], x[1], x[2], x[3], q_1, q_2, push_1, push_2, dt, params.arm
-            )
+            now = rk4_step(now, torque, push, dt, params.arm)
+    x[0], x[1], x[2], x[3] = now
     state.step_count += 1
 
 
@@ -130,11 +119,21 @@ def brake(params: np.record, state: np.record) -> None:
 def read_sensors(
     params: np.record,
     state: np.record,
-    faults: np.recarray,
+    faults: np.ndarray,
     noise: np.random.Generator,
     chance: np.random.Generator,
 ) -> None:
     """Read the sensors at the present sample, with noise and faults from two generators."""
+    # Drawn with or without noise, so that both runs share the later numbers.
+    for i in range(4):
+        state.draw[i] = noise.standard_normal()
+    draw_chances(faults, state.step_count * params.sample_time, chance)
+    _take_readings(params, state, faults)
+
+
+@njit
+def _take_readings(params: np.record, state: np.record, faults: np.ndarray) -> None:
+    """Read the sensors with the random numbers that have been drawn."""
     x, joints, time = state.state, params.joints, state.step_count * params.sample_time
     for i in range(2):
         state.position[i] = joint_angle(joints, joints.j, i, x[0], x[1])
@@ -142,28 +141,51 @@ def read_sensors(
         state.reading[i] = row_dot(joints.sensor, i, x[0], x[1])
     true_1, true_2 = state.reading[0], state.reading[1]
     before_1, before_2 = state.fault[0], state.fault[1]
-    apply_faults(faults, time, state.reading, params.sample_time, chance)
+    apply_faults(faults, time, state.reading, params.sample_time)
     state.fault[0], state.fault[1] = state.reading[0] - true_1, state.reading[1] - true_2
     rate_1 = row_dot(joints.sensor, 0, x[2], x[3]) + rate_bias(faults, 0, time)
     rate_2 = row_dot(joints.sensor, 1, x[2], x[3]) + rate_bias(faults, 1, time)
     if params.derived and state.step_count > 0:
         rate_1 += derived_rate_error(state.fault[0], before_1, params.sample_time)
         rate_2 += derived_rate_error(state.fault[1], before_2, params.sample_time)
-    # Drawn with or without noise, so that both runs share the later numbers.
-    draw_1, draw_2 = noise.standard_normal(), noise.standard_normal()
-    draw_3, draw_4 = noise.standard_normal(), noise.standard_normal()
     if params.noisy:
         if not is_frozen(faults, 0, time):
-            state.reading[0] += params.position_noise * draw_1
+            state.reading[0] += params.position_noise * state.draw[0]
         if not is_frozen(faults, 1, time):
-            state.reading[1] += params.position_noise * draw_2
-        rate_1 += params.velocity_noise * draw_3
-        rate_2 += params.velocity_noise * draw_4
+            state.reading[1] += params.position_noise * state.draw[1]
+        rate_1 += params.velocity_noise * state.draw[2]
+        rate_2 += params.velocity_noise * state.draw[3]
     for i in range(2):
         state.measured_position[i] = joint_angle(
             joints, joints.to_joint, i, state.reading[0], state.reading[1]
         )
         state.measured_velocity[i] = row_dot(joints.to_joint, i, rate_1, rate_2)
+
+
+# Python calls the following with the memory of records: `lpv_core.support.records.memory`.
+
+
+@njit
+def _act(
+    params: np.ndarray,
+    state: np.ndarray,
+    torque: tuple[float, float],
+    draw: float,
+    integrates: bool,
+) -> None:
+    _set_inputs(params[0], state[0], torque[0], torque[1], draw)
+    if integrates:
+        integrate(params[0], state[0])
+
+
+@njit
+def _brake(params: np.ndarray, state: np.ndarray) -> None:
+    brake(params[0], state[0])
+
+
+@njit
+def _sense(params: np.ndarray, state: np.ndarray, faults: np.ndarray) -> None:
+    _take_readings(params[0], state[0], faults)
 
 
 @dataclass(frozen=True)
@@ -208,6 +230,10 @@ class ArmSimulator:
         Of the sensors' noise and of the disturbance.
     engine : MujocoPlant or None
         Integrates the arm in place of `integrate`.
+    signals : dict
+        Arrays of shape (2,), the disturbance's of (1,), that `read` writes: true ``position``,
+        ``velocity``, ``fault`` and ``disturbance``, ``measured_position``,
+        ``measured_velocity`` and ``effort``.
     """
 
     def __init__(self, arm: ArmParameters, scenario: Scenario, substeps: int = 2) -> None:
@@ -224,28 +250,33 @@ class ArmSimulator:
         if scenario.plant == 'mujoco':
             self.engine = MujocoPlant(true_arm, scenario.coulomb)
         self.state = new_record(PLANT_STATE)
-        self._shown = plain(self.state)
+        self._memory, self._shown = (memory(self.constants), memory(self.state)), plain(self.state)
+        self.signals = {name: memory(self.state)[name][0] for name in SIGNALS}
+        self.signals['effort'] = self._shown['torque']
+        self.signals['disturbance'] = memory(self.state)['disturbance']
         self.state.state[:2] = self.joints.absolute_position(
             scenario.path(arm).sample(0.0).position
         )
+        self._step_count = memory(self.state)['step_count']
+        self._disturbed = bool(self.constants.disturbed)
         self._sensed = False
 
     @property
     def step_count(self) -> int:
         """Number of the present sample."""
-        return int(self._shown['step_count'])
+        return int(self._step_count[0])
 
     @property
     def time(self) -> float:
         """Time of the present sample [s]."""
         return self.step_count * self.sample_time
 
-    def step(self, joint_torque: ArrayLike) -> None:
+    def step(self, joint_torque: Sequence[float] | np.ndarray) -> None:
         """Apply a torque over one sample time.
 
         Parameters
         ----------
-        joint_torque : array_like, shape (2,)
+        joint_torque : sequence of float, shape (2,)
             Commanded joint torques [N m]; clipped to the arm's limits.
 
         Raises
@@ -253,11 +284,13 @@ class ArmSimulator:
         ValueError
             If a torque is not finite.
         """
-        torque = np.asarray(joint_torque, float)
-        if torque.shape != (2,) or not np.isfinite(torque).all():
+        if len(joint_torque) != 2 or not all(map(math.isfinite, joint_torque)):
             raise ValueError(f'torque must be two finite numbers, got {joint_torque!r}')
-        set_torque(self.constants, self.state, torque[0], torque[1], self.push)
-        self.advance()
+        torque = float(joint_torque[0]), float(joint_torque[1])
+        draw = self.push.standard_normal() if self._disturbed else 0.0
+        _act(*self._memory, torque, draw, self.engine is None)
+        if self.engine is not None:
+            self.advance()
         self._sensed = False
 
     def advance(self) -> None:
@@ -278,30 +311,30 @@ class ArmSimulator:
 
         Drives brake until the first command and after a safe stop.
         """
-        brake(self.constants, self.state)
+        _brake(*self._memory)
         self._sensed = False
 
     def sense(self) -> tuple[Measurement, Truth]:
         """Readings and truth at the present sample; the same ones when asked again."""
+        self.read()
+        return copy_signals(self.signals)
+
+    def read(self) -> None:
+        """Read the sensors into `signals`, if that was not done at the present sample."""
         if not self._sensed:
-            read_sensors(
-                self.constants,
-                self.state,
-                self.injector.records,
-                self.noise,
-                self.injector.generator,
-            )
+            self.noise.standard_normal(out=self._shown['draw'])
+            self.injector.draw(self.time)
+            _sense(*self._memory, self.injector.records)
             self._sensed = True
-        now = self._shown
-        measurement = Measurement(
-            now['measured_position'].copy(), now['measured_velocity'].copy(), now['torque'].copy()
-        )
-        return measurement, Truth(
-            now['position'].copy(),
-            now['velocity'].copy(),
-            now['fault'].copy(),
-            float(now['disturbance']),
-        )
+
+
+def copy_signals(signals: dict[str, np.ndarray]) -> tuple[Measurement, Truth]:
+    """Readings and truth of a simulator's `signals`."""
+    now = {name: values.copy() for name, values in signals.items()}
+    return (
+        Measurement(now['measured_position'], now['measured_velocity'], now['effort']),
+        Truth(now['position'], now['velocity'], now['fault'], float(now['disturbance'][0])),
+    )
 
 
 def _plant_constants(
@@ -326,5 +359,5 @@ def _plant_constants(
     if scenario.plant == 'lpv':
         box = sinc_box(scenario.sinc_min)
         a, b = vertex_matrices(box, true_arm.constants(False))
-        params.is_lpv, params.lpv = True, new_record(_LPV, box=box, a=a, b=b)
+        params.is_lpv, params.lpv = True, new_record(LPV_PLANT, box=box, a=a, b=b)
     return params

@@ -160,7 +160,7 @@ class _Plant(NamedTuple):
 
     constants: np.record
     state: np.record
-    faults: np.recarray
+    faults: np.ndarray
 
 
 class _Streams(NamedTuple):
@@ -404,72 +404,36 @@ def _record_answer(
 
 @dataclass
 class Run:
-    """Signals of one run, one row per sample.
+    """Signals of one run, one row per sample."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (n,)
-        [s].
-    position, velocity : ndarray, shape (n, 2)
-        True joint positions and rates.
-    measured, estimate, estimated_velocity, reference : ndarray, shape (n, 2)
-        Joint positions as measured and estimated, estimated rates, references.
-    measured_velocity, compensated : ndarray, shape (n, 2)
-        Measured joint rates; measured joint positions without the confirmed faults.
-    lost : ndarray of bool, shape (n,)
-        Samples whose measurement never reached the observer.
-    fault, fault_estimate, threshold : ndarray, shape (n, 2)
-        Of the physical sensors [rad].
-    torque : ndarray, shape (n, 2)
-        Joint torques over the step after the sample [N m].
-    alarm : ndarray, shape (n, 2)
-        Confirmed faults.
-    inconsistent, trustworthy : ndarray of bool, shape (n,)
-        As in `lpv_core.decision.diagnosis.DECISION`.
-    braked : ndarray of bool, shape (n,)
-        Whether the brakes held the arm over the step after the sample.
-    command : ndarray, shape (n, 2)
-        Joint torques that the tracker asked for last [N m].
-    safe_stop : ndarray of bool, shape (n,)
-        Whether it asked for a safe stop instead, or has not begun.
-    disturbance : ndarray, shape (n,)
-        d over the step before the sample.
-    place : ndarray of int, shape (n,)
-        Row of ``path`` that is the sample's reference: the path's clock stands still in a stop.
-    stop_reason, brake_reason : ndarray of int, shape (n,)
-        `lpv_core.control.watchdog.StopReason` of the tracker, `BrakeReason` of the drives.
-    path : ndarray, shape (4, n, 2)
-        Positions, rates, accelerations [rad], [rad/s], [rad/s2] and tip [m] of references.
-    alarms : list of Alarm
-        Events.
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    measured: np.ndarray
-    measured_velocity: np.ndarray
-    lost: np.ndarray
-    compensated: np.ndarray
-    estimate: np.ndarray
-    estimated_velocity: np.ndarray
-    reference: np.ndarray
-    fault: np.ndarray
-    fault_estimate: np.ndarray
-    threshold: np.ndarray
-    torque: np.ndarray
-    alarm: np.ndarray
-    inconsistent: np.ndarray
-    trustworthy: np.ndarray
-    braked: np.ndarray
-    command: np.ndarray
-    safe_stop: np.ndarray
-    disturbance: np.ndarray
+    time: np.ndarray  # (n,) [s]
+    position: np.ndarray  # (n, 2) true [rad]
+    velocity: np.ndarray  # (n, 2) true [rad/s]
+    measured: np.ndarray  # (n, 2) [rad]
+    measured_velocity: np.ndarray  # (n, 2) [rad/s]
+    lost: np.ndarray  # (n,) whether the measurement never reached the observer
+    compensated: np.ndarray  # (n, 2) measured less confirmed faults [rad]
+    estimate: np.ndarray  # (n, 2) positions as estimated [rad]
+    estimated_velocity: np.ndarray  # (n, 2) [rad/s]
+    reference: np.ndarray  # (n, 2) [rad]
+    fault: np.ndarray  # (n, 2) of the physical sensors [rad]
+    fault_estimate: np.ndarray  # (n, 2) [rad]
+    threshold: np.ndarray  # (n, 2) [rad]
+    torque: np.ndarray  # (n, 2) over the step after the sample [N m]
+    alarm: np.ndarray  # (n, 2) confirmed faults
+    inconsistent: np.ndarray  # (n,) as in `lpv_core.decision.diagnosis.DECISION`
+    trustworthy: np.ndarray  # (n,) likewise
+    braked: np.ndarray  # (n,) whether the brakes held the arm over the step after the sample
+    command: np.ndarray  # (n, 2) torques that the tracker asked for last [N m]
+    safe_stop: np.ndarray  # (n,) whether it asked for a safe stop instead, or has not begun
+    disturbance: np.ndarray  # (n,) d over the step before the sample
+    # (n,) row of `path` that is the reference: in a stop the path's clock stands still
     place: np.ndarray
-    stop_reason: np.ndarray
-    brake_reason: np.ndarray
+    stop_reason: np.ndarray  # (n,) `lpv_core.control.watchdog.StopReason` of the tracker
+    brake_reason: np.ndarray  # (n,) `lpv_core.control.watchdog.BrakeReason` of the drives
+    # (4, n, 2) references: positions, rates, accelerations [rad], [rad/s], [rad/s2]; tip [m]
     path: np.ndarray
-    alarms: list
+    alarms: list  # events
 
 
 def run_closed_loop(

@@ -14,6 +14,7 @@ from lpv_core.support.records import record_type
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
 _BIAS, _DRIFT, _SCALE, _STUCK, _NOISE, _SPIKE, _DROPOUT, _RATE_BIAS = range(len(KINDS))
 
+_RANDOM = ('noise', 'spike')
 _NEEDED = {
     'bias': 'size',
     'scale': 'size',
@@ -38,6 +39,7 @@ _FAULT = record_type(
     ('rate', 'f8'),
     ('frozen', 'f8'),  # reading at which a stuck sensor froze [rad]
     ('is_frozen', '?'),
+    ('draw', 'f8', (2,)),  # random numbers of the present sample, see `draw_chances`
 )
 """A `Fault` for compiled functions."""
 
@@ -66,13 +68,18 @@ def _acts(f: np.record, time: float) -> bool:
 
 
 @njit
-def apply_faults(
-    faults: np.recarray,
-    time: float,
-    reading: np.ndarray,
-    sample_time: float,
-    generator: np.random.Generator,
-) -> None:
+def draw_chances(faults: np.ndarray, time: float, generator: np.random.Generator) -> None:
+    """Draw what the random ones among the faults need at a time."""
+    for k in range(len(faults)):
+        f = faults[k]
+        if f.kind == _NOISE and _acts(f, time):
+            f.draw[0] = generator.standard_normal()
+        elif f.kind == _SPIKE and _acts(f, time):
+            f.draw[0], f.draw[1] = generator.random(), generator.random()
+
+
+@njit
+def apply_faults(faults: np.ndarray, time: float, reading: np.ndarray, sample_time: float) -> None:
     """Add all faults that act at a time to the readings S theta [rad]; NaN for a dropout.
 
     ``sample_time`` [s] is for the rate of spikes.
@@ -95,17 +102,16 @@ def apply_faults(
                 f.is_frozen, f.frozen = True, value
             reading[i] = f.frozen
         elif f.kind == _NOISE:
-            reading[i] = value + f.amount * generator.standard_normal()
+            reading[i] = value + f.amount * f.draw[0]
         elif f.kind == _SPIKE:
-            hit, sign = generator.random(), generator.random()
-            if hit < f.rate * sample_time:
-                reading[i] = value + (f.amount if sign < 0.5 else -f.amount)
+            if f.draw[0] < f.rate * sample_time:
+                reading[i] = value + (f.amount if f.draw[1] < 0.5 else -f.amount)
         elif f.kind == _DROPOUT:
             reading[i] = math.nan
 
 
 @njit
-def rate_bias(faults: np.recarray, sensor: int, time: float) -> float:
+def rate_bias(faults: np.ndarray, sensor: int, time: float) -> float:
     """What faults add to the rate that belongs to a sensor [rad/s]."""
     total = 0.0
     for k in range(len(faults)):
@@ -127,7 +133,7 @@ def derived_rate_error(fault: float, before: float, interval: float) -> float:
 
 
 @njit
-def is_frozen(faults: np.recarray, sensor: int, time: float) -> bool:
+def is_frozen(faults: np.ndarray, sensor: int, time: float) -> bool:
     """Whether a sensor is stuck: it carries no noise either."""
     for k in range(len(faults)):
         if faults[k].kind == _STUCK and faults[k].sensor == sensor and _acts(faults[k], time):
@@ -161,6 +167,11 @@ def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
         raise ConfigError(f'fault.{needed}', f'must not be 0 for a {fault.kind} fault')
 
 
+def _records(rows: np.ndarray) -> np.ndarray:
+    """Rows whose fields are attributes, as an array that Numba takes quickly."""
+    return np.asarray(rows.view(np.recarray))
+
+
 class FaultInjector:
     """Applies all active faults to the readings of two sensors.
 
@@ -177,7 +188,7 @@ class FaultInjector:
     ----------
     faults : list of Fault
         What is scheduled.
-    records : numpy.recarray
+    records : ndarray
         The same for compiled functions.
     generator : numpy.random.Generator
         As given.
@@ -189,7 +200,7 @@ class FaultInjector:
         self._names = tuple(sensor_names)
         self.generator = generator
         self.faults: list[Fault] = []
-        self.records = np.zeros(0, _FAULT).view(np.recarray)
+        self.records = _records(np.zeros(0, _FAULT))
         for fault in faults:
             self.add(fault)
 
@@ -214,7 +225,7 @@ class FaultInjector:
         row['onset'], row['duration'] = fault.onset, fault.duration
         row['amount'], row['rate'] = fault.size, fault.rate
         self.faults.append(fault)
-        self.records = np.concatenate([self.records, row]).view(np.recarray)
+        self.records = _records(np.concatenate([self.records, row]))
 
     def clear(self, sensor: str = '') -> int:
         """Remove faults.
@@ -245,6 +256,11 @@ class FaultInjector:
         self.records = self.records[np.array(kept, dtype=bool)]
         return removed
 
+    def draw(self, time: float) -> None:
+        """Draw what random faults need at a time [s]."""
+        if any(fault.kind in _RANDOM for fault in self.faults):
+            draw_chances(self.records, time, self.generator)
+
     def apply(self, time: float, reading: np.ndarray, sample_time: float) -> np.ndarray:
         """Faulty readings at one time.
 
@@ -263,5 +279,6 @@ class FaultInjector:
             Readings with faults, NaN for a dropout.
         """
         faulty = np.array(reading, float)
-        apply_faults(self.records, float(time), faulty, sample_time, self.generator)
+        self.draw(float(time))
+        apply_faults(self.records, float(time), faulty, sample_time)
         return faulty

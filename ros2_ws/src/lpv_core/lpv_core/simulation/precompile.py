@@ -1,4 +1,4 @@
-"""Compiles every compiled function ahead of its first use.
+"""Compiles what nodes and replays call ahead of its first use.
 
 ``python -m lpv_core.simulation.precompile`` after an installation lets nodes start in seconds: the
 machine code is kept (see `lpv_core.support.jit`).
@@ -8,13 +8,18 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
+import numpy as np
+
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.control.tracking import TrackingController
 from lpv_core.model.arm import ArmParameters, load_arm
 from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.residual.rate_independence import rate_source
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.hypotheses import offset_against_contact
+from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.closed_loop import run_closed_loop
@@ -26,7 +31,7 @@ from lpv_core.support.jit import COMPILED
 from lpv_core.support.resources import bringup_file
 
 _FIRST_DECISIONS = 1.0
-"""Length of a run in which the diagnosis of a serial arm calls all that it has [s]."""
+"""Length of a run after which the diagnosis of a serial arm has decided [s]."""
 
 
 def precompile(arm: ArmParameters, gains: Gains, scenario: Scenario) -> None:
@@ -48,6 +53,7 @@ def precompile(arm: ArmParameters, gains: Gains, scenario: Scenario) -> None:
     )
     plant.step(command.torque)
     plant.hold()
+    rate_source(stamps, run.measured[:, 0], run.velocity[:, 0])
 
 
 def precompile_serial(arm: SerialArm, scenario: SerialScenario) -> None:
@@ -55,7 +61,13 @@ def precompile_serial(arm: SerialArm, scenario: SerialScenario) -> None:
     plant = SerialArmSimulator(arm, scenario)
     plant.sense()
     plant.hold()
-    run_serial_loop(arm, replace(scenario, duration=_FIRST_DECISIONS))
+    run = run_serial_loop(arm, replace(scenario, duration=_FIRST_DECISIONS))
+    diagnosis = SerialMonitor(arm)
+    stamps = (1e9 * run.time).astype('int64')
+    rows = np.stack([run.measured, run.measured_velocity, run.torque], axis=1)
+    diagnosis.update_many(stamps, rows)
+    # The first fault must not wait for this in a node.
+    offset_against_contact(diagnosis.search, diagnosis.estimator, 0)
     SerialSensorMonitor('precompile', arm).warm_up()
 
 

@@ -113,7 +113,7 @@ class _Plant(NamedTuple):
     chain: Chain
     constants: np.record
     state: np.record
-    faults: np.recarray
+    faults: np.ndarray
     scratch: FloatArray
     matrix: FloatArray
 

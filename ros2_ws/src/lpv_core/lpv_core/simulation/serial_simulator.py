@@ -12,13 +12,19 @@ from lpv_core.serial_arm.chain import OFFSET, Chain, FloatArray, workspace
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.newton_euler import gravity_torque
 from lpv_core.serial_arm.simulation import integration_step, plant_scratch, plant_step
-from lpv_core.simulation.arm_simulator import Measurement, Truth
-from lpv_core.simulation.faults import FaultInjector, apply_faults, is_frozen, rate_bias
+from lpv_core.simulation.arm_simulator import SIGNALS, Measurement, Truth, copy_signals
+from lpv_core.simulation.faults import (
+    FaultInjector,
+    apply_faults,
+    draw_chances,
+    is_frozen,
+    rate_bias,
+)
 from lpv_core.simulation.mujoco_chain import MujocoChain
 from lpv_core.simulation.serial_scenario import SerialScenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import memory, new_record, record_type
 
 
 def serial_plant_type(joints: int) -> np.dtype:
@@ -48,6 +54,8 @@ def serial_state_type(joints: int) -> np.dtype:
         ('measured_velocity', 'f8', (joints,)),  # [rad/s]
         ('fault', 'f8', (joints,)),  # of the sensors, NaN in a dropout [rad]
         ('before', 'f8', (joints,)),  # readings of the sample before [rad]
+        ('effort', 'f8', (joints,)),  # measured, in its own unit
+        ('draw', 'f8', (joints, 2)),  # standard normal numbers for the noise of readings and rates
         ('failed', '?'),  # the mass matrix was not positive definite
     )
 
@@ -88,34 +96,49 @@ def brake(chain: Chain, state: np.record, work: FloatArray) -> None:
 def read_sensors(
     params: np.record,
     state: np.record,
-    faults: np.recarray,
+    faults: np.ndarray,
     noise: np.random.Generator,
     chance: np.random.Generator,
 ) -> None:
     """Read the sensors at the present sample, with noise and faults from two generators."""
+    # Drawn with or without noise, so that both runs share the later numbers.
+    for i in range(state.draw.shape[0]):
+        state.draw[i, 0], state.draw[i, 1] = noise.standard_normal(), noise.standard_normal()
+    draw_chances(faults, state.step_count * params.sample_time, chance)
+    _take_readings(params, state, faults)
+
+
+@njit
+def _take_readings(params: np.record, state: np.record, faults: np.ndarray) -> None:
+    """Read the sensors with the random numbers that have been drawn."""
     time, reading = state.step_count * params.sample_time, state.measured_position
     n = reading.shape[0]
     for i in range(n):
         state.position[i], state.velocity[i] = state.motion[0, i], state.motion[1, i]
         state.before[i], reading[i] = reading[i], state.position[i]
-    apply_faults(faults, time, reading, params.sample_time, chance)
+    apply_faults(faults, time, reading, params.sample_time)
     for i in range(n):
         state.fault[i] = reading[i] - state.position[i]
-        # Drawn with or without noise, so that both runs share the later numbers.
-        draw, rate_draw = noise.standard_normal(), noise.standard_normal()
+        state.effort[i] = state.torque[i] / params.effort_gain[i]
         if not is_frozen(faults, i, time):
-            reading[i] += params.position_noise[i] * draw
+            reading[i] += params.position_noise[i] * state.draw[i, 0]
         quantum = params.quantization[i]
         if quantum > 0.0:
             reading[i] = np.round(reading[i] / quantum) * quantum
         rate = state.velocity[i] + rate_bias(faults, i, time)
         if not params.derived[i]:
-            rate += params.velocity_noise[i] * rate_draw
+            rate += params.velocity_noise[i] * state.draw[i, 1]
         elif state.step_count > 0 and not math.isnan(state.before[i]):
             rate += (reading[i] - state.before[i]) / params.sample_time - state.velocity[i]
         elif math.isnan(reading[i]):
             rate = math.nan
         state.measured_velocity[i] = rate
+
+
+@njit
+def _sense(params: np.ndarray, state: np.ndarray, faults: np.ndarray) -> None:
+    """For Python: with the memory of records."""
+    _take_readings(params[0], state[0], faults)
 
 
 class SerialArmSimulator:
@@ -144,6 +167,8 @@ class SerialArmSimulator:
         Integrates the arm in place of `integrate`.
     scratch, matrix : ndarray
         Scratch memory of `integrate`.
+    signals : dict
+        As `lpv_core.simulation.arm_simulator.ArmSimulator.signals`, of shape (n,).
     """
 
     def __init__(self, arm: SerialArm, scenario: SerialScenario, substeps: int = 2) -> None:
@@ -163,12 +188,15 @@ class SerialArmSimulator:
         self.engine = MujocoChain(self.chain) if scenario.plant == 'mujoco' else None
         self.scratch, self.matrix = plant_scratch(self.chain), np.empty((n, n))
         self._work = workspace(self.chain)
+        self._memory = memory(self.constants), memory(self.state)
+        self.signals = {name: memory(self.state)[name][0] for name in (*SIGNALS, 'effort')}
+        self.signals['disturbance'] = np.zeros(1)
         self._sensed = False
 
     @property
     def step_count(self) -> int:
         """Number of the present sample."""
-        return int(self.state.step_count)
+        return int(self._memory[1]['step_count'][0])
 
     @property
     def time(self) -> float:
@@ -225,19 +253,16 @@ class SerialArmSimulator:
 
     def sense(self) -> tuple[Measurement, Truth]:
         """Readings and truth at the present sample; the same ones when asked again."""
-        state = self.state
+        self.read()
+        return copy_signals(self.signals)
+
+    def read(self) -> None:
+        """Read the sensors into `signals`, if that was not done at the present sample."""
         if not self._sensed:
-            read_sensors(
-                self.constants, state, self.injector.records, self.noise, self.injector.generator
-            )
+            self.noise.standard_normal(out=self._memory[1]['draw'][0])
+            self.injector.draw(self.time)
+            _sense(*self._memory, self.injector.records)
             self._sensed = True
-        measurement = Measurement(
-            state.measured_position.copy(),
-            state.measured_velocity.copy(),
-            state.torque / self.constants.effort_gain,
-        )
-        truth = Truth(state.position.copy(), state.velocity.copy(), state.fault.copy(), 0.0)
-        return measurement, truth
 
 
 def _constants(arm: SerialArm, scenario: SerialScenario, chain: Chain, substeps: int) -> np.record:

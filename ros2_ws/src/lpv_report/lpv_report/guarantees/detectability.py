@@ -23,10 +23,8 @@ _SOURCES = (('ground_truth', 'true'), ('state_estimate', 'estimated'), ('joint_s
 class Grid:
     """Detectability over configurations."""
 
-    # angles of link 1 and 2 from the vertical of the region [rad]; shapes (n,) and (m,)
-    one: np.ndarray
-    # angles of link 1 and 2 from the vertical of the region [rad]; shapes (n,) and (m,)
-    two: np.ndarray
+    one: np.ndarray  # angles of link 1 from the vertical of the region, shape (n,) [rad]
+    two: np.ndarray  # angles of link 2 from the vertical of the region, shape (m,) [rad]
     # smallest lasting fault of each sensor that is detected for certain at rest [rad]; None without
     # gains; shape (n, m, 2)
     detectable: np.ndarray | None
@@ -137,19 +135,15 @@ class DetectabilityRow:
     """Summary for one sensor; None where a figure is not known."""
 
     sensor: str  # its name
-    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
-    smallest: float | None = None
-    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
-    middle: float | None = None
-    # recorded threshold plus bound while it was diagnosable: least, median, greatest [rad]
-    largest: float | None = None
+    # recorded threshold plus bound while it was diagnosable [rad]
+    smallest: float | None = None  # least
+    middle: float | None = None  # median
+    largest: float | None = None  # greatest
     # at rest in the configurations of the path, as far as gravity bounds the error [rad]
-    rest_smallest: float | None = None
-    # at rest in the configurations of the path, as far as gravity bounds the error [rad]
-    rest_largest: float | None = None
-    unbounded: float | None = (
-        None  # share of the path in which gravity does not bound the error at rest
-    )
+    rest_smallest: float | None = None  # least
+    rest_largest: float | None = None  # greatest
+    # share of the path in which gravity does not bound the error at rest
+    unbounded: float | None = None
     lost: float | None = None  # share of the time in which the sensor was not diagnosable
 
 

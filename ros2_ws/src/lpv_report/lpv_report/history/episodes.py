@@ -46,10 +46,8 @@ class Interval:
     """An interval of time of one sensor."""
 
     sensor_index: int  # column of the sensor
-    # [s] since the first measurement; the end is that of the record if it lasted so long
-    start: float
-    # [s] since the first measurement; the end is that of the record if it lasted so long
-    end: float
+    start: float  # [s] since the first measurement
+    end: float  # [s]; that of the record if it lasted so long
 
 
 def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list[Interval]:

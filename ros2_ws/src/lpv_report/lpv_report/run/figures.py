@@ -22,9 +22,15 @@ from lpv_report.history.episodes import Episode, episodes, intervals
 from lpv_report.style import BAND, HATCHED, INK, PALE, SENSOR, SOFT, legend_above, shade, thin
 
 _WIDTH = 8.6
-_WIDE: dict[str, Any] = {'linewidth': 3.4}
-_THIN: dict[str, Any] = {'linewidth': 1.1}
-_DASHED: dict[str, Any] = {'linewidth': 1.1, 'linestyle': (0, (4, 2.5))}
+_DASHED = (0, (4, 2.5))
+
+
+def _wide(color: str, label: str) -> dict[str, Any]:
+    return {'label': label, 'color': color, 'linewidth': 3.4}
+
+
+def _fine(color: str, label: str) -> dict[str, Any]:
+    return {'label': label, 'color': color, 'linewidth': 1.1}
 
 
 def _axes(
@@ -38,13 +44,12 @@ def _axes(
     return figure, axes
 
 
-def _draw(
-    axis: Axes, time: np.ndarray, values: np.ndarray | None, label: str, color: str, **options: Any
-) -> bool:
-    """A curve, if there is any: returns whether it was drawn."""
+def _draw(axis: Axes, record: RunRecord, source: tuple[str, str, int], **look: Any) -> bool:
+    """A column of a field of a stream, if it is there: returns whether it was drawn."""
+    values = _column(record, *source)
     if values is None or not np.isfinite(values).any():
         return False
-    axis.plot(*thin(time, values), label=label, color=color, **options)
+    axis.plot(*thin(record.time, values), **look)
     return True
 
 
@@ -154,15 +159,8 @@ def faults(
             at, high = thin(time, threshold)
             look: dict[str, Any] = {'color': BAND, 'alpha': 0.45, 'linewidth': 0}
             axis.fill_between(at, -high, high, label='below threshold', **look)
-        _draw(axis, time, _column(record, 'ground_truth', 'fault', i), 'fault', PALE[i], **_WIDE)
-        _draw(
-            axis,
-            time,
-            _column(record, 'fault_estimate', 'estimate', i),
-            'estimate',
-            SENSOR[i],
-            **_THIN,
-        )
+        _draw(axis, record, ('ground_truth', 'fault', i), **_wide(PALE[i], 'fault'))
+        _draw(axis, record, ('fault_estimate', 'estimate', i), **_fine(SENSOR[i], 'estimate'))
         if banded:
             _band(axis, record, i)
         _shade(axis, record, i, alarms)
@@ -207,30 +205,10 @@ def measured(record: RunRecord) -> Figure:
     """Fig. 6: measured joint positions, with faults, and their references."""
     figure, axes = _axes(len(record.joint_names), height=2.4)
     for i, axis in enumerate(axes[:, 0]):
-        _draw(
-            axis,
-            record.time,
-            _column(record, 'reference', 'position', i),
-            'reference',
-            PALE[i],
-            **_WIDE,
-        )
-        _draw(
-            axis,
-            record.time,
-            _column(record, 'joint_states', 'position', i),
-            'measured',
-            SENSOR[i],
-            **_THIN,
-        )
-        _draw(
-            axis,
-            record.time,
-            _column(record, 'ground_truth', 'position', i),
-            'true',
-            INK,
-            **_DASHED,
-        )
+        _draw(axis, record, ('reference', 'position', i), **_wide(PALE[i], 'reference'))
+        _draw(axis, record, ('joint_states', 'position', i), **_fine(SENSOR[i], 'measured'))
+        dashed = {**_fine(INK, 'true'), 'linestyle': _DASHED}
+        _draw(axis, record, ('ground_truth', 'position', i), **dashed)
         axis.set_ylabel('position [rad]')
         _finish(axis, record, f'Joint {i + 1}: {record.joint_names[i]}')
     return figure
@@ -250,15 +228,8 @@ def states(record: RunRecord) -> Figure | None:
         axes = axes.T
     for row, field, unit in zip(axes, ('position', 'velocity'), ('rad', 'rad/s')):
         for i, axis in enumerate(row):
-            _draw(axis, record.time, _column(record, truth, field, i), label, PALE[i], **_WIDE)
-            _draw(
-                axis,
-                record.time,
-                _column(record, 'state_estimate', field, i),
-                'estimate',
-                SENSOR[i],
-                **_THIN,
-            )
+            _draw(axis, record, (truth, field, i), **_wide(PALE[i], label))
+            _draw(axis, record, ('state_estimate', field, i), **_fine(SENSOR[i], 'estimate'))
             axis.set_ylabel(f'{field} [{unit}]')
             _finish(axis, record, record.joint_names[i])
     return figure
@@ -269,22 +240,10 @@ def torques(record: RunRecord) -> Figure | None:
     figure, axes = _axes(len(record.joint_names), height=2.2)
     drawn = False
     for i, axis in enumerate(axes[:, 0]):
-        drawn |= _draw(
-            axis,
-            record.time,
-            _column(record, 'joint_states', 'effort', i),
-            'measured effort',
-            PALE[i],
-            **_WIDE,
-        )
-        drawn |= _draw(
-            axis,
-            record.time,
-            _column(record, 'torque_command', 'torque', i),
-            'command',
-            SENSOR[i],
-            **_THIN,
-        )
+        effort = _wide(PALE[i], 'measured effort')
+        drawn |= _draw(axis, record, ('joint_states', 'effort', i), **effort)
+        command = _fine(SENSOR[i], 'command')
+        drawn |= _draw(axis, record, ('torque_command', 'torque', i), **command)
         axis.set_ylabel('torque [N m]')
         _finish(axis, record, f'Joint {i + 1}: {record.joint_names[i]}')
     if not drawn:

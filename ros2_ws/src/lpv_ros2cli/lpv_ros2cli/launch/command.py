@@ -13,39 +13,32 @@ from lpv_ros2cli.launch.files import find_launch_file
 from lpv_ros2cli.launch.log import LaunchLog
 from lpv_ros2cli.launch.runner import Runner
 
+_FLAGS = (
+    (('-n', '--noninteractive'), 'ignored', 'accepted for compatibility: nothing is asked here'),
+    (('-d', '--debug'), 'debug', 'show command lines'),
+    (
+        ('-a', '--show-all-subprocesses-output'),
+        'show_all_subprocesses_output',
+        'show all that the processes print',
+    ),
+)
+_MODES = (
+    (('-p', '--print', '--print-description'), 'outline', 'print what would be done'),
+    (
+        ('-s', '--show-args', '--show-arguments'),
+        'show_args',
+        'show the arguments that the file takes',
+    ),
+)
+"""Options: names, attribute, help; of the modes only one is taken."""
+
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument(
-        '-n',
-        '--noninteractive',
-        action='store_true',
-        help='accepted for compatibility: nothing is asked here',
-    )
-    parser.add_argument('-d', '--debug', action='store_true', help='show command lines')
-    parser.add_argument(
-        '-a',
-        '--show-all-subprocesses-output',
-        action='store_true',
-        help='show all that the processes print',
-    )
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        '-p',
-        '--print',
-        '--print-description',
-        action='store_true',
-        dest='outline',
-        help='print what would be done',
-    )
-    group.add_argument(
-        '-s',
-        '--show-args',
-        '--show-arguments',
-        action='store_true',
-        dest='show_args',
-        help='show the arguments that the file takes',
-    )
+    modes = parser.add_mutually_exclusive_group()
+    for group, flags in ((parser, _FLAGS), (modes, _MODES)):
+        for names, name, text in flags:
+            group.add_argument(*names, action='store_true', dest=name, help=text)
     completion.add_argument(
         parser, completion.packages, 'package_or_file', help='package, or path of a launch file'
     )
@@ -90,15 +83,9 @@ def run(arguments: Namespace) -> int:
 def _leading_options(arguments: Namespace) -> tuple[Namespace, list[str]]:
     """Options may also follow the file, where argparse passes everything on."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for names, name in (
-        (('-s', '--show-args', '--show-arguments'), 'show_args'),
-        (('-p', '--print', '--print-description'), 'outline'),
-        (('-d', '--debug'), 'debug'),
-        (('-n', '--noninteractive'), 'ignored'),
-        (('-a', '--show-all-subprocesses-output'), 'show_all_subprocesses_output'),
-    ):
+    for names, name, _ in (*_FLAGS, *_MODES):
         parser.add_argument(
-            *names, action='store_true', dest=name, default=getattr(arguments, name, False)
+            *names, action='store_true', dest=name, default=getattr(arguments, name)
         )
     options, words = parser.parse_known_args(arguments.rest)
     unknown = [word for word in words if word.startswith('-') and ':=' not in word]

@@ -17,11 +17,11 @@ _CONVERGED = 1e-10
 class DetectionCurve:
     """P = 1 / (1 + exp(-(a + b ln(size))))."""
 
-    intercept: float  # a and b
-    slope: float  # a and b
+    intercept: float  # a
+    slope: float  # b
     covariance: np.ndarray  # (2, 2) Of both
-    low: float  # Smallest and largest size of the data; the curve says nothing beyond
-    high: float  # Smallest and largest size of the data; the curve says nothing beyond
+    low: float  # Smallest size of the data; the curve says nothing below
+    high: float  # Largest size of the data; the curve says nothing above
 
     def probability(self, size: Any) -> Any:
         """Probability of detection at a size; any shape."""

@@ -19,8 +19,8 @@ class Dose:
     """What is called the size of a kind of fault."""
 
     column: str  # Factor that holds it; empty for kinds that have no size
-    name: str  # For axes and tables
-    unit: str  # For axes and tables
+    name: str  # As axes and tables call it
+    unit: str  # Its unit there
 
 
 _DOSES = {

@@ -143,6 +143,22 @@ def put(
 
 
 @njit
+def add_residual(
+    balance: Balance, q: FloatArray, v: FloatArray, torque: FloatArray, weight: tuple[float, float]
+) -> None:
+    """Add the residual of a block to the current interval, without derivatives."""
+    angle, rate = balance.vectors[0], balance.vectors[1]
+    p, force, friction = balance.vectors[2], balance.vectors[3], balance.vectors[6]
+    for i in range(q.shape[0]):
+        angle[i] = q[i] - balance.reference[i]
+        rate[i] = v[i]
+    momentum_balance(balance.chain, angle, rate, balance.work, p, force)
+    friction_torque(balance.chain, rate, torque, friction)
+    for i in range(q.shape[0]):
+        put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
+
+
+@njit
 def add_block(
     balance: Balance,
     q: FloatArray,
@@ -170,18 +186,11 @@ def add_block(
     chain, n = balance.chain, q.shape[0]
     weight = (length, place)
     angle, rate = balance.vectors[0], balance.vectors[1]
-    p, force = balance.vectors[2], balance.vectors[3]
     p_by, force_by = balance.vectors[4], balance.vectors[5]
-    friction = balance.vectors[6]
+    add_residual(balance, q, v, torque, weight)
     for i in range(n):
-        angle[i] = q[i] - balance.reference[i]
-        rate[i] = v[i]
         balance.rates[2, 0, i] = min(balance.rates[2, 0, i], v[i])
         balance.rates[2, 1, i] = max(balance.rates[2, 1, i], v[i])
-    momentum_balance(chain, angle, rate, balance.work, p, force)
-    friction_torque(chain, rate, torque, friction)
-    for i in range(n):
-        put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
         row = 1 + i
         put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
         put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
@@ -345,3 +354,48 @@ def fill_balances(
                 rows[count] = balance.rows
                 count += 1
             length = 0.0
+
+
+@njit
+def residuals(
+    balance: Balance, blocks: FloatArray, per_interval: int, friction: FloatArray
+) -> FloatArray:
+    """Residuals of the balances of some blocks, without derivatives; the balance stays as it is.
+
+    Parameters
+    ----------
+    balance : Balance
+        Of the arm; its scratch is not changed either.
+    blocks : ndarray, shape (N, 3 n + 3)
+        As in `fill_balances`.
+    per_interval : int
+        Blocks of an interval.
+    friction : ndarray, shape (n, 5)
+        As in `Chain`.
+
+    Returns
+    -------
+    ndarray, shape (N / per_interval - 1, n)
+        [N m s].
+    """
+    n, intervals = balance.reference.shape[0], blocks.shape[0] // per_interval
+    chain = Chain(
+        balance.chain.rotation, balance.chain.translation, balance.chain.inertial,
+        balance.chain.motor, friction, balance.chain.gravity, balance.chain.tip_rotation,
+        balance.chain.tip_translation)  # fmt: skip
+    own = Balance(
+        chain, balance.directions, balance.reference, balance.derived,
+        np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
+        np.zeros(2), np.zeros((2, n)), _no_rates(n), balance.rigid, balance.work.copy(),
+        balance.vectors.copy())  # fmt: skip
+    result, length = np.zeros((intervals - 1, n)), 0.0
+    for k in range(intervals * per_interval):
+        block = blocks[k]
+        weight = (block[3 * n + 1], block[3 * n + 2])
+        add_residual(own, block[:n], block[n : 2 * n], block[2 * n : 3 * n], weight)
+        length += block[3 * n + 1]
+        if (k + 1) % per_interval == 0:
+            if close_interval(own, length):
+                result[(k + 1) // per_interval - 2] = own.rows[:, 0]
+            length = 0.0
+    return result

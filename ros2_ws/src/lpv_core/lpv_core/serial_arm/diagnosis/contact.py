@@ -36,41 +36,20 @@ _NEGLIGIBLE = 1e-4
 
 
 class Contact(NamedTuple):
-    """Models of torques from outside, for W windows.
+    """Models of torques from outside, for W windows."""
 
-    Attributes
-    ----------
-    lengths : ndarray of int64, shape (W,)
-        Of the windows [balances].
-    torque : ndarray, shape (n,)
-        Largest plausible torques [N m].
-    variance : ndarray, shape (n,)
-        Of balances [N2 m2 s2], for which ``shares`` and ``costs`` hold.
-    known : ndarray of int64, shape (W,)
-        Whether they do.
-    values, vectors : ndarray, shapes (W, L) and (W, L, L)
-        Of the correlation of rough torques.
-    shares, costs : ndarray, shapes (W, K, n, L) and (W, K, n)
-        Factors of squared residuals along eigenvectors, and what the freedom of K amplitudes costs.
-    smooth : tuple of ndarray, shapes (L, M)
-        Courses of unit variance along eigenfunctions, as impulses, newest first [s].
-    horizon : ndarray, shape (capacity, M')
-        The same, for all of the horizon.
-    along : ndarray, shape (L,)
-        Scratch.
-    """
-
-    lengths: IntArray
-    torque: FloatArray
-    variance: FloatArray
-    known: IntArray
-    values: FloatArray
-    vectors: FloatArray
-    shares: FloatArray
-    costs: FloatArray
+    lengths: IntArray  # of the windows, shape (W,) [balances]
+    torque: FloatArray  # largest plausible torques, shape (n,) [N m]
+    variance: FloatArray  # (n,) of balances for which `shares` and `costs` hold [N2 m2 s2]
+    known: IntArray  # (W,) whether they do
+    values: FloatArray  # (W, L) eigenvalues of the correlation of rough torques
+    vectors: FloatArray  # (W, L, L) its eigenvectors
+    shares: FloatArray  # (W, K, n, L) factors of squared residuals along eigenvectors
+    costs: FloatArray  # (W, K, n) what the freedom of K amplitudes costs
+    # (L, M) time profiles of unit variance along eigenfunctions, as impulses, newest first [s]
     smooth: tuple[FloatArray, ...]
-    horizon: FloatArray
-    along: FloatArray
+    horizon: FloatArray  # (capacity, M') the same, for all of the horizon [s]
+    along: FloatArray  # scratch, shape (L,)
 
 
 def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacity: int) -> Contact:

@@ -87,51 +87,24 @@ class HorizonPlan:
 
 
 class Posterior(NamedTuple):
-    """Estimate of m offsets and parameters of n joints from all balances of the horizon.
+    """Estimate of m offsets and parameters of n joints from all balances of the horizon."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (m,)
-        Offsets [rad], then parameters, in the order of the balances' columns.
-    factor : ndarray, shape (m, m)
-        U of the information matrix U^T U.
-    sigma : ndarray, shape (n,)
-        Standard deviations of the offsets [rad].
-    least : ndarray, shape (m,)
-        Information of the prior.
-    noise, expected, inflation : ndarray, shape (n,)
-        Usual size of what is left of a balance, and what is expected before any was seen [N m s];
-        factor of its variance, since it is correlated in time.
-    rest : ndarray, shape (n,)
-        Usual size of what is left where a joint rests or reverses, over ``noise``: its friction
-        may be anything then, up to that of rest.
-    expected_rest : ndarray, shape (n,)
-        The same before any was seen.
-    systematic : ndarray, shape (n,)
-        Smallest variance, correlation in time included [N2 m2 s2].
-    residual : ndarray, shape (capacity, n)
-        What the estimate leaves, newest first [N m s].
-    weights : ndarray, shape (capacity, n)
-        Inverse variances of the balances, newest first.
-    recalled, inverse, ordered : ndarray, shapes (1 + m, m), (m, n) and (capacity,)
-        Scratch.
-    """
-
-    mean: FloatArray
-    factor: FloatArray
-    sigma: FloatArray
-    least: FloatArray
-    noise: FloatArray
-    expected: FloatArray
-    inflation: FloatArray
+    mean: FloatArray  # (m,) offsets [rad], then parameters, in the order of the columns of balances
+    factor: FloatArray  # U of the information matrix U^T U, shape (m, m)
+    sigma: FloatArray  # standard deviations of the offsets, shape (n,) [rad]
+    least: FloatArray  # information of the prior, shape (m,)
+    noise: FloatArray  # (n,) usual size of what is left of a balance [N m s]
+    expected: FloatArray  # (n,) the same before any was seen [N m s]
+    inflation: FloatArray  # (n,) factor of its variance, since it is correlated in time
+    # (n,) as `noise` where a joint rests or reverses, over `noise`: friction of any size
     rest: FloatArray
-    expected_rest: FloatArray
-    systematic: FloatArray
-    residual: FloatArray
-    weights: FloatArray
-    recalled: FloatArray
-    inverse: FloatArray
-    ordered: FloatArray
+    expected_rest: FloatArray  # (n,) the same before any was seen
+    systematic: FloatArray  # (n,) smallest variance, with correlation in time [N2 m2 s2]
+    residual: FloatArray  # what the estimate leaves, newest first, shape (capacity, n) [N m s]
+    weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
+    recalled: FloatArray  # (1 + m, m) scratch
+    inverse: FloatArray  # (m, n) scratch
+    ordered: FloatArray  # (capacity,) scratch
 
 
 @njit

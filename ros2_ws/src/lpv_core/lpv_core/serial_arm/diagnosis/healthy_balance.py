@@ -36,41 +36,21 @@ _PARTS = 7
 
 
 class HealthyBalance(NamedTuple):
-    """Balances of a healthy arm.
+    """Balances of a healthy arm."""
 
-    Attributes
-    ----------
-    chain : Chain
-        The nominal arm.
-    sizes : ParameterSet
-        What may differ.
-    momentum, rising, falling : ndarray, shape (2, n, 10 n + 7)
-        Integrals over the previous and the current interval, as of `Balance`: the regressor, then
-        the parts of one joint each.
-    slack, variance : ndarray, shape (2, 2, n)
-        Of the two intervals, weighted by the rising and the falling half of the hat: what blocks do
-        not show [N m s], and the variance of the noise in friction [N2 m2 s2].
-    row : ndarray, shape (n, 10 n + 7)
-        Of the last complete hat.
-    last : ndarray, shape (4, n)
-        Means q, v, net force and torque of the block before.
-    first, second, work, matrix : ndarray
-        Scratch: regressors (n, 10 n), the workspace, M (n, n).
-    """
-
-    chain: Chain
-    sizes: ParameterSet
-    momentum: FloatArray
-    rising: FloatArray
-    falling: FloatArray
-    slack: FloatArray
-    variance: FloatArray
-    row: FloatArray
-    last: FloatArray
-    first: FloatArray
-    second: FloatArray
-    work: FloatArray
-    matrix: FloatArray
+    chain: Chain  # the nominal arm
+    sizes: ParameterSet  # what may differ
+    momentum: FloatArray  # (2, n, 10 n + 7) as of `Balance`: the regressor, then parts of one joint
+    rising: FloatArray  # (2, n, 10 n + 7) likewise
+    falling: FloatArray  # (2, n, 10 n + 7) likewise
+    slack: FloatArray  # (2, 2, n) both intervals, rising and falling: what blocks hide [N m s]
+    variance: FloatArray  # (2, 2, n) likewise: of the noise in friction [N2 m2 s2]
+    row: FloatArray  # (n, 10 n + 7) of the last complete hat
+    last: FloatArray  # (4, n) means q, v, net force and torque of the block before
+    first: FloatArray  # (n, 10 n) scratch: regressor
+    second: FloatArray  # (n, 10 n) scratch: regressor
+    work: FloatArray  # scratch: workspace
+    matrix: FloatArray  # (n, n) scratch: M
 
 
 def new_healthy_balance(chain: Chain, sizes: ParameterSet) -> HealthyBalance:

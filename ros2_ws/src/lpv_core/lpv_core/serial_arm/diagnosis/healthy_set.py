@@ -38,33 +38,16 @@ LEAST_RESPONSE = 0.05
 
 @dataclass(frozen=True)
 class Guarantee:
-    """What a healthy arm inside its file can show at most; arrays of shape (n,).
+    """What a healthy arm inside its file can show at most; arrays of shape (n,)."""
 
-    Attributes
-    ----------
-    estimate : ndarray
-        The estimated offsets [rad].
-    threshold : ndarray
-        Largest estimate of a healthy arm [rad].
-    response : ndarray
-        Part of an offset that the estimate shows; none where gravity does not tell it [-].
-    effects : ndarray, shape (n, k)
-        Effect of each generator of the set on the estimate [rad].
-    slack, noise, rest : ndarray
-        What else the threshold consists of [rad]: what blocks do not show, torques that the model
-        may miss, offsets of other sensors; noise; where the estimator linearised.
-    payload : tuple of float
-        Least and largest payload of a healthy arm that agree with what was learned [kg].
-    """
-
-    estimate: FloatArray
-    threshold: FloatArray
-    response: FloatArray
-    effects: FloatArray
-    slack: FloatArray
-    noise: FloatArray
-    rest: FloatArray
-    payload: tuple[float, float]
+    estimate: FloatArray  # estimated offsets [rad]
+    threshold: FloatArray  # largest estimate of a healthy arm [rad]
+    response: FloatArray  # part of an offset that the estimate shows [-]
+    effects: FloatArray  # (n, k) effect of each generator of the set on the estimate [rad]
+    slack: FloatArray  # of the threshold: blocks, tolerated torques, other offsets [rad]
+    noise: FloatArray  # of the threshold: noise [rad]
+    rest: FloatArray  # of the threshold: where the estimator linearised [rad]
+    payload: tuple[float, float]  # least and largest of a healthy arm, as learned [kg]
 
     @property
     def exceeded(self) -> np.ndarray:

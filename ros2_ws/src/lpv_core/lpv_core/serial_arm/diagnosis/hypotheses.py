@@ -10,6 +10,7 @@ null hypothesis (offsets and parameters x, covariance P), its log-likelihood rat
 s^2 / I is chi-squared with one degree of freedom.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,7 +42,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     sum_slot,
     whiten,
 )
-from lpv_core.serial_arm.diagnosis.onset import Onset, sudden_drift
+from lpv_core.serial_arm.diagnosis.onset import Onset, sudden_drift, with_true_effect
 from lpv_core.support.jit import njit
 
 WINDOWS = (0.3, 1.0, 2.5)
@@ -83,34 +84,18 @@ class Explanation:
 
 
 class Search(NamedTuple):
-    """Results and memory of the search through W windows; S = 6 n hypotheses.
+    """Results and memory of the search through W windows; S = 6 n hypotheses."""
 
-    Attributes
-    ----------
-    lengths : ndarray of int64, shape (W + 1,)
-        Of the windows, then of their onsets [balances].
-    prior : ndarray, shape (S,)
-        Standard deviations of the faults' sizes; 0 of those that cannot be.
-    outside : Contact
-        Torques from outside, for the windows and their onsets.
-    gain, information, size : ndarray, shape (W, S)
-        LLR, I and size of each hypothesis.
-    contact, onset : ndarray, shape (W,)
-        LLR of torques from outside: all the time, and only at the onset of a fault.
-    columns, shared : ndarray, shapes (m, S) and (n,)
-        Scratch.
-    """
-
-    lengths: IntArray
-    prior: FloatArray
-    outside: Contact
-    gain: FloatArray
-    information: FloatArray
-    size: FloatArray
-    contact: FloatArray
-    onset: FloatArray
-    columns: FloatArray
-    shared: FloatArray
+    lengths: IntArray  # (W + 1,) of the windows, then of their onsets [balances]
+    prior: FloatArray  # (S,) standard deviations of sizes; 0: cannot be
+    outside: Contact  # torques from outside, for the windows and their onsets
+    gain: FloatArray  # (W, S) log-likelihood ratio of each hypothesis
+    information: FloatArray  # (W, S) information on its size
+    size: FloatArray  # (W, S) its size
+    contact: FloatArray  # (W,) log-likelihood ratio of torques from outside
+    onset: FloatArray  # (W,) the same only at the onset of a fault
+    columns: FloatArray  # (m, S) scratch
+    shared: FloatArray  # (n,) scratch
 
 
 def new_search(estimator: OffsetEstimator, torque: FloatArray) -> Search:
@@ -266,7 +251,14 @@ def _begin_earlier(search: Search, w: int, i: int, score: tuple[float, float], s
 
 @njit
 def _sudden_drift(
-    search: Search, window: Window, null: Posterior, balance: Balance, joint: int, interval: float
+    search: Search,
+    window: Window,
+    null: Posterior,
+    balance: Balance,
+    joint: int,
+    interval: float,
+    blocks: FloatArray,
+    per_interval: int,
 ) -> Onset:
     """The best onset of a drift within the longest window that is always looked at."""
     last = min(search.lengths[len(WINDOWS) - 1] + 2, window.counters[COUNT])
@@ -275,16 +267,26 @@ def _sudden_drift(
     free, onset = np.zeros(last), search.lengths.shape[0] - 1
     for back in range(1, last - 1):
         free[back] = rough_contact(search.outside, null, onset, back + 1)
-    times = balance.clock[EPOCH], interval, search.prior[joint]
-    return sudden_drift(window, null, balance, joint, times, free)
+    prior = search.prior[joint]
+    newest, n = blocks[blocks.shape[0] - 1], null.sigma.shape[0]
+    times = balance.clock[EPOCH], newest[3 * n] + 0.5 * newest[3 * n + 1], interval, prior
+    best = sudden_drift(window, null, balance, joint, times, free)
+    needed = (best.back + 2) * per_interval
+    if best.gain == -np.inf or needed > blocks.shape[0]:
+        return best
+    fault = joint, prior, free[best.back]
+    return with_true_effect(best, window, null, balance, fault, blocks[-needed:], per_interval)
 
 
-def _sudden_drifts(search: Search, estimator: OffsetEstimator) -> list[Explanation]:
+def _sudden_drifts(
+    search: Search, estimator: OffsetEstimator, blocks: FloatArray
+) -> list[Explanation]:
     """Drifts of encoders whose rates are derived from them."""
     window, null, balance = estimator.window, estimator.posterior, estimator.balance
-    found = []
+    plan, found = estimator.plan, []
     for i in np.nonzero(balance.derived)[0]:
-        one = _sudden_drift(search, window, null, balance, int(i), estimator.plan.interval)
+        one = _sudden_drift(
+            search, window, null, balance, int(i), plan.interval, blocks, plan.blocks)  # fmt: skip
         found.append(Explanation('drift', int(i), one.gain, one.size, one.sigma, one.begin))
     return found
 
@@ -372,6 +374,7 @@ def explanations(
     rest: tuple[IntArray, FloatArray],
     conspicuous: IntArray,
     suspicious: float,
+    blocks: Callable[[int], FloatArray],
 ) -> list[Explanation]:
     """Hypotheses for all windows, the best one first; none where none is worth a look.
 
@@ -387,6 +390,8 @@ def explanations(
         Joints whose readings are looked at in any case.
     suspicious : float
         Evidence from which on more windows are looked at.
+    blocks : callable
+        Blocks of so many last intervals, oldest first.
 
     Returns
     -------
@@ -401,7 +406,8 @@ def explanations(
     found: list[Explanation] = []
     if best > suspicious:
         evaluate(*state, *times, some, all_of_them)
-        found = _found(search, estimator) + _sudden_drifts(search, estimator)
+        found = _found(search, estimator)
+        found += _sudden_drifts(search, estimator, blocks(len(estimator) + 1))
         conspicuous = np.arange(estimator.joints)
     for i in conspicuous:
         if resting[i] > 0 and len(estimator) > 0:

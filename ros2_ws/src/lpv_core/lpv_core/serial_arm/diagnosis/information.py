@@ -21,36 +21,21 @@ class Window(NamedTuple):
     """The last balances of an arm; rings, except for ``past``.
 
     Columns of a row are the constant part, h columns of faults, m columns of unknowns.
-
-    Attributes
-    ----------
-    rows : ndarray, shape (capacity, n, 1 + h + m)
-        Of each balance.
-    times, trust : ndarray, shape (capacity,)
-        End of each [s]; factor of its weights, small where something acted from outside.
-    weights, poses, rest : ndarray, shape (capacity, n)
-        With which each counts, trust included; positions in its middle [rad]; 1 where the joint
-        rests or reverses.
-    sums : ndarray, shape (capacity + 1, 1 + m, 1 + h + m)
-        Sum of A^T W A before each balance; rows of the constant part and of the unknowns.
-    squares : ndarray, shape (capacity + 1, h)
-        The same of the diagonal, columns of faults.
-    past : ndarray, shape (1 + m, 1 + h + m)
-        What is remembered of balances that have left; its columns of faults mean nothing.
-    counters : ndarray of int64, shape (2,)
-        Counters.
     """
 
-    rows: FloatArray
-    times: FloatArray
-    trust: FloatArray
-    weights: FloatArray
-    poses: FloatArray
-    rest: FloatArray
+    rows: FloatArray  # (capacity, n, 1 + h + m) of each balance
+    times: FloatArray  # (capacity,) end of each [s]
+    trust: FloatArray  # (capacity,) factor of weights, small where something acted from outside
+    weights: FloatArray  # (capacity, n) with which each counts, trust included
+    poses: FloatArray  # (capacity, n) positions in its middle [rad]
+    rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
+    # (capacity + 1, 1 + m, 1 + h + m) sum of A^T W A before each balance, rows of the constant part
+    # and of the unknowns
     sums: FloatArray
-    squares: FloatArray
+    squares: FloatArray  # (capacity + 1, h) the same of the diagonal, columns of faults
+    # (1 + m, 1 + h + m) of balances that have left; its columns of faults mean nothing
     past: FloatArray
-    counters: IntArray
+    counters: IntArray  # (2,)
 
 
 def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window:

@@ -17,31 +17,17 @@ from lpv_core.serial_arm.dynamics.payload import payload_parameters
 
 @dataclass(frozen=True)
 class Learned:
-    """State of the learning; joints from the base to the tip.
+    """State of the learning; joints from the base to the tip."""
 
-    Attributes
-    ----------
-    payload, payload_sigma : float
-        Mass at the tip beyond that of the arm file, and its standard deviation [kg]; what looks
-        like it may be an error of the links' masses.
-    offset, viscous, coulomb : ndarray, shape (n,)
-        Friction as learned [N m], [N m s], [N m].
-    sigma : ndarray, shape (3, n)
-        Standard deviations of these three.
-    noise : ndarray, shape (n,)
-        Usual torque that the model misses, as a mean over a balance [N m].
-    seconds : float
-        Length of the horizon [s].
-    """
-
+    # mass at the tip beyond the arm file's; may be an error of the links' masses [kg]
     payload: float
-    payload_sigma: float
-    offset: FloatArray
-    viscous: FloatArray
-    coulomb: FloatArray
-    sigma: FloatArray
-    noise: FloatArray
-    seconds: float
+    payload_sigma: float  # its standard deviation [kg]
+    offset: FloatArray  # (n,) of friction [N m]
+    viscous: FloatArray  # (n,) of friction [N m s]
+    coulomb: FloatArray  # (n,) of friction [N m]
+    sigma: FloatArray  # standard deviations of these three, shape (3, n)
+    noise: FloatArray  # (n,) usual torque that the model misses, mean over a balance [N m]
+    seconds: float  # length of the horizon [s]
 
     def values(self) -> dict[str, str]:
         """Keys and values for a diagnostic message."""

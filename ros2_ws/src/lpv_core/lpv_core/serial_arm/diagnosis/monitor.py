@@ -10,6 +10,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
+from lpv_core.serial_arm.certificate.jump_bound import jump_bound
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
@@ -24,7 +25,6 @@ from lpv_core.serial_arm.diagnosis.hypotheses import (
     offset_against_contact,
 )
 from lpv_core.serial_arm.diagnosis.information import NEXT
-from lpv_core.serial_arm.diagnosis.jump_bound import jump_bound
 from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
 from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
@@ -108,27 +108,13 @@ class SerialAlarm:
 
 @dataclass(frozen=True)
 class SerialEstimate:
-    """What is known after a sample.
+    """What is known after a sample."""
 
-    Attributes
-    ----------
-    stamp : int
-        Of the sample [ns].
-    fault : ndarray, shape (n,)
-        Estimated faults f of the position sensors, y = q + f [rad].
-    sigma : ndarray, shape (n,)
-        Their standard deviations [rad].
-    state : tuple of SensorState
-        Of each sensor.
-    suspects : tuple of str
-        What explains a contradiction, best first; empty if there is none.
-    """
-
-    stamp: int
-    fault: FloatArray
-    sigma: FloatArray
-    state: tuple[SensorState, ...]
-    suspects: tuple[str, ...]
+    stamp: int  # of the sample [ns]
+    fault: FloatArray  # estimated faults f of the position sensors, y = q + f, shape (n,) [rad]
+    sigma: FloatArray  # their standard deviations, shape (n,) [rad]
+    state: tuple[SensorState, ...]  # of each sensor
+    suspects: tuple[str, ...]  # what explains a contradiction, best first; empty if there is none
 
 
 class SerialMonitor:
@@ -372,7 +358,8 @@ class SerialMonitor:
             return
         found = explanations(
             self.search, self.estimator, self._rest(), np.nonzero(self._is_frozen())[0],
-            0.5 * self.settings.evidence)  # fmt: skip
+            0.5 * self.settings.evidence, self._blocks)  # fmt: skip
+        found = [one for one in found if not self.rate_check.excludes(one, now)]
         if not found or found[0].gain < self.settings.evidence:
             self._suspects = ()
             self._held.clear()

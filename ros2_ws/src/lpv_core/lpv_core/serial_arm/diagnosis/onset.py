@@ -10,17 +10,28 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lpv_core.serial_arm.chain import COULOMB as DRY
+from lpv_core.serial_arm.chain import VISCOUS as WET
 from lpv_core.serial_arm.chain import FloatArray
-from lpv_core.serial_arm.diagnosis.balance import DRIFT, OFFSET, Balance
+from lpv_core.serial_arm.diagnosis.balance import (
+    COULOMB,
+    DRIFT,
+    OFFSET,
+    VISCOUS,
+    Balance,
+    residuals,
+)
 from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals
 from lpv_core.serial_arm.diagnosis.information import Window, slot, whiten
 from lpv_core.serial_arm.dynamics.momentum import momentum_balance
 from lpv_core.support.jit import njit
 
-PLACES = (0.17, 0.5, 0.83)
+PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Places of the onset in its interval that are tried."""
 SHORTEST = 4
 """Balances after an onset before it is looked at."""
+_SMALLEST = 0.01
+"""Size of a drift at which its effect is evaluated, at least [rad/s]."""
 
 
 class Onset(NamedTuple):
@@ -30,6 +41,7 @@ class Onset(NamedTuple):
     size: float  # of the drift [rad/s]
     sigma: float  # standard deviation of the size [rad/s]
     begin: float  # [s]
+    back: int  # the older of the two balances that hold it, counted from the last one
 
 
 class _Sums(NamedTuple):
@@ -46,10 +58,10 @@ def sudden_drift(
     null: Posterior,
     balance: Balance,
     joint: int,
-    times: tuple[float, float, float],
+    times: tuple[float, float, float, float],
     free: FloatArray,
 ) -> Onset:
-    """The best onset of a drift of one encoder in the last balances.
+    """The best onset of a drift of one encoder in the last balances, to first order.
 
     Parameters
     ----------
@@ -62,7 +74,8 @@ def sudden_drift(
     joint : int
         Of the encoder.
     times : tuple
-        Epoch of drifts and length of an interval [s], standard deviation of drifts [rad/s].
+        Epoch of drifts, end of the last balance and length of an interval [s]; standard deviation
+        of drifts [rad/s].
     free : ndarray, shape (last,)
         What torques from outside, at the onset only, would explain of the balances that hold it,
         by the older one; it is taken off.
@@ -72,13 +85,14 @@ def sudden_drift(
     Onset
         All onsets count as equally likely; what that costs belongs to the margin of a decision.
     """
-    epoch, interval, prior = times
+    epoch, end, interval, prior = times
     n, m = null.noise.shape[0], null.mean.shape[0]
     set_residuals(window, null, free.shape[0])
     sums = _Sums(np.zeros(2), np.zeros((2, 2)), np.zeros((2, m)))
     mass, near, far = np.zeros(n), np.zeros(m), np.zeros(m)
     columns, cross = np.zeros((2, n)), np.zeros((m, 1))
-    best = Onset(-np.inf, 0.0, 0.0, 0.0)
+    late = window.times[slot(window, 0)] - end  # samples wait for a test of jumps
+    best = Onset(-np.inf, 0.0, 0.0, 0.0, 0)
     for back in range(1, free.shape[0] - 1):
         _add(sums, columns, window, null, joint, back - 1)
         if back < SHORTEST:
@@ -92,7 +106,7 @@ def sudden_drift(
             for part in range(2):
                 overlap[part] += window.weights[after, i] * mass[i] * columns[part, i]
         for s in PLACES:
-            begin = window.times[at] - interval + s * interval
+            begin = window.times[at] - late - interval + s * interval
             shift = begin - epoch
             score = sums.score[0] - shift * sums.score[1] - (1.0 - s) * older[0] - s * newer[0]
             square = sums.squares[0, 0] - shift * (
@@ -109,7 +123,7 @@ def sudden_drift(
             power = max(square, 0.0) + prior**-2
             gain = 0.5 * (score * score / power - np.log(power * prior * prior)) - free[back]
             if gain > best.gain:
-                best = Onset(gain, -score / power, power**-0.5, begin)
+                best = Onset(gain, -score / power, power**-0.5, begin, back)
     return best
 
 
@@ -159,3 +173,102 @@ def _mass_column(balance: Balance, pose: FloatArray, joint: int, mass: FloatArra
     rate[:] = 0.0
     rate[joint] = 1.0
     momentum_balance(balance.chain, pose, rate, balance.work, mass, force)
+
+
+@njit
+def with_true_effect(
+    onset: Onset,
+    window: Window,
+    null: Posterior,
+    balance: Balance,
+    fault: tuple[int, float, float],
+    blocks: FloatArray,
+    per_interval: int,
+) -> Onset:
+    """The same onset with the drift's true effect: friction turns over where a joint is slow.
+
+    The column is the difference that the drift makes over its size, at its size.
+
+    Parameters
+    ----------
+    onset : Onset
+        From `sudden_drift`.
+    window, null, balance
+        As there.
+    fault : tuple
+        Joint, standard deviation of drifts [rad/s], what is taken off its likelihood.
+    blocks : ndarray, shape (N, 3 n + 3)
+        Those of the balances that hold the onset, and of all after them, oldest first.
+    per_interval : int
+        Blocks of an interval.
+
+    Returns
+    -------
+    Onset
+        With another gain, size and deviation.
+    """
+    joint, prior, free = fault
+    friction = _learned_friction(balance, null)
+    plain = residuals(balance, blocks, per_interval, friction)
+    last = plain.shape[0]
+    set_residuals(window, null, last)
+    size, power, gain = onset.size, 1.0, -np.inf
+    for _ in range(3):
+        if abs(size) < _SMALLEST:
+            size = _SMALLEST if size >= 0.0 else -_SMALLEST
+        freed = _without_drift(blocks, balance, joint, onset.begin, size)
+        column = (residuals(balance, freed, per_interval, friction) - plain) / size
+        score, square = _project(window, null, column)
+        power = square + prior**-2
+        size = score / power
+        gain = 0.5 * (score * score / power - np.log(power * prior * prior)) - free
+    return Onset(gain, size, power**-0.5, onset.begin, onset.back)
+
+
+@njit
+def _learned_friction(balance: Balance, null: Posterior) -> FloatArray:
+    """Friction of the chain with what the null hypothesis has learned of it."""
+    n, friction = balance.reference.shape[0], balance.chain.friction.copy()
+    for i in range(n):
+        friction[i, WET] += null.mean[(VISCOUS - OFFSET) * n + i]
+        friction[i, DRY] += null.mean[(COULOMB - OFFSET) * n + i]
+    return friction
+
+
+@njit
+def _without_drift(
+    blocks: FloatArray, balance: Balance, joint: int, begin: float, size: float
+) -> FloatArray:
+    """Blocks whose reading, and the rate that is derived from it, are freed of a drift."""
+    n, freed = balance.reference.shape[0], blocks.copy()
+    for k in range(blocks.shape[0]):
+        length = blocks[k, 3 * n + 1]
+        after = min(blocks[k, 3 * n] + 0.5 * length - begin, length)
+        if after <= 0.0:
+            continue
+        share = after / length
+        mean = max(blocks[k, 3 * n] - begin, 0.5 * after) * share
+        freed[k, joint] -= size * mean
+        freed[k, n + joint] -= balance.derived[joint] * size * share
+    return freed
+
+
+@njit
+def _project(window: Window, null: Posterior, column: FloatArray) -> tuple[float, float]:
+    """Score and information of a column, oldest balance first, with the arm's unknowns free."""
+    last, n = column.shape
+    m = null.mean.shape[0]
+    first = window.rows.shape[2] - m
+    score, square, cross = 0.0, 0.0, np.zeros((m, 1))
+    for back in range(last):
+        at, own = slot(window, back), column[last - 1 - back]
+        for i in range(n):
+            weighted = window.weights[at, i] * own[i]
+            score -= weighted * null.residual[back, i]
+            square += weighted * own[i]
+            for a in range(m):
+                cross[a, 0] += weighted * window.rows[at, i, first + a]
+    whiten(null.factor, cross)
+    for a in range(m):
+        square -= cross[a, 0] * cross[a, 0]
+    return score, max(square, 0.0)

@@ -29,36 +29,18 @@ PAYLOAD_PARTS = 10
 
 
 class ParameterSet(NamedTuple):
-    """Half widths of everything that may differ from the file, as generators.
+    """Half widths of everything that may differ from the file, as generators."""
 
-    Attributes
-    ----------
-    body : ndarray of int64, shape (k,)
-        Link to which each of the inertial generators belongs.
-    inertial : ndarray, shape (k, 10)
-        Of the links and of the payload.
-    rotor : ndarray, shape (n,)
-        Of the rotors' inertias [kg m2].
-    viscous, coulomb, load, offset : ndarray, shape (n,)
-        Of friction, by the part of it [N m s], [N m], [-], [N m].
-    rate_bias : ndarray, shape (n,)
-        Of independent rates [rad/s].
-    delay : ndarray, shape (n,)
-        Of the efforts against the motion [s].
-    tolerance : ndarray, shape (n, 2, s)
-        Speeds [rad/s], and the torque that the model may miss at them in any way [N m].
-    """
-
-    body: IntArray
-    inertial: FloatArray
-    rotor: FloatArray
-    viscous: FloatArray
-    coulomb: FloatArray
-    load: FloatArray
-    offset: FloatArray
-    rate_bias: FloatArray
-    delay: FloatArray
-    tolerance: FloatArray
+    body: IntArray  # link to which each of the inertial generators belongs, shape (k,)
+    inertial: FloatArray  # of the links and of the payload, shape (k, 10)
+    rotor: FloatArray  # of the rotors' inertias, shape (n,) [kg m2]
+    viscous: FloatArray  # (n,) of friction [N m s]
+    coulomb: FloatArray  # (n,) of friction [N m]
+    load: FloatArray  # (n,) of friction [-]
+    offset: FloatArray  # (n,) of friction [N m]
+    rate_bias: FloatArray  # of independent rates, shape (n,) [rad/s]
+    delay: FloatArray  # of the efforts against the motion, shape (n,) [s]
+    tolerance: FloatArray  # (n, 2, s) speeds [rad/s], torques that the model may miss there [N m]
 
 
 def is_stated(arm: SerialArm) -> bool:

@@ -60,12 +60,32 @@ class RateCheck:
         self.rate = growth[-late:].sum(0) / (time[-1] - time[-1 - late])
         size = np.abs(growth.sum(0))
         self.since = size / np.maximum(np.abs(self.rate), 1e-9)
-        beyond = self._independent & (size > np.maximum(_SIGMAS * self._usual, _SMALLEST))
+        beyond = self._independent & (size > self._limit())
         self._held = np.where(beyond, self._held + 1, 0)
         bounded = np.minimum(size, 3.0 * self._usual)
         change = (bounded**2 - self._usual**2) / _MEMORY
         self._usual = np.where(beyond, self._usual, np.sqrt(self._usual**2 + change))
         self.joints = np.nonzero(self._held >= _DWELL)[0]
+
+    def _limit(self) -> FloatArray:
+        """Largest D of healthy sensors, shape (n,) [rad]."""
+        return np.maximum(_SIGMAS * self._usual, _SMALLEST)
+
+    def excludes(self, fault: Explanation, now: float) -> bool:
+        """Whether D would have shown a fault of an encoder twice over, and shows nothing.
+
+        Parameters
+        ----------
+        fault : Explanation
+            What balances suggest.
+        now : float
+            Time of the last balance [s].
+        """
+        i = fault.joint
+        if not fault.is_encoder or not self._independent[i] or self._held[i] > 0:
+            return False
+        change = {'drift': abs(fault.size) * min(SPAN, now - fault.begin), 'slip': abs(fault.size)}
+        return change.get(fault.kind, 0.0) > 2.0 * float(self._limit()[i])
 
     def explanations(self, search: Search, joint: int, begins: FloatArray) -> list[Explanation]:
         """Drift of the encoder and bias of the rate, the more likely one first.

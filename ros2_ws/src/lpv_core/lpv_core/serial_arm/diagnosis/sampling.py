@@ -34,64 +34,26 @@ _SLOW = 0.05
 
 
 class Sampler(NamedTuple):
-    """Samples on their way into the balance.
+    """Samples on their way into the balance."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (HISTORY,)
-        Stamps of the last samples, newest last [s].
-    samples : ndarray, shape (HISTORY, 3, n)
-        Readings, rates, torques.
-    jumps : ndarray, shape (HISTORY, n)
-        e of each.
-    scale : ndarray, shape (n,)
-        Usual size of e [rad].
-    smallest : ndarray, shape (n,)
-        Smallest jump that is looked for [rad].
-    correction, drift : ndarray, shape (n,)
-        Fault that is removed from the reading [rad] and its rate [rad/s].
-    derived : ndarray, shape (n,)
-        1 where the rate is derived from the reading.
-    sums : ndarray, shape (3, n)
-        Of the current block.
-    blocks : ndarray, shape (capacity, 3 n + 3)
-        Means q, v, tau of the last blocks, with their time, length and place: a ring.
-    found : ndarray, shape (n,)
-        `STEP`, `SPIKE` or `NONE` of the last sample.
-    size : ndarray, shape (n,)
-        Height of a step that was found [rad].
-    raw : ndarray, shape (n,)
-        Last reading as it came [rad].
-    still : ndarray, shape (n,)
-        Samples for which the reading has not changed at all.
-    repeats : ndarray, shape (n,)
-        Share of readings that equal the one before, as of quantised encoders that move slowly.
-    stop : ndarray, shape (n,)
-        Speed of the reading before it came to rest [rad/s].
-    counters : ndarray of int64, shape (5,)
-        Counters.
-    clock : ndarray, shape (3,)
-        Moments [s].
-    """
-
-    time: FloatArray
-    samples: FloatArray
-    jumps: FloatArray
-    scale: FloatArray
-    smallest: FloatArray
-    correction: FloatArray
-    drift: FloatArray
-    derived: FloatArray
-    sums: FloatArray
-    blocks: FloatArray
-    found: IntArray
-    size: FloatArray
-    raw: FloatArray
-    still: IntArray
-    repeats: FloatArray
-    stop: FloatArray
-    counters: IntArray
-    clock: FloatArray
+    time: FloatArray  # stamps of the last samples, newest last, shape (HISTORY,) [s]
+    samples: FloatArray  # readings, rates, torques, shape (HISTORY, 3, n)
+    jumps: FloatArray  # e of each, shape (HISTORY, n)
+    scale: FloatArray  # usual size of e, shape (n,) [rad]
+    smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
+    correction: FloatArray  # (n,) fault that is removed from the reading [rad]
+    drift: FloatArray  # (n,) its rate [rad/s]
+    derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
+    sums: FloatArray  # of the current block, shape (3, n)
+    blocks: FloatArray  # (capacity, 3 n + 3) ring: q, v, tau of blocks; time, length, place
+    found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
+    size: FloatArray  # height of a step that was found, shape (n,) [rad]
+    raw: FloatArray  # last reading as it came, shape (n,) [rad]
+    still: IntArray  # samples for which the reading has not changed at all, shape (n,)
+    repeats: FloatArray  # (n,) share of readings that equal the one before (quantised, slow)
+    stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
+    counters: IntArray  # (5,)
+    clock: FloatArray  # moments, shape (3,) [s]
 
 
 def new_sampler(

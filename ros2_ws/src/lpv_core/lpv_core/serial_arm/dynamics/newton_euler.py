@@ -101,16 +101,6 @@ def inverse_dynamics(
 
 
 @njit
-def bias_torque(
-    chain: Chain, q: FloatArray, v: FloatArray, work: FloatArray, torque: FloatArray
-) -> None:
-    """Torques C(q, v) v + g(q) without acceleration; arguments as of `inverse_dynamics`."""
-    still = work[:, 39]
-    still[:] = 0.0
-    inverse_dynamics(chain, q, v, still, work, torque)
-
-
-@njit
 def gravity_torque(chain: Chain, q: FloatArray, work: FloatArray, torque: FloatArray) -> None:
     """Torques g(q) that hold the arm still; arguments as of `inverse_dynamics`."""
     still = work[:, 39]

@@ -15,7 +15,7 @@ _POSES = 100
 
 
 def jump_bound(arm: SerialArm) -> FloatArray:
-    """Bound of e (see `sampling`) of a healthy arm.
+    """Bound of e (see `lpv_core.serial_arm.diagnosis.sampling`) of a healthy arm.
 
     With rates that change by at most a T a sample, abs(e) <= a T^2 for rates of either kind; to
     that comes the noise of three or four readings.

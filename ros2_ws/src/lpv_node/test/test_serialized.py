@@ -1,0 +1,70 @@
+"""Messages that are serialised once and then filled in place."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from rclpy.serialization import deserialize_message  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
+
+from lpv_msgs.msg import FaultEstimate, GroundTruth, TorqueCommand  # noqa: E402
+from lpv_node.serialized import SerializedMessage  # noqa: E402
+
+STAMP = 3_000_000_007
+
+
+def test_given_memory_when_it_changes_then_the_next_message_has_the_new_numbers_and_stamp():
+    torque, stop = np.zeros(3), np.zeros(1, bool)
+    message = SerializedMessage(TorqueCommand(), {'torque': torque, 'safe_stop': stop})
+    first = message.at(1)
+    torque[:], stop[0] = [1.5, -0.0, 1e-300], True
+    second = deserialize_message(message.at(STAMP), TorqueCommand)
+    assert (list(second.torque), second.safe_stop) == ([1.5, -0.0, 1e-300], True)
+    assert (second.header.stamp.sec, second.header.stamp.nanosec) == (3, 7)
+    assert list(deserialize_message(first, TorqueCommand).torque) == [0.0] * 3
+
+
+@pytest.mark.parametrize('names', [['a'], ['ab', 'cde'], ['joint_ä', '', 'a' * 300, 'x']])
+@pytest.mark.parametrize('frame', ['', 'b', 'some_arm'])
+def test_given_names_of_any_length_when_serialised_then_the_middleware_reads_the_same(names, frame):
+    count = len(names)
+    numbers = {
+        'estimate': np.arange(float(count)),
+        'bound': np.full(count, math.inf),
+        'threshold': -np.arange(float(count)),
+        'state': np.arange(count, dtype=np.uint8),
+        'alarm': np.arange(count) % 2 == 0,
+    }
+    message = FaultEstimate(header=Header(frame_id=frame), sensor_names=names)
+    found = deserialize_message(SerializedMessage(message, numbers).at(STAMP), FaultEstimate)
+    assert (found.header.frame_id, found.sensor_names) == (frame, names)
+    for name, values in numbers.items():
+        assert list(getattr(found, name)) == values.tolist()
+
+
+def test_given_an_empty_sequence_at_the_end_when_serialised_then_nothing_follows_it():
+    numbers = {'position': np.ones(2), 'velocity': np.ones(2)}
+    data = SerializedMessage(JointState(name=['a', 'b']), numbers).at(STAMP)
+    assert data[-4:] == bytes(4) and list(deserialize_message(data, JointState).effort) == []
+
+
+def test_given_a_dropout_when_serialised_then_it_is_a_number_that_is_none():
+    fault = np.array([math.nan, 0.5])
+    found = SerializedMessage(GroundTruth(), {'fault': fault}).at(STAMP)
+    np.testing.assert_array_equal(deserialize_message(found, GroundTruth).fault, fault)
+
+
+@pytest.mark.parametrize(('stamp', 'expected'), [(STAMP, (3, 7)), (2**70, (2**31 - 1, 999999999))])
+def test_given_a_clock_when_serialised_then_its_time_is_the_stamp(stamp, expected):
+    found = deserialize_message(SerializedMessage(Clock(), {}, 'clock').at(stamp), Clock)
+    assert (found.clock.sec, found.clock.nanosec) == expected
+
+
+def test_given_memory_of_another_type_when_a_message_is_made_then_it_is_refused():
+    with pytest.raises(ValueError, match='16 bytes in the message, not 8'):
+        SerializedMessage(TorqueCommand(), {'torque': np.zeros(2, np.float32)})
