@@ -387,7 +387,7 @@ def residuals(
         chain, balance.directions, balance.reference, balance.derived,
         np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
         np.zeros(2), np.zeros((2, n)), _no_rates(n), balance.rigid, balance.work.copy(),
-        balance.vectors.copy())  # fmt: skip
+        balance.vectors.copy(), balance.frictions)  # fmt: skip
     result, length = np.zeros((intervals - 1, n)), 0.0
     for k in range(intervals * per_interval):
         block = blocks[k]
