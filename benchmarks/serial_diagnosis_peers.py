@@ -337,7 +337,9 @@ def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> No
         monitor = SerialMonitor(run.arm)
         monitor.update_many(run.stamps, run.samples)
         plan, learned = monitor.plan, monitor.estimator.posterior
-        power = learned.noise**2 * learned.inflation / (plan.interval * 2.0 / 3.0)
+        resting = monitor.estimator.window.rest[: len(monitor.estimator)]
+        size = learned.noise * (1.0 + (learned.rest - 1.0) * resting)
+        power = np.mean(size**2, 0) * learned.inflation / (plan.interval * 2.0 / 3.0)
         torques = Torques(np.sqrt(power / run.arm.sample_time))
         joint, size = k % 2, rng.choice([-1.0, 1.0]) * rng.uniform(*OFFSET_RANGE)
         case = Case('', 'bias', abs(size), 0.0, from_start=True)

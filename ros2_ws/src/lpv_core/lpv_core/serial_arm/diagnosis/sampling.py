@@ -142,8 +142,10 @@ def _set_jumps(sampler: Sampler) -> None:
     period = sampler.time[k] - sampler.time[k - 1]
     for i in range(n):
         way = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
-        sampler.jumps[k, i] = way - period * _mean_rate(sampler, i)
-        beyond = beyond or abs(sampler.jumps[k, i]) > _smallest_jump(sampler, i)
+        sampler.jumps[k, i] = way - period * _mean_rate(sampler.samples, i)
+        beyond = beyond or abs(sampler.jumps[k, i]) > _smallest_jump(
+            sampler.scale[i], sampler.smallest[i]
+        )
     if not beyond:
         return
     period += _wrong_stamp(sampler)
@@ -159,7 +161,7 @@ def _unexplained(sampler: Sampler, i: int, period: float) -> float:
     """
     k, rate = HISTORY - 2, sampler.samples[:, 1, i]
     way = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
-    least = way - period * _mean_rate(sampler, i)
+    least = way - period * _mean_rate(sampler.samples, i)
     if sampler.derived[i] == 0.0:
         for other in (k - 1, k + 1):
             rest = way - 0.5 * period * (rate[k] + rate[other])
@@ -168,9 +170,9 @@ def _unexplained(sampler: Sampler, i: int, period: float) -> float:
 
 
 @njit
-def _mean_rate(sampler: Sampler, i: int) -> float:
+def _mean_rate(samples: FloatArray, i: int) -> float:
     """Mean rate of a joint before and after the last sample but one [rad/s]."""
-    return 0.5 * (sampler.samples[HISTORY - 3, 1, i] + sampler.samples[HISTORY - 1, 1, i])
+    return float(0.5 * (samples[HISTORY - 3, 1, i] + samples[HISTORY - 1, 1, i]))
 
 
 @njit
@@ -182,11 +184,17 @@ def _wrong_stamp(sampler: Sampler) -> float:
     """
     jumps, n, late, most = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 2
     for c in range(n):
-        if abs(_mean_rate(sampler, c)) < _SLOW:
+        if abs(_mean_rate(sampler.samples, c)) < _SLOW:
             continue
-        guess, agree, differ, common, weight = jumps[c] / _mean_rate(sampler, c), 0, 0, 0.0, 0.0
+        guess, agree, differ, common, weight = (
+            jumps[c] / _mean_rate(sampler.samples, c),
+            0,
+            0,
+            0.0,
+            0.0,
+        )
         for i in range(n):
-            rate = _mean_rate(sampler, i)
+            rate = _mean_rate(sampler.samples, i)
             way = guess * rate
             if max(abs(way), abs(jumps[i])) <= 5.0 * sampler.scale[i]:
                 continue
@@ -206,7 +214,7 @@ def _find_jumps(sampler: Sampler) -> None:
     if sampler.counters[PENDING] < 0:
         for i in range(n):
             size = abs(sampler.jumps[k, i])
-            if size > _smallest_jump(sampler, i):
+            if size > _smallest_jump(sampler.scale[i], sampler.smallest[i]):
                 sampler.counters[PENDING] = 0
             else:
                 bounded = min(size, 3.0 * sampler.scale[i])
@@ -229,9 +237,9 @@ def _find_jumps(sampler: Sampler) -> None:
 
 
 @njit
-def _smallest_jump(sampler: Sampler, i: int) -> float:
+def _smallest_jump(scale: float, smallest: float) -> float:
     """Size of e beyond which a reading jumps."""
-    return max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
+    return max(JUMP_SCALE * scale, smallest)
 
 
 @njit
@@ -239,7 +247,9 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     """Whether the last sample but one jumped and the last one confirms it, whatever the rates."""
     k, samples = HISTORY - 2, sampler.samples
     jump = sampler.jumps[k, i]
-    if abs(jump) <= max(_smallest_jump(sampler, i), abs(sampler.jumps[k - 1, i]) / 0.6):
+    if abs(jump) <= max(
+        _smallest_jump(sampler.scale[i], sampler.smallest[i]), abs(sampler.jumps[k - 1, i]) / 0.6
+    ):
         return False
     way = samples[k + 1, 0, i] - samples[k - 1, 0, i] - jump
     period = sampler.time[k + 1] - sampler.time[k - 1]
@@ -259,7 +269,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     while abs(sampler.jumps[peak, i]) < 0.9 * largest:
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
-    if abs(size) <= _smallest_jump(sampler, i):
+    if abs(size) <= _smallest_jump(sampler.scale[i], sampler.smallest[i]):
         return
     if abs(after + size) < 0.3 * abs(size):
         sampler.found[i] = SPIKE
