@@ -186,13 +186,8 @@ def _wrong_stamp(sampler: Sampler) -> float:
     for c in range(n):
         if abs(_mean_rate(sampler.samples, c)) < _SLOW:
             continue
-        guess, agree, differ, common, weight = (
-            jumps[c] / _mean_rate(sampler.samples, c),
-            0,
-            0,
-            0.0,
-            0.0,
-        )
+        guess = jumps[c] / _mean_rate(sampler.samples, c)
+        agree, differ, common, weight = 0, 0, 0.0, 0.0
         for i in range(n):
             rate = _mean_rate(sampler.samples, i)
             way = guess * rate
