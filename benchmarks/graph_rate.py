@@ -1,11 +1,11 @@
 """The node graph beside an empty one: lockstep rate, latency, missed samples, CPU share.
 
 The empty graph has the same three nodes, topics, types, QoS and executor, and does nothing but
-publish message objects, as rclpy programs do.  Lockstep: samples a second with all nodes in one process and with one process for each;
-goals are 60 % and 70 % of the empty graph.  Real time, at 500 Hz and 1 kHz: from the time of a
-sample to its torque, as a fourth process sees it, samples without a torque, and the CPU share of
-each node, without and with recorder and live view.  Load of the machine is printed with each
-figure: ratios of one run are worth more than rates.
+publish message objects, as rclpy programs do.  Lockstep: samples a second with all nodes in one
+process and with one process for each; goals are 60 % and 70 % of the empty graph.  Real time, at
+500 Hz and 1 kHz: from the time of a sample to its torque, as a fourth process sees it, samples
+without a torque, and the CPU share of each node, without and with recorder and live view.  Load of
+the machine is printed with each figure: ratios of one run are worth more than rates.
 """
 
 import argparse

@@ -15,9 +15,11 @@ from lpv_core.serial_arm.chain import VISCOUS as WET
 from lpv_core.serial_arm.chain import FloatArray
 from lpv_core.serial_arm.diagnosis.balance import (
     COULOMB,
+    COULOMB_PART,
     DRIFT,
     OFFSET,
     VISCOUS,
+    VISCOUS_PART,
     Balance,
     residuals,
 )
@@ -232,6 +234,10 @@ def _learned_friction(balance: Balance, null: Posterior) -> FloatArray:
     for i in range(n):
         friction[i, WET] += null.mean[(VISCOUS - OFFSET) * n + i]
         friction[i, DRY] += null.mean[(COULOMB - OFFSET) * n + i]
+        for k in range(balance.frictions.shape[0]):
+            part, share = balance.frictions[k, i], null.mean[4 * n + k]
+            friction[i, WET] += share * part[VISCOUS_PART]
+            friction[i, DRY] += share * part[COULOMB_PART]
     return friction
 
 
