@@ -17,7 +17,10 @@ from lpv_core.serial_arm.diagnosis.balance import (
     VISCOUS,
     fill_balances,
     new_balance,
+    residuals,
+    rests,
 )
+from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, learn_noise
 from lpv_core.serial_arm.diagnosis.information import (
     add_products,
     factorise,
@@ -25,6 +28,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     move_drifts,
     new_window,
     products,
+    slot,
     solve_factorised,
     sum_slot,
     whiten,
@@ -171,3 +175,34 @@ def test_factor_solves_and_whitens():
     solve_factorised(factor, right)
     np.testing.assert_allclose(right, expected, rtol=1e-9)
     assert columns[:, 0] @ columns[:, 0] == pytest.approx(rows[0] @ expected)
+
+
+def test_residuals_alone_are_those_of_the_whole_balance(blocks):
+    chain = compile_chain(shoulder_arm())
+    balance = new_balance(chain, np.zeros((0, 3, 10)), np.ones(3))
+    alone = residuals(balance, blocks, PER_INTERVAL, chain.friction)
+    np.testing.assert_array_equal(alone, rows_of(chain, blocks)[:, :, 0])
+
+
+def test_given_a_joint_that_reverses_then_its_balances_say_so(blocks):
+    balance = new_balance(compile_chain(shoulder_arm()), np.zeros((0, 3, 10)), np.ones(3))
+    moving, turning = blocks[: 2 * PER_INTERVAL].copy(), blocks[: 2 * PER_INTERVAL].copy()
+    moving[:, 3:6], turning[:, 3:6] = 1.0, np.linspace(-1.0, 1.0, len(turning))[:, None]
+    rows = np.empty((1, *balance.rows.shape))
+    for own, expected in ((moving, False), (turning, True)):
+        fill_balances(balance, own, PER_INTERVAL, rows)
+        assert rests(balance, 1) is expected
+
+
+def test_given_residuals_that_are_larger_at_rest_then_noise_in_motion_stays_small():
+    arm, rng = shoulder_arm(), np.random.default_rng(0)
+    estimator = OffsetEstimator(arm, HorizonPlan.of(arm.sample_time))
+    window, null = estimator.window, estimator.posterior
+    for k in range(200):
+        rows, rest = np.zeros(window.rows.shape[1:]), k % 2
+        rows[:, 0] = (4.0 if rest else 1.0) * null.expected * rng.normal(size=3)
+        join(window, 0.05 * k, rows, -1.0)
+        window.rest[slot(window, 0)] = rest
+    learn_noise(window, null)
+    np.testing.assert_allclose(null.rest, 4.0, rtol=0.3)
+    np.testing.assert_allclose(null.noise, null.expected, rtol=0.3)

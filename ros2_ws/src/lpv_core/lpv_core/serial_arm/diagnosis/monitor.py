@@ -58,8 +58,10 @@ RARE = 0.3
 """Share of repeated readings below which a reading that rests is frozen."""
 GUARANTEE_EVERY = 20
 """Balances after which guaranteed thresholds are evaluated anew."""
-FROZEN_DWELL = 3
+FROZEN_DWELL = 2
 """Balances for which a frozen reading must be to blame: joints that turn round rest shortly."""
+FROZEN_EVIDENCE = 2.0
+"""What balances must say for a frozen reading to be stuck; that it froze is evidence of its own."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -360,7 +362,7 @@ class SerialMonitor:
             self.search, self.estimator, self._rest(), np.nonzero(self._is_frozen())[0],
             0.5 * self.settings.evidence, self._blocks)  # fmt: skip
         found = [one for one in found if not self.rate_check.excludes(one, now)]
-        if not found or found[0].gain < self.settings.evidence:
+        if self._frozen(found) is None and (not found or found[0].gain < self.settings.evidence):
             self._suspects = ()
             self._held.clear()
             self._decide_level()
@@ -419,10 +421,9 @@ class SerialMonitor:
         explains clearly more than faults of other sensors, and than torques from outside of any
         course do; those that are smooth are evaluated only here, for they cost most.
         """
-        for i in np.nonzero(self._is_frozen())[0]:
-            own = [one for one in found if one.joint == i and one.is_encoder]
-            if own and own[0].gain > 0.0:
-                return own[0]
+        frozen = self._frozen(found)
+        if frozen is not None:
+            return frozen
         contact = max(one.gain for one in found if one.kind == CONTACT)
         encoder = [one for one in found if one.is_encoder]
         if contact > max(3.0 * self.settings.evidence, *(2.0 * one.gain for one in encoder)):
@@ -438,6 +439,14 @@ class SerialMonitor:
             self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
             return None
         return best
+
+    def _frozen(self, found: list[Explanation]) -> Explanation | None:
+        """What explains a reading that froze, if balances say that the joint moves."""
+        for i in np.nonzero(self._is_frozen())[0]:
+            own = [one for one in found if one.joint == i and one.is_encoder]
+            if own and own[0].gain > FROZEN_EVIDENCE:
+                return own[0]
+        return None
 
     def _is_frozen(self) -> BoolArray:
         """Whether a reading stopped dead while it moved, or has lost its noise."""
