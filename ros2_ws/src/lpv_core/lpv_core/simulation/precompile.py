@@ -18,7 +18,7 @@ from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.residual.rate_independence import rate_source
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.hypotheses import offset_against_contact
+from lpv_core.serial_arm.diagnosis.hypotheses import offset_against_contact, sudden_drifts
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.arm_simulator import ArmSimulator
@@ -67,7 +67,10 @@ def precompile_serial(arm: SerialArm, scenario: SerialScenario) -> None:
     rows = np.stack([run.measured, run.measured_velocity, run.torque], axis=1)
     diagnosis.update_many(stamps, rows)
     # The first fault must not wait for this in a node.
-    offset_against_contact(diagnosis.search, diagnosis.estimator, 0)
+    search, estimator = diagnosis.search, diagnosis.estimator
+    offset_against_contact(search, estimator, 0)
+    estimator.balance.derived[:] = 1.0
+    sudden_drifts(search, estimator, diagnosis.sampler.blocks[: 2 * estimator.plan.blocks])
     SerialSensorMonitor('precompile', arm).warm_up()
 
 

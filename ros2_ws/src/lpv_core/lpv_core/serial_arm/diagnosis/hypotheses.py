@@ -278,10 +278,25 @@ def _sudden_drift(
     return with_true_effect(best, window, null, balance, fault, blocks[-needed:], per_interval)
 
 
-def _sudden_drifts(
+def sudden_drifts(
     search: Search, estimator: OffsetEstimator, blocks: FloatArray
 ) -> list[Explanation]:
-    """Drifts of encoders whose rates are derived from them."""
+    """Drifts that began suddenly, of encoders whose rates are derived from them.
+
+    Parameters
+    ----------
+    search : Search
+        Some windows have been evaluated.
+    estimator : OffsetEstimator
+        Its posterior is the null hypothesis.
+    blocks : ndarray, shape (N, 3 n + 3)
+        Those of the horizon, oldest first.
+
+    Returns
+    -------
+    list of Explanation
+        One of each encoder; its gain is -inf while the horizon is too short.
+    """
     window, null, balance = estimator.window, estimator.posterior, estimator.balance
     plan, found = estimator.plan, []
     for i in np.nonzero(balance.derived)[0]:
@@ -407,7 +422,7 @@ def explanations(
     if best > suspicious:
         evaluate(*state, *times, some, all_of_them)
         found = _found(search, estimator)
-        found += _sudden_drifts(search, estimator, blocks(len(estimator) + 1))
+        found += sudden_drifts(search, estimator, blocks(len(estimator) + 1))
         conspicuous = np.arange(estimator.joints)
     for i in conspicuous:
         if resting[i] > 0 and len(estimator) > 0:
