@@ -354,6 +354,7 @@ def failing(arm, gains):
     return [check.name for check in verify(arm, gains) if not check.holds]
 
 
+@pytest.mark.slow
 def test_given_shipped_requirements_when_designed_then_every_check_holds(
     arm, gains_of, paper_arm, literal_gains
 ):
@@ -494,6 +495,7 @@ def test_given_a_box_that_is_too_large_when_designed_then_the_lmi_is_named(paper
         design(paper_arm, requirement)
 
 
+@pytest.mark.slow
 def test_given_a_loop_faster_than_the_sample_time_carries_when_designed_then_it_is_limited_and_said(
     paper_arm,
 ):

@@ -235,6 +235,7 @@ def design(*arguments):
     return main(['design', '--arm', str(ARMS / 'paper.yaml'), *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path, capsys):
     assert (
         design(
