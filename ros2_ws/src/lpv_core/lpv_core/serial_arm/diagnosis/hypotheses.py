@@ -250,32 +250,41 @@ def _begin_earlier(search: Search, w: int, i: int, score: tuple[float, float], s
 
 
 @njit
-def _sudden_drift(
-    search: Search,
-    window: Window,
-    null: Posterior,
-    balance: Balance,
-    joint: int,
-    interval: float,
-    blocks: FloatArray,
-    per_interval: int,
-) -> Onset:
-    """The best onset of a drift within the longest window that is always looked at."""
+def _explained_at_onsets(search: Search, window: Window, null: Posterior) -> FloatArray:
+    """What torques from outside at an onset alone explain, by the older balance that holds it.
+
+    Onsets are within the longest window that is always looked at.
+    """
     last = min(search.lengths[len(WINDOWS) - 1] + 2, window.counters[COUNT])
     set_residuals(window, null, last)
     weigh_residuals(window, null, last)
     free, onset = np.zeros(last), search.lengths.shape[0] - 1
     for back in range(1, last - 1):
         free[back] = rough_contact(search.outside, null, onset, back + 1)
-    prior = search.prior[joint]
+    return free
+
+
+@njit
+def _sudden_drift(
+    window: Window,
+    null: Posterior,
+    balance: Balance,
+    fault: tuple[int, float],
+    interval: float,
+    free: FloatArray,
+    blocks: FloatArray,
+    per_interval: int,
+) -> Onset:
+    """The best onset of a drift; ``fault`` is the joint and the prior's deviation [rad/s]."""
+    joint, prior = fault
     newest, n = blocks[blocks.shape[0] - 1], null.sigma.shape[0]
     times = balance.clock[EPOCH], newest[3 * n] + 0.5 * newest[3 * n + 1], interval, prior
     best = sudden_drift(window, null, balance, joint, times, free)
     needed = (best.back + 2) * per_interval
     if best.gain == -np.inf or needed > blocks.shape[0]:
         return best
-    fault = joint, prior, free[best.back]
-    return with_true_effect(best, window, null, balance, fault, blocks[-needed:], per_interval)
+    effect = joint, prior, free[best.back]
+    return with_true_effect(best, window, null, balance, effect, blocks[-needed:], per_interval)
 
 
 def sudden_drifts(
@@ -299,9 +308,11 @@ def sudden_drifts(
     """
     window, null, balance = estimator.window, estimator.posterior, estimator.balance
     plan, found = estimator.plan, []
+    free = _explained_at_onsets(search, window, null)
     for i in np.nonzero(balance.derived)[0]:
+        fault = int(i), float(search.prior[i])
         one = _sudden_drift(
-            search, window, null, balance, int(i), plan.interval, blocks, plan.blocks)  # fmt: skip
+            window, null, balance, fault, plan.interval, free, blocks, plan.blocks)  # fmt: skip
         found.append(Explanation('drift', int(i), one.gain, one.size, one.sigma, one.begin))
     return found
 
