@@ -139,26 +139,48 @@ if _home is not None:
             return ''
 
 
-def _place_cache(function: Callable[..., Any]) -> None:
+def _place_cache(function: Callable[..., Any], kind: str) -> None:
     """Let Numba keep the function where the sources that it depends on say."""
     if _home is not None:
         source = Path(function.__code__.co_filename)
         digest = module_digest(source, function.__module__)
-        _numba.config.CACHE_DIR = str(_home / f'{function.__module__}-{digest}')
+        _numba.config.CACHE_DIR = str(_home / f'{function.__module__}-{digest}' / kind)
         _numba.config.CACHE_LOCATOR_CLASSES = f'{__name__}.SourceLocator'
 
 
-def njit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile ``function`` without reordering of floating-point operations."""
-    if _numba is None:
-        return function
+def _dispatcher(function: Callable[..., Any], kind: str, **options: bool) -> Any:
+    """Function as Numba compiles it, kept apart from those of another kind."""
     before = {name: getattr(_numba.config, name, '') for name in _SETTINGS}
     try:
-        _place_cache(function)
+        _place_cache(function, kind)
         kept = bool(_numba.config.CACHE_DIR)
         # fastmath stays off: results must not depend on how a loop is vectorised.  Without the
-        # interpreter's lock, a replay reads and writes while the recursion runs.
-        return _numba.njit(cache=kept, fastmath=False, error_model='numpy', nogil=True)(function)
+        # interpreter's lock, a replay reads and writes while the recursion runs.  No function is
+        # handed on as a pointer, which a C wrapper is for.
+        return _numba.njit(
+            cache=kept,
+            fastmath=False,
+            error_model='numpy',
+            nogil=True,
+            no_cfunc_wrapper=True,
+            **options,
+        )(function)
     finally:
         for name, value in before.items():
             setattr(_numba.config, name, value)
+
+
+def njit(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile ``function`` without reordering of floating-point operations.
+
+    Called by compiled code, it is compiled without the wrapper that unpacks Python's arguments:
+    for nested records these are a third of the code, and few functions are called from Python.
+    """
+    if _numba is None:
+        return function
+    called = _dispatcher(function, 'python')
+    if not _numba.config.CACHE_DIR:  # a cache that is given has no room for two kinds
+        inner = _dispatcher(function, 'compiled', no_cpython_wrapper=True)
+        called.get_call_template = inner.get_call_template
+        called.get_overload = inner.get_overload
+    return called
