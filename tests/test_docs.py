@@ -104,10 +104,6 @@ def test_given_the_pages_when_the_site_is_built_then_each_is_in_its_contents():
     assert missing == ['index']
 
 
-def test_given_the_readme_when_its_lines_are_counted_then_it_is_short():
-    assert len((ROOT / 'README.md').read_text(encoding='utf-8').splitlines()) <= 120
-
-
 def test_given_everything_that_stops_or_alarms_when_looked_up_then_the_page_of_alarms_has_it():
     from lpv_core.control.watchdog import BRAKE_TEXT, STOP_TEXT
     from lpv_core.decision.diagnosis import SensorState

@@ -14,47 +14,13 @@ import setuptools
 from places import ROOT
 
 PACKAGES = sorted((ROOT / 'ros2_ws' / 'src').iterdir())
-PYTHON_PACKAGES = [package for package in PACKAGES if (package / 'setup.py').is_file()]
-# Keys of rosdep (rosdistro, rosdep/python.yaml).
-KEYS = {
-    'numpy': 'python3-numpy',
-    'scipy': 'python3-scipy',
-    'yaml': 'python3-yaml',
-    'matplotlib': 'python3-matplotlib',
-    'jinja2': 'python3-jinja2',
-    'rich': 'python3-rich',
-    'packaging': 'python3-packaging',
-    'argcomplete': 'python3-argcomplete',
-    'aiohttp': 'python3-aiohttp',
-    'filterpy': 'python3-filterpy-pip',
-    'numba': 'python3-numba',
-    'sqlalchemy': 'python3-sqlalchemy',
-    'cvxpy': 'python3-cvxpy-pip',
-    'rosbags': 'python3-rosbags-pip',
-    'mujoco': 'python3-mujoco-pip',
-    'hypothesis': 'python3-hypothesis',
+# Keys of rosdep that are not python3- and the name (rosdistro, rosdep/python.yaml), and libraries
+# that none stands for: the manifest's comment names what pip installs.
+PIP_KEYS = {'cvxpy', 'filterpy', 'mujoco', 'rosbags'}
+PYPI = {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'} | {
+    name: name
+    for name in ('cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard')
 }
-TEST_KEYS = {'python3-pytest', 'python3-pytest-timeout'}
-# Libraries that no key of rosdep stands for.
-PYPI = {
-    'cmaes': 'cmaes',
-    'distributed': 'distributed',
-    'foxglove': 'foxglove-sdk',
-    'lz4': 'lz4',
-    'mcap': 'mcap',
-    'optuna': 'optuna',
-    'pinocchio': 'pin',
-    'pyarrow': 'pyarrow',
-    'zstandard': 'zstandard',
-}
-OWN = {package.name for package in PACKAGES}
-BY_NAME = {'argvalues': PACKAGES, 'ids': lambda p: p.name}
-
-
-def manifest(package):
-    """Root element of a package's manifest, and its comments as one text."""
-    text = (package / 'package.xml').read_text()
-    return ElementTree.fromstring(text), ' '.join(re.findall(r'<!--(.*?)-->', text, re.DOTALL))
 
 
 def imported(folder):
@@ -69,44 +35,19 @@ def imported(folder):
     return names - set(sys.stdlib_module_names)
 
 
-@pytest.mark.parametrize('package', **BY_NAME)
-def test_given_a_package_when_its_imports_are_looked_up_then_the_manifest_names_them(package):
-    root, remarks = manifest(package)
-    declared = {e.text for e in root if e.tag.endswith('depend')}
-    missing = []
+def missing_dependencies(package, declared, remarks):
+    """What a package imports and its manifest does not name."""
     for name in imported(package / package.name) - {package.name}:
         if name in PYPI:
-            known = re.search(rf'\b{PYPI[name]}\b', remarks)
-        else:
-            known = KEYS.get(name, name) in declared
-        if not known:
-            missing.append(name)
-    assert sorted(missing) == []
-    unknown = {d for d in declared if d.startswith('python3-')} - {*KEYS.values(), *TEST_KEYS}
-    assert unknown == set()
-
-
-@pytest.mark.parametrize('package', **BY_NAME)
-def test_given_the_tests_of_a_package_when_looked_up_then_the_manifest_names_their_libraries(
-    package,
-):
-    if (package / 'test').is_symlink():
-        pytest.skip('tests of several packages together: all of them are needed')
-    root, _ = manifest(package)
-    declared = {e.text for e in root if e.tag.endswith('depend')}
-    needed = {KEYS[name] for name in imported(package / 'test') if name in ('hypothesis',)}
-    assert needed <= declared
-
-
-def test_given_libraries_from_pypi_when_set_up_then_they_are_asked_for():
-    lines = '\n'.join(p.read_text() for p in (ROOT / 'requirements').glob('*.txt'))
-    asked = set(re.findall(r'^([a-z0-9-]+)', lines, re.MULTILINE))
-    assert set(PYPI.values()) <= asked
-
-
-def test_given_the_launch_files_when_run_by_a_real_launch_then_the_manifest_names_what_reads_them():
-    root, _ = manifest(ROOT / 'ros2_ws' / 'src' / 'lpv_bringup')
-    assert {'launch_xml', 'launch_ros', 'ros2launch'} <= {e.text for e in root}
+            if not re.search(rf'\b{PYPI[name]}\b', remarks):
+                yield name
+        elif not {name, f'python3-{name}', f'python3-{name}-pip'} & declared:
+            yield name
+    tests = package / 'test'  # a link leads to the tests of several packages together
+    if not tests.is_symlink() and 'hypothesis' in imported(tests) - {
+        key.removeprefix('python3-') for key in declared
+    }:
+        yield 'hypothesis'
 
 
 def options_of(package, monkeypatch):
@@ -118,34 +59,35 @@ def options_of(package, monkeypatch):
     return options
 
 
-@pytest.mark.parametrize('package', PYTHON_PACKAGES, ids=lambda p: p.name)
-def test_given_a_package_when_installed_then_all_that_it_ships_is_installed(package, monkeypatch):
-    options = options_of(package, monkeypatch)
+def left_out(package, options):
+    """Files of a package, in its working directory, that an installation does not have."""
     installed = {Path(file) for _, files in options['data_files'] for file in files}
     for name, patterns in options.get('package_data', {}).items():
         folder = Path(*name.split('.'))
         installed |= {path for pattern in patterns for path in folder.glob(pattern)}
-    inside = {
+    shared = {path.parts[0] for path in installed} - {package.name, 'resource'}
+    files = {p for folder in (package.name, *shared) for p in Path(folder).rglob('*')}
+    files = {
         path
-        for path in Path(package.name).rglob('*')
-        if path.is_file() and path.suffix != '.py' and '__pycache__' not in path.parts
-    }
-    shared = {
-        path
-        for folder in {path.parts[0] for path in installed} - {package.name, 'resource'}
-        for path in Path(folder).rglob('*')
+        for path in files
         if path.is_file()
+        and (path.parts[0] != package.name or path.suffix != '.py')
+        and '__pycache__' not in path.parts
+        and not path.parts[-2].startswith('.')
     }
-    assert {p for p in inside | shared if not p.parts[-2].startswith('.')} - installed == set()
-    names = {'.'.join(p.parent.parts) for p in Path(package.name).rglob('__init__.py')}
-    assert names == set(options['packages'])
+    folders = {'.'.join(p.parent.parts) for p in Path(package.name).rglob('__init__.py')}
+    return files - installed | folders ^ set(options['packages'])
 
 
-@pytest.mark.parametrize('package', **BY_NAME)
-def test_given_a_package_when_released_then_manifest_set_up_and_changelog_agree(
+@pytest.mark.parametrize('package', PACKAGES, ids=lambda p: p.name)
+def test_given_a_package_when_released_then_its_manifest_set_up_and_changelog_are_right(
     package, monkeypatch
 ):
-    root, _ = manifest(package)
+    text = (package / 'package.xml').read_text()
+    root, remarks = ElementTree.fromstring(text), re.findall(r'<!--(.*?)-->', text, re.DOTALL)
+    declared = {e.text for e in root if e.tag.endswith('depend')}
+    assert sorted(missing_dependencies(package, declared, ' '.join(remarks))) == []
+    assert {f'python3-{name}' for name in PIP_KEYS} & declared == set()
     version = root.findtext('version')
     for name in ('name', 'description', 'maintainer', 'license'):
         assert root.findtext(name).strip()
@@ -157,14 +99,37 @@ def test_given_a_package_when_released_then_manifest_set_up_and_changelog_agree(
     assert title == changelog[2] == '^' * len(changelog[1])
     sections = [line for line in changelog if re.match(r'Forthcoming$|\d+\.\d+\.\d+ \(', line)]
     assert version in {line.split()[0] for line in sections}
-    if package in PYTHON_PACKAGES:
+    if (package / 'setup.py').is_file():
         options = options_of(package, monkeypatch)
+        assert left_out(package, options) == set()
         assert (options['version'], options['license']) == (version, root.findtext('license'))
+        assert sorted((package / 'test').glob('test_*.py'))
 
 
-@pytest.mark.parametrize('package', PYTHON_PACKAGES, ids=lambda p: p.name)
-def test_given_a_package_when_tested_alone_then_it_has_tests(package):
-    assert sorted((package / 'test').glob('test_*.py'))
+def requirements(name):
+    """Names and ranges that a file of requirements asks for."""
+    lines = (ROOT / 'requirements' / f'{name}.txt').read_text().splitlines()
+    return {line for line in lines if line and not line.startswith(('#', '-'))}
+
+
+def test_given_libraries_when_installed_by_setup_or_by_pip_then_ranges_are_the_same():
+    data = (ROOT / 'pyproject.toml').read_text()
+    base = re.search(r'^dependencies = \[(.*?)\]$', data, re.MULTILINE | re.DOTALL).group(1)
+    extras = re.search(r'^\[project.optional-dependencies\]\n(.*?)\n\n', data, re.M | re.DOTALL)
+    asked = set(re.findall(r'"([a-z][^"\[]*)"', base)), set(
+        re.findall(r'"([a-z][^"\[]*)"', extras.group(1))
+    )
+    # In an environment of its own CVXPY comes without its other solvers.  ROS alone needs the rest.
+    assert {r for r in asked[0] if not r.startswith('cvxpy')} <= requirements('base')
+    assert asked[1] <= requirements('extras')
+    libraries = {re.match(r'[\w-]+', r).group() for r in requirements('base') | asked[1]}
+    assert set(PYPI.values()) - libraries == {'foxglove-sdk'}
+    assert any(r.startswith('foxglove-sdk') for r in requirements('extras'))
+
+
+def test_given_the_launch_files_when_run_by_a_real_launch_then_the_manifest_names_what_reads_them():
+    root = ElementTree.parse(ROOT / 'ros2_ws' / 'src' / 'lpv_bringup' / 'package.xml').getroot()
+    assert {'launch_xml', 'launch_ros', 'ros2launch'} <= {e.text for e in root}
 
 
 def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_they_do_not_stop_the_tests(
@@ -184,6 +149,5 @@ def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_they_do_not_st
             env={**os.environ, 'PYTHONPATH': path},
             capture_output=True,
             check=False,
-            timeout=120,
         )
         assert done.returncode == code, done.stderr.decode()

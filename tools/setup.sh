@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Sets everything up in a virtual environment; does only what is not done already.
 #
-#   tools/setup.sh [test|bench|docs]      also installs what tests, benchmarks or the documentation need
+#   tools/setup.sh [extras|test|bench|docs]    also installs what single commands, tests, benchmarks
+#                                              or the documentation need
 #
 # PYTHON   interpreter to use (default: python3), 3.10 to 3.13
 # VENV     environment to make (default: .venv in this folder's parent)
@@ -86,9 +87,32 @@ install_requirements() {
   say "installing $name requirements"
   local arguments=()
   for file in "$@"; do arguments+=(-r "$file"); done
-  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile \
-    "${arguments[@]}"
+  mkdir -p "$build"
+  if ! install_by_uv "${arguments[@]}" > "$build/uv.txt" 2>&1; then
+    install_by_pip "${arguments[@]}" > "$build/pip.txt" 2>&1 || {
+      cat "$build/pip.txt" >&2
+      fail "the $name requirements could not be installed"
+    }
+  fi
   mark_done "$name" "$id"
+}
+
+# Loads and unpacks many packages at once, in a quarter of pip's time; where pip is set up for an
+# index of its own, uv uses that, and what uv cannot do is left to pip.
+install_by_uv() {
+  [ "$source" = wheels ] || return 1  # uv does not see the packages of a sourced ROS 2
+  local uv index
+  uv=$(command -v uv) || {
+    uv=$build/uv/bin/uv
+    [ -x "$uv" ] || install_by_pip --target "$build/uv" 'uv>=0.4,<1' || return 1
+  }
+  index=$("$venv/bin/python" -m pip config get global.index-url 2>/dev/null) || index=
+  UV_DEFAULT_INDEX=${UV_DEFAULT_INDEX:-${PIP_INDEX_URL:-${index:-https://pypi.org/simple}}} \
+    "$uv" pip install --python "$venv/bin/python" "$@"
+}
+
+install_by_pip() {
+  "$venv/bin/python" -m pip install --disable-pip-version-check --no-compile --no-input "$@"
 }
 
 # Whether there is a ros2 command already; our stand-in in some environment is none.
@@ -116,24 +140,28 @@ build_workspace() {
     remove_stand_in
   fi
   say "building the workspace"
-  local options=()
+  local options=() numerics
   export PATH="$venv/bin:$PATH"
   if [ "$source" = wheels ]; then
     export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv VIRTUAL_ENV=$venv
-    options+=(-G Ninja "-DCMAKE_PROJECT_INCLUDE=$root/tools/wheels_fix.cmake")
+    options+=(-G Ninja "-DCMAKE_PROJECT_INCLUDE=$root/tools/wheels_fix.cmake" -DLPV_MSGS_CPP=OFF)
   fi
   mkdir -p "$build"
+  # At the same time, from the sources: neither needs the other.
+  PYTHONPATH="$root/ros2_ws/src/lpv_core${PYTHONPATH:+:$PYTHONPATH}" \
+    "$venv/bin/python" -m lpv_core.simulation.precompile &
+  numerics=$!
   # Into the environment itself: programs then run with nothing sourced.
   if ! (cd "$root/ros2_ws" && "$venv/bin/python" -m colcon --log-base "$build/log" build \
       --merge-install --install-base "$venv" --build-base "$build/build" "${skipped[@]}" \
       --event-handlers console_cohesion- console_direct- console_stderr- \
       --cmake-args "${options[@]}" -DBUILD_TESTING=OFF \
       "-DPython3_EXECUTABLE=$venv/bin/python") > "$build/colcon.txt" 2>&1; then
+    kill "$numerics" 2>/dev/null || true
     cat "$build/colcon.txt" >&2
     fail "the workspace did not build; see $build/log"
   fi
-  say "compiling the numerical code, which takes a minute or two"
-  "$venv/bin/python" -m lpv_core.simulation.precompile
+  wait "$numerics" || fail "the numerical code could not be compiled (see above)"
   mark_done workspace "$id"
 }
 
@@ -149,8 +177,8 @@ main() {
   fi
   case "${1:-}" in
     '') ;;
-    test | bench | docs) install_requirements "$1" "$root/requirements/$1.txt" ;;
-    *) fail "unknown argument $1; known are test, bench and docs" ;;
+    extras | test | bench | docs) install_requirements "$1" "$root/requirements/$1.txt" ;;
+    *) fail "unknown argument $1; known are extras, test, bench and docs" ;;
   esac
   build_workspace
 }

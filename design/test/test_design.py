@@ -362,12 +362,17 @@ def test_given_shipped_requirements_when_designed_then_every_check_holds(
     assert failing(paper_arm, literal_gains) == []
 
 
+def assert_same_gains(found, wanted):
+    """Equal up to what solvers leave open: to the largest element, as small ones may be zeros."""
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-3 * np.abs(wanted).max())
+
+
 def test_given_shipped_requirements_when_designed_then_gains_are_the_shipped_ones(arm, gains_of):
     found, shipped = gains_of[arm.name], load_gains(bringup_file('gains', arm.name))
     for part, names in (('observer', ('kappa', 'mu')), ('controller', ('m1', 'm2'))):
         for name in names:
             wanted = getattr(getattr(shipped, part), name)
-            np.testing.assert_allclose(getattr(getattr(found, part), name), wanted, rtol=1e-3)
+            assert_same_gains(getattr(getattr(found, part), name), wanted)
 
 
 @pytest.mark.parametrize(
@@ -527,10 +532,8 @@ def test_given_all_noise_scaled_when_designed_then_gains_are_the_same_and_deviat
         rate_noise=factor * asked.rate_noise,
     )
     found = design(quiet, replace(requirement, observer=asked)).gains.observer
-    np.testing.assert_allclose(found.kappa, paper_gains.observer.kappa, rtol=1e-3)
-    np.testing.assert_allclose(
-        found.fault_sigma, factor * paper_gains.observer.fault_sigma, rtol=1e-3
-    )
+    assert_same_gains(found.kappa, paper_gains.observer.kappa)
+    assert_same_gains(found.fault_sigma, factor * paper_gains.observer.fault_sigma)
 
 
 @pytest.mark.parametrize('factor', [1e-3, 1e3])
@@ -543,7 +546,7 @@ def test_given_all_masses_scaled_when_designed_then_gains_scale_with_them(
     )
     heavy = replace(paper_arm, links=links)
     found = design(heavy, load_requirement('paper')).gains
-    np.testing.assert_allclose(factor * found.observer.kappa, paper_gains.observer.kappa, rtol=1e-3)
+    assert_same_gains(factor * found.observer.kappa, paper_gains.observer.kappa)
     expected = factor * paper_gains.controller.m1
     np.testing.assert_allclose(
         found.controller.m1, expected, rtol=1e-2, atol=1e-3 * np.abs(expected).max()

@@ -291,7 +291,7 @@ def test_given_noise_that_is_larger_than_stated_when_simulated_then_readings_are
 
 
 def test_given_no_factors_when_run_then_it_is_the_shipped_scenario_with_another_seed(
-    paper_arm, paper_gains, two_faults
+    paper_arm, two_faults
 ):
     campaign = resolve(
         {'name': 'plain', 'plan': {'method': 'random', 'runs': 1}, 'duration': 7.0}, 's', '.'
@@ -299,7 +299,7 @@ def test_given_no_factors_when_run_then_it_is_the_shipped_scenario_with_another_
     plan = plan_run(campaign, 0)
     assert plan.scenario.faults == two_faults.faults
     scenario = replace(two_faults, seed=plan.scenario.seed, duration=7.0)
-    run, other = plan.simulate(), run_closed_loop(paper_arm, paper_gains, scenario)
+    run, other = plan.simulate(), run_closed_loop(paper_arm, plan.gains, scenario)
     np.testing.assert_array_equal(run.position, other.position)
     np.testing.assert_array_equal(run.fault_estimate, other.fault_estimate)
 

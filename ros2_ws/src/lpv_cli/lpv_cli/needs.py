@@ -38,6 +38,8 @@ def remedy(module: str | None) -> str:
     """One sentence for a module that cannot be imported."""
     name = (module or '').split('.')[0]
     if name in _EXTRAS:
+        if _version(DISTRIBUTION) == '-':
+            return f'{name} is not installed: run "make setup-extras" in the checkout'
         return f"{name} is not installed: pip install '{DISTRIBUTION}[{_EXTRAS[name]}]'"
     if name.endswith('_msgs') or name.startswith(('rcl', 'ros', 'lpv_')):
         return f'{name}: {_ROS}'

@@ -113,8 +113,8 @@ def test_given_the_version_when_asked_then_it_is_printed(capsys):
 @pytest.mark.parametrize(
     ('module', 'said'),
     [
-        ('pyarrow.parquet', "pip install 'lpv-arm-fdi[campaign]'"),
-        ('optuna', "pip install 'lpv-arm-fdi[tune]'"),
+        ('pyarrow.parquet', 'make setup-extras'),
+        ('optuna', 'make setup-extras'),
         ('lpv_msgs.msg', 'ROS 2 is needed'),
         ('rclpy', 'ROS 2 is needed'),
         ('rich', 'pip install rich'),
@@ -122,6 +122,11 @@ def test_given_the_version_when_asked_then_it_is_printed(capsys):
 )
 def test_given_a_missing_module_when_explained_then_its_installation_is_named(module, said):
     assert said in remedy(module)
+
+
+def test_given_an_installation_by_pip_when_a_module_is_missing_then_its_extra_is_named(monkeypatch):
+    monkeypatch.setattr('lpv_cli.needs.version', lambda name: '0.1.0')
+    assert "pip install 'lpv-arm-fdi[campaign]'" in remedy('pyarrow.parquet')
 
 
 def test_given_a_checkout_with_a_space_in_its_path_when_set_up_then_it_is_refused_at_once(tmp_path):

@@ -1,5 +1,6 @@
 """The topics of the graph over the Foxglove WebSocket protocol, in the bytes in which they came."""
 
+import importlib.util
 import logging
 import secrets
 from collections import deque
@@ -47,7 +48,7 @@ class FoxgloveBridge:
     Raises
     ------
     ConfigError
-        If foxglove-sdk is missing, a message type is not installed or no port can be had.
+        If a message type is not installed or no port can be had.
     """
 
     def __init__(self, name: str, topics: dict[str, Any], band: str) -> None:
@@ -140,14 +141,14 @@ class _Listener:
         raise AttributeError(name)
 
 
+def sdk_is_installed() -> bool:
+    """Whether there is a foxglove-sdk, which not every installation has."""
+    return importlib.util.find_spec('foxglove') is not None
+
+
 def _sdk() -> ModuleType:
-    try:
-        import foxglove
-    except ImportError as error:
-        raise ConfigError(
-            'foxglove_port',
-            'needs the Python package foxglove-sdk (pip install foxglove-sdk), or 0',
-        ) from error
+    import foxglove
+
     foxglove.set_log_level(logging.ERROR)
     return foxglove
 

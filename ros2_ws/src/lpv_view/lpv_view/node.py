@@ -26,7 +26,7 @@ from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
 from lpv_node.parameters import fixed, required_text
 from lpv_view.access import Access
-from lpv_view.foxglove_bridge import BAND, FoxgloveBridge
+from lpv_view.foxglove_bridge import BAND, FoxgloveBridge, sdk_is_installed
 from lpv_view.foxglove_gate import gate
 from lpv_view.model import LiveModel
 from lpv_view.requests import Requests
@@ -142,7 +142,9 @@ class ViewNode(ManagedNode):
         access = Access(address, os.environ.get(_TOKEN_VARIABLE, ''), value['hosts'])
         self._server = ViewServer(access, arm.sensor_names, requests.submit)
         sites = [(self._server.application(), address, value['port'])]
-        if value['foxglove_port']:
+        if value['foxglove_port'] and not sdk_is_installed():
+            self.get_logger().info('Foxglove: off, as foxglove-sdk is not installed')
+        elif value['foxglove_port']:
             self._foxglove = FoxgloveBridge(
                 f'lpv {self.get_namespace()}', self._forwarded(), self.resolve_topic_name(BAND)
             )

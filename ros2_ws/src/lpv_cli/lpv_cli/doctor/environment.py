@@ -21,7 +21,7 @@ REQUIREMENTS = (
     'scipy>=1.10,<2',
     'numba>=0.59,<1',
     'pyyaml>=6,<7',
-    'cvxpy>=1.5,<2',
+    'cvxpy-base>=1.5,<1.8',
     'clarabel>=0.9,<1',
     'matplotlib>=3.7,<4',
     'jinja2>=3.1,<4',
@@ -30,6 +30,8 @@ REQUIREMENTS = (
     'rosbags>=0.11.9,<0.12',
 )
 """As in requirements/base.txt, which is not installed."""
+_SAME = {'cvxpy-base': 'cvxpy'}
+"""Distributions that do as well."""
 PROGRAMS = (
     ('lpv_arm_sim', 'simulator'),
     ('lpv_uio', 'uio'),
@@ -80,9 +82,8 @@ def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
     """Versions of the Python packages that all commands need."""
     bad = []
     for requirement in map(Requirement, requirements):
-        try:
-            version = importlib.metadata.version(requirement.name)
-        except importlib.metadata.PackageNotFoundError:
+        version = _version(requirement.name) or _version(_SAME.get(requirement.name, ''))
+        if version is None:
             bad.append(f'{requirement.name} is missing')
             continue
         if not requirement.specifier.contains(version, prereleases=True):
@@ -92,6 +93,13 @@ def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
             'packages', '; '.join(bad), 'make setup, or pip install -r requirements/base.txt'
         )
     return ok('packages', f'{len(requirements)} packages in the versions that are needed')
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name) if name else None
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def check_compiler() -> Finding:

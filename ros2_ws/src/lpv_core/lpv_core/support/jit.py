@@ -16,7 +16,8 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -184,3 +185,31 @@ def njit(function: Callable[..., Any]) -> Callable[..., Any]:
         called.get_call_template = inner.get_call_template
         called.get_overload = inner.get_overload
     return called
+
+
+@contextmanager
+def on_compile(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call ``tell`` with the name of each function of this project that is compiled meanwhile.
+
+    Functions that are kept from an earlier run are not compiled.
+    """
+    if _numba is None:
+        yield
+        return
+    from numba.core import event
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            function = event.data['dispatcher'].py_func
+            if function.__module__.startswith('lpv_'):
+                tell(f'{function.__module__}.{function.__name__}')
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    listener = Listener()
+    event.register('numba:compile', listener)
+    try:
+        yield
+    finally:
+        event.unregister('numba:compile', listener)

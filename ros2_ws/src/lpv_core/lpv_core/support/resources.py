@@ -32,13 +32,10 @@ def executable(package: str, name: str) -> Path:
 
 
 def shipped_files(kind: str) -> dict[str, Path]:
-    """Files of one kind that are installed with lpv_bringup."""
-    try:
+    """Files of one kind that are installed with lpv_bringup, or of the checkout that runs."""
+    folder = _SOURCES / 'lpv_bringup' / kind
+    if not folder.is_dir():
         folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
-    except ConfigError:  # a checkout that was not built
-        folder = _SOURCES / 'lpv_bringup' / kind
-        if not folder.is_dir():
-            raise
     return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
 
 
