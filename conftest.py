@@ -1,6 +1,7 @@
 """Fixtures shared by the tests of the maths: shipped arms, scenario, designed gains."""
 
 import importlib.util
+import os
 import signal
 import sys
 from dataclasses import replace
@@ -15,6 +16,10 @@ for _name, _place in (
 ):
     if importlib.util.find_spec(_name) is None:
         sys.path.insert(0, str(_place))
+
+# Tests share the machine: before NumPy is loaded, and for all processes that tests start.
+for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):
+    os.environ.setdefault(_name, '1')
 
 # Compilation takes seconds in the first example; the same examples are drawn in every run.
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None, max_examples=200)

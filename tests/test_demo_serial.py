@@ -38,7 +38,7 @@ def demo(tmp_path_factory):
         env={**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain()), 'COLUMNS': '120'},
         text=True,
         capture_output=True,
-        timeout=280,
+        timeout=2000,
         check=False,
     )
     assert result.returncode == 0, result.stdout + result.stderr

@@ -144,7 +144,7 @@ class Rig:
 
     def drive(self):
         """Let the arm move for a second; a busy machine may brake it by itself at any time."""
-        deadline = time.monotonic() + 150.0
+        deadline = time.monotonic() + 600.0
         since = None
         while since is None or time.monotonic() - since < 1.0:
             assert time.monotonic() < deadline, 'the arm is never driven for a second'

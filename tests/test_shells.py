@@ -28,7 +28,6 @@ def test_given_a_shell_when_its_script_is_sourced_then_lpv_is_found_and_complete
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=120,
     )
     assert f'{sys.prefix}/bin/lpv' in done.stdout and answer in done.stdout
     assert 'not found' not in done.stdout + done.stderr

@@ -73,7 +73,7 @@ class Client:
         self.node.create_subscription(msgtype, topic, received.append, qos)
         return received
 
-    def wait(self, condition, timeout=30.0):
+    def wait(self, condition, timeout=300.0):
         """Spin until the condition holds; False after the timeout."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:

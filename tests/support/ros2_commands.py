@@ -36,7 +36,7 @@ class Running:
             os.killpg(self.process.pid, signal.SIGKILL)
             self.process.communicate()
 
-    def until(self, pattern, timeout=60.0):
+    def until(self, pattern, timeout=300.0):
         """Read lines until one matches; all lines so far as one text."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
@@ -48,7 +48,7 @@ class Running:
                 return ''.join(self.lines)
         raise AssertionError(f'no {pattern!r} in:\n{"".join(self.lines)}')
 
-    def interrupt(self, timeout=40.0):
+    def interrupt(self, timeout=300.0):
         """Send SIGINT to the command alone; its exit code and all it printed."""
         self.process.send_signal(signal.SIGINT)
         rest, _ = self.process.communicate(timeout=timeout)

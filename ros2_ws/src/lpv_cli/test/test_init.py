@@ -133,7 +133,7 @@ def test_given_a_checkout_with_a_space_in_its_path_when_set_up_then_it_is_refuse
     tools = tmp_path / 'my checkout' / 'tools'
     tools.mkdir(parents=True)
     (tools / 'setup.sh').write_text((ROOT / 'tools' / 'setup.sh').read_text())
-    done = subprocess.run(['bash', tools / 'setup.sh'], capture_output=True, text=True, timeout=20)
+    done = subprocess.run(['bash', tools / 'setup.sh'], capture_output=True, text=True)
     assert done.returncode == 1
     assert 'contains a space' in done.stderr
     assert not (tmp_path / 'my checkout' / '.venv').exists()

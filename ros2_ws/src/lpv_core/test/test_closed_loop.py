@@ -225,7 +225,6 @@ def test_given_no_compiler_when_run_then_every_bit_is_that_of_the_compiled_loop(
             ],
             check=True,
             env=environment,
-            timeout=120,
         )
         with np.load(out) as data:
             results.append(dict(data))
@@ -271,7 +270,6 @@ def test_given_no_compiler_when_input_is_absurd_then_it_is_dropped_as_with_one(
     result = subprocess.run(
         [sys.executable, '-c', ABSURD, str(BRINGUP / 'arms' / 'paper.yaml'), str(gains)],
         env=environment,
-        timeout=120,
         capture_output=True,
         text=True,
         check=False,

@@ -28,7 +28,7 @@ from lpv_core.support.resources import bringup_file, executable, shipped_files
 
 NAMESPACE = '/lpv'
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
-_SILENCE = 240.0
+_SILENCE = 900.0
 """Longest time without progress before the run is given up [s]; the first start compiles."""
 
 
