@@ -18,8 +18,7 @@ PACKAGES = sorted((ROOT / 'ros2_ws' / 'src').iterdir())
 # that none stands for: the manifest's comment names what pip installs.
 PIP_KEYS = {'cvxpy', 'filterpy', 'mujoco', 'rosbags'}
 PYPI = {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'} | {
-    name: name
-    for name in ('cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard')
+    name: name for name in ('cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard')
 }
 
 
@@ -116,8 +115,9 @@ def test_given_libraries_when_installed_by_setup_or_by_pip_then_ranges_are_the_s
     data = (ROOT / 'pyproject.toml').read_text()
     base = re.search(r'^dependencies = \[(.*?)\]$', data, re.MULTILINE | re.DOTALL).group(1)
     extras = re.search(r'^\[project.optional-dependencies\]\n(.*?)\n\n', data, re.M | re.DOTALL)
-    asked = set(re.findall(r'"([a-z][^"\[]*)"', base)), set(
-        re.findall(r'"([a-z][^"\[]*)"', extras.group(1))
+    asked = (
+        set(re.findall(r'"([a-z][^"\[]*)"', base)),
+        set(re.findall(r'"([a-z][^"\[]*)"', extras.group(1))),
     )
     # In an environment of its own CVXPY comes without its other solvers.  ROS alone needs the rest.
     assert {r for r in asked[0] if not r.startswith('cvxpy')} <= requirements('base')

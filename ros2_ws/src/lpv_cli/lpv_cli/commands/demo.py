@@ -91,6 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
             return 1
     else:
         files.update(_certified_loop(arm, console))
+        console.print('the first run of a serial arm compiles for minutes before the arm moves')
     try:
         _run_graph(arguments, files, out, scenario, console)
     except NodeFailure as error:

@@ -200,7 +200,7 @@ def on_compile(tell: Callable[[str], None]) -> Iterator[None]:
         return
     from numba.core import event
 
-    class Listener(event.Listener):  # type: ignore[misc]
+    class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
             function = event.data['dispatcher'].py_func
             if function.__module__.startswith('lpv_'):
