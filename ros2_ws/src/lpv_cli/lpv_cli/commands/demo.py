@@ -23,6 +23,7 @@ from lpv_core.serial_arm.certificate.conditions import require_loop
 from lpv_core.serial_arm.certificate.loop_gains import load_loop_gains
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.any_scenario import AnyScenario, load_any_scenario, new_path
+from lpv_core.simulation.precompile import precompile
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file, executable, shipped_files
 
@@ -91,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
             return 1
     else:
         files.update(_certified_loop(arm, console))
-        console.print('the first run of a serial arm compiles for minutes before the arm moves')
+        precompile(arguments.arm)  # kept after the first time
     try:
         _run_graph(arguments, files, out, scenario, console)
     except NodeFailure as error:

@@ -21,11 +21,15 @@ from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.hypotheses import offset_against_contact, sudden_drifts
+from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.simulation.serial_closed_loop import run_serial_loop
 from lpv_core.simulation.serial_scenario import SerialScenario
+from lpv_core.simulation.serial_simulator import SerialArmSimulator
+from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import COMPILED, on_compile
 from lpv_core.support.resources import bringup_file
 
@@ -62,10 +66,26 @@ def two_link_parts(arm: ArmParameters) -> Iterator[str]:
 def serial_parts(arm: SerialArm) -> Iterator[str]:
     """Run what the nodes of a serial arm compile; some functions are per number of joints."""
     yield 'plant, computed torque, observer and diagnosis'
-    scenario = load_any_scenario(bringup_file('scenarios', arm.name), arm)
-    if isinstance(scenario, SerialScenario):
-        run_serial_loop(arm, replace(scenario, duration=_FIRST_DECISIONS))
-    yield 'diagnosis of a fault'
+    try:
+        scenario = load_any_scenario(bringup_file('scenarios', arm.name), arm)
+    except ConfigError:  # an arm of the user's own
+        SerialSensorMonitor('precompile', arm).warm_up()
+        return
+    if not isinstance(scenario, SerialScenario):
+        return
+    plant = SerialArmSimulator(arm, scenario)
+    plant.sense()
+    plant.hold()
+    run = run_serial_loop(arm, replace(scenario, duration=_FIRST_DECISIONS))
+    yield 'diagnosis of a fault'  # the first one must not wait for this in a node
+    diagnosis = SerialMonitor(arm)
+    stamps = (1e9 * run.time).astype('int64')
+    rows = np.stack([run.measured, run.measured_velocity, run.torque], axis=1)
+    diagnosis.update_many(stamps, rows)
+    search, estimator = diagnosis.search, diagnosis.estimator
+    offset_against_contact(search, estimator, 0)
+    estimator.balance.derived[:] = 1.0
+    sudden_drifts(search, estimator, diagnosis.sampler.blocks[: 2 * estimator.plan.blocks])
     SerialSensorMonitor('precompile', arm).warm_up()
 
 
@@ -95,7 +115,7 @@ def precompile(name: str) -> None:
     Parameters
     ----------
     name : str
-        Shipped arm.
+        Shipped arm, or arm file.
     """
     arm = load_any_arm(bringup_file('arms', name))
     parts = two_link_parts(arm) if isinstance(arm, ArmParameters) else serial_parts(arm)
