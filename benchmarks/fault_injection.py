@@ -9,7 +9,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -390,7 +390,7 @@ def subjects(name: str, recorded: bool, untouched: bool = False) -> list[Subject
     return []
 
 
-@lru_cache(maxsize=None)
+@cache
 def _simulated_subject(name: str) -> Subject:
     if name == 'paper':  # stays near the upright, inside the region of its gains
         planar, arm, gains = _two_link('paper')
@@ -579,6 +579,7 @@ class Verdict:
     second: bool | None = None  # after the first one's end
     both: bool | None = None  # while the first one acts
     seconds: float = 0.0  # watched
+    crash: str = ''  # what the monitor raised
     alarms: list[tuple[float, str, str, str, float]] = field(default_factory=list)
 
 
@@ -667,9 +668,11 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
     """One run: draw, watch, judge."""
     subject, window, together = draw(cell, k, seed)
     stream, names = window.stream, subject.sensors(cell.engine)[2]
-    answers = subject.monitor(cell.engine).take_many(
-        stream.stamps, *np.moveaxis(stream.samples, 1, 0)
-    )
+    rows = np.moveaxis(stream.samples, 1, 0)
+    try:
+        answers = subject.monitor(cell.engine).take_many(stream.stamps, *rows)
+    except Exception as error:  # a monitor may never raise, whatever the rows: this is counted
+        return Verdict(not window.faults, seconds=stream.duration, crash=repr(error))
     start = int(stream.stamps[0])
     alarms = [
         (float(alarm.detected - start) * 1e-9, alarm.event.name, alarm.sensor, alarm.kind,

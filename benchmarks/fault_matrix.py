@@ -8,8 +8,9 @@ of them end and are followed by a second one, in the other half a second one com
 acts.  `first` = the first alarm names the faulty sensor, `in time` = within the limit of the line,
 `kind` = the last kind named while the fault acts is right, `size` = estimate within 0.1 rad 2 s
 after the onset, `trusted` = estimates beyond that which were said to be trustworthy, `other` = runs
-that blame a healthy sensor, `cleared` = within 3 s of the end, `second` and `both` = the second fault
-found in time, after the end of the first one and beside it.
+that blame a healthy sensor, `cleared` = no alarm 3 s after the end, of what was ever alarmed,
+`second` and `both` = the second fault found in time, after the end of the first one and beside it,
+`crash` = runs in which the monitor raised an exception.
 
 Constants of the diagnosis may be chosen on the tuned part of the recordings.  The untouched part is
 run with `--untouched` alone, to report, not to choose.
@@ -32,7 +33,18 @@ from rich.table import Table
 
 Row = dict[str, Any]
 KEY = ('part', 'arm', 'rates', 'kind')
-SHARES = ('first', 'in_time', 'kind_right', 'size', 'trusted', 'other', 'cleared', 'second', 'both')
+SHARES = (
+    'first',
+    'in_time',
+    'kind_right',
+    'size',
+    'trusted',
+    'other',
+    'cleared',
+    'second',
+    'both',
+    'crash',
+)
 
 
 def _share(values: Iterable[bool | None]) -> float | None:
@@ -50,6 +62,7 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
         'engine': cell.engine,
         'count': len(verdicts),
         'other': _share(v.other for v in verdicts),
+        'crash': _share(bool(v.crash) for v in verdicts),
         'events': round(float(np.mean([v.events for v in verdicts])), 2),
         'seconds': round(sum(v.seconds for v in verdicts), 1),
     }
@@ -79,10 +92,16 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
 def better(one: Row, other: Row) -> bool:
     """Whether one engine's row is better than the other's."""
     if 'in_time' not in one:
-        return (one['other'], one['events']) < (other['other'], other['events'])
+        keys = ('crash', 'other', 'events')
+        return [one[key] for key in keys] < [other[key] for key in keys]
 
     def value(row: Row) -> tuple[float, ...]:
-        return row['in_time'] - row['other'], row['first'], row['kind_right'], -row['events']
+        return (
+            row['in_time'] - row['other'] - row['crash'],
+            row['first'],
+            row['kind_right'],
+            -row['events'],
+        )
 
     return value(one) > value(other)
 
@@ -101,7 +120,7 @@ HEADINGS = {
     'kind': 'kind', 'engine': 'engine', 'count': 'n', 'first': 'first', 'in_time': 'in time',
     'kind_right': 'kind', 'delay': 'delay [s]', 'size': 'size', 'error': 'error [rad]',
     'trusted': 'trusted', 'other': 'other', 'events': 'events', 'cleared': 'cleared',
-    'second': 'second', 'both': 'both',
+    'second': 'second', 'both': 'both', 'crash': 'crash',
 }  # fmt: skip
 
 
