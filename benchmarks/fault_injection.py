@@ -22,7 +22,7 @@ from lpv_core.model.joints import JointMap
 from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.serial_arm.arm_file import load_serial_arm
-from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.serial_arm.chain import Chain, compile_chain
 from lpv_core.serial_arm.description import (
     JointFriction,
     JointLimits,
@@ -33,6 +33,7 @@ from lpv_core.serial_arm.description import (
     Uncertainty,
 )
 from lpv_core.serial_arm.dynamics.model import SerialModel
+from lpv_core.serial_arm.dynamics.payload import with_payload
 from lpv_core.support.config import read_yaml
 from lpv_identify.recordings.recording import read_recording
 from lpv_identify.results.planar import serial_from_planar
@@ -91,6 +92,7 @@ KINDS = (
     Kind('rate bias 0.1', 'rate_bias', 0.1, 5.0, ('rate_bias',), 5.5, rates=('independent',)),
     Kind('rates wrap', 'wrap', 0.6, 1.0, ('rate_bias', 'rate_wrap', 'rate')),
     Kind('push', 'push', 0.0, 0.0),
+    Kind('payload', 'payload', 0.0, 0.0),
     Kind('healthy', 'none', 0.0, 0.0),
     Kind('stamps off', 'stamps', 0.0, 0.0),
     Kind('repeated', 'repeated', 0.0, 0.0),
@@ -134,12 +136,20 @@ class Subject:
     level: tuple[int, ...]  # joints whose level gravity shows
     planar: Any = None  # the same arm as the two-link engine knows it
     gains: Any = None
-    rest: Callable[[int], Stream] | None = None
+    # simulated alone: other streams, by the kind of the cell
+    others: dict[str, Callable[[int], Stream]] = field(default_factory=dict)
 
     @property
     def engines(self) -> tuple[str, ...]:
         """Engines that can watch the arm."""
         return ENGINES if self.gains is not None else ENGINES[1:]
+
+    def has(self, kind: Kind) -> bool:
+        """Whether the arm can show a kind."""
+        needs = ('rest', 'payload')
+        return (kind.kind not in needs or kind.kind in self.others) and (
+            bool(self.level) or not kind.from_start
+        )
 
     def with_rates(self, rates: str) -> 'Subject':
         """The same arm with rates from another source."""
@@ -203,14 +213,14 @@ def sines(
     return path
 
 
-def wrong_model(arm: SerialArm, rng: np.random.Generator) -> SerialModel:
+def wrong_chain(arm: SerialArm, rng: np.random.Generator) -> Chain:
     """The arm as it is: masses 5 %, centres of mass 2.5 %, friction 30 % off the file."""
     chain, n = compile_chain(arm), len(arm.joints)
     inertial, friction = chain.inertial.copy(), chain.friction.copy()
     inertial *= rng.uniform(0.95, 1.05, (n, 1))
     inertial[:, 1:4] *= rng.uniform(0.975, 1.025, (n, 1))
     friction[:, :2] *= rng.uniform(0.7, 1.3, (n, 2))
-    return SerialModel(chain._replace(inertial=inertial, friction=friction))
+    return chain._replace(inertial=inertial, friction=friction)
 
 
 def with_rests(path: Any, start: float) -> Any:
@@ -232,17 +242,26 @@ def with_rests(path: Any, start: float) -> Any:
 
 
 def simulate(
-    arm: SerialArm, motion: Sequence[np.ndarray], seed: int, rests: bool = False
+    arm: SerialArm,
+    motion: Sequence[np.ndarray],
+    seed: int,
+    rests: bool = False,
+    payload: float = 0.0,
 ) -> Stream:
     """An arm that differs from its file follows a path; noise of sensors and 1 % of torques.
 
-    Rates are those of a sensor of their own; `derived` makes differences of them.
+    Rates are those of a sensor of their own; `derived` makes differences of them.  From some moment
+    on the arm carries 0.3 to 1 times the payload [kg].
     """
     rng, n = np.random.default_rng([7, seed]), len(arm.joints)
     time = arm.sample_time * np.arange(round((11.0 if rests else 20.0) / arm.sample_time))
-    path, model = sines(*motion, rng), wrong_model(arm, rng)
+    path, chain = sines(*motion, rng), wrong_chain(arm, rng)
     q, v, a = (with_rests(path, rng.uniform(1.0, 5.0)) if rests else path)(time)
-    torque = np.array([model.torque(*row) for row in zip(q, v, a)])
+    models, taken = [SerialModel(chain)], np.inf
+    if payload > 0.0:
+        models.append(SerialModel(with_payload(chain, payload * rng.uniform(0.3, 1.0))))
+        taken = rng.uniform(3.0, 15.0)
+    torque = np.array([models[int(t > taken)].torque(*row) for t, *row in zip(time, q, v, a)])
     samples = np.stack([q, v, torque], axis=1)
     noise = np.array([[j.sensors.position_noise, j.sensors.velocity_noise] for j in arm.joints]).T
     samples[:, :2] += noise * rng.normal(size=(len(time), 2, n))
@@ -329,7 +348,13 @@ def _simulated(
     def rest(k: int) -> Stream:
         return simulate(arm, motion, k, rests=True)
 
-    return Subject(name, 'simulated', arm, streams, level, planar, gains, rest)
+    @lru_cache(maxsize=8)
+    def loaded(k: int) -> Stream:
+        most = arm.uncertainty.payload or 0.3 * arm.joints[-1].link.mass
+        return simulate(arm, motion, k, payload=most)
+
+    others = {'rest': rest, 'payload': loaded}
+    return Subject(name, 'simulated', arm, streams, level, planar, gains, others)
 
 
 def _range(arm: SerialArm, speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -372,19 +397,45 @@ def _recorded_half(name: str, level: tuple[int, ...], part: str) -> Subject:
     return Subject(name, part, arm, lambda k: stream(), level)
 
 
-ARMS = ('paper', 'real_arm', 'chain3', 'ur10', 'panda')
+def _recorded_kr300() -> Subject:
+    """Link-side encoders beside motor-side rates, an independent pair; torques are not used."""
+    joints = tuple(
+        SerialJoint(
+            f'axis{i}', (0.0, 0.0, 0.3), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0),
+            LinkInertia(100.0, (0.0, 0.0, 10.0), (10.0, 0.0, 10.0, 0.0, 0.0, 10.0)),
+            sensors=JointSensors(f'link{i}', 1e-5, 0.0, 'independent', 1e-3))
+        for i in (1, 2, 3)
+    )  # fmt: skip
+    arm = SerialArm('kr300', joints, effort_includes_gravity=False, sample_time=0.004)
+
+    @lru_cache(maxsize=3)
+    def streams(k: int) -> Stream:
+        rows = np.genfromtxt(DATA / 'kr300' / f'{"ABC"[k % 3]}.csv', delimiter=',', names=True)
+        y, v = (
+            np.stack([rows[f'{name}{i}'] for i in (1, 2, 3)], 1)
+            for name in ('link_position', 'motor_velocity')
+        )
+        time = rows['time'] - rows['time'][0]
+        return Stream(np.round(time * 1e9).astype(np.int64), np.stack([y, v, 0.0 * y], 1))
+
+    return Subject('kr300', 'tuned', arm, streams, ())
+
+
+ARMS = ('paper', 'real_arm', 'chain3', 'ur10', 'panda', 'kr300')
 
 
 def subjects(name: str, recorded: bool, untouched: bool = False) -> list[Subject]:
     """Streams of one arm; empty where there is no recording."""
     if not recorded:
-        return [_simulated_subject(name)]
+        return [] if name == 'kr300' else [_simulated_subject(name)]
     if not DATA.is_dir():
         return []
     part = 'untouched' if untouched else 'tuned'
     if name == 'real_arm':
         files = UNTOUCHED if untouched else TUNED
         return [_recorded_two_link(build, names, part) for build, names in files.items()]
+    if name == 'kr300' and not untouched:
+        return [_recorded_kr300()]
     if name in ('ur10', 'panda'):
         return [_recorded_half(name, (1, 2) if name == 'ur10' else (1, 3), part)]
     return []
@@ -494,7 +545,7 @@ def wrap_limit(rate: np.ndarray, share: float) -> float:
     return max(share * float(np.abs(rate).max(initial=0.0)), 1e-3)
 
 
-def disturb(stream: Stream, kind: Kind, rng: np.random.Generator) -> Stream:
+def disturb(stream: Stream, kind: Kind, is_derived: bool, rng: np.random.Generator) -> Stream:
     """A healthy stream with what is no fault of an encoder."""
     stamps, samples, n = stream.stamps.copy(), stream.samples.copy(), stream.samples.shape[2]
     time = (stamps - stamps[0]) * 1e-9
@@ -529,9 +580,10 @@ def disturb(stream: Stream, kind: Kind, rng: np.random.Generator) -> Stream:
     elif kind.kind == 'rest':
         # Rounded readings, each repeated: the driver is slower than its messages.
         samples[:, 0] = np.round(samples[:, 0] / kind.size) * kind.size
+        samples[:, 1] = np.round(samples[:, 1] / 1e-3) * 1e-3
         samples = samples[3 * (np.arange(len(time)) // 3)]
-        rates = np.diff(samples[:, 0], axis=0) / period
-        samples[0, 1], samples[1:, 1] = 0.0, rates
+        if is_derived:
+            samples[0, 1], samples[1:, 1] = 0.0, np.diff(samples[:, 0], axis=0) / period
     return Stream(stamps, samples)
 
 
@@ -590,13 +642,15 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
     label = f'{subject.part}/{subject.name}/{cell.rates}/{kind.name}'
     rng = np.random.default_rng([seed, zlib.crc32(label.encode()), k])
     n = len(subject.arm.joints)
-    if kind.kind == 'rest' and subject.rest is not None:
-        return subject, Window(disturb(subject.rest(turn), kind, rng), [], np.zeros((0, n))), False
-    stream = subject.streams(turn)
+    stream = subject.others.get(kind.kind, subject.streams)(turn)
     if cell.rates == 'derived' and subject.part == 'simulated':
         stream = derived(stream)
     if kind.healthy:
-        return subject, Window(disturb(stream, kind, rng), [], np.zeros((0, n))), False
+        return (
+            subject,
+            Window(disturb(stream, kind, cell.rates == 'derived', rng), [], np.zeros((0, n))),
+            False,
+        )
     limit = second_limit(kind, subject.arm)
     lead, together = LEAD, bool(turn % 2)
     if kind.from_start:
@@ -608,7 +662,12 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
         lead = float(np.clip(stream.duration - wanted, SHORTEST_LEAD, LEAD))
     length = min(lead + wanted, stream.duration)
     matrix, zero, _ = subject.sensors(cell.engine)
-    joints = subject.level if kind.level else tuple(range(n))
+    joints = subject.level if kind.level and subject.level else tuple(range(n))
+    if kind.kind == 'dropout':  # of a sensor whose loss leaves all others to be read
+        back = np.linalg.inv(matrix)
+        joints = tuple(
+            j for j in joints if not matrix[np.ix_(np.arange(n) != j, back[:, j] != 0)].any()
+        )
     i = joints[int(rng.integers(len(joints)))]
     others = [j for j in joints if j != i]
     begin = _begin(stream, kind, (i, matrix, zero), (lead, length), rng)
@@ -744,10 +803,11 @@ def cells(
     for name in arms:
         for is_recorded in recorded:
             found = subjects(name, is_recorded, untouched)
-            for one in rates if found else ():
+            possible = [one for one in rates if name != 'kr300' or one == 'independent']
+            for one in possible if found else ():
                 members = tuple(subject.with_rates(one) for subject in found)
                 for kind in kinds:
-                    if one not in kind.rates or (kind.kind == 'rest' and is_recorded):
+                    if one not in kind.rates or not members[0].has(kind):
                         continue
                     for engine in engines:
                         if all(engine in subject.engines for subject in members):

@@ -204,6 +204,7 @@ def main() -> None:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--jobs', type=int, default=1, help='processes')
     parser.add_argument('--json', type=Path, help='file for rows')
+    parser.add_argument('--resume', action='store_true', help='leave out cells that the file has')
     parser.add_argument('--bar', action='store_true', help='keep the better engine of each cell')
     parser.add_argument('--alarms', action='store_true', help='print every alarm event')
     options = parser.parse_args()
@@ -216,6 +217,11 @@ def main() -> None:
     if not chosen:
         raise SystemExit('there are no such cells (recordings: see $LPV_RECORDINGS)')
     rows: list[Row] = []
+    if options.resume and options.json and options.json.is_file():
+        rows = json.loads(options.json.read_text())
+        done = {tuple(row[name] for name in (*KEY, 'engine')) for row in rows}
+        chosen = [c for c in chosen
+                  if (c.part, c.arm, c.rates, c.kind.name, c.engine) not in done]  # fmt: skip
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
