@@ -5,15 +5,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lpv_core.decision.diagnosis import SensorState
-from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.support.jit import njit
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 BRIDGED = 6
 """Samples over which a reading that jumps is carried on by its rate: by then the jump is known."""
-_STALE, _NO_ESTIMATE, _STALE_SENSOR = int(Mode.STALE), int(Mode.NO_ESTIMATE), int(SensorState.STALE)
 _LONGEST_STEP = 10.0
 """Sample times after which nothing is carried on."""
 
@@ -150,24 +147,8 @@ def fill_answers(
 
 
 @njit
-def repeat_answer(rows: AnswerRows, row: int, last: int, is_fresh: bool) -> None:
-    """Answer an unusable sample with the last estimate, marked stale.
-
-    Parameters
-    ----------
-    rows : AnswerRows
-        Written.
-    row, last : int
-        The sample, and the last one that was usable, or `NEVER`.
-    is_fresh : bool
-        Whether that one is recent enough to be trusted.
-    """
-    rows.answered[row] = True
-    for i in range(rows.state.shape[1]):
-        rows.state[row, i] = _STALE_SENSOR
-    if last == NEVER:
-        rows.mode[row] = _NO_ESTIMATE
-        return
+def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
+    """The answer to a sample again, for one that was lost."""
     for i in range(rows.state.shape[1]):
         rows.position[row, i], rows.velocity[row, i] = (
             rows.position[last, i],
@@ -178,8 +159,9 @@ def repeat_answer(rows: AnswerRows, row: int, last: int, is_fresh: bool) -> None
         rows.measured_velocity[row, i] = rows.measured_velocity[last, i]
         rows.estimate[row, i], rows.bound[row, i] = rows.estimate[last, i], rows.bound[last, i]
         rows.threshold[row, i], rows.alarm[row, i] = rows.threshold[last, i], rows.alarm[last, i]
-    rows.has_fault[row], rows.inconsistent[row] = True, rows.inconsistent[last]
-    rows.mode[row], rows.trustworthy[row] = _STALE, is_fresh and rows.trustworthy[last]
+        rows.state[row, i] = rows.state[last, i]
+    rows.has_fault[row], rows.inconsistent[row] = rows.has_fault[last], rows.inconsistent[last]
+    rows.mode[row], rows.trustworthy[row] = rows.mode[last], rows.trustworthy[last]
 
 
 @njit

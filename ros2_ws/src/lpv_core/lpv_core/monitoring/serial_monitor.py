@@ -333,6 +333,11 @@ class SerialSensorMonitor:
         """Arguments of the compiled functions, until `note`; for closed-loop simulations."""
         return MonitorParts(self._monitor, self._compensation, self._arrays, self._flags)
 
+    def went_on(self, stamp: int, reading: FloatArray, record: np.recarray) -> None:
+        """Samples up to this one were taken with `parts`; ``record`` is its answer, of one row."""
+        self._stamp, self._reading, self._last = stamp, reading.copy(), record.copy()
+        self._monitor.went_on(stamp)
+
     def note(self, snapshot: Snapshot, stamp: int) -> list[Alarm]:
         """Take note of what has been decided at a sample [ns]; its alarm events."""
         onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]

@@ -92,6 +92,10 @@ class SteppedMonitor(SerialMonitor):
         self.update_many(stamps, samples)
         return self._snapshots
 
+    def went_on(self, stamp: int) -> None:
+        """Samples up to a stamp [ns] were taken by compiled functions."""
+        self._last_time = (stamp - (self._first or 0)) / 1e9
+
     def stamp_of(self, seconds: float) -> int:
         """Stamp [ns] of a time since the first sample [s]."""
         return (self._first or 0) + round(seconds * 1e9)

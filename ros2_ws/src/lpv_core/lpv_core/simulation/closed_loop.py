@@ -44,14 +44,24 @@ from lpv_core.simulation.arm_simulator import (
     set_torque,
 )
 from lpv_core.simulation.scenario import Scenario
+from lpv_core.simulation.transport import (
+    DIRECT,
+    MAX_DELAY,
+    NO_COMMAND,
+    NO_ESTIMATE,
+    NO_MEASUREMENT,
+    PARTS,
+    Stall,
+    Transport,
+)
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
+__all__ = ['PARTS', 'Run', 'Stall', 'Transport', 'run_closed_loop']
+
 _OFF, _CONFIRMED, _ALWAYS = range(len(COMPENSATION))
 _NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
-_MAX_DELAY = 64
-"""Commands that can be on their way."""
 _EVENTS = 64
 
 
@@ -81,9 +91,9 @@ LOOP_STATE = record_type(
     ('acting', 'i8'),  # sample that the command answers which acts
     ('offset', 'i8'),  # samples by which the path is late
     ('found', 'i8'),  # alarm events since the caller looked
-    ('queue', 'f8', (_MAX_DELAY, 2)),  # torques on their way [N m]
-    ('stops', 'u1', (_MAX_DELAY,)),  # whether the commands on their way are safe stops
-    ('stamps', 'i8', (_MAX_DELAY,)),  # samples that the commands on their way answer
+    ('queue', 'f8', (MAX_DELAY, 2)),  # torques on their way [N m]
+    ('stops', 'u1', (MAX_DELAY,)),  # whether the commands on their way are safe stops
+    ('stamps', 'i8', (MAX_DELAY,)),  # samples that the commands on their way answer
     ('stop', '?'),  # whether the last command is a safe stop
     ('reason', 'i8'),  # `StopReason` of the tracker
     ('torque', 'f8', (2,)),  # of the command that acts [N m]
@@ -117,42 +127,6 @@ _ROW = record_type(
     ('brake_reason', 'u1'),
 )
 """See `Run`."""
-
-
-class Stall(NamedTuple):
-    """A part of the graph that is held up; what it would have passed on is lost."""
-
-    part: str  # one of PARTS
-    begin: float  # [s]
-    duration: float  # [s]
-
-
-PARTS = ('observer', 'tracker', 'commands')
-"""What can stall: the way of measurements to the observer (or the process that publishes them, or
-the observer), the tracker, and the way of its commands to the drives."""
-_NO_MEASUREMENT, _NO_ESTIMATE, _NO_COMMAND = 1, 2, 4
-
-
-@dataclass(frozen=True)
-class Transport:
-    """How messages get from node to node in a simulated run."""
-
-    delay: int = 0  # samples from a measurement to the effect of its command, at most 63
-    loss: float = 0.0  # probability that a measurement is lost; the last command then goes on
-    stalls: tuple[Stall, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.delay < _MAX_DELAY:
-            raise ValueError(f'delay must be 0 to {_MAX_DELAY - 1} samples, got {self.delay}')
-
-    def blocked(self, count: int, period: float) -> np.ndarray:
-        """What is blocked at each sample, as a sum of flags."""
-        flags = np.zeros(count, np.uint8)
-        for stall in self.stalls:
-            first = round(stall.begin / period)
-            last = round((stall.begin + stall.duration) / period)
-            flags[first:last] |= 1 << PARTS.index(stall.part)
-        return flags
 
 
 class _Plant(NamedTuple):
@@ -252,7 +226,7 @@ def _sense(
     read_sensors(plant.constants, state, plant.faults, streams.noise, streams.chance)
     _record_truth(state, row, k * loop.period)
     row.lost = loop.loss > 0.0 and streams.losses.random() < loop.loss
-    row.lost = row.lost or log.blocked[k] & _NO_MEASUREMENT != 0
+    row.lost = row.lost or log.blocked[k] & NO_MEASUREMENT != 0
     loop.phase = _ACT
     now = round(k * loop.period * 1e9)
     previous = NEVER if loop.previous == NEVER else round(loop.previous * loop.period * 1e9)
@@ -275,7 +249,7 @@ def _sense(
         measurement[2],
     )
     _keep_events(loop, monitor, log.events)
-    if log.blocked[k] & _NO_ESTIMATE != 0:
+    if log.blocked[k] & NO_ESTIMATE != 0:
         return
     estimate = answer.state
     reason = check_estimate(
@@ -344,13 +318,13 @@ def _act(
     _record_answer(
         monitor.answer, monitor.state.diagnosis.decision, row, tracker.references[place, 0]
     )
-    torque, slot = tracker.state.torque, k % _MAX_DELAY
+    torque, slot = tracker.state.torque, k % MAX_DELAY
     row.place, row.safe_stop, row.stop_reason = place, loop.stop, loop.reason
     row.command[0], row.command[1] = torque[0], torque[1]
     loop.queue[slot, 0], loop.queue[slot, 1] = torque[0], torque[1]
     loop.stops[slot], loop.stamps[slot] = loop.stop, loop.answered
-    arrived = (k - loop.delay) % _MAX_DELAY
-    if k >= loop.delay and blocked & _NO_COMMAND == 0:
+    arrived = (k - loop.delay) % MAX_DELAY
+    if k >= loop.delay and blocked & NO_COMMAND == 0:
         loop.torque[0], loop.torque[1] = loop.queue[arrived, 0], loop.queue[arrived, 1]
         loop.braking, loop.acting = loop.stops[arrived] != 0, loop.stamps[arrived]
     now = round(k * loop.period * 1e9)
@@ -443,7 +417,7 @@ def run_closed_loop(
     compensation: str = 'confirmed',
     parameters: DiagnosisParameters | None = None,
     substeps: int = 2,
-    transport: Transport = Transport(),
+    transport: Transport = DIRECT,
 ) -> Run:
     """Simulate a scenario with observer, diagnosis and tracking.
 

@@ -1,7 +1,8 @@
 """The whole loop of a serial arm in one process: simulator, diagnosis, tracker.
 
 What happens every sample is compiled; the diagnosis decides in Python, after a jump of a reading
-and every 50 ms.
+and every 50 ms.  A sample that does not simply follow the one before (the first one, one after a
+gap, with missing values, or after such) goes through the monitor's `take_many`, as in the node.
 """
 
 from dataclasses import dataclass
@@ -26,15 +27,15 @@ from lpv_core.control.watchdog import (
     tracker_watchdog,
 )
 from lpv_core.decision.diagnosis import Alarm, DiagnosisParameters
-from lpv_core.monitoring.answers import LONGEST_STALE, answer_type
+from lpv_core.monitoring.answers import answer_type
 from lpv_core.monitoring.compensation import (
     AnswerRows,
     Compensation,
     Flags,
     Known,
     answer_rows,
+    copy_answer,
     fill_answers,
-    repeat_answer,
 )
 from lpv_core.monitoring.serial_monitor import MonitorParts, SerialSensorMonitor
 from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray, workspace
@@ -50,6 +51,14 @@ from lpv_core.simulation.serial_simulator import (
     read_sensors,
     set_torque,
 )
+from lpv_core.simulation.transport import (
+    DIRECT,
+    MAX_DELAY,
+    NO_COMMAND,
+    NO_ESTIMATE,
+    NO_MEASUREMENT,
+    Transport,
+)
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
@@ -60,18 +69,21 @@ class Phase(IntEnum):
     """Where in a sample the loop goes on."""
 
     SENSE = 0
-    GAP = 1  # the diagnosis begins new balances, outside
+    MONITOR = 1  # the monitor itself takes the sample, outside
     TAKE = 2
     DECIDE = 3  # the diagnosis decides, outside
-    ESTIMATE = 4
-    START = 5  # a path that starts or goes on needs its references from outside
-    COMMAND = 6
-    ACT = 7
-    ADVANCE = 8  # the plant is integrated outside
+    ANSWER = 4
+    ESTIMATE = 5
+    START = 6  # a path that starts or goes on needs its references from outside
+    COMMAND = 7
+    ACT = 8
+    ADVANCE = 9  # the plant is integrated outside
 
 
-_SENSE, _GAP, _TAKE, _DECIDE, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = (int(p) for p in Phase)
-_NONE = int(StopReason.NONE)
+_SENSE, _MONITOR, _TAKE, _DECIDE, _ANSWER, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = (
+    int(phase) for phase in Phase
+)
+_NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
 
 
 def _loop_type(joints: int) -> np.dtype:
@@ -85,7 +97,17 @@ def _loop_type(joints: int) -> np.dtype:
         ('stop', '?'),  # whether the last command is a safe stop
         ('reason', 'i8'),  # `StopReason` of the tracker
         ('usable', 'i8'),  # the last usable sample, or NEVER
+        ('missing', '?'),  # values of the last sample were missing
         ('complete', '?'),  # whether a momentum balance is complete
+        ('delay', 'i8'),  # samples between a command and its effect
+        ('loss', 'f8'),  # probability that a measurement is lost
+        ('answered', 'i8'),  # sample that the last command answers
+        ('acting', 'i8'),  # sample that the command answers which acts
+        ('queue', 'f8', (MAX_DELAY, joints)),  # torques on their way [N m]
+        ('stops', 'u1', (MAX_DELAY,)),  # whether the commands on their way are safe stops
+        ('stamps', 'i8', (MAX_DELAY,)),  # samples that the commands on their way answer
+        ('torque', 'f8', (joints,)),  # of the command that acts [N m]
+        ('braking', '?'),  # whether the command that acts is a safe stop
         ('feedback', 'f8', (joints,)),  # position that the loop is closed on [rad]
         ('rate', 'f8', (joints,)),  # rates that the loop is closed on [rad/s]
     )
@@ -98,6 +120,8 @@ def _row_type(joints: int) -> np.dtype:
         ('velocity', 'f8', (joints,)),
         ('measured', 'f8', (joints,)),
         ('measured_velocity', 'f8', (joints,)),
+        ('effort', 'f8', (joints,)),
+        ('lost', '?'),
         ('reference', 'f8', (joints,)),
         ('fault', 'f8', (joints,)),
         ('torque', 'f8', (joints,)),
@@ -123,6 +147,7 @@ class _Streams(NamedTuple):
 
     noise: np.random.Generator
     chance: np.random.Generator
+    losses: np.random.Generator
 
 
 class _Observer(NamedTuple):
@@ -161,46 +186,69 @@ def _run(
     observer: _Observer,
     tracker: _Tracker,
     rows: np.recarray,
+    blocked: np.ndarray,
     first: int,
 ) -> int:
     """Go on from a sample until something is needed from outside, see `Phase`."""
     for k in range(first, len(rows)):
         if loop.phase == _SENSE:
-            _sense(loop, plant, streams, observer, k)
-        if loop.phase == _GAP:
+            _sense(loop, plant, streams, observer, tracker, rows[k], blocked[k], k)
+        if loop.phase == _MONITOR:
             return k
         if loop.phase == _TAKE:
             _take(loop, observer, k)
         if loop.phase == _DECIDE:
             return k
+        if loop.phase == _ANSWER:
+            _answer(loop, observer, k)
         if loop.phase == _ESTIMATE:
-            _estimate(loop, observer, tracker, k)
+            _estimate(loop, observer, tracker, blocked[k], k)
         if loop.phase == _START:
             return k
         if loop.phase == _COMMAND:
             _command(loop, observer, tracker, k)
-        _act(loop, plant, observer, tracker, rows[k], k)
+        _act(loop, plant, observer, tracker, rows[k], blocked[k], k)
         if loop.phase == _ADVANCE:
             return k + 1
     return len(rows)
 
 
 @njit
-def _sense(loop: np.record, plant: _Plant, streams: _Streams, observer: _Observer, k: int) -> None:
-    """Read the sensors; a sample with values that are missing is not used."""
-    state, row = plant.state, observer.samples[k]
+def _sense(
+    loop: np.record,
+    plant: _Plant,
+    streams: _Streams,
+    observer: _Observer,
+    tracker: _Tracker,
+    row: np.record,
+    blocked: int,
+    k: int,
+) -> None:
+    """Read the sensors, and choose the way of the measurement unless it is lost."""
+    state, sample = plant.state, observer.samples[k]
     read_sensors(plant.constants, state, plant.faults, streams.noise, streams.chance)
-    loop.phase = _TAKE
-    for i in range(row.shape[1]):
-        row[0, i], row[1, i] = state.measured_position[i], state.measured_velocity[i]
-        row[2, i] = state.torque[i] / plant.constants.effort_gain[i] * observer.gains[i]
-        if not (abs(row[0, i]) < np.inf and abs(row[1, i]) < np.inf):
-            loop.phase = _ESTIMATE
-    if loop.phase == _ESTIMATE:
+    missing = False
+    for i in range(sample.shape[1]):
+        row.effort[i] = state.torque[i] / plant.constants.effort_gain[i]
+        sample[0, i], sample[1, i] = state.measured_position[i], state.measured_velocity[i]
+        sample[2, i] = row.effort[i] * observer.gains[i]
+        if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
+            missing = True
+    row.lost = loop.loss > 0.0 and streams.losses.random() < loop.loss
+    row.lost = row.lost or blocked & NO_MEASUREMENT != 0
+    waited = 0 if loop.previous == NEVER else observer.stamps[k] - observer.stamps[loop.previous]
+    if waited > tracker.watchdog.silence:
+        _stop(loop, tracker, _SILENCE)
+    if row.lost:
+        if k > 0:
+            copy_answer(observer.answers, k, k - 1)
+        loop.phase = _ACT
         return
-    if loop.usable != NEVER and k - loop.usable > LONGEST_STEP:
-        loop.phase = _GAP
-    loop.usable = k
+    follows = loop.usable != NEVER and k - loop.usable <= LONGEST_STEP
+    loop.phase = _TAKE if follows and not (missing or loop.missing) else _MONITOR
+    loop.missing = missing
+    if loop.phase == _TAKE:
+        loop.usable = k
 
 
 @njit
@@ -214,35 +262,42 @@ def _take(loop: np.record, observer: _Observer, k: int) -> None:
         k,
         observer.plan,
     )
-    loop.phase = _DECIDE if loop.complete else _ESTIMATE
+    loop.phase = _DECIDE if loop.complete else _ANSWER
     for found in observer.sampler.found:
         if found != 0:
             loop.phase = _DECIDE
 
 
 @njit
-def _estimate(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) -> None:
-    """What the node answers: readings without confirmed faults; and whether to follow that."""
-    now, answers = observer.stamps[k], observer.answers
-    if loop.usable == k:
-        fill_answers(
-            observer.compensation,
-            answers,
-            (k, k + 1),
-            observer.stamps,
-            observer.samples,
-            observer.known,
-            observer.flags,
-        )
-    else:
-        usable = loop.usable
-        fresh = usable != NEVER and now - observer.stamps[usable] <= LONGEST_STALE
-        repeat_answer(answers, k, usable, fresh)
+def _answer(loop: np.record, observer: _Observer, k: int) -> None:
+    """What the node answers: readings without confirmed faults."""
+    fill_answers(
+        observer.compensation,
+        observer.answers,
+        (k, k + 1),
+        observer.stamps,
+        observer.samples,
+        observer.known,
+        observer.flags,
+    )
+    loop.phase = _ESTIMATE
+
+
+@njit
+def _estimate(
+    loop: np.record, observer: _Observer, tracker: _Tracker, blocked: int, k: int
+) -> None:
+    """Whether the tracker follows the answer."""
+    if blocked & NO_ESTIMATE != 0:
+        loop.phase = _ACT
+        return
+    answers = observer.answers
     for i in range(len(loop.feedback)):
         loop.feedback[i], loop.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
     reason = check_estimate(
-        tracker.watchdog, now, 0, answers.mode[k], answers.trustworthy[k], loop.rate
+        tracker.watchdog, observer.stamps[k], 0, answers.mode[k], answers.trustworthy[k], loop.rate
     )
+    loop.answered = k
     if reason != _NONE:
         _stop(loop, tracker, reason)
     else:
@@ -276,16 +331,29 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
 
 @njit
 def _act(
-    loop: np.record, plant: _Plant, observer: _Observer, tracker: _Tracker, row: np.record, k: int
+    loop: np.record,
+    plant: _Plant,
+    observer: _Observer,
+    tracker: _Tracker,
+    row: np.record,
+    blocked: int,
+    k: int,
 ) -> None:
-    """Let the command act over one sample, and log the sample."""
-    state, n, now = plant.state, len(loop.feedback), observer.stamps[k]
+    """Queue the command, let the one that has arrived act over one sample, and log the sample."""
+    state, n, now, slot = plant.state, len(loop.feedback), observer.stamps[k], k % MAX_DELAY
     if loop.stop and loop.started:
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
+    loop.queue[slot] = tracker.state.torque
+    loop.stops[slot], loop.stamps[slot] = loop.stop, loop.answered
+    arrived = (k - loop.delay) % MAX_DELAY
+    if k >= loop.delay and blocked & NO_COMMAND == 0:
+        loop.torque[:] = loop.queue[arrived]
+        loop.braking, loop.acting = loop.stops[arrived] != 0, loop.stamps[arrived]
     row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason
-    row.brake_reason = check_drive(tracker.drives, now, 0, loop.stop, state.velocity)
+    age = now - observer.stamps[loop.acting]
+    row.brake_reason = check_drive(tracker.drives, now, age, loop.braking, state.velocity)
     for i in range(n):
         row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
         row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]
@@ -294,7 +362,7 @@ def _act(
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
-        set_torque(plant.constants, state, tracker.state.torque)
+        set_torque(plant.constants, state, loop.torque)
         if not loop.external:
             integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
     loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
@@ -311,6 +379,8 @@ class SerialLoopRun:
     velocity: FloatArray  # (m, n) true [rad/s]
     measured: FloatArray  # (m, n) NaN in a dropout [rad]
     measured_velocity: FloatArray  # (m, n) [rad/s]
+    effort: FloatArray  # (m, n) as reported with the sample, in the unit of the driver
+    lost: np.ndarray  # (m,) whether the measurement never reached the observer
     compensated: FloatArray  # (m, n) measured less confirmed faults [rad]
     estimate: FloatArray  # (m, n) measured less estimated faults [rad]
     reference: FloatArray  # (m, n) [rad]
@@ -338,6 +408,7 @@ def run_serial_loop(
     bandwidth: float = BANDWIDTH,
     parameters: DiagnosisParameters | None = None,
     substeps: int = 2,
+    transport: Transport = DIRECT,
 ) -> SerialLoopRun:
     """Simulate a scenario with diagnosis and tracking.
 
@@ -355,6 +426,8 @@ def run_serial_loop(
         Tuning of the diagnosis.
     substeps : int, optional
         Least number of plant steps per sample.
+    transport : Transport, optional
+        Delay, losses and stalls; none otherwise.
 
     Returns
     -------
@@ -379,8 +452,11 @@ def run_serial_loop(
         simulator.scratch,
         simulator.matrix,
     )
-    streams = _Streams(simulator.noise, simulator.injector.generator)
-    answers = answer_rows(np.zeros(count, answer_type(len(arm.joints))))
+    # A stream of its own: losses must not change noise and faults.
+    losses = np.random.default_rng([scenario.seed, 2])
+    streams = _Streams(simulator.noise, simulator.injector.generator, losses)
+    records = np.zeros(count, answer_type(len(arm.joints)))
+    answers = answer_rows(records)
     fed_back = (answers.measured, answers.compensated, answers.position)
     feedback = fed_back[COMPENSATION.index(compensation)]
     stepped, observer = monitor.parts.monitor, _new_observer(arm, monitor.parts, answers, feedback)
@@ -399,23 +475,28 @@ def run_serial_loop(
         previous=NEVER,
         usable=NEVER,
         stop=True,
+        braking=True,
+        delay=transport.delay,
+        loss=transport.loss,
         external=simulator.engine is not None,
     )
     rows = np.zeros(count, _row_type(len(arm.joints))).view(np.recarray)
+    blocked = transport.blocked(count, arm.sample_time)
     alarms: list[Alarm] = []
     k = 0
     while k < count:
-        k = _run(loop, plant, streams, observer, tracker, rows, k)
+        k = _run(loop, plant, streams, observer, tracker, rows, blocked, k)
         if simulator.state.failed:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
-        if loop.phase == _GAP:
-            stepped.begin_again()
-            loop.phase = _TAKE
+        if loop.phase == _MONITOR:
+            alarms += _hand_over(monitor, observer, records, loop, rows[k].effort, k)
+            observer.times[:] = (observer.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
+            observer = observer._replace(known=monitor.parts.known, flags=monitor.parts.flags)
         elif loop.phase == _DECIDE:
             stepped.decide(float(observer.times[k]), bool(loop.complete))
             alarms += monitor.note(stepped.snapshot(), int(observer.stamps[k]))
             observer = observer._replace(known=monitor.parts.known, flags=monitor.parts.flags)
-            loop.phase = _ESTIMATE
+            loop.phase = _ANSWER
         elif loop.phase == _START:
             references.restart(k - int(loop.offset), loop.feedback.copy())
             loop.previous, loop.started, loop.phase = k, True, _COMMAND
@@ -432,6 +513,29 @@ def run_serial_loop(
         inconsistent=answers.inconsistent,
         alarms=alarms,
     )
+
+
+def _hand_over(
+    monitor: SerialSensorMonitor,
+    observer: _Observer,
+    records: np.ndarray,
+    loop: np.record,
+    effort: FloatArray,
+    k: int,
+) -> list[Alarm]:
+    """Let the monitor itself take a sample, as the node does; returns alarm events."""
+    before, stamps = int(loop.usable), observer.stamps
+    if before != NEVER:
+        last = records[before : before + 1].view(np.recarray)
+        monitor.went_on(int(stamps[before]), observer.samples[before, 0], last)
+    measured = *observer.samples[k : k + 1, :2].swapaxes(0, 1), effort[None]
+    answers = monitor.take_many(stamps[k : k + 1], *measured)
+    for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
+        records[name][k] = getattr(answers, name)[0]
+    if not loop.missing:
+        loop.usable = k
+    loop.phase = _ESTIMATE
+    return [event for _, event in answers.events]
 
 
 def _new_observer(

@@ -8,10 +8,13 @@ from serial_arms import shoulder_arm
 
 from lpv_core.control.computed_torque import ComputedTorqueController
 from lpv_core.control.watchdog import BrakeReason, StopReason
+from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.serial_closed_loop import run_serial_loop
 from lpv_core.simulation.serial_scenario import SerialScenario
 from lpv_core.simulation.serial_simulator import SerialArmSimulator
+from lpv_core.simulation.transport import Stall, Transport
 from lpv_core.support.errors import ConfigError
 
 pytestmark = pytest.mark.slow
@@ -82,12 +85,65 @@ def test_given_a_fault_beyond_all_limits_when_fed_back_then_the_arm_is_stopped_f
     assert np.ptp(run.position[-100:], axis=0).max() == 0.0
 
 
-@pytest.mark.parametrize('kind', ['dropout', 'stuck', 'spike', 'noise'])
-def test_given_other_faults_when_they_act_then_no_number_is_nan(arm, kind):
-    fault = Fault('encoder3', kind, 0.5, duration=0.3, size=0.01, rate=20.0)
-    run = run_serial_loop(arm, replace(SCENARIO, duration=1.2, faults=(fault,)))
+FAULTS = {
+    'none': (),
+    'step': (STEP,),
+    'dropout': (Fault('encoder3', 'dropout', 0.5, duration=0.3),),
+    'dropout from the start': (Fault('encoder1', 'dropout', 0.0, duration=0.2),),
+    'step in a dropout': (STEP, Fault('encoder2', 'dropout', 0.9, duration=0.3)),
+    'stuck': (Fault('encoder3', 'stuck', 0.5, duration=0.3),),
+    'spikes': (Fault('encoder3', 'spike', 0.5, duration=0.3, size=0.01, rate=20.0),),
+    'noise': (Fault('encoder3', 'noise', 0.5, duration=0.3, size=0.01),),
+}
+TRANSPORTS = {
+    'direct': Transport(),
+    'late and lossy': Transport(1, 0.1),
+    'stalled': Transport(stalls=(Stall('observer', 0.6, 0.1), Stall('tracker', 1.0, 0.02))),
+}
+
+
+@pytest.mark.parametrize('rates', ['independent', 'derived'])
+@pytest.mark.parametrize('faults', FAULTS)
+@pytest.mark.parametrize('transport', TRANSPORTS)
+def test_given_a_run_when_the_node_gets_its_samples_then_it_answers_the_same(
+    rates, faults, transport
+):
+    scenario = replace(SCENARIO, duration=1.6, faults=FAULTS[faults])
+    arm = shoulder_arm(rates)
+    run = run_serial_loop(arm, scenario, transport=TRANSPORTS[transport])
+    stamps = np.round(run.time * 1e9).astype(np.int64)[~run.lost]
+    rows = (one[~run.lost] for one in (run.measured, run.measured_velocity, run.effort))
+    answers = SerialSensorMonitor('node', arm).take_many(stamps, *rows)
+    assert run.alarms == [alarm for _, alarm in answers.events]
+    np.testing.assert_array_equal(run.fault_estimate[~run.lost], answers.fault.estimate)
+    np.testing.assert_array_equal(run.threshold[~run.lost], answers.fault.threshold)
+    np.testing.assert_array_equal(run.compensated[~run.lost], answers.state.compensated_position)
     assert np.isfinite(run.torque).all() and np.isfinite(run.compensated).all()
-    assert np.isnan(run.measured).any() == (kind == 'dropout')
+
+
+def test_given_a_dropout_when_it_lasts_then_it_is_raised_after_50_ms_and_cleared_at_its_end(arm):
+    run = run_serial_loop(arm, replace(SCENARIO, duration=1.2, faults=FAULTS['dropout']))
+    told = [(one.event, one.sensor, one.kind, one.detected) for one in run.alarms]
+    assert told == [
+        (AlarmEvent.RAISED, 'encoder3', 'dropout', 552_000_000),
+        (AlarmEvent.CLEARED, 'encoder3', 'dropout', 800_000_000),
+    ]
+
+
+@pytest.mark.parametrize('part', ['observer', 'tracker'])
+def test_given_a_part_that_stalls_when_it_lasts_then_the_tracker_stops_for_silence(arm, part):
+    stall = Transport(stalls=(Stall(part, 1.0, 0.5),))
+    run = run_serial_loop(arm, replace(SCENARIO, duration=1.6), transport=stall)
+    silent = run.stop_reason == StopReason.SILENCE
+    assert silent[600:740].any() and not silent[:500].any()
+    assert run.lost.any() == (part == 'observer')
+
+
+def test_given_commands_that_stall_when_they_are_late_then_the_drives_brake(arm):
+    stall = Transport(stalls=(Stall('commands', 1.0, 0.5),))
+    run = run_serial_loop(arm, replace(SCENARIO, duration=1.6), transport=stall)
+    assert (run.brake_reason[500:] == BrakeReason.LATE).any()
+    assert not run.brake_reason[:500].any()
 
 
 @pytest.mark.parametrize(('rates', 'jump'), [('derived', 50.0), ('independent', 0.0)])

@@ -1,0 +1,206 @@
+"""Whether the detector's statistic means what it says: stops on healthy arms against 1/a.
+
+The statistic M of a detector sums likelihood ratios over all times at which a fault may have begun.
+On a healthy arm E[M_t] = t after t decisions.  So: watch healthy data, stop whenever M >= a, begin
+the sum anew, go on.  If the likelihoods are right there is at most one stop in a decisions, for
+every a; a model that is too sure of itself lies above the line 1/a.
+
+    python benchmarks/calibration.py --arm real_arm --recorded --plot calibration.png
+
+A monitor takes part that has `log_statistic`, the logarithm of M after the last decision (None
+before the first one), `decisions`, their number, and `restart_statistic()`, which begins the sum
+anew and keeps what was learned.  `--example` shows a detector whose likelihoods are exact, and the
+same with noise that is 1.3 times what it believes.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fault_injection import ARMS, BY_NAME, Cell, cells, draw
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import poisson
+
+LEVELS = (1e1, 1e2, 1e3, 1e4, 1e5)
+"""Values a at which M stops."""
+
+Statistics = Iterator[float]
+"""Logarithms of M, decision by decision; the generator is sent True where M is to begin anew."""
+
+
+@dataclass(frozen=True)
+class Frequency:
+    """Stops of one detector at one level."""
+
+    level: float  # a
+    decisions: int
+    stops: int
+
+    @property
+    def per_decision(self) -> float:
+        """At most 1/a where likelihoods are right."""
+        return self.stops / max(self.decisions, 1)
+
+    @property
+    def is_too_high(self) -> bool:
+        """Whether chance explains the stops at the rate 1/a in less than 1 of 1000 cases.
+
+        Stops are apart from each other by sums that begin anew, so their number is nearly Poisson.
+        """
+        expected = self.decisions / self.level
+        return bool(poisson.sf(self.stops - 1, expected) < 1e-3)
+
+
+def count_stops(run: Callable[[], Any], level: float) -> tuple[int, int]:
+    """Decisions and stops of one pass over healthy data.
+
+    Parameters
+    ----------
+    run : callable
+        Makes a fresh generator of `Statistics`.
+    level : float
+        a.
+
+    Returns
+    -------
+    tuple of int
+        Decisions, stops.
+    """
+    statistics, limit, decisions, stops = run(), np.log(level), 0, 0
+    try:
+        value = next(statistics)
+        while True:
+            decisions += 1
+            stop = bool(value >= limit)
+            stops += stop
+            value = statistics.send(stop)
+    except StopIteration:
+        return decisions, stops
+
+
+def frequencies(
+    runs: Sequence[Callable[[], Any]], levels: Sequence[float] = LEVELS
+) -> list[Frequency]:
+    """Stops over all healthy runs, at each level."""
+    result = []
+    for level in levels:
+        counted = np.array([count_stops(run, level) for run in runs]).reshape(-1, 2).sum(0)
+        result.append(Frequency(level, int(counted[0]), int(counted[1])))
+    return result
+
+
+def watch(monitor: Any, stamps: np.ndarray, samples: np.ndarray, chunk: int) -> Any:
+    """Statistics of a monitor, as a generator."""
+    known = 0
+    for begin in range(0, len(stamps), chunk):
+        part = slice(begin, begin + chunk)
+        monitor.take_many(stamps[part], *np.moveaxis(samples[part], 1, 0))
+        if monitor.log_statistic is not None and monitor.decisions > known:
+            known = monitor.decisions
+            if (yield float(monitor.log_statistic)):
+                monitor.restart_statistic()
+
+
+def healthy_runs(cell: Cell, count: int, seed: int) -> list[Callable[[], Any]]:
+    """Runs of the monitor of a cell without faults."""
+
+    def run(k: int) -> Any:
+        subject, window, _ = draw(cell, k, seed)
+        stream = window.stream
+        chunk = max(1, round(0.05 / subject.arm.sample_time))
+        return watch(subject.monitor(cell.engine), stream.stamps, stream.samples, chunk)
+
+    return [lambda k=k: run(k) for k in range(count)]  # type: ignore[misc]
+
+
+def example(believed: float, decisions: int, seed: int) -> Any:
+    """Shiryaev-Roberts statistic of a unit shift of the mean of white noise."""
+    rng, log_m = np.random.default_rng(seed), -np.inf
+    for x in rng.normal(size=decisions):
+        ratio = (x - 0.5) / believed**2
+        log_m = ratio + np.logaddexp(0.0, log_m)
+        if (yield float(log_m)):
+            log_m = -np.inf
+
+
+def plot(curves: dict[str, list[Frequency]], file: Path) -> None:
+    """Frequencies of stops against 1/a."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 5), layout='constrained')
+    axes = figure.add_subplot(xscale='log', yscale='log')
+    line = np.array([min(LEVELS), max(LEVELS)])
+    axes.plot(line, 1.0 / line, 'k--', label='1/a')
+    for name, found in curves.items():
+        seen = [one for one in found if one.stops]
+        axes.plot([one.level for one in seen], [one.per_decision for one in seen], 'o-', label=name)
+    axes.set(xlabel='a', ylabel='stops per decision, healthy')
+    axes.legend(fontsize=7)
+    figure.savefig(file)
+
+
+def table_of(curves: dict[str, list[Frequency]]) -> Table:
+    """Stops times a over decisions: at most 1 where likelihoods are right."""
+    table = Table(title='stops per decision times a')
+    for heading in ('', 'decisions', *(f'a = {level:g}' for level in LEVELS)):
+        table.add_column(heading, justify='right')
+    for name, found in curves.items():
+        values = [
+            f'{one.per_decision * one.level:.2f} ({one.stops})' + ' !' * one.is_too_high
+            for one in found
+        ]
+        table.add_row(name, str(found[0].decisions), *values)
+    return table
+
+
+def _curves(chosen: Iterable[Cell], count: int, seed: int) -> Iterator[tuple[str, Any]]:
+    for cell in chosen:
+        name = f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name} {cell.engine}'
+        monitor = cell.subjects[0].monitor(cell.engine)
+        if not hasattr(monitor, 'log_statistic'):
+            print(f'{name}: the monitor has no log_statistic, left out', file=sys.stderr)
+            continue
+        yield name, frequencies(healthy_runs(cell, count, seed))
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument('--arm', action='append', choices=ARMS, help='all if not given')
+    parser.add_argument('--recorded', action='store_true', help='recordings alone')
+    parser.add_argument('--simulated', action='store_true', help='simulations alone')
+    parser.add_argument('--untouched', action='store_true', help='the part not tuned to')
+    parser.add_argument('--count', type=int, default=6, help='healthy runs of each arm')
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--plot', type=Path, help='picture to write')
+    parser.add_argument('--example', action='store_true', help='a detector with known likelihoods')
+    options = parser.parse_args()
+    if options.example:
+        runs = {
+            name: [lambda b=b, k=k: example(b, 20_000, k) for k in range(options.count)]
+            for name, b in (('exact', 1.0), ('noise 1.3 times what it believes', 1.0 / 1.3))
+        }
+        curves = {name: frequencies(one) for name, one in runs.items()}  # type: ignore[arg-type]
+    else:
+        recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
+        kinds = [BY_NAME[name] for name in ('healthy', 'stamps off', 'gaps', 'rest 0.1 mrad')]
+        chosen = cells(
+            options.arm or ARMS, [True] if options.untouched else recorded,
+            ('independent', 'derived'), ('serial',), kinds, options.untouched)  # fmt: skip
+        curves = dict(_curves(chosen, options.count, options.seed))
+    if not curves:
+        raise SystemExit('no monitor has a statistic')
+    Console(width=140).print(table_of(curves))
+    if options.plot:
+        plot(curves, options.plot)
+
+
+if __name__ == '__main__':
+    main()
