@@ -93,7 +93,7 @@ def status(stamp, name):
 
 def write_bag(path, entries, types):
     """Write topic, time and message (or raw bytes) of each entry; types by topic."""
-    with BagWriter(path) as writer:
+    with BagWriter(path, chunk_time=250_000_000) as writer:
         for topic, msgtype in types.items():
             writer.add_topic(topic, msgtype, [qos_profile(True, False, 10)])
         for topic, time, content in entries:

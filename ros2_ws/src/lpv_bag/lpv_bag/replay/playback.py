@@ -12,8 +12,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
-from lpv_bag.blocks.message_blocks import read_blocks
-from lpv_bag.blocks.prefetch import ahead
+from lpv_bag.blocks.message_blocks import ahead
 from lpv_bag.rosbag.offered_qos import offered_qos
 from lpv_bag.rosbag.reading import BagReader
 from lpv_core.support.timestamps import NANOSECONDS
@@ -69,7 +68,7 @@ class Playback:
         self, start: int | None, stop: int | None
     ) -> Iterator[tuple[Connection, int, bytes]]:
         """Messages one by one, unpacked ahead of their time."""
-        for block in ahead(read_blocks(self._reader, self._connections, start, stop)):
+        for block in ahead(self._reader.blocks(self._connections, start, stop)):
             for i in range(len(block)):
                 yield (self._connections[block.connection[i]], int(block.time[i]), block.message(i))
 

@@ -37,8 +37,7 @@ class Player:
     bag : str or pathlib.Path
         The bag.
     topics : sequence of str, optional
-        Topics to play; all but the answers of the diagnosis, which a live one gives itself, if
-        not given.
+        Topics to play; otherwise all but the answers of the diagnosis, which a live one gives.
     measured : str, optional
         Topic of the measurements, where there are several.
     rate : float, optional
@@ -51,11 +50,6 @@ class Player:
         Longest time to wait for a subscriber before the first message [s].
     interval : tuple of float or None, optional
         Start and end, counted from the first message [s].
-
-    Raises
-    ------
-    ConfigError
-        If a number is not usable.
     """
 
     def __init__(
@@ -85,24 +79,10 @@ class Player:
         self._interval = interval
 
     def run(self, say: Callable[..., Any] = lambda text: None, rounds: int | None = None) -> int:
-        """Play until the end, or until the context is shut down.
+        """Play until the end, ``rounds`` of a loop, or until the context is shut down.
 
-        Parameters
-        ----------
-        say : callable, optional
-            Receives lines for the user.
-        rounds : int, optional
-            Number of rounds after which a loop ends.
-
-        Returns
-        -------
-        int
-            Messages published.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or holds nothing that can be played.
+        ``say`` receives lines for the user.  Returns the number of messages; BagError if the bag
+        holds nothing that can be played.
         """
         with open_bag(self._bag) as reader:
             chosen = self._choose(reader)
@@ -165,19 +145,16 @@ def _publishers(
     node: Node, connections: Sequence[Connection], say: Callable[[str], None]
 ) -> dict[str, Publisher]:
     found: dict[str, Publisher] = {}
-    topics: dict[str, list[Connection]] = {}
     for connection in connections:
-        topics.setdefault(connection.topic, []).append(connection)
-    for connection in connections:
-        if connection.topic in found:
-            continue
         try:
             package, _, name = connection.msgtype.split('/')
             message = getattr(importlib.import_module(f'{package}.msg'), name)
         except (ImportError, AttributeError, ValueError):
             say(f'{connection.topic} is left out: {connection.msgtype} is not installed')
             continue
-        found[connection.topic] = node.create_publisher(
-            message, connection.topic, recorded_qos(topics[connection.topic])
-        )
+        if connection.topic not in found:
+            same = [c for c in connections if c.topic == connection.topic]
+            found[connection.topic] = node.create_publisher(
+                message, connection.topic, recorded_qos(same)
+            )
     return found
