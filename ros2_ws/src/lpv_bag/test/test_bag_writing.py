@@ -98,7 +98,7 @@ def test_given_zstd_when_written_then_the_file_is_smaller(tmp_path):
     assert 0.99 * sizes['zstd_small'] < sizes['zstd_fast'] < sizes['none'] / 4
 
 
-@pytest.mark.parametrize('options', [{'split_size': 1500}, {'split_time': 10 * MS}])
+@pytest.mark.parametrize('options', [{'split_size': 1000}, {'split_time': 10 * MS}])
 def test_given_a_limit_when_written_then_the_bag_has_several_files_and_is_one(tmp_path, options):
     bag = write_small(tmp_path / 'bag', **options)
     files = sorted(path.name for path in bag.glob('*.mcap'))

@@ -52,7 +52,7 @@ class Block:
         sizes = self.size + RECORD.itemsize
         ends = (self.start + self.size).tolist()
         begins = (self.start - RECORD.itemsize).tolist()
-        whole = memoryview(self.data)
+        whole = self.data.data
         data = bytearray().join([whole[a:b] for a, b in zip(begins, ends)])
         places = np.cumsum(sizes) - sizes
         array = np.frombuffer(data, np.uint8)

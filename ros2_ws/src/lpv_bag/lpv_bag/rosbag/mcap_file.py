@@ -32,7 +32,7 @@ class Place(NamedTuple):
     end: int  # greatest log time [ns]
     offset: int  # [bytes]
     channels: tuple[int, ...]  # none where they are not known
-    count: int  # messages
+    messages: int
 
 
 class _NoIndex(DamageError):
@@ -110,7 +110,7 @@ class McapFile:
         except Exception as error:  # of many kinds: the bytes may be anything
             raise DamageError(
                 f'{self.path.name}: the chunk at byte {place.offset} is damaged '
-                f'({error_text(error)}), its {place.count} messages are left out'
+                f'({error_text(error)}), its {place.messages} messages are left out'
             ) from None
         return block
 

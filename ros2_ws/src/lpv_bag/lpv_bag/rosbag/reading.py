@@ -43,6 +43,7 @@ class BagReader:
         self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
         self.known: Known = {}  # what the recorder knew of each topic
         self.connections: list[Connection] = source.connections
+        self.typestore: Typestore = source.typestore  # of the types as the bag defines them
         self.start_time, self.end_time = source.start_time, source.end_time
         if files:  # messages are looked for where the files say, whatever metadata.yaml says
             self.start_time = min((p.start for f in files for p in f.places), default=2**63 - 1)
@@ -148,7 +149,7 @@ class BagReader:
             raise BagError(
                 f'{self.paths[0]}: topics of type {msgtype} have different definitions of it'
             )
-        return self.source.typestore
+        return self.typestore
 
     def check_definition(self, msgtype: str, fields: Iterable[str]) -> None:
         """Check that fields of a message type are there, and are what they are expected to be.

@@ -192,17 +192,7 @@ class BagWriter:
         add_type(self.typestore, msgtype)
 
     def add_topic(self, topic: str, msgtype: str, profiles: Sequence[Qos] = ()) -> None:
-        """Announce a topic.
-
-        Parameters
-        ----------
-        topic : str
-            Full name.
-        msgtype : str
-            Message type.
-        profiles : sequence of rosbags.interfaces.Qos, optional
-            Offered QoS of its publishers.
-        """
+        """Announce a topic by its full name and type, with the QoS that its publishers offer."""
         self.check_type(msgtype)
         definition = self.typestore.generate_msgdef(msgtype, ros_version=2)[0]
         digest = self.typestore.hash_rihs01(msgtype)
@@ -269,23 +259,9 @@ class BagWriter:
     def write_raw(
         self, topic: str, timestamp: int, data: bytes, publish_time: int | None = None
     ) -> None:
-        """Write a serialised message.
+        """Write a serialised message; OSError if the disk does not take it.
 
-        Parameters
-        ----------
-        topic : str
-            Announced topic.
-        timestamp : int
-            Log time [ns].
-        data : bytes
-            CDR.
-        publish_time : int, optional
-            When it was published [ns]; the log time if not given.
-
-        Raises
-        ------
-        OSError
-            If the disk is full, or does not take what is written for another reason.
+        Its log time [ns], CDR, and when it was published [ns], the log time if not given.
         """
         try:
             self._advance(timestamp)
@@ -322,11 +298,8 @@ class BagWriter:
     def write_chunk(self, *parts: Block | np.ndarray) -> None:
         """Write thousands of messages as one chunk.
 
-        Parameters
-        ----------
-        *parts : Block or ndarray
-            Blocks that hold their messages alone, with numbers of channels as connections, or
-            arrays of records, as of `lpv_bag.replay.answer_records.RecordTemplate`.
+        Blocks hold their messages alone, with numbers of channels as connections; arrays are
+        records, as of `lpv_bag.replay.answer_records.RecordTemplate`.
         """
         blocks = [p if isinstance(p, Block) else from_rows(p) for p in parts if len(p)]
         if not blocks:
@@ -422,17 +395,9 @@ class BagWriter:
         return bag_information(files, topics, self._custom)
 
     def close(self, known: Known | None = None) -> str:
-        """Finish file and metadata; may be called again.
+        """Finish file and metadata, with what is known of the recording; may be called again.
 
-        Parameters
-        ----------
-        known : dict, optional
-            What is known of the recording, as of `lpv_bag.rosbag.message_loss.TopicCount.known`.
-
-        Returns
-        -------
-        str
-            '', or what could not be written for want of room: the files then end as after a crash.
+        Returns '', or what could not be written: the files then end as after a crash.
         """
         if self._closed:
             return ''

@@ -40,23 +40,10 @@ class ColumnMap:
 
 
 def load_column_map(path: str | Path) -> ColumnMap:
-    """Read a column map.
+    """Read a column map; ConfigError names the offending field.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and
-        ``joints`` (``position``, ``velocity`` and optionally ``effort`` of each).
-
-    Returns
-    -------
-    ColumnMap
-        Validated.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
+    A YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and
+    ``joints`` (``position``, ``velocity`` and optionally ``effort`` of each).
     """
     data = read_yaml(path)
     top = Section(data, str(path))

@@ -123,7 +123,7 @@ def read_streams(
                 rows = streams[name].read(block, positions)
                 if rows is not None:
                     parts[name].append((number + rows[0], *rows[1:]))
-            for k in positions if name == ALARMS else ():
+            for k in positions.tolist() if name == ALARMS else ():
                 alarm = _alarm(reader.deserialize(block.message(k), connection.msgtype))
                 # Latched events are delivered again to late subscribers.
                 alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
