@@ -155,10 +155,8 @@ class Player:
         origin, tick, published = -1, 0, 0
         wall = time.monotonic()
         for block in ahead(reader.blocks(connections, *map(reader.log_time, self._interval))):
-            for i, (number, stamp) in enumerate(
-                zip(block.connection.tolist(), block.time.tolist())
-            ):
-                if not origin:
+            for i, stamp in enumerate(block.time.tolist()):
+                if origin < 0:
                     wall, origin, tick = time.monotonic(), stamp, stamp
                 while clock and tick <= stamp and self._sleep(wall, tick - origin):
                     seconds, rest = divmod(tick, NANOSECONDS)
