@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lpv_bag.blocks.chunk_assembly import ChunkAssembly
-from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.replay.answer_records import RecordTemplate
 from lpv_bag.rosbag.messages import BagMessages
-from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.rosbag.writing import BagWriter, qos_profile
 from lpv_core.control.tracking import TrackingController
 from lpv_core.model.joints import JointMap
 from lpv_core.simulation.arm_simulator import ArmSimulator
@@ -56,7 +54,7 @@ def long_bag(path, arm, gains, hours):
     part.parent.mkdir(parents=True, exist_ok=True)
     truth, bias = _round(arm, gains)
     joints, generator = JointMap(arm), np.random.default_rng(0)
-    with ChunkBagWriter(part, 'zstd_fast') as writer:
+    with BagWriter(part, 'zstd_fast') as writer:
         for topic, msgtype in TOPICS.items():
             writer.add_topic(topic, msgtype, [qos_profile(False, False, 5)])
         templates = _templates(writer, arm)
@@ -113,9 +111,7 @@ def _chunk(k, templates, truth, bias, arm, joints, generator):
     rate = joints.sensor_velocity(velocity) + arm.velocity_noise * generator.standard_normal(shape)
     stamp = _START + k * round(arm.sample_time * 1e9)
     late = stamp + generator.integers(100_000, 400_000, len(k))
-    assembly = ChunkAssembly(2 * len(k))
-    assembly.add_rows(
-        2 * np.arange(len(k)),
+    return (
         templates[0].fill(
             late,
             stamp,
@@ -125,11 +121,7 @@ def _chunk(k, templates, truth, bias, arm, joints, generator):
                 'effort': effort,
             },
         ),
-    )
-    assembly.add_rows(
-        2 * np.arange(len(k)) + 1,
         templates[1].fill(
             late + generator.integers(100_000, 400_000, len(k)), stamp, {'torque': torque}
         ),
     )
-    return assembly.finish()

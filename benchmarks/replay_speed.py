@@ -60,8 +60,7 @@ def decode(bag):
     """Our reading and decoding alone."""
     import numpy as np
 
-    from lpv_bag.blocks.message_blocks import read_blocks
-    from lpv_bag.blocks.prefetch import ahead
+    from lpv_bag.blocks.message_blocks import ahead
     from lpv_bag.run.measurements import MeasurementReader
     from lpv_bag.run.record import open_bag
     from lpv_bag.run.torque_reader import EffortReader
@@ -72,7 +71,7 @@ def decode(bag):
         measured = np.array([c.topic == TOPICS[0] for c in connections])
         measurements = MeasurementReader(reader, joints)
         efforts = EffortReader(reader, 'lpv_msgs/msg/TorqueCommand', joints)
-        for block in ahead(read_blocks(reader, connections)):
+        for block in ahead(reader.blocks(connections)):
             mask = measured[block.connection]
             positions = np.flatnonzero(mask)
             measurements.read(block, positions)

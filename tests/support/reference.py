@@ -16,9 +16,9 @@ import numpy as np
 from places import DATA
 from rosbags.highlevel import AnyReader
 
-from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.replay.replay import Replay
 from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import stamp_of
 from lpv_cli.commands.compare import load_pair, show
 from lpv_core.certificate.gains import load_gains, save_gains
@@ -72,7 +72,7 @@ def record(path):
     plant = ArmSimulator(arm, replace(scenario, faults=_FAULTS))
     controller, course = TrackingController(arm, gains), scenario.path(arm)
     rng, faulty = np.random.default_rng(1), None
-    with ChunkBagWriter(path, 'zstd_small') as writer:
+    with BagWriter(path, 'zstd_small') as writer:
         messages = BagMessages(writer.typestore, 'base_link')
         for name, msgtype in zip(
             _STREAMS, ('sensor_msgs/msg/JointState', 'lpv_msgs/msg/GroundTruth')
@@ -132,7 +132,7 @@ def renew(measurements):
         Replay(monitor()).run(source, replayed)
         before = None if measurements else compare(replayed)
         new = Path(folder) / BAG.name
-        with AnyReader([replayed]) as reader, ChunkBagWriter(new, 'zstd_small') as writer:
+        with AnyReader([replayed]) as reader, BagWriter(new, 'zstd_small') as writer:
             for connection in reader.connections:
                 if connection.topic.startswith('/lpv/'):
                     writer.copy_topic(connection)

@@ -9,12 +9,12 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from lpv_bag.blocks import message_blocks
 from lpv_bag.replay.replay import Replay
+from lpv_bag.rosbag import reading
 from lpv_bag.rosbag.interfaces import make_typestore
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
-from lpv_bag.run import measurements
+from lpv_bag.run import decoder
 from lpv_bag.run.record import BagError, load_run
 from lpv_core.control.tracking import TrackingController
 from lpv_core.monitoring.message_fields import alarm_fields
@@ -193,11 +193,12 @@ def expected_answers(bag, monitor, out):
 def test_given_a_troubled_recording_when_replayed_then_every_byte_is_that_of_single_messages(
     troubled_bag, paper_arm, paper_gains, monitor, tmp_path, monkeypatch, fast, size
 ):
-    monkeypatch.setattr(message_blocks, 'BLOCK_SIZE', size)
+    monkeypatch.setattr(reading, 'BLOCK_SIZE', size)
+    monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', 32 * fast)
     expected = expected_answers(
         troubled_bag, SensorMonitor('/lpv/uio', paper_arm, paper_gains), tmp_path / 'expected'
     )
-    result = Replay(monitor, estimates_only=True, fast=fast).run(troubled_bag, tmp_path / 'out')
+    result = Replay(monitor, estimates_only=True).run(troubled_bag, tmp_path / 'out')
     assert raw(tmp_path / 'out') == expected
     assert sum(result.rejected.values()) == monitor.rejected > 20
     assert any(topic == '/lpv/fault_alarm' for topic, _, _ in expected)
@@ -212,7 +213,7 @@ def test_given_more_shapes_than_are_remembered_when_replayed_then_answers_are_th
     troubled_bag, paper_arm, paper_gains, monitor, tmp_path, monkeypatch
 ):
     Replay(SensorMonitor('', paper_arm, paper_gains)).run(troubled_bag, tmp_path / 'many')
-    monkeypatch.setattr(measurements, '_MOST_LAYOUTS', 1)
+    monkeypatch.setattr(decoder, 'MOST_LAYOUTS', 1)
     Replay(monitor).run(troubled_bag, tmp_path / 'one')
     assert raw(tmp_path / 'one') == raw(tmp_path / 'many')
 
@@ -243,9 +244,10 @@ def test_given_faults_to_add_when_replayed_by_blocks_then_it_is_as_by_single_mes
     ]
     found = []
     for name, size, fast in (('a', 2 << 20, True), ('b', 1, False)):
-        monkeypatch.setattr(message_blocks, 'BLOCK_SIZE', size)
+        monkeypatch.setattr(reading, 'BLOCK_SIZE', size)
+        monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', 32 * fast)
         injector = FaultInjector(paper_arm.sensor_names, faults, np.random.default_rng(7))
-        Replay(SensorMonitor('', paper_arm, paper_gains), injector=injector, fast=fast).run(
+        Replay(SensorMonitor('', paper_arm, paper_gains), injector=injector).run(
             troubled_bag, tmp_path / name
         )
         found.append(raw(tmp_path / name))
@@ -375,7 +377,8 @@ SOURCES = {
 def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample_is_used(
     samples, paper_arm, paper_gains, monitor, tmp_path, monkeypatch, msgtype, fast
 ):
-    monkeypatch.setattr(message_blocks, 'BLOCK_SIZE', 20_000)
+    monkeypatch.setattr(reading, 'BLOCK_SIZE', 20_000)
+    monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', 32 * fast)
     entries, twin, latest, expected = [], SensorMonitor('', paper_arm, paper_gains), None, []
     for k, sample in enumerate(samples):
         expected.append(twin.take(sample[0], measurement(sample), latest or [math.nan] * 2))
@@ -386,9 +389,7 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
             entries.append(('/torques', sample[0] + 1, data))
             latest = list(sample[4])
     bag = write(tmp_path / 'bag', entries, {'/lpv/joint_states': JOINT_STATE, '/torques': msgtype})
-    Replay(monitor, topic='/lpv/joint_states', effort_topic='/torques', fast=fast).run(
-        bag, tmp_path / 'out'
-    )
+    Replay(monitor, topic='/lpv/joint_states', effort_topic='/torques').run(bag, tmp_path / 'out')
     record = load_run(tmp_path / 'out', namespace='/lpv')
     fault = [a.fault['estimate'] for a in expected if a.fault is not None]
     assert len(fault) > 590

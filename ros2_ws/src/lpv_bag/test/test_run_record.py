@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from lpv_bag.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_bag.rosbag.interfaces import message_text
 from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.run import decoder
 from lpv_bag.run.record import ALARM_TYPE, STREAMS, BagError, load_run
-from lpv_bag.run.rows import RunRows
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.observer.sampled_observer import Mode
 
@@ -446,7 +447,7 @@ def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts
 def test_given_messages_without_efforts_that_end_in_padding_when_loaded_then_they_are_read(
     tmp_path, monkeypatch, attempts
 ):
-    monkeypatch.setattr('lpv_bag.run.stream_blocks._MOST_ATTEMPTS', attempts)
+    monkeypatch.setattr('lpv_bag.run.decoder._MOST_ATTEMPTS', attempts)
     kind, names = 'sensor_msgs/msg/JointState', ('joint1', 'joint2')
     with BagWriter(tmp_path / 'bag') as writer:
         writer.add_topic('/joint_states', kind)
@@ -503,7 +504,7 @@ def test_given_arrays_that_do_not_fit_when_loaded_then_they_are_left_out_with_a_
             bag.stream('torque_command', k * MS, torque=torque)
             bag.stream('fault_estimate', k * MS, bound=[0.1] * (2 if k else 1))
     if not fast:
-        monkeypatch.setattr('lpv_bag.run.stream_blocks._MOST_ATTEMPTS', 0)
+        monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', 0)
     record = load_run(recorder.path, joint_names=('joint1', 'joint2'))
     assert list(record.stamps['torque_command']) == [0, MS, 3 * MS]
     assert list(record.stamps['fault_estimate']) == [MS, 2 * MS, 3 * MS]
@@ -574,11 +575,12 @@ def test_given_messages_of_many_shapes_when_read_many_at_a_time_then_it_is_as_on
     tmp_path, monkeypatch, seed
 ):
     path = mixed(tmp_path / 'bag', seed)
-    one_by_one = []
-    add = RunRows.add
-    monkeypatch.setattr(RunRows, 'add', lambda *given: (one_by_one.append(1), add(*given))[1])
+    one_by_one, read = [], BagReader.deserialize
+    monkeypatch.setattr(
+        BagReader, 'deserialize', lambda *given: (one_by_one.append(1), read(*given))[1]
+    )
     fast, few = load_run(path), len(one_by_one)
-    monkeypatch.setattr('lpv_bag.run.stream_blocks._MOST_ATTEMPTS', 0)
+    monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', 0)
     slow = load_run(path)
     assert few < 100 < len(one_by_one) - few  # alarms are few and always one by one
     assert list(fast.streams) == list(slow.streams)

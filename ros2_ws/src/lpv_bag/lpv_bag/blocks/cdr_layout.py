@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 
+from lpv_bag.blocks.message_blocks import rows
+
 _NAME, _ARRAY, _SEQUENCE = 2, 3, 4  # rosbags.interfaces.Nodetype; 1 is a plain value
 _SIZES = {
     'bool': '?',
@@ -50,13 +52,6 @@ class Field:
     offset: int  # from the beginning of the message, representation identifier included [bytes]
     dtype: str  # numPy's name of one number
     count: int  # how many
-
-
-def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = None) -> np.ndarray:
-    """Parts of a buffer that start at any byte, as an array of their type."""
-    dtype = np.dtype(dtype)
-    view = np.ndarray((max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,))
-    return view if starts is None else view[starts]
 
 
 class Layout:

@@ -1,31 +1,43 @@
 """Messages of a bag in blocks of some megabytes, so that NumPy can work on thousands at once."""
 
-from collections.abc import Iterable, Iterator, Sequence
+import struct
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice
+from typing import Any, TypeVar
 
 import numpy as np
-from rosbags.interfaces import Connection
 
-from lpv_bag.blocks.mcap_blocks import RECORD_HEADER, Unsuitable, bag_blocks
-from lpv_bag.rosbag.mcap_bag import McapBag
-from lpv_bag.rosbag.reading import BagReader
+from lpv_bag.errors import DamageError
+from lpv_core.support.jit import njit
 
+T = TypeVar('T')
 BLOCK_SIZE = 2 << 20
 """Of about one block [bytes]: it fits into the caches, and overheads do not count."""
+RECORD = np.dtype(
+    [
+        ('kind', 'u1'),
+        ('length', '<u8'),
+        ('channel', '<u2'),
+        ('sequence', '<u4'),
+        ('log_time', '<u8'),
+        ('publish_time', '<u8'),
+    ]
+)
+"""Head of a message's record in an MCAP file."""
+CHANNEL = 9  # where the channel is in it
+MESSAGE, _HEAD = 5, struct.Struct('<BQHIQQ')
 
 
 @dataclass
 class Block:
-    """Consecutive messages."""
+    """Consecutive messages; before each are the bytes of a `RECORD` in ``data``."""
 
-    # bytes that hold all messages; before each are at least `RECORD_HEADER` other bytes
-    data: np.ndarray
-    # index of each message's connection in the list that was asked for; shape (n,)
-    connection: np.ndarray
+    data: np.ndarray  # bytes that hold all messages
+    connection: np.ndarray  # index of each message's connection among those asked for; shape (n,)
     time: np.ndarray  # log times [ns], in order; shape (n,)
-    start: np.ndarray  # where in ``data`` each message begins, and its length [bytes]; shape (n,)
-    size: np.ndarray  # where in ``data`` each message begins, and its length [bytes]; shape (n,)
+    start: np.ndarray  # where in ``data`` each message begins [bytes]; shape (n,)
+    size: np.ndarray  # length of each message [bytes]; shape (n,)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -35,82 +47,124 @@ class Block:
         start = self.start[index]
         return self.data[start : start + self.size[index]].tobytes()
 
+    def copied(self, channels: np.ndarray) -> 'Block':
+        """These messages alone, in their order, as records of other channels."""
+        sizes = self.size + RECORD.itemsize
+        ends = (self.start + self.size).tolist()
+        begins = (self.start - RECORD.itemsize).tolist()
+        whole = self.data.data
+        data = bytearray().join([whole[a:b] for a, b in zip(begins, ends)])
+        places = np.cumsum(sizes) - sizes
+        array = np.frombuffer(data, np.uint8)
+        rows(array, '<u2')[places + CHANNEL] = channels
+        return Block(array, channels, self.time, places + RECORD.itemsize, self.size)
 
-def read_blocks(
-    reader: BagReader,
-    connections: Sequence[Connection],
-    start: int | None = None,
-    stop: int | None = None,
-    fast: bool = True,
-) -> Iterator[Block]:
-    """Messages of some connections in the order of ``reader.messages``.
+    def chosen(self, rows: np.ndarray) -> 'Block':
+        """Some of the messages."""
+        return Block(
+            self.data, self.connection[rows], self.time[rows], self.start[rows], self.size[rows]
+        )
 
-    MCAP files in good order are read a chunk at a time.  Everything else, and every file in which
-    something unexpected turns up, is read by the reader itself, which gives the same messages.
 
-    Parameters
-    ----------
-    reader : lpv_bag.rosbag.reading.BagReader
-        Open bag.
-    connections : list of rosbags connections
-        Wanted ones.
-    start, stop : int, optional
-        First log time, and first one after the end [ns].
-    fast : bool, optional
-        False reads message by message whatever the file is like.
+def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = None) -> np.ndarray:
+    """Parts of a buffer that start at any byte, as an array of their type."""
+    dtype = np.dtype(dtype)
+    view = np.ndarray((max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,))
+    return view if starts is None else view[starts]
 
-    Yields
-    ------
-    Block
-        Not empty.
 
-    Raises
-    ------
-    BagError
-        If the bag is damaged.
+def record(channel: int, time: int, data: bytes, publish_time: int | None = None) -> bytes:
+    """Record of one message."""
+    published = time if publish_time is None else publish_time
+    return _HEAD.pack(MESSAGE, 22 + len(data), channel, 0, time, published) + data
+
+
+def from_rows(records: np.ndarray) -> Block:
+    """A block of records of one size, with the fields of `RECORD` at their beginnings."""
+    size = records.dtype.itemsize
+    return Block(
+        np.ascontiguousarray(records).view(np.uint8),
+        records['channel'].astype(np.int64),
+        records['log_time'].astype(np.int64),
+        size * np.arange(len(records)) + RECORD.itemsize,
+        np.full(len(records), size - RECORD.itemsize),
+    )
+
+
+def split(content: np.ndarray) -> tuple[Block, list[bytes]]:
+    """Messages among the records of a chunk's content, and its other records as they are.
+
+    ``connection`` of the block holds the numbers of the file's channels.
     """
-    done = 0
-    if fast:
-        try:
-            for block in _fast_blocks(reader, connections, start, stop):
-                yield block
-                done += len(block)
-            return
-        except Unsuitable:
-            pass
-    messages = reader.messages(connections, start=start, stop=stop)
-    yield from _collect(islice(messages, done, None), connections)
+    if len(content) < 9:
+        if len(content):
+            raise DamageError('a chunk ends within a record')
+        return Block(content, *np.zeros((4, 0), np.int64)), []
+    offsets, others = np.empty((2, len(content) // 9 + 1), np.int64)
+    numbers = rows(content, '<u8')  # lengths are at any byte
+    count, other, end = _walk(content, numbers, offsets, others)
+    if end != len(content):
+        raise DamageError('a chunk ends within a record, or a message is shorter than its head')
+    starts = offsets[:count]
+    heads = rows(content, RECORD, starts)
+    if (heads['log_time'] > np.uint64(2**63 - 2)).any():
+        raise DamageError('the time of a message is beyond all times')
+    block = Block(
+        content,
+        heads['channel'].astype(np.int64),
+        heads['log_time'].astype(np.int64),
+        starts + RECORD.itemsize,
+        heads['length'].astype(np.int64) - 22,
+    )
+    found = [content[at : at + 9 + int(numbers[at + 1])].tobytes() for at in others[:other]]
+    return block, found
 
 
-def _fast_blocks(
-    reader: BagReader, connections: Sequence[Connection], start: int | None, stop: int | None
-) -> Iterator[Block]:
-    if not isinstance(reader.source, McapBag):
-        raise Unsuitable
-    for parts in bag_blocks(reader.source, connections, start, stop, BLOCK_SIZE):
-        yield Block(*parts)
+@njit
+def _walk(
+    data: np.ndarray, numbers: np.ndarray, offsets: np.ndarray, others: np.ndarray
+) -> tuple[int, int, int]:
+    position, count, other, total = 0, 0, 0, len(data)
+    while position + 9 <= total:
+        size = numbers[position + 1]
+        if size > total or position + 9 + np.int64(size) > total:
+            break
+        if data[position] == 5:
+            if size < 22:
+                break
+            offsets[count] = position
+            count += 1
+        else:
+            others[other] = position
+            other += 1
+        position += 9 + np.int64(size)
+    return count, other, position
 
 
-def _collect(
-    messages: Iterable[tuple[Connection, int, bytes]], connections: Sequence[Connection]
-) -> Iterator[Block]:
-    """Blocks of messages that come one by one."""
-    index = {id(c): i for i, c in enumerate(connections)}
-    rows, data = [], bytearray()
-    for connection, time, content in messages:
-        data += bytes(RECORD_HEADER)
-        number = index.get(id(connection))
-        if number is None:
-            number = index[id(connection)] = connections.index(connection)
-        rows.append((number, time, len(data), len(content)))
-        data += content
-        if len(data) >= BLOCK_SIZE:
-            yield _block(rows, data)
-            rows, data = [], bytearray()
-    if rows:
-        yield _block(rows, data)
+def joined(blocks: list[Block]) -> Block:
+    """Messages of several blocks as those of one, by log time."""
+    if len(blocks) == 1:
+        block = blocks[0]
+    else:
+        begins = np.cumsum([0] + [len(b.data) for b in blocks[:-1]])
+        block = Block(
+            np.concatenate([b.data for b in blocks]),
+            np.concatenate([b.connection for b in blocks]),
+            np.concatenate([b.time for b in blocks]),
+            np.concatenate([b.start + begin for b, begin in zip(blocks, begins)]),
+            np.concatenate([b.size for b in blocks]),
+        )
+    if (np.diff(block.time) < 0).any():
+        return block.chosen(np.argsort(block.time, kind='stable'))
+    return block
 
 
-def _block(rows: list[tuple[int, int, int, int]], data: bytearray) -> Block:
-    columns = np.array(rows, dtype=np.int64).T
-    return Block(np.frombuffer(data, np.uint8), *columns)
+def ahead(items: Iterable[T]) -> Iterator[T]:
+    """Items of an iterable, each made by another thread while the one before is in use."""
+    end: Any = object()
+    with ThreadPoolExecutor(1) as pool:
+        source = iter(items)
+        coming = pool.submit(next, source, end)
+        while (item := coming.result()) is not end:
+            coming = pool.submit(next, source, end)
+            yield item

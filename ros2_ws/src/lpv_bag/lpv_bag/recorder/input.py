@@ -56,11 +56,19 @@ class Selection(NamedTuple):
         )
 
 
+class _Subscription(NamedTuple):
+    handle: Any
+    stamped: bool
+    msgtype: str
+    reliable: bool
+    latched: bool
+
+
 class RecorderInput:
     """Subscriptions that are polled, not served by an executor.
 
-    An executor hands over one message at a time, and without the numbers that its publisher gave
-    it, by which lost ones are known.  Hence a node of its own, that no executor has.
+    An executor hands over one message at a time; a poll takes thousands.  Hence a node of its own,
+    that no executor has.
     """
 
     def __init__(
@@ -75,80 +83,78 @@ class RecorderInput:
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self._subscriptions: dict[str, tuple[Any, bool, str, bool, bool]] = {}
+        self._subscriptions: dict[str, _Subscription] = {}
         self._refused: set[str] = set()
         self._complained: set[tuple[str, str]] = set()
         self._searches = 0
-
-    @property
-    def topics(self) -> list[str]:
-        """Names of the topics that are listened to."""
-        return list(self._subscriptions)
 
     def close(self) -> None:
         """Stop listening."""
         self._subscriptions = {}
         self._own.destroy_node()
 
+    @property
+    def complaints(self) -> int:
+        """Number of topics and publishers that are not recorded though they are wanted."""
+        return len(self._refused) + len(self._complained)
+
     # -------------------------------------------------------------- subscribing
 
     def search(self) -> list[tuple[str, str, Qos]]:
         """Subscribe to wanted topics that have a publisher now."""
-        types = dict(self._node.get_topic_names_and_types())
-        found, self._searches = [], self._searches + 1
-        for topic in self._selection.chosen(types):
-            known = topic in self._refused or topic in self._subscriptions
-            if known and (topic in self._refused or self._searches % _RECHECK):
+        found: list[tuple[str, str, Qos]] = []
+        self._searches += 1
+        for topic in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
+            known = topic in self._subscriptions
+            if topic in self._refused or (known and self._searches % _RECHECK):
                 continue
+            own = self._node.get_name(), self._node.get_namespace()
             publishers = [
                 p
                 for p in self._node.get_publishers_info_by_topic(topic)
-                if not self._is_recorder(p)
+                if (p.node_name, p.node_namespace) != own
             ]
-            if topic in self._subscriptions:
+            if known:
                 self._check_match(topic, publishers)
             elif publishers:
-                entry = self._subscribe(topic, publishers)
-                found += [entry] if entry else []
+                self._subscribe(topic, publishers, found)
         return found
 
-    def _is_recorder(self, publisher: TopicEndpointInfo) -> bool:
-        return (
-            publisher.node_name == self._node.get_name()
-            and publisher.node_namespace == self._node.get_namespace()
-        )
-
     def _subscribe(
-        self, topic: str, publishers: list[TopicEndpointInfo]
-    ) -> tuple[str, str, Qos] | None:
+        self, topic: str, publishers: list[TopicEndpointInfo], found: list[tuple[str, str, Qos]]
+    ) -> None:
         msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
         reliable = all(_reliable(p) for p in publishers)
         latched = all(_latched(p) for p in publishers)
         try:
             self._check_type(msgtype)
-            message_class = _message_class(msgtype)
+            package, kind, name = msgtype.split('/')
+            message_class = getattr(importlib.import_module(f'{package}.{kind}'), name)
         except (ValueError, AttributeError, ImportError) as error:
             self._node.get_logger().error(f'{topic} is not recorded: {error}')
             self._refused.add(topic)
-            return None
+            return
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=_DEPTH,
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
         )
-        subscription = self._own.create_subscription(message_class, topic, _nobody, qos, raw=True)
+        handle = self._own.create_subscription(message_class, topic, lambda _: None, qos, raw=True)
         stamped = _starts_with_time(message_class) and topic not in _SYSTEM_TIME
-        self._subscriptions[topic] = (subscription, stamped, msgtype, reliable, latched)
-        return topic, msgtype, qos_profile(reliable, latched, depth)
+        self._subscriptions[topic] = _Subscription(handle, stamped, msgtype, reliable, latched)
+        found.append((topic, msgtype, qos_profile(reliable, latched, depth)))
 
     def _check_match(self, topic: str, publishers: list[TopicEndpointInfo]) -> None:
         """A publisher that came later may offer less than was asked for, or another type."""
-        _, _, msgtype, reliable, latched = self._subscriptions[topic]
+        ours = self._subscriptions[topic]
         for publisher in publishers:
-            if publisher.topic_type != msgtype:
-                why = f'has type {publisher.topic_type}, not {msgtype}'
-            elif (reliable and not _reliable(publisher)) or (latched and not _latched(publisher)):
+            less = (ours.reliable and not _reliable(publisher)) or (
+                ours.latched and not _latched(publisher)
+            )
+            if publisher.topic_type != ours.msgtype:
+                why = f'has type {publisher.topic_type}, not {ours.msgtype}'
+            elif less:
                 why = 'offers a lower quality of service than those before it'
             else:
                 continue
@@ -159,48 +165,34 @@ class RecorderInput:
                     f'{topic}: what {who} publishes is not recorded, it {why}'
                 )
 
-    @property
-    def complaints(self) -> int:
-        """Number of topics and publishers that are not recorded though they are wanted."""
-        return len(self._refused) + len(self._complained)
-
     # -------------------------------------------------------------- taking
 
     def poll(self) -> list[Heard]:
         """Messages received since the last call, in the order of arrival."""
         found = []  # with the time by which to sort: a topic keeps its order if the clock is set
-        for topic, (subscription, stamped, *_) in self._subscriptions.items():
-            with subscription.handle:
-                take, msgtype = subscription.handle.take_message, subscription.msg_type
+        for topic, ours in self._subscriptions.items():
+            with ours.handle.handle:
+                take, msgtype = ours.handle.handle.take_message, ours.handle.msg_type
                 newest = 0
                 for _ in range(_MOST):
                     taken = take(msgtype, True)
                     if taken is None:
                         break
                     data, info = taken
+                    gid = info.get('publisher_gid')  # not known in distributions before Kilted
                     heard = Heard(
                         info['received_timestamp'],
                         topic,
                         data,
                         info['source_timestamp'],
-                        _publisher(info),
+                        gid.get('data') if isinstance(gid, dict) else gid,
                         info.get('publication_sequence_number'),
-                        leading_stamp(data) if stamped else None,
+                        leading_stamp(data) if ours.stamped else None,
                     )
                     newest = max(newest, heard.received)
                     found.append((newest, heard))
         found.sort(key=itemgetter(0))
         return [heard for _, heard in found]
-
-
-def _nobody(_: object) -> None:
-    """Callback that is never called."""
-
-
-def _publisher(info: dict[str, Any]) -> bytes | None:
-    """The publisher's identity; not known in distributions before Kilted."""
-    gid = info.get('publisher_gid')
-    return gid.get('data') if isinstance(gid, dict) else gid
 
 
 def _reliable(publisher: TopicEndpointInfo) -> bool:
@@ -209,11 +201,6 @@ def _reliable(publisher: TopicEndpointInfo) -> bool:
 
 def _latched(publisher: TopicEndpointInfo) -> bool:
     return publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-
-
-def _message_class(msgtype: str) -> type:
-    package, kind, name = msgtype.split('/')
-    return getattr(importlib.import_module(f'{package}.{kind}'), name)
 
 
 def _starts_with_time(message_class: Any) -> bool:

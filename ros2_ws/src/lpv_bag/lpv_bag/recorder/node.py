@@ -11,7 +11,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rosbags.interfaces import Qos
 
-from lpv_bag.mcap.writer import PRESETS
 from lpv_bag.recorder.input import Heard, RecorderInput, Selection
 from lpv_bag.recorder.stamp_sorter import StampSorter
 from lpv_bag.rosbag.message_loss import TopicCount
@@ -23,7 +22,7 @@ from lpv_bag.rosbag.output_folder import (
     read_gains_file,
     read_scenario_file,
 )
-from lpv_bag.rosbag.writing import BagWriter
+from lpv_bag.rosbag.writing import PRESETS, BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import fixed, required_text

@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_bag.blocks.cdr_layout import rows
-from lpv_bag.blocks.message_blocks import Block
+from lpv_bag.blocks.message_blocks import Block, rows
 from lpv_bag.run.measurements import Measurements
 from lpv_core.model.joints import JointMap
 from lpv_core.monitoring.factory import Monitor
@@ -18,29 +17,17 @@ _RECENT = 10
 """A sample within so many sample times is the one before, if some were lost."""
 
 
-class _JointReadings:
-    """Readings of sensors that measure the joints themselves, in place of a `JointMap`."""
-
-    @staticmethod
-    def sensor_position(values: np.ndarray) -> np.ndarray:
-        """The same."""
-        return np.array(values, float)
-
-    joint_from_sensor = sensor_velocity = joint_velocity_from_sensor = sensor_position
-
-
 class BlockInjector:
     """Adds faults to the measurements of block after block."""
 
     def __init__(self, injector: FaultInjector, monitor: Monitor) -> None:
         self._injector, self._arm = injector, monitor.arm
-        self._joints: JointMap | _JointReadings
+        # Sensors of a serial arm measure the joints themselves.
+        self._joints: JointMap | None = None
         if isinstance(self._arm, SerialArm):
-            self._joints = _JointReadings()
             rates = [joint.sensors.rates for joint in self._arm.joints]
         else:
-            self._joints = JointMap(self._arm)
-            rates = [self._arm.rates] * 2
+            self._joints, rates = JointMap(self._arm), [self._arm.rates] * 2
         self._derived = np.array([rate == 'derived' for rate in rates])
         self._start: int | None = None
         self._active = False
@@ -96,17 +83,20 @@ class BlockInjector:
         self, position: np.ndarray, velocity: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Position and rate with the faults added."""
-        reading = self._joints.sensor_position(position)
+        joints = self._joints
+        reading = np.array(position, float) if joints is None else joints.sensor_position(position)
         faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
         count = len(reading)
         bias = np.array([rate_bias(self._injector.records, i, float(time)) for i in range(count)])
         if self._derived.any():
             bias += np.where(self._derived, self._derived_rate_error(faulty - reading, time), 0.0)
         if np.any(bias):
-            velocity = self._joints.joint_velocity_from_sensor(
-                self._joints.sensor_velocity(velocity) + bias
-            )
-        return self._joints.joint_from_sensor(faulty), velocity
+            if joints is None:
+                velocity = velocity + bias
+            else:
+                rates = joints.sensor_velocity(velocity) + bias
+                velocity = joints.joint_velocity_from_sensor(rates)
+        return faulty if joints is None else joints.joint_from_sensor(faulty), velocity
 
     def _derived_rate_error(self, fault: np.ndarray, time: float) -> np.ndarray:
         """What faults add to rates that are differences of the positions."""

@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from builtin_interfaces.msg import Time
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rosbags.interfaces import Connection
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
-from lpv_bag.replay.playback import Playback, await_acknowledgement, recorded_qos
+from lpv_bag.blocks.message_blocks import ahead
 from lpv_bag.replay.writer import DIAGNOSTICS, OUTPUTS
+from lpv_bag.rosbag.offered_qos import offered_qos
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import BagError, find_topic, open_bag
@@ -24,9 +28,11 @@ from lpv_core.support.timestamps import NANOSECONDS
 _CLOCK = '/clock'
 _SETTLING = 1.0
 """Subscribers find publishers one after the other: time to wait after the latest one [s]."""
-
 _LAST_CALL = 5.0
 """How long slow subscribers may take for the last messages [s]."""
+_DEEPEST = 20000
+_LONGEST_NAP = 0.1
+"""A player that is told to end is awake at least so often [s]."""
 
 
 class Player:
@@ -37,8 +43,7 @@ class Player:
     bag : str or pathlib.Path
         The bag.
     topics : sequence of str, optional
-        Topics to play; all but the answers of the diagnosis, which a live one gives itself, if
-        not given.
+        Topics to play; otherwise all but the answers of the diagnosis, which a live one gives.
     measured : str, optional
         Topic of the measurements, where there are several.
     rate : float, optional
@@ -51,11 +56,6 @@ class Player:
         Longest time to wait for a subscriber before the first message [s].
     interval : tuple of float or None, optional
         Start and end, counted from the first message [s].
-
-    Raises
-    ------
-    ConfigError
-        If a number is not usable.
     """
 
     def __init__(
@@ -81,34 +81,19 @@ class Player:
                 raise ConfigError('--from, --to', f'must be seconds from 0, got {end}')
         self._bag, self._topics, self._measured = bag, topics, measured
         self._rate, self._loop, self._wait = rate, loop, wait
-        self._tick = round(NANOSECONDS / clock_rate) if clock_rate else None
-        self._interval = interval
+        self._tick = round(NANOSECONDS / clock_rate) if clock_rate else 0
+        self._interval, self._context = interval, Context()
 
     def run(self, say: Callable[..., Any] = lambda text: None, rounds: int | None = None) -> int:
-        """Play until the end, or until the context is shut down.
+        """Play until the end, ``rounds`` of a loop, or until the context is shut down.
 
-        Parameters
-        ----------
-        say : callable, optional
-            Receives lines for the user.
-        rounds : int, optional
-            Number of rounds after which a loop ends.
-
-        Returns
-        -------
-        int
-            Messages published.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or holds nothing that can be played.
+        ``say`` receives lines for the user.  Returns the number of messages; BagError if the bag
+        holds nothing that can be played.
         """
         with open_bag(self._bag) as reader:
             chosen = self._choose(reader)
-            context = Context()
-            rclpy.init(context=context)
-            node = rclpy.create_node('lpv_player', context=context)
+            rclpy.init(context=self._context)
+            node = rclpy.create_node('lpv_player', context=self._context)
             try:
                 publishers = _publishers(node, chosen, say)
                 if not publishers:
@@ -116,20 +101,19 @@ class Player:
                 clock = node.create_publisher(Clock, _CLOCK, 10) if self._tick else None
                 chosen = [c for c in chosen if c.topic in publishers]
                 self._await([*publishers.values(), *([clock] if clock else [])], say)
-                playback = Playback(
-                    reader, chosen, publishers, self._rate, clock, self._tick, context.ok
-                )
                 published = turn = 0
                 while True:
-                    published += playback.run(*map(reader.log_time, self._interval))
+                    published += self._play(reader, chosen, publishers, clock)
                     turn += 1
-                    if not self._loop or turn == rounds or not context.ok():
+                    if not self._loop or turn == rounds or not self._context.ok():
                         break
-                await_acknowledgement(publishers.values(), _LAST_CALL)
+                for publisher in publishers.values():
+                    if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
+                        publisher.wait_for_all_acked(Duration(seconds=_LAST_CALL))
                 return published
             finally:
                 node.destroy_node()
-                rclpy.try_shutdown(context=context)
+                rclpy.try_shutdown(context=self._context)
 
     def _choose(self, reader: BagReader) -> list[Connection]:
         if self._topics is not None:
@@ -160,24 +144,67 @@ class Player:
         if self._wait and not any(counts):
             say('there are no subscribers; playing nevertheless')
 
+    def _play(
+        self,
+        reader: BagReader,
+        connections: Sequence[Connection],
+        publishers: dict[str, Publisher],
+        clock: Publisher | None,
+    ) -> int:
+        """Play once; the number of messages."""
+        origin, tick, published = -1, 0, 0
+        wall = time.monotonic()
+        for block in ahead(reader.blocks(connections, *map(reader.log_time, self._interval))):
+            for i, stamp in enumerate(block.time.tolist()):
+                if origin < 0:
+                    wall, origin, tick = time.monotonic(), stamp, stamp
+                while clock and tick <= stamp and self._sleep(wall, tick - origin):
+                    seconds, rest = divmod(tick, NANOSECONDS)
+                    clock.publish(Clock(clock=Time(sec=seconds, nanosec=rest)))
+                    tick += self._tick
+                if not self._sleep(wall, stamp - origin):
+                    return published
+                publishers[connections[block.connection[i]].topic].publish(block.message(i))
+                published += 1
+        return published
+
+    def _sleep(self, wall: float, elapsed: int) -> bool:
+        """Sleep until a time of the bag has come; False if the player is to end."""
+        while self._context.ok():
+            rest = wall + elapsed / NANOSECONDS / self._rate - time.monotonic()
+            if rest <= 0.0:
+                return True
+            time.sleep(min(rest, _LONGEST_NAP))
+        return False
+
 
 def _publishers(
     node: Node, connections: Sequence[Connection], say: Callable[[str], None]
 ) -> dict[str, Publisher]:
     found: dict[str, Publisher] = {}
-    topics: dict[str, list[Connection]] = {}
     for connection in connections:
-        topics.setdefault(connection.topic, []).append(connection)
-    for connection in connections:
-        if connection.topic in found:
-            continue
         try:
             package, _, name = connection.msgtype.split('/')
             message = getattr(importlib.import_module(f'{package}.msg'), name)
         except (ImportError, AttributeError, ValueError):
             say(f'{connection.topic} is left out: {connection.msgtype} is not installed')
             continue
-        found[connection.topic] = node.create_publisher(
-            message, connection.topic, recorded_qos(topics[connection.topic])
-        )
+        if connection.topic not in found:
+            same = [c for c in connections if c.topic == connection.topic]
+            found[connection.topic] = node.create_publisher(
+                message, connection.topic, _recorded_qos(same)
+            )
     return found
+
+
+def _recorded_qos(connections: Sequence[Connection]) -> QoSProfile:
+    """The QoS with which a topic was offered when it was recorded."""
+    offered = [q for c in connections for q in offered_qos(c)]
+    reliable = not any(q.reliability == QosReliability.BEST_EFFORT for q in offered)
+    latched = bool(offered) and all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=min(max([10, *(q.depth for q in offered)]), _DEEPEST),
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+    )

@@ -2,23 +2,24 @@
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.interfaces import Connection
 
-from lpv_bag.blocks.message_blocks import read_blocks
-from lpv_bag.blocks.prefetch import Behind, ahead
+from lpv_bag.blocks.message_blocks import ahead
+from lpv_bag.errors import BagError
 from lpv_bag.replay.answer_rows import take_all
 from lpv_bag.replay.injection import CHANGED, BlockInjector
 from lpv_bag.replay.session import Batch, ReplayOptions, ReplayResult
 from lpv_bag.replay.writer import ReplayWriter
-from lpv_bag.rosbag.reading import BagReader
+from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
-from lpv_bag.run.record import BagError, find_topic, open_bag
-from lpv_bag.run.stream_tap import StreamTap
+from lpv_bag.run.record import STREAMS, find_connections, find_topic
+from lpv_bag.run.rows import StreamReader
 from lpv_bag.run.streams import RecordedAlarm
 from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
 from lpv_core.monitoring.answers import Answers
@@ -28,6 +29,12 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
 
 _COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
+
+
+class _Inputs(NamedTuple):
+    prefix: str
+    measured: str
+    effort: Connection | None
 
 
 class Replay:
@@ -82,22 +89,30 @@ class Replay:
         ConfigError
             If the new bag cannot be made.
         """
-        result = ReplayResult()
+        result, options = ReplayResult(), self._options
         with open_bag(bag) as reader:
             inputs = self._inputs(reader)
-            writer = ReplayWriter(out, self._monitor, inputs.prefix, self._options.preset)
+            copied = [] if options.estimates_only else reader.connections
+            writer = ReplayWriter(out, self._monitor, inputs.prefix, options.preset, copied)
             try:
-                writer.announce(reader.connections, not self._options.estimates_only)
-                self._run(reader, inputs, writer, result)
-                if not result.measurements:
-                    raise _nothing(bag, inputs)
+                wanted = self._wanted(reader, inputs, writer.copied)
+                with ThreadPoolExecutor(1) as pool:
+                    written: Future[None] | None = None
+                    for batch in ahead(self._batches(reader, inputs, wanted, result)):
+                        copies = writer.copies(reader, wanted, batch)
+                        answers = self._answer(batch, result)
+                        if written is not None:
+                            written.result()
+                        written = pool.submit(writer.write, batch, copies, answers, result)
+                    if written is not None:
+                        written.result()
+                _check(bag, inputs, result)
                 if not result.answered and result.rejected:
                     raise _unusable(bag, result)
                 with result.stage('writing'):
                     writer.close()
             except BaseException:
                 # Half a bag looks like a whole one, and would block the next try.
-                writer.abandon()
                 shutil.rmtree(out, ignore_errors=True)
                 raise
         return result
@@ -112,8 +127,8 @@ class Replay:
         bag : str or pathlib.Path
             Bag to read.
         take : callable
-            Called with measurements, answers, and other streams as of `StreamTap.read`, block by
-            block.
+            Called block by block with measurements, answers, and a dict of other streams: header
+            stamps and fields, or None where a block has no message.
         streams : sequence of str, optional
             Other streams of the bag, names of `lpv_bag.run.record.STREAMS`.
 
@@ -130,39 +145,25 @@ class Replay:
         result = ReplayResult()
         with open_bag(bag) as reader:
             inputs = self._inputs(reader)
-            tap = StreamTap(reader, inputs.prefix, streams)
-            result.topic, result.streams = inputs.measured, tap.present
-            for batch in ahead(self._batches(reader, inputs, tap, result)):
-                answers = self._answer(batch, result)
-                take(batch.measured, answers, tap.read(batch.block))
+            topics, readers = {}, {}
+            for name in streams:
+                found = find_connections(reader, STREAMS[name][0], name, namespace=inputs.prefix)
+                if found:
+                    topics[name], readers[name] = found[0].topic, StreamReader(reader, name)
+            result.topic, result.streams = inputs.measured, set(topics)
+            wanted = self._wanted(reader, inputs, set(topics.values()))
+            for batch in ahead(self._batches(reader, inputs, wanted, result)):
+                other: dict[str, Any] = {}
+                for name, topic in topics.items():
+                    rows = readers[name].read(batch.block, _of(batch.block, wanted, topic))
+                    other[name] = rows and rows[1:]
+                take(batch.measured, self._answer(batch, result), other)
             result.warnings = list(reader.warnings)
             result.lost = int(reader.known.get(inputs.measured, {}).get('lost', 0))
-        if not result.measurements:
-            raise _nothing(bag, inputs)
+        _check(bag, inputs, result)
         return result
 
-    def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
-        result.measurements += len(batch.positions)
-        stamps = batch.measured.stamp
-        if result.first_stamp is None and len(stamps):
-            result.first_stamp = int(stamps[0])
-        with result.stage('recursion'):
-            answers = take_all(self._monitor, batch.measured, batch.torque, result.rejected)
-        result.answered += int(np.count_nonzero(answers.answered))
-        for row, event in answers.events:
-            result.events.append(RecordedAlarm(**vars(event), stamp=int(stamps[row])))
-            since = (stamps[row] - result.first_stamp) / NANOSECONDS
-            self._on_event(result.events[-1], float(since))
-        return answers
-
-    def _run(
-        self, reader: BagReader, inputs: '_Inputs', writer: ReplayWriter, result: ReplayResult
-    ) -> None:
-        with Behind(lambda batch, answers: writer.write(batch, answers, result)) as write:
-            for batch in ahead(self._batches(reader, inputs, writer, result)):
-                write(batch, self._answer(batch, result))
-
-    def _inputs(self, reader: BagReader) -> '_Inputs':
+    def _inputs(self, reader: BagReader) -> _Inputs:
         options = self._options
         measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic).topic
         prefix = measured.rsplit('/', 1)[0]
@@ -172,70 +173,61 @@ class Replay:
             effort = _effort_connection(reader, options.effort_topic)
         elif options.torque_from_command:
             effort = find_topic(reader, _COMMAND[1], _COMMAND[0], f'{prefix}/{_COMMAND[0]}')
-        return _Inputs(prefix, measured, effort and effort.topic, effort and effort.msgtype)
+        return _Inputs(prefix, measured, effort)
+
+    @staticmethod
+    def _wanted(reader: BagReader, inputs: _Inputs, others: set[str]) -> list[Connection]:
+        needed = others | {inputs.measured} | ({inputs.effort.topic} if inputs.effort else set())
+        return [c for c in reader.connections if c.topic in needed]
 
     def _batches(
-        self,
-        reader: BagReader,
-        inputs: '_Inputs',
-        writer: ReplayWriter | StreamTap,
-        result: ReplayResult,
+        self, reader: BagReader, inputs: _Inputs, wanted: Sequence[Connection], result: ReplayResult
     ) -> Iterator[Batch]:
         """Blocks of the bag with the measurements in them, decoded."""
-        options, joints = self._options, self._monitor.arm.joint_names
-        kept = [
-            c
-            for c in reader.connections
-            if c.topic in (inputs.measured, inputs.effort) or writer.is_copied(c)
-        ]
-        is_measured = np.array([c.topic == inputs.measured for c in kept])
-        is_effort = np.array([c.topic == inputs.effort for c in kept])
+        joints = self._monitor.arm.joint_names
         measurements = MeasurementReader(reader, joints, self._monitor.needs_rates)
-        efforts = injector = None
-        if inputs.effort_type:
-            efforts = EffortReader(reader, inputs.effort_type, joints)
-        if self._injector is not None:
-            injector = BlockInjector(self._injector, self._monitor)
-        blocks = read_blocks(reader, kept, *_limits(reader, options), fast=options.fast)
+        efforts = inputs.effort and EffortReader(reader, inputs.effort.msgtype, joints)
+        injector = self._injector and BlockInjector(self._injector, self._monitor)
+        blocks = reader.blocks(wanted, *_limits(reader, self._options))
         while True:
             with result.stage('reading'):
                 block = next(blocks, None)
             if block is None:
                 return
             with result.stage('decoding'):
-                positions = np.flatnonzero(is_measured[block.connection])
+                positions = _of(block, wanted, inputs.measured)
                 measured = measurements.read(block, positions)
-                torque = None
-                if efforts is not None:
+                torque, changed = None, {}
+                if efforts and inputs.effort:
                     torque = efforts.before(
-                        block, np.flatnonzero(is_effort[block.connection]), positions
+                        block, _of(block, wanted, inputs.effort.topic), positions
                     )
                     result.rejected.update(efforts.rejected)
                     efforts.rejected.clear()
-                changed = {}
-                if injector is not None:
-                    changed = injector.apply(
-                        block,
-                        positions,
-                        measured,
-                        {name: measurements.places(block, positions, name) for name in CHANGED},
-                    )
-                batch = Batch(
-                    block, positions, measured, torque, *writer.choose(reader, kept, block), changed
-                )
-            yield batch
+                if injector:
+                    places = {name: measurements.places(block, positions, name) for name in CHANGED}
+                    changed = injector.apply(block, positions, measured, places)
+            yield Batch(block, positions, measured, torque, changed)
+
+    def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
+        """Run the monitor over a block's measurements."""
+        with result.stage('recursion'):
+            answers = take_all(self._monitor, batch.measured, batch.torque, result.rejected)
+        stamp = batch.measured.stamp
+        result.measurements += len(stamp)
+        result.answered += int(answers.answered.sum())
+        if result.first_stamp is None and len(stamp):
+            result.first_stamp = int(stamp[0])
+        for row, event in answers.events:
+            alarm = RecordedAlarm(**vars(event), stamp=int(stamp[row]))
+            result.events.append(alarm)
+            self._on_event(alarm, (alarm.stamp - (result.first_stamp or 0)) / NANOSECONDS)
+        return answers
 
 
-@dataclass(frozen=True)
-class _Inputs:
-    prefix: str
-    measured: str
-    effort: str | None
-    effort_type: str | None
-
-
-def _nothing(bag: str | Path, inputs: '_Inputs') -> BagError:
-    return BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
+def _check(bag: str | Path, inputs: _Inputs, result: ReplayResult) -> None:
+    if not result.measurements:
+        raise BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
 
 
 def _unusable(bag: str | Path, result: ReplayResult) -> BagError:
@@ -244,6 +236,11 @@ def _unusable(bag: str | Path, result: ReplayResult) -> BagError:
         f'{bag}: none of its {result.measurements} measurements can be used '
         f'({count} of them: {reason})'
     )
+
+
+def _of(block: Any, connections: Sequence[Connection], topic: str) -> np.ndarray:
+    """Positions of a topic's messages in a block."""
+    return np.flatnonzero(np.array([c.topic == topic for c in connections])[block.connection])
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:

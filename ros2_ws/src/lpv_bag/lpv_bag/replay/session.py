@@ -24,8 +24,7 @@ class ReplayOptions:
     start: float | None = None  # first message, counted from the first one of the bag [s]
     end: float | None = None  # end of the interval, counted likewise [s]
     estimates_only: bool = False  # write the answers alone; otherwise all topics are copied, too
-    preset: str = 'none'  # compression of the new bag, key of `lpv_bag.mcap.writer.PRESETS`
-    fast: bool = True  # false reads message by message whatever the file is like
+    preset: str = 'none'  # compression of the new bag, key of `lpv_bag.rosbag.writing.PRESETS`
 
 
 @dataclass
@@ -37,9 +36,8 @@ class ReplayResult:
     first_stamp: int | None = None  # stamp of the first sample [ns]
     rejected: Counter[str] = field(default_factory=Counter)  # unusable samples by reason
     events: list[RecordedAlarm] = field(default_factory=list)  # alarm events
-    seconds: defaultdict[str, float] = field(
-        default_factory=lambda: defaultdict(float)
-    )  # processor time by stage [s]
+    # processor time by stage [s]
+    seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     topic: str = ''  # of the measurements
     streams: set[str] = field(default_factory=set)  # other wanted streams that are there
     warnings: list[str] = field(default_factory=list)  # tolerated defects of the bag
@@ -57,12 +55,10 @@ class ReplayResult:
 
 @dataclass
 class Batch:
-    """A block of messages and what is to be done with them."""
+    """A block of messages and the measurements in it."""
 
     block: Block
     positions: np.ndarray  # of the measurements in the block, shape (n,)
     measured: Measurements  # the measurements, decoded
-    torque: np.ndarray | None  # in place of the measured efforts, shape (n, 2) [N m]
-    copied: np.ndarray  # positions of the messages that are copied, shape (k,)
-    channels: np.ndarray  # ids of their channels, shape (k,)
+    torque: np.ndarray | None  # in place of the measured efforts, shape (n, joints) [N m]
     changed: dict[int, object]  # messages that faults were injected into, by row

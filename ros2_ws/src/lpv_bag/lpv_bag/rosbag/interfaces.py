@@ -53,17 +53,7 @@ def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) 
 def add_type(typestore: Typestore, msgtype: str) -> None:
     """Make a type known to a typestore, with the types that it uses.
 
-    Parameters
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        Extended in place.
-    msgtype : str
-        Message type.
-
-    Raises
-    ------
-    ConfigError
-        If a definition is not installed.
+    Raises ConfigError if a definition is not installed.
     """
     missing = [msgtype]
     while missing:
@@ -100,13 +90,7 @@ LPV_TYPES = (
 
 
 def make_typestore() -> Typestore:
-    """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs.
-
-    Returns
-    -------
-    rosbags.typesys.store.Typestore
-        Ready to (de)serialise.
-    """
+    """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs."""
     typestore = get_typestore(Stores.ROS2_JAZZY)
     for name in LPV_TYPES:
         add_type(typestore, f'lpv_msgs/msg/{name}')

@@ -53,3 +53,15 @@ def copy_file(data: bytes, folder: Path, name: str) -> None:
         (folder / name).write_bytes(data)
     except OSError as error:
         raise ConfigError(name, f'cannot be copied: {error}', str(folder)) from error
+
+
+def copy_run_files(bag: Path, out: Path) -> list[str]:
+    """Copy gains and scenario of a run, if its bag has them; what is wrong with them."""
+    wrong = []
+    for name, read in ((GAINS_NAME, read_gains_file), (SCENARIO_NAME, read_scenario_file)):
+        try:
+            if (bag / name).is_file():
+                copy_file(read(bag / name), out, name)
+        except ConfigError as error:
+            wrong.append(f'{name} is left out: {error}')
+    return wrong

@@ -1,68 +1,125 @@
-"""Opening of bags: MCAP by this package, which reads damaged ones; others by rosbags."""
+"""Opening of bags by rosbags; the messages of MCAP files are read a chunk at a time.
+
+A bag that is damaged or was not finished is read from a copy of what is whole in it.
+"""
 
 import contextlib
 import functools
-from collections.abc import Collection, Iterator
+import logging
+import tempfile
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, MessageDefinitionFormat
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.interfaces import Connection
 from rosbags.typesys.store import Typestore
 
+from lpv_bag.blocks.message_blocks import BLOCK_SIZE, RECORD, Block, joined, record
 from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import decode, make_typestore
-from lpv_bag.rosbag.mcap_bag import McapBag
+from lpv_bag.rosbag.mcap_file import McapFile, error_text
+from lpv_bag.rosbag.message_loss import Known
 from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
+from lpv_bag.rosbag.recovery import mcap_files, recover
 from lpv_core.support.errors import LpvError
 from lpv_core.support.timestamps import NANOSECONDS
+
+_LOG = logging.getLogger(__name__)
+_LARGEST_GROUP = 1 << 29
+"""Chunks whose times overlap are sorted together up to this size [bytes]."""
+_ARRAYS = (3, 4)  # rosbags.interfaces.Nodetype: of a fixed length, sequences
+_STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
 
 
 class BagReader:
     """A bag that is open for reading."""
 
-    def __init__(self, path: Path, source: McapBag | AnyReader, typestore: Typestore) -> None:
-        self.paths, self._source, self._typestore = [path], source, typestore
-        self.warnings = getattr(source, 'warnings', [])
-        self.known = getattr(source, 'known', {})
-        self._types: dict[str, Typestore] = {}
+    def __init__(self, path: Path, source: AnyReader, files: Sequence[McapFile] = ()) -> None:
+        self.paths, self.source, self.files = [path], source, files
+        self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
+        self.known: Known = {}  # what the recorder knew of each topic
+        self.connections: list[Connection] = source.connections
+        self.typestore: Typestore = source.typestore  # of the types as the bag defines them
+        self.start_time, self.end_time = source.start_time, source.end_time
+        if files:  # messages are looked for where the files say, whatever metadata.yaml says
+            self.start_time = min((p.start for f in files for p in f.places), default=2**63 - 1)
+            self.end_time = max((p.end + 1 for f in files for p in f.places), default=0)
 
-    @property
-    def source(self) -> McapBag | AnyReader:
-        """What reads: an `McapBag`, or an AnyReader of rosbags."""
-        return self._source
-
-    @property
-    def connections(self) -> list[Connection]:
-        """Topics of the bag."""
-        return self._source.connections
-
-    @property
-    def start_time(self) -> int:
-        """Log time of the first message [ns]; 2**63 - 1 without messages."""
-        return self._source.start_time
-
-    @property
-    def end_time(self) -> int:
-        """Time after the log time of the last message [ns]; 0 without messages."""
-        return self._source.end_time
+    def warn(self, text: str) -> None:
+        """Note, and log, what is wrong with the bag."""
+        self.warnings.append(text)
+        _LOG.warning('%s: %s', self.paths[0], text)
 
     def log_time(self, seconds: float | None) -> int | None:
         """Log time of a moment counted from the first message [ns]; None stays None."""
         return None if seconds is None else self.start_time + round(seconds * NANOSECONDS)
 
-    @functools.cached_property
-    def typestore(self) -> Typestore:
-        """Typestore that knows all types of the bag."""
-        found = {}
-        for msgtype in sorted({connection.msgtype for connection in self.connections}):
-            found.update(self.typestore_of(msgtype).fielddefs)
-        store = get_typestore(Stores.EMPTY)
+    def blocks(
+        self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
+    ) -> Iterator[Block]:
+        """Messages in the order of their log times, thousands at once.
+
+        Parameters
+        ----------
+        connections : sequence of rosbags.interfaces.Connection
+            Wanted ones; the blocks hold their indices.
+        start, stop : int, optional
+            First log time, and the one before which to end [ns].
+
+        Yields
+        ------
+        Block
+            Not empty.
+
+        Raises
+        ------
+        BagError
+            If the bag is damaged so that it cannot be read on.
+        """
+        low, high = start if start is not None else 0, stop if stop is not None else 2**63 - 1
         with damage(self.paths[0]):
-            store.register(found)
-        return store
+            if self.files:
+                yield from self._mcap_blocks(connections, low, high)
+            elif connections:
+                messages = self.source.messages(connections, start=start, stop=stop)
+                yield from _collect(messages, connections)
+
+    def _mcap_blocks(
+        self, connections: Sequence[Connection], low: int, high: int
+    ) -> Iterator[Block]:
+        wanted = [_wanted(file, connections) for file in self.files]
+        places = sorted(
+            (place.start, part, place)
+            for part, file in enumerate(self.files)
+            for place in file.places
+            if place.end >= low and place.start < high
+            if not place.channels or (wanted[part][list(place.channels)] >= 0).any()
+        )
+        group: list[tuple[int, int, Block]] = []
+        end, size, bad = -1, 0, 0
+        for first, part, place in places:
+            if group and first > end and size >= BLOCK_SIZE:
+                yield from _sorted(group, low, high)
+                group, size = [], 0
+            try:
+                block = self.files[part].read(place)
+            except DamageError as error:
+                self.warn(str(error))
+                bad += 1
+                continue
+            block.connection = wanted[part][block.connection]
+            kept = block.connection >= 0
+            group.append((part, place.offset, block if kept.all() else block.chosen(kept)))
+            end, size = max(end, place.end), size + len(block.data)
+            if size > _LARGEST_GROUP and len(group) > 1:
+                raise DamageError(f'more than {_LARGEST_GROUP >> 20} MiB overlap in time')
+        yield from _sorted(group, low, high)
+        if bad and bad == len(places):
+            raise DamageError('no chunk of it is whole')
 
     def messages(
         self,
@@ -70,110 +127,96 @@ class BagReader:
         start: int | None = None,
         stop: int | None = None,
     ) -> Iterator[tuple[Connection, int, bytes]]:
-        """Messages in the order of their log times.
-
-        Parameters
-        ----------
-        connections : collection of rosbags.interfaces.Connection, optional
-            Wanted ones; all if empty.
-        start, stop : int, optional
-            First log time, and the one before which to end [ns].
-
-        Yields
-        ------
-        tuple
-            Connection, log time [ns], raw data.
-
-        Raises
-        ------
-        BagError
-            If the bag is damaged so that it cannot be read on.
-        """
-        with damage(self.paths[0]):
-            yield from self._source.messages(connections, start=start, stop=stop)
+        """Connection, log time [ns] and raw data of each message, as of `blocks`; all if empty."""
+        wanted = list(connections or self.connections)
+        for block in self.blocks(wanted, start, stop):
+            numbers, times = block.connection.tolist(), block.time.tolist()
+            for i, number in enumerate(numbers):
+                yield wanted[number], times[i], block.message(i)
 
     def deserialize(self, rawdata: bytes, typ: str) -> Any:
-        """Decode a message.
-
-        Parameters
-        ----------
-        rawdata : bytes
-            CDR.
-        typ : str
-            Message type.
-
-        Returns
-        -------
-        object
-            Message.
-
-        Raises
-        ------
-        BagError
-            If the data does not fit the type, or the bag's definition of the type is damaged.
-        """
+        """Decode a message; BagError if it does not fit the type."""
         with damage(self.paths[0]):
-            if isinstance(self._source, AnyReader):  # which knows ROS 1 as well
-                return decode(self._source.deserialize, rawdata, typ)
-            return decode(self.typestore_of(typ).deserialize_cdr, rawdata, typ)
+            return decode(self.source.deserialize, rawdata, typ)
 
     def typestore_of(self, msgtype: str) -> Typestore:
-        """Typestore that knows a type as this bag defines it.
+        """Typestore, shared, of the types as this bag defines them.
 
-        Parameters
-        ----------
-        msgtype : str
-            Message type.
-
-        Returns
-        -------
-        rosbags typestore
-            Shared: not to be changed.
-
-        Raises
-        ------
-        BagError
-            If the definition is damaged, or topics of the bag define the type differently.
+        Raises BagError if topics of a type define it differently.
         """
-        if msgtype not in self._types:
-            with damage(self.paths[0]):
-                self._types[msgtype] = self._find_types(msgtype)
-        return self._types[msgtype]
-
-    def _find_types(self, msgtype: str) -> Typestore:
-        found = {
-            (c.msgdef, c.digest) for c in self.connections if c.msgtype == msgtype and c.msgdef.data
-        }
-        if len({definition for definition, _ in found}) > 1:
+        found = {c.msgdef.data for c in self.connections if c.msgtype == msgtype and c.msgdef.data}
+        if len(found) > 1:
             raise BagError(
                 f'{self.paths[0]}: topics of type {msgtype} have different definitions of it'
             )
-        if not found:
-            return self._typestore
-        definition = next(iter(found))[0]
-        store, digest = _types(msgtype, definition.format, definition.data)
-        for claimed in {claimed for _, claimed in found if claimed.startswith('RIHS01_')}:
-            if claimed != digest:
-                raise BagError(
-                    f'{self.paths[0]}: the definition of {msgtype} does not have the '
-                    'type hash that the bag says'
-                )
-        return store
+        return self.typestore
 
+    def check_definition(self, msgtype: str, fields: Iterable[str]) -> None:
+        """Check that fields of a message type are there, and are what they are expected to be.
 
-@functools.lru_cache(maxsize=256)
-def _types(msgtype: str, kind: MessageDefinitionFormat, text: str) -> tuple[Typestore, str]:
-    """Typestore of one definition, and its hash; parsing takes longer than reading a small bag."""
-    store = get_typestore(Stores.EMPTY)
-    if kind == MessageDefinitionFormat.MSG:
-        store.register(get_types_from_msg(text, msgtype))
-    else:
-        separator = '=' * 80 + '\n'
-        for part in text.split(separator)[1:] if text.startswith(separator) else [text]:
-            store.register(
-                get_types_from_idl(part.split('\n', 1)[1] if part.startswith('IDL: ') else part)
+        A definition may have more fields, and arrays of a fixed length where there are sequences
+        now: bags outlive the version that wrote them.
+        """
+        bag, own = self.typestore_of(msgtype).fielddefs, standard_types().fielddefs
+        wanted = {msgtype: tuple(fields), **(_STAMP if 'header' in fields else {})}
+        for name, needed in wanted.items():
+            there, expected = (
+                dict(types[name][1]) if name in types else {} for types in (bag, own)
             )
-    return store, store.hash_rihs01(msgtype)
+            for field in needed:
+                if _element(there.get(field)) != _element(expected[field]):
+                    what = 'has another type there' if field in there else 'is not in it'
+                    raise BagError(
+                        f"{self.paths[0]}: the bag's definition of {msgtype} is not the "
+                        f'expected one: {field} of {name} {what}'
+                    )
+
+
+def _element(kind: Any) -> Any:
+    """Type of a field, whatever the length of an array."""
+    if kind is not None and int(kind[0]) in _ARRAYS:
+        return 'array', kind[1][0]
+    return kind
+
+
+def _wanted(file: McapFile, connections: Sequence[Connection]) -> np.ndarray:
+    """Index among some connections by channel number, -1 for others."""
+    index = {(c.topic, c.msgtype): i for i, c in enumerate(connections)}
+    found = np.full(65536, -1, np.int64)
+    for number, channel in file.channels.items():
+        schema = file.schemas.get(channel.schema_id)
+        found[number] = index.get((channel.topic, schema.name if schema else ''), -1)
+    return found
+
+
+def _sorted(group: list[tuple[int, int, Block]], low: int, high: int) -> Iterator[Block]:
+    """Messages of chunks that overlap; those of one time keep the order of the files."""
+    if group:
+        block = joined([block for *_, block in sorted(group, key=lambda entry: entry[:2])])
+        kept = (block.time >= low) & (block.time < high)
+        block = block if kept.all() else block.chosen(kept)
+        if len(block):
+            yield block
+
+
+def _collect(
+    messages: Iterable[tuple[Connection, int, bytes]], connections: Sequence[Connection]
+) -> Iterator[Block]:
+    """Blocks of messages that come one by one."""
+    index = {id(connection): i for i, connection in enumerate(connections)}
+    table: list[tuple[int, int, int, int]] = []
+    data = bytearray()
+    for connection, time, content in messages:
+        number = index.get(id(connection))
+        if number is None:
+            number = index[id(connection)] = connections.index(connection)
+        table.append((number, time, len(data) + RECORD.itemsize, len(content)))
+        data += record(0, max(0, time), content)
+        if len(data) >= BLOCK_SIZE:
+            yield Block(np.frombuffer(data, np.uint8), *np.array(table, np.int64).T)
+            table, data = [], bytearray()
+    if table:
+        yield Block(np.frombuffer(data, np.uint8), *np.array(table, np.int64).T)
 
 
 @contextlib.contextmanager
@@ -185,12 +228,9 @@ def damage(path: Path) -> Iterator[None]:
         raise BagError(f'{path}: cannot be read, the bag is damaged: {error}') from None
     except LpvError:
         raise
-    except GeneratorExit:
-        raise
     except Exception as error:  # many kinds
-        text = ' '.join(str(error).split()) or type(error).__name__
         raise BagError(
-            f'{path}: cannot be read, the bag is damaged or incomplete ({text})'
+            f'{path}: cannot be read, the bag is damaged or incomplete ({error_text(error)})'
         ) from error
 
 
@@ -199,7 +239,7 @@ def open_bag(path: str | Path) -> Iterator[BagReader]:
     """Open a bag; whatever goes wrong in reading is a BagError with a message.
 
     MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
-    and in ``warnings`` of the reader) and read as far as its checksums are right.  Bags without
+    and in ``warnings`` of the reader) and read as far as their checksums are right.  Bags without
     message definitions are read with the standard types and lpv_msgs.
 
     Parameters
@@ -222,27 +262,62 @@ def open_bag(path: str | Path) -> Iterator[BagReader]:
         raise BagError(f'{path}: there is no such bag')
     with contextlib.ExitStack() as stack:
         with damage(path):
-            source = _source(path, stack)
-        yield BagReader(path, source, _standard_types())
+            reader = _opened(path, stack)
+        yield reader
+
+
+def _opened(path: Path, stack: ExitStack) -> BagReader:
+    def by_rosbags(bag: Path) -> AnyReader:
+        return stack.enter_context(AnyReader([bag], default_typestore=standard_types()))
+
+    def files_of(paths: Sequence[Path]) -> list[McapFile]:
+        files = [stack.enter_context(contextlib.closing(McapFile(one))) for one in paths]
+        for file in files:
+            file.read_summary()
+        return files
+
+    metadata, damages = None, list[str]()
+    if (path / FILE_NAME).exists():
+        with contextlib.suppress(DamageError):  # which is said below
+            metadata = read_metadata(path)
+    other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
+    if other or not (path.is_dir() or path.suffix == '.mcap'):
+        return BagReader(path, by_rosbags(path))
+    paths = mcap_files(path, damages)[1]
+    try:
+        if damages:
+            raise DamageError(damages[0])
+        files = files_of(paths)
+        reader = BagReader(path, by_rosbags(path), files)
+        topics = {channel.topic for file in files for channel in file.channels.values()}
+        if metadata is not None and topics != set(metadata.counts):
+            raise DamageError(f'the files have other topics than {FILE_NAME}')
+    except Exception:  # of many kinds: what is whole in it is found by reading all of it
+        copy = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='lpv_bag_'))) / 'bag'
+        damages = recover(path, copy, 'none').damages
+        reader = BagReader(path, by_rosbags(copy), files_of(list(copy.glob('*.mcap'))))
+    for text in damages:
+        reader.warn(text)
+    _compare_counts(reader, metadata)
+    reader.known = metadata.known if metadata else {}
+    return reader
+
+
+def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
+    there: Counter[str] = Counter()
+    for file in reader.files:
+        for number, count in file.counts.items():
+            there[file.channels[number].topic] += count
+    for topic, count in (metadata.counts if metadata else {}).items():
+        if there[topic] != count:
+            reader.warn(
+                f'{topic}: {FILE_NAME} says {count} messages, the files hold {there[topic]}'
+            )
+    # All publishers of a topic are one.
+    reader.connections[:] = [c._replace(msgcount=there.pop(c.topic, 0)) for c in reader.connections]
 
 
 @functools.lru_cache(maxsize=1)
-def _standard_types() -> Typestore:
+def standard_types() -> Typestore:
+    """Types of bags without definitions; shared."""
     return make_typestore()
-
-
-def _source(path: Path, stack: ExitStack) -> McapBag | AnyReader:
-    if path.is_dir():
-        metadata: BagMetadata | None = None
-        wrong: str | None = f'it has no {FILE_NAME}, its recording was not finished'
-        if (path / FILE_NAME).exists():
-            try:
-                metadata, wrong = read_metadata(path), None
-            except DamageError as error:
-                wrong = str(error)
-        if metadata is not None and (metadata.storage != 'mcap' or metadata.compressed):
-            return stack.enter_context(AnyReader([path], default_typestore=_standard_types()))
-        return stack.enter_context(contextlib.closing(McapBag(path, metadata, wrong)))
-    if path.suffix == '.mcap':
-        return stack.enter_context(contextlib.closing(McapBag(path)))
-    return stack.enter_context(AnyReader([path], default_typestore=_standard_types()))

@@ -1,31 +1,28 @@
 """Recovery of MCAP bags: everything that is readable into a new bag, and what was lost."""
 
+import contextlib
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rosbags.interfaces import Connection
+import numpy as np
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+)
+from rosbags.rosbag2.metadata import parse_qos
 
 from lpv_bag.errors import BagError, DamageError
-from lpv_bag.mcap.content import Message, records
-from lpv_bag.mcap.file import Block, McapFile, Survey
-from lpv_bag.mcap.survey import read_metadata
-from lpv_bag.mcap.writer import LIBRARY
-from lpv_bag.rosbag.mcap_bag import McapBag
-from lpv_bag.rosbag.message_loss import RECORD_NAME
-from lpv_bag.rosbag.output_folder import (
-    GAINS_NAME,
-    SCENARIO_NAME,
-    copy_file,
-    read_gains_file,
-    read_scenario_file,
-)
-from lpv_bag.rosbag.reading import open_bag
+from lpv_bag.rosbag.mcap_file import McapFile
+from lpv_bag.rosbag.message_loss import Known
+from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
+from lpv_bag.rosbag.output_folder import copy_run_files
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
 
-_ORDER = 1 << 31
+_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
 
 
 @dataclass
@@ -59,11 +56,11 @@ class Recovery:
 
 
 def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
-    """Write what can be read of a bag into a new one.
+    """Write what can be read of a bag into a new one, chunk by chunk.
 
-    Messages keep their times and their order.  A chunk whose checksum is wrong is left out as a
-    whole: one of its messages is wrong, and there is no telling which.  Of a chunk in which the
-    file ends, the messages before the end are kept.
+    A chunk whose checksum is wrong is left out as a whole: one of its messages is wrong, and there
+    is no telling which.  Of a file without a whole index, what comes before the first byte that
+    makes no sense is kept.
 
     Parameters
     ----------
@@ -72,7 +69,7 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
     out : str or pathlib.Path, optional
         Bag to create; without, the bag is examined only.
     preset : str, optional
-        Compression of the new bag, a key of `lpv_bag.mcap.writer.PRESETS`.
+        Compression of the new bag, a key of `lpv_bag.rosbag.writing.PRESETS`.
 
     Returns
     -------
@@ -88,142 +85,127 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
     OSError
         If it cannot be written.
     """
-    with open_bag(path) as reader:
-        bag = reader.source
-        if not isinstance(bag, McapBag):
-            raise BagError(f'{path}: only MCAP bags can be recovered')
-        tally = _Tally(bag)
-        if out is None:
-            for _ in tally.messages():
-                pass
-            return tally.finish()
-        place = _write(bag, tally, out, preset)
-        result = tally.finish()
-        result.damages += _copy_files(bag.path, place)
-        return result
-
-
-def _write(bag: McapBag, tally: '_Tally', out: str | Path, preset: str) -> Path:
-    with BagWriter(out, preset, split_size=1 << 62 if len(bag.parts) > 1 else 0) as writer:
-        for connection in bag.connections:
-            writer.copy_topic(connection)
-        part = 0
-        for number, connection, message in tally.messages():
-            if number != part:
-                _copy_metadata(bag.parts[part], writer)
-                writer.split()
-                part = number
-            writer.write_raw(connection.topic, message.log_time, message.data, message.publish_time)
-        _copy_metadata(bag.parts[part], writer)
-        writer.close(bag.known)
-    return writer.path
-
-
-def _copy_files(bag: Path, out: Path) -> list[str]:
-    """Copy gains and scenario of the run, if the bag has them; what is wrong with them."""
-    wrong = []
-    for name, read in ((GAINS_NAME, read_gains_file), (SCENARIO_NAME, read_scenario_file)):
-        try:
-            if (bag / name).is_file():
-                copy_file(read(bag / name), out, name)
-        except ConfigError as error:
-            wrong.append(f'{name} is left out: {error}')
-    return wrong
-
-
-def _copy_metadata(part: tuple[McapFile, Survey], writer: BagWriter) -> None:
-    """Other people's metadata records."""
-    for name, values in read_metadata(*part):
-        if name not in ('rosbag2', RECORD_NAME):
-            writer.add_metadata(name, values)
-
-
-class _Tally:
-    """Goes through the messages of a bag in the order of its files, and counts."""
-
-    def __init__(self, bag: McapBag) -> None:
-        self._bag, self._result = bag, Recovery()
-        # Numbers go through all files of a bag; a single file may be any one of them.
-        self._sequences = {c.topic: 0 for c in bag.connections} if bag.path.is_dir() else {}
-        self._bad = 0
-        self._gaps: Counter[str] = Counter()
-        self._dropped: Counter[str] = Counter()
-        self._found: Counter[str] = Counter()
-        self._expected: dict[str, int] = {}
-
-    def messages(self) -> Iterator[tuple[int, Connection, Message]]:
-        for part, (file, found) in enumerate(self._bag.parts):
-            connections = self._bag.connections_of(part)
-            there: Counter[str] = Counter()
-            for block in sorted(found.blocks, key=lambda b: b.offset):
-                try:
-                    messages, _, wrong = records(file.content(block))
-                    if wrong and not block.cut:
-                        raise DamageError(wrong)
-                except DamageError as error:
-                    self._bad += 1
-                    self._drop(connections, block)
-                    self._result.damages.append(
-                        f'{file.path.name}: the chunk at byte {block.offset} is damaged ({error})'
-                    )
-                    continue
-                for message in messages:
-                    connection = connections.get(message.channel)
-                    if connection is None:
-                        continue  # a topic whose definition is lost; said when the bag was opened
-                    there[connection.topic] += 1
-                    self._result.end = max(self._result.end, message.log_time)
-                    if found.library == LIBRARY:
-                        self._follow(connection.topic, message.sequence)
-                    yield part, connection, message
-            for block in found.lost_blocks:
-                self._drop(connections, block)
-            self._expect(connections, found, there)
-            self._found += there
-
-    def _drop(self, connections: dict[int, Connection], block: Block) -> None:
-        for number, count in block.counts.items():
-            if number in connections:
-                self._dropped[connections[number].topic] += count
-
-    def _follow(self, topic: str, sequence: int) -> None:
-        """Our recordings number the messages of a topic: what is missing is then known."""
-        step = (sequence - self._sequences.get(topic, sequence - 1)) & 0xFFFFFFFF
-        if 0 < step < _ORDER:
-            self._gaps[topic] += step - 1
-            self._sequences[topic] = sequence
-
-    def _expect(
-        self, connections: dict[int, Connection], found: Survey, there: Counter[str]
-    ) -> None:
-        """What the file's own statistics say is missing."""
-        if found.counts is None:
-            return
-        said: Counter[str] = Counter()
-        for number, count in found.counts.items():
-            if number in connections:
-                said[connections[number].topic] += count
-        for topic, count in said.items():
-            self._expected[topic] = self._expected.get(topic, 0) + max(0, count - there[topic])
-
-    def finish(self) -> Recovery:
-        """The outcome, when all messages have been gone through."""
-        if not self._found and self._bad:
+    path, result = Path(path), Recovery()
+    metadata, paths = mcap_files(path, result.damages)
+    known: Known = metadata.known if metadata else {}
+    found, said = Counter[str](), Counter(metadata.counts if metadata else {})
+    with contextlib.ExitStack() as stack:
+        writer = None if out is None else stack.enter_context(BagWriter(out, preset))
+        complete, failures = True, []
+        for one in paths:
+            try:
+                file = stack.enter_context(contextlib.closing(McapFile(one)))
+            except BagError as error:
+                failures.append(str(error))
+                continue
+            counts = _copy(file, metadata, writer, found, result)
+            said |= counts
+            complete &= file.complete
+        result.damages += failures
+        if not found and (result.damages or failures):
             raise BagError(
-                f'{self._bag.path}: cannot be read, the bag is damaged: no chunk of it is whole'
+                f'{path}: cannot be read, the bag is damaged or incomplete: {result.damages[-1]}, '
+                'and nothing in it can be recovered'
             )
-        result, metadata = self._result, self._bag.metadata
-        result.damages = [*self._bag.warnings, *result.damages]
-        for connection in self._bag.connections:
-            topic = connection.topic
-            lost = max(self._expected.get(topic, 0), self._gaps[topic], self._dropped[topic])
-            if metadata is not None and topic in metadata.counts:
-                lost = max(lost, metadata.counts[topic] - self._found[topic])
-            result.topics[topic] = TopicRecovery(self._found[topic], lost)
-        for topic, count in (metadata.counts if metadata is not None else {}).items():
-            result.topics.setdefault(topic, TopicRecovery(0, count))
-        result.end_missing = metadata is None and not all(
-            found.complete for _, found in self._bag.parts
-        )
-        result.attachments = sum(found.attachments for _, found in self._bag.parts)
-        return result
+        result.topics = {
+            topic: TopicRecovery(found[topic], max(0, said[topic] - found[topic]))
+            for topic in sorted({*found, *said})
+        }
+        result.end_missing = metadata is None and not complete
+        if writer is not None:
+            missing = writer.close(known)
+            if missing:
+                raise ConfigError('--out', f'cannot be written as a whole: {missing}', str(out))
+            result.damages += copy_run_files(path, writer.path)
+    return result
+
+
+def mcap_files(path: Path, damages: list[str]) -> tuple[BagMetadata | None, list[Path]]:
+    """Metadata and files of an MCAP bag; what is wrong with them is added to the damages."""
+    if not path.is_dir():
+        if path.suffix != '.mcap':
+            raise BagError(f'{path}: only MCAP bags can be recovered')
+        return None, [path]
+    metadata = None
+    try:
+        metadata = read_metadata(path) if (path / FILE_NAME).exists() else None
+        if metadata is None:
+            damages.append(f'it has no {FILE_NAME}, its recording was not finished')
+    except DamageError as error:
+        damages.append(str(error))
+    if metadata is not None and (metadata.storage != 'mcap' or metadata.compressed):
+        raise BagError(f'{path}: only MCAP bags can be recovered')
+    paths = sorted(path.glob('*.mcap'), key=lambda p: (len(p.name), p.name))
+    if metadata is not None:
+        named = [path / name for name in metadata.files]
+        paths = [one for one in named if one.is_file()]
+        if missing := [one.name for one in named if one not in paths]:
+            damages.append(f'{FILE_NAME} names files that are missing: {", ".join(missing)}')
+    if not paths:
+        raise BagError(f'{path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files')
+    return metadata, paths
+
+
+def _copy(
+    file: McapFile,
+    metadata: BagMetadata | None,
+    writer: BagWriter | None,
+    found: Counter[str],
+    result: Recovery,
+) -> Counter[str]:
+    """Copy the messages of a file, and count them; what the file itself says that there are."""
+    unknown, table = 0, np.zeros(65536, np.int64)
+    for block in file.salvage():
+        for number in np.unique(block.connection).tolist():
+            if writer is not None and number in file.channels and not table[number]:
+                connection = _connection(file, number, metadata)
+                writer.copy_topic(connection)
+                table[number] = writer.channel(connection.topic)
+        counts = np.bincount(block.connection, minlength=1)
+        for number in np.flatnonzero(counts).tolist():
+            channel = file.channels.get(number)
+            if channel is None:
+                unknown += int(counts[number])
+            else:
+                found[channel.topic] += int(counts[number])
+        if len(block):
+            result.end = max(result.end, int(block.time.max()))
+        if writer is not None:
+            block = block.chosen(table[block.connection] > 0)
+            writer.write_chunk(block.copied(table[block.connection]))
+    name = file.path.name
+    for number, text in enumerate(file.damages):
+        if number == 0 and not file.complete:
+            text = f'the recording was not finished, its end may be missing ({text})'
+        result.damages.append(text if text.startswith(name) else f'{name}: {text}')
+    if unknown:
+        result.damages.append(f'{name}: {unknown} messages of topics whose definition is lost')
+    result.attachments += file.attachments
+    return Counter({file.channels[number].topic: count for number, count in file.counts.items()})
+
+
+def _connection(file: McapFile, number: int, metadata: BagMetadata | None) -> Connection:
+    """Topic of a channel, as rosbags has it."""
+    channel = file.channels[number]
+    schema, text = file.schemas.get(channel.schema_id), ''
+    if schema is not None and schema.encoding in _FORMATS:
+        text = schema.data.decode(errors='replace')
+    try:
+        profiles = parse_qos(channel.metadata.get('offered_qos_profiles', ''))
+    except Exception:  # many kinds; no result depends on it
+        profiles = []
+    name = schema.name if schema is not None else ''
+    kind = (
+        _FORMATS[schema.encoding] if schema is not None and text else MessageDefinitionFormat.NONE
+    )
+    hashes = metadata.hashes if metadata else {}
+    return Connection(
+        number,
+        channel.topic,
+        name,
+        MessageDefinition(kind, text),
+        channel.metadata.get('topic_type_hash') or hashes.get(name, ''),
+        0,
+        ConnectionExtRosbag2(channel.message_encoding, profiles),
+        None,
+    )

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -40,23 +41,10 @@ class ColumnMap:
 
 
 def load_column_map(path: str | Path) -> ColumnMap:
-    """Read a column map.
+    """Read a column map; ConfigError names the offending field.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and
-        ``joints`` (``position``, ``velocity`` and optionally ``effort`` of each).
-
-    Returns
-    -------
-    ColumnMap
-        Validated.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
+    A YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and
+    ``joints`` (``position``, ``velocity`` and optionally ``effort`` of each).
     """
     data = read_yaml(path)
     top = Section(data, str(path))
@@ -92,8 +80,8 @@ def import_csv(
     out: str | Path,
     topic: str = '/joint_states',
     delimiter: str = ',',
-) -> tuple[Any, ...]:
-    """Write a bag of sensor_msgs/JointState from a CSV file.
+) -> tuple[int, list[str]]:
+    """Write a bag of sensor_msgs/JointState from a CSV file with a header line.
 
     Empty cells become NaN: the observer has modes for missing values, and nothing recorded is
     left out.  Without any effort column the messages carry no effort.
@@ -101,7 +89,7 @@ def import_csv(
     Parameters
     ----------
     source : str or pathlib.Path
-        CSV file with a header line.
+        CSV file.
     columns : ColumnMap
         Meaning of its columns.
     out : str or pathlib.Path
@@ -123,135 +111,99 @@ def import_csv(
     ConfigError
         If the bag cannot be made.
     """
-    rows = _Rows(source, columns, delimiter)
+    count, warnings = 0, list[str]()
     try:
-        count = _write(rows, columns, out, topic)
-    except CsvError:
-        # What is there looks like a whole recording, and would block the next try.
-        shutil.rmtree(out, ignore_errors=True)
-        raise
-    return count, rows.warnings
+        samples = _samples(Path(source), columns, delimiter, warnings)
+        first = next(samples, None)
+        if first is None:
+            raise CsvError(f'{source}: holds no sample')
+        with BagWriter(out) as writer:
+            writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
+            messages = BagMessages(writer.typestore, 'base_link')
+            try:
+                for stamp, *values in chain([first], samples):
+                    message = messages.joint_state(stamp, columns.joints, *values)
+                    writer.write(topic, stamp, message)
+                    count += 1
+            except CsvError:
+                # What is there looks like a whole recording, and would block the next try.
+                shutil.rmtree(out, ignore_errors=True)
+                raise
+    except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
+        raise CsvError(f'{source}: cannot be read ({error})') from error
+    return count, warnings
 
 
-def _write(rows: '_Rows', columns: ColumnMap, out: str | Path, topic: str) -> int:
-    with rows, BagWriter(out) as writer:
-        writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
-        messages = BagMessages(writer.typestore, 'base_link')
-        count = 0
-        for stamp, *values in rows:
-            message = messages.joint_state(stamp, columns.joints, *values)
-            writer.write(topic, stamp, message)
-            count += 1
-    if count == 0:
-        raise CsvError(f'{rows.source}: holds no sample')
-    return count
-
-
-class _Rows:
-    """Samples of a CSV file, one by one: a long recording is never held in memory as a whole."""
-
-    def __init__(self, source: str | Path, columns: ColumnMap, delimiter: str) -> None:
-        self.source, self._columns = Path(source), columns
-        self._factor = ANGLE_UNITS[columns.angle_unit]
-        self.warnings: list[str] = []
-        self._offset: int | None = None
-        self._last: int | None = None
-        self._backwards = 0
-        try:
-            self._file = open(source, newline='', encoding='utf-8-sig')  # noqa: SIM115
-            self._reader = csv.reader(self._file, delimiter=delimiter)
-            header = [name.strip() for name in next(self._reader, [])]
-        except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
-            raise CsvError(f'{source}: cannot be read ({error})') from error
+def _samples(
+    source: Path, columns: ColumnMap, delimiter: str, warnings: list[str]
+) -> Iterator[tuple[Any, ...]]:
+    """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
+    with open(source, newline='', encoding='utf-8-sig') as file:
+        reader = csv.reader(file, delimiter=delimiter)
+        header = [name.strip() for name in next(reader, [])]
         missing = [name for name in columns.columns if name not in header]
         if missing:
-            self._file.close()
             raise CsvError(
                 f'{source}: has no column {missing[0]!r}; it has '
                 + (', '.join(header) or 'no columns at all')
             )
-        self._index = {name: header.index(name) for name in columns.columns}
-        self._width = len(header)
-
-    def __enter__(self) -> '_Rows':
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-        if self._backwards:
-            self.warnings.append(f'time stands still or runs backwards {self._backwards} times')
-
-    def __iter__(self) -> Iterator[tuple[Any, ...]]:
-        # A fault in the very last line is that of a recording that was cut off, not of the file.
-        fault = None
-        try:
-            for cells in self._reader:
-                if not cells:
-                    continue
-                if fault is not None:
-                    raise fault
-                try:
-                    if len(cells) < self._width:
-                        raise CsvError(
-                            f'{self.source}: line {self._reader.line_num} has too few cells'
-                        )
-                    sample = self._sample(cells)
-                except CsvError as error:
-                    fault = error
-                    continue
-                yield sample
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise CsvError(f'{self.source}: line {self._reader.line_num}: {error}') from error
-        if fault is not None:
-            if self._ends_with_newline():
+        fault, last, offset, backwards = None, -1, 0, 0
+        for cells in reader:
+            if not cells:
+                continue
+            if fault is not None:
                 raise fault
-            self.warnings.append(
-                f'line {self._reader.line_num}, the last one, is cut off and left out'
-            )
+            line = f'{source}: line {reader.line_num}'
+            try:
+                if len(cells) < len(header):
+                    raise CsvError(f'{line} has too few cells')
+                texts = {name: cells[header.index(name)].strip() for name in columns.columns}
+                vectors = _vectors(texts, columns, line)
+                time = _time(texts[columns.time], columns, line)
+                if last < 0 and columns.start is not None:
+                    offset = round(columns.start * 1e9) - time
+                stamp = time + offset
+                if not 0 <= stamp < _LATEST:
+                    raise _no_number(line, columns.time, texts[columns.time])
+            except CsvError as error:
+                # In the very last line it is that of a recording that was cut off.
+                fault = error
+                continue
+            backwards += stamp <= last
+            last = stamp
+            yield (stamp, *vectors)
+    if fault is not None:
+        with open(source, 'rb') as end:
+            end.seek(-1, 2)
+            if end.read() in (b'\n', b'\r'):
+                raise fault
+        warnings.append(f'line {reader.line_num}, the last one, is cut off and left out')
+    if backwards:
+        warnings.append(f'time stands still or runs backwards {backwards} times')
 
-    def _ends_with_newline(self) -> bool:
-        with open(self.source, 'rb') as file:
-            file.seek(-1, 2)
-            return file.read() in (b'\n', b'\r')
 
-    def _sample(self, cells: list[str]) -> tuple[Any, ...]:
-        vectors = []
-        for kind, factor in enumerate((self._factor, self._factor, 1.0)):
-            names = [columns[kind] for columns in self._columns.joints.values()]
-            if any(names):
-                vectors.append(
-                    [factor * self._number(cells, name) if name else math.nan for name in names]
-                )
-            else:
-                vectors.append([])
-        return (self._stamp(cells), *vectors)
+def _vectors(texts: dict[str, str], columns: ColumnMap, line: str) -> list[list[float]]:
+    """Positions, rates and efforts; NaN where a cell is empty."""
+    angle, vectors = ANGLE_UNITS[columns.angle_unit], []
+    for names, factor in zip(zip(*columns.joints.values()), (angle, angle, 1.0)):
+        values = []
+        for name in names:
+            text = texts.get(name, '')
+            try:
+                values.append(factor * float(text) if text else math.nan)
+            except ValueError:
+                raise _no_number(line, name, text) from None
+        vectors.append(values if any(names) else [])
+    return vectors
 
-    def _error(self, name: str, text: str) -> CsvError:
-        return CsvError(
-            f'{self.source}: line {self._reader.line_num}, column {name!r}: '
-            f'{text[:40]!r} is not a number that can be used'
-        )
 
-    def _number(self, cells: list[str], name: str) -> float:
-        text = cells[self._index[name]].strip()
-        try:
-            return float(text) if text else math.nan
-        except ValueError:
-            raise self._error(name, text) from None
+def _time(text: str, columns: ColumnMap, line: str) -> int:
+    try:
+        # Decimal: a float of epoch seconds is 200 ns off.
+        return int((Decimal(text) * TIME_UNITS[columns.time_unit]).to_integral_value())
+    except (ArithmeticError, ValueError):
+        raise _no_number(line, columns.time, text) from None
 
-    def _stamp(self, cells: list[str]) -> int:
-        text = cells[self._index[self._columns.time]].strip()
-        try:
-            # Decimal: a float of epoch seconds is 200 ns off.
-            time = int((Decimal(text) * TIME_UNITS[self._columns.time_unit]).to_integral_value())
-        except (ArithmeticError, ValueError):
-            raise self._error(self._columns.time, text) from None
-        if self._offset is None:
-            start = self._columns.start
-            self._offset = 0 if start is None else round(start * 1e9) - time
-        stamp = time + self._offset
-        if not 0 <= stamp < _LATEST:
-            raise self._error(self._columns.time, text)
-        self._backwards += self._last is not None and stamp <= self._last
-        self._last = stamp
-        return stamp
+
+def _no_number(line: str, name: str, text: str) -> CsvError:
+    return CsvError(f'{line}, column {name!r}: {text[:40]!r} is not a number that can be used')

@@ -21,24 +21,9 @@ class NodeReport:
 
 
 def node_reports(path: str | Path, namespace: str) -> dict[str, list[NodeReport]]:
-    """Reports of the nodes in one namespace.
+    """Reports of the nodes in one namespace, e.g. ``/lpv``, in the order of their stamps.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Bag.
-    namespace : str
-        Namespace of the nodes, e.g. ``/lpv``.
-
-    Returns
-    -------
-    dict of str to list of NodeReport
-        By what they are of (``observer``, ``tracking``, ``drives``), in the order of their stamps.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read.
+    By what they are of: ``observer``, ``tracking``, ``drives``.
     """
     found: dict[str, list[NodeReport]] = {}
     with open_bag(path) as reader:

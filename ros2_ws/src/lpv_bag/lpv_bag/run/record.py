@@ -7,10 +7,8 @@ from pathlib import Path
 from rosbags.interfaces import Connection
 
 from lpv_bag.errors import BagError
-from lpv_bag.rosbag.definitions import check_definition
 from lpv_bag.rosbag.reading import BagReader, open_bag
-from lpv_bag.run.rows import RunRows
-from lpv_bag.run.stream_blocks import read_streams
+from lpv_bag.run.rows import read_streams
 from lpv_bag.run.streams import ALARM_TYPE, ALARMS, STREAMS, RecordedAlarm, RunRecord, stamp_of
 
 __all__ = [
@@ -33,20 +31,8 @@ _LOG = logging.getLogger(__name__)
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
 _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
 _NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
-_NEEDED[ALARM_TYPE] = tuple(
-    [
-        'header',
-        'event',
-        'sensor_index',
-        'sensor',
-        'onset',
-        'detected',
-        'size',
-        'bound',
-        'kind',
-        'confidence',
-    ]
-)
+_ALARM = 'header event sensor_index sensor onset detected size bound kind confidence'
+_NEEDED[ALARM_TYPE] = tuple(_ALARM.split())
 
 
 def find_topic(
@@ -56,30 +42,10 @@ def find_topic(
     wanted: str | None = None,
     namespace: str | None = None,
 ) -> Connection:
-    """The one connection that carries a stream.
+    """The one connection that carries a stream; BagError if none or several topics do.
 
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    msgtype : str
-        Message type.
-    name : str
-        Last part of the usual topic name, preferred among several of the type.
-    wanted : str, optional
-        Topic given by the user.
-    namespace : str, optional
-        Only topics directly below it, e.g. ``/lpv``.
-
-    Returns
-    -------
-    rosbags.interfaces.Connection
-        The connection.
-
-    Raises
-    ------
-    BagError
-        If the stream is missing, or several topics carry it.
+    Of several topics of the type the one is preferred whose name ends with ``name``; ``wanted`` is
+    a topic given by the user, and ``namespace`` takes only topics directly below it.
     """
     found = find_connections(reader, msgtype, name, wanted, namespace)
     if found:
@@ -120,7 +86,7 @@ def find_connections(
             'the bag holds more than one arm, say which namespace or topic is meant'
         )
     if found:
-        check_definition(reader, msgtype, _NEEDED.get(msgtype, ()))
+        reader.check_definition(msgtype, _NEEDED.get(msgtype, ()))
     return found
 
 
@@ -176,17 +142,14 @@ def load_run(
         chosen = _find_streams(reader, namespace, answers_only)
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:
-            record.counts[connection.topic] = (
-                record.counts.get(connection.topic, 0) + connection.msgcount
-            )
-        rows = RunRows(record, joint_names)
-        read_streams(reader, chosen, rows)
-        record.warnings += reader.warnings
-    try:
-        rows.finish(answers_only)
-    except BagError as error:
-        raise BagError(f'{path}: {error}') from None
-    for text in rows.warnings:
-        _LOG.warning('%s: %s', path, text)
-    record.warnings += rows.warnings
+            before = record.counts.get(connection.topic, 0)
+            record.counts[connection.topic] = before + connection.msgcount
+        try:
+            read_streams(reader, chosen, record, joint_names)
+        except BagError as error:
+            text = str(error)
+            raise BagError(text if text.startswith(str(path)) else f'{path}: {text}') from None
+        for warning in record.warnings:
+            _LOG.warning('%s: %s', path, warning)
+        record.warnings = [*reader.warnings, *record.warnings]
     return record

@@ -1,173 +1,184 @@
 """Rows of a run's streams as they are read, and the arrays that are made of them."""
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Connection
 
+from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.errors import BagError
-from lpv_bag.run.streams import ALARMS, STREAMS, RecordedAlarm, RunRecord, lengths, stamp_of
+from lpv_bag.rosbag.reading import BagReader
+from lpv_bag.run.decoder import Decoder
+from lpv_bag.run.streams import ALARMS, SCALARS, STREAMS, RecordedAlarm, RunRecord, stamp_of
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.support.errors import SampleError
 
+Rows = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
+"""Positions in a block, header stamps [ns], and values by field."""
 
-class RunRows:
-    """Gathers messages one by one or many at a time, then fills the arrays of a record."""
 
-    def __init__(self, record: RunRecord, joint_names: Sequence[str] | None = None) -> None:
-        self._record = record
-        self._parts: dict[str, list[tuple[Any, Any, list[np.ndarray]]]] = {}
-        self._alarms: dict[tuple[int, int, int], RecordedAlarm] = {}
-        record.joint_names = tuple(joint_names or ())
-        self._names: list[str] | None = None
-        self._index: list[int] | None = None
-        self._missing: tuple[str, str] | None = None
-        self._joints = len(record.joint_names)
-        self._lengths: dict[str, dict[str, int]] = {}  # of the arrays of each stream
-        self._misfits: Counter[str] = Counter()  # messages of other lengths by stream
-        self.warnings: list[str] = []
+class StreamReader:
+    """Reads the messages of one stream; those whose arrays do not fit are left out and counted."""
 
-    def add(self, name: str, number: int, message: Any) -> None:
-        """Take one message."""
-        if name == ALARMS:
-            alarm = _alarm(message)
-            # Latched events are delivered again to late subscribers.
-            self._alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
-            return
-        try:
-            values = self.values(name, message)
-        except SampleError:
-            self._misfits[name] += 1
-            return
-        if values is not None:
-            self.add_many(
-                name,
-                [number],
-                [stamp_of(message.header.stamp)],
-                [np.asarray(value, float)[None] for value in values],
-            )
+    def __init__(self, reader: BagReader, name: str, joints: Sequence[str] = ()) -> None:
+        self.joints, self._count = tuple(joints), len(joints)
+        self.missing: tuple[str, str] | None = None  # a joint that a message does not have, and all
+        self.sensors: tuple[str, ...] = ()
+        self.misfits = 0
+        self._name, (msgtype, self._fields) = name, STREAMS[name]
+        self._lengths: dict[str, int] = {}
+        self._decoder = Decoder(reader, msgtype, self._columns)
 
-    def values(self, name: str, message: Any) -> list[Any] | None:
-        """Fields of a message in the order of its stream; None if it is not to be taken.
-
-        Raises SampleError if its arrays have other lengths than those of the arm.
-        """
-        if name == 'state_estimate' and message.mode == Mode.NO_ESTIMATE:
-            return None  # its values mean nothing
-        if name == 'joint_states':
-            index = self.pick(message.name)
-            return None if index is None else _columns(message, index)
-        self._check_lengths(name, lengths(name, message))
-        if name == 'fault_estimate' and not self._record.sensor_names:
-            self._record.sensor_names = tuple(message.sensor_names)
-        return [getattr(message, field) for field in STREAMS[name][1]]
-
-    def _check_lengths(self, name: str, found: dict[str, int]) -> None:
-        """All arrays are for the same joints, and as long as in the messages before."""
-        joints = {length for field, length in found.items() if field != 'tip_position'}
-        if len(joints) > 1 or (self._joints and joints != {self._joints}):
-            raise SampleError(f'{name} has arrays of {sorted(joints)} values')
-        if self._lengths.setdefault(name, found) != found:
-            raise SampleError(f'{name} has arrays of other lengths than before')
-
-    def add_many(
-        self,
-        name: str,
-        numbers: Sequence[int] | np.ndarray,
-        stamps: Sequence[int] | np.ndarray,
-        columns: list[np.ndarray],
-    ) -> None:
-        """Take the values of many messages of one stream."""
-        if name == 'state_estimate':
-            known = columns[STREAMS[name][1].index('mode')] != Mode.NO_ESTIMATE
-            if not known.all():
-                numbers, stamps = np.asarray(numbers)[known], np.asarray(stamps)[known]
-                columns = [column[known] for column in columns]
-        if len(stamps):
-            self._parts.setdefault(name, []).append((numbers, stamps, columns))
-
-    def pick(self, names: Sequence[str]) -> list[int] | None:
-        """Columns of the wanted joints in a message with these joints, or None.
+    def _columns(self, message: Any) -> Any:
+        """Columns that are taken of a message's arrays; None for messages of other joints.
 
         Drivers sort joints as they like, and have more.  A message of other joints only (a
         gripper's, on the same topic) is not about this arm.
         """
-        if names != self._names:
-            wanted = self._record.joint_names = self._record.joint_names or tuple(names)
-            self._names = list(names)
-            missing = [n for n in wanted if n not in names]
-            self._index = None
-            if missing:
-                self._missing = (missing[0], ', '.join(names) or 'no joint')
+        if self._name != 'joint_states':
+            return self._fitting(message)
+        names = list(message.name)
+        self.joints = self.joints or tuple(names)
+        absent = [name for name in self.joints if name not in names]
+        if absent:
+            self.missing = (absent[0], ', '.join(names) or 'no joint')
+            return None
+        return [names.index(name) for name in self.joints], len(names)
+
+    def _fitting(self, message: Any) -> tuple[slice, int]:
+        """All arrays are for the same joints, and as long as in the messages before."""
+        arrays = {name: getattr(message, name) for name in self._fields if name not in SCALARS}
+        if self._name == 'fault_estimate':
+            arrays['sensor_names'] = message.sensor_names
+        found = {name: len(array) for name, array in arrays.items()}
+        joints = {length for name, length in found.items() if name != 'tip_position'}
+        if len(joints) > 1 or (self._count and joints != {self._count}):
+            raise SampleError(f'{self._name} has arrays of {sorted(joints)} values')
+        if (self._lengths or found) != found:
+            raise SampleError(f'{self._name} has arrays of other lengths than before')
+        self._lengths = found
+        self.sensors = self.sensors or tuple(arrays.get('sensor_names', ()))
+        return slice(None), -1
+
+    def read(self, block: Block, positions: np.ndarray) -> Rows | None:
+        """Messages at some positions of a block, or None."""
+        parts = []
+        for rows, layout, what in self._decoder.read(block, positions):
+            if layout is not None:
+                columns = what
+                starts = block.start[positions[rows]]
+                stamps = layout.stamps(block.data, starts)
+                values = {name: layout.read(block.data, starts, name) for name in self._fields}
             else:
-                self._index = [list(names).index(n) for n in wanted]
-        return self._index
-
-    def finish(self, answers_only: bool) -> None:
-        """Fill the record."""
-        for name in STREAMS:
-            parts = self._parts.get(name)
-            if not parts:
-                continue
-            order = np.argsort(np.concatenate([part[0] for part in parts]), kind='stable')
-            stamps = np.concatenate([np.asarray(part[1], np.int64) for part in parts])[order]
-            self._judge(name, stamps)
-            # np.unique gives the first of equal ones: reversed, that is the last message.
-            stamps, last = np.unique(stamps[::-1], return_index=True)
-            rows = order[len(order) - 1 - last]
-            columns = [np.concatenate(column)[rows] for column in zip(*(part[2] for part in parts))]
-            self._record.stamps[name] = stamps
-            self._record.streams[name] = dict(zip(STREAMS[name][1], columns))
-        for name, count in self._misfits.items():
-            self.warnings.append(
-                f'{self._record.topics[name]}: {count} messages whose number of joints does not '
-                'fit are left out'
-            )
-        self._record.alarms = [self._alarms[key] for key in sorted(self._alarms)]
-        self._check_measurements(answers_only)
-
-    def _check_measurements(self, answers_only: bool) -> None:
-        count = len(self._record.stamps.get('joint_states', ()))
-        if count == 0 and answers_only:
-            return
-        if count == 0 and self._missing:
-            raise BagError(
-                f'joint {self._missing[0]!r} is not in joint_states, which has {self._missing[1]}'
-            )
-        if count == 0:
-            raise BagError(f'{self._record.topics["joint_states"]} holds no message')
-        if count == 1:
-            raise BagError(
-                f'all messages of {self._record.topics["joint_states"]} have the same '
-                'stamp, or there is one only'
-            )
-
-    def _judge(self, name: str, stamps: np.ndarray) -> None:
-        """Warn where stamps run backwards or stand still."""
-        backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
-        same = len(stamps) - len(np.unique(stamps))
-        topic = self._record.topics[name]
-        if backwards:
-            self.warnings.append(
-                f'{topic}: time goes backwards {backwards} times, messages are '
-                'sorted by their stamps'
-            )
-        if same:
-            self.warnings.append(
-                f'{topic}: {same} messages have the stamp of another one, the '
-                'last one of each stamp counts'
-            )
+                try:
+                    columns = self._columns(what)
+                except SampleError:
+                    self.misfits += 1
+                    continue
+                stamps = np.array([stamp_of(what.header.stamp)])
+                values = {name: np.atleast_1d(getattr(what, name))[None] for name in self._fields}
+            if columns is not None:
+                chosen = {name: _picked(name, v, *columns) for name, v in values.items()}
+                parts.append((positions[rows], stamps, chosen))
+        if not parts:
+            return None
+        places, stamps = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+        found = {name: np.concatenate([part[2][name] for part in parts]) for name in self._fields}
+        if self._name == 'state_estimate':  # without an estimate its values mean nothing
+            known = found['mode'] != Mode.NO_ESTIMATE
+            places, stamps = places[known], stamps[known]
+            found = {name: values[known] for name, values in found.items()}
+        return places, stamps, found
 
 
-def _columns(message: Any, index: list[int]) -> list[np.ndarray]:
-    """Values of chosen joints; NaN where a message has none of a kind."""
-    nothing = np.full(len(index), np.nan)
-    return [
-        values[index] if len(values) == len(message.name) else nothing
-        for values in (message.position, message.velocity, message.effort)
-    ]
+def _picked(name: str, values: np.ndarray, columns: Any, width: int) -> np.ndarray:
+    """Columns of a field; NaN where a JointState has none of a kind."""
+    if name in SCALARS:
+        return values[:, 0].astype(float)
+    if width in (-1, values.shape[1]):
+        return values[:, columns].astype(float)
+    return np.full((len(values), len(columns)), np.nan)
+
+
+def read_streams(
+    reader: BagReader,
+    chosen: dict[str, list[Connection]],
+    record: RunRecord,
+    joint_names: Sequence[str] | None,
+) -> None:
+    """Fill a record with all messages of some streams; BagError if measurements are missing."""
+    pairs = [(name, c) for name, connections in chosen.items() for c in connections]
+    streams = {
+        name: StreamReader(reader, name, joint_names or ()) for name in chosen if name != ALARMS
+    }
+    parts: dict[str, list[Rows]] = {name: [] for name in streams}
+    alarms: dict[tuple[int, int, int], RecordedAlarm] = {}
+    number = 0
+    for block in reader.blocks([connection for _, connection in pairs]):
+        for i, (name, connection) in enumerate(pairs):
+            positions = np.flatnonzero(block.connection == i)
+            if name != ALARMS and len(positions):
+                rows = streams[name].read(block, positions)
+                if rows is not None:
+                    parts[name].append((number + rows[0], *rows[1:]))
+            for k in positions.tolist() if name == ALARMS else ():
+                alarm = _alarm(reader.deserialize(block.message(k), connection.msgtype))
+                # Latched events are delivered again to late subscribers.
+                alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
+        number += len(block)
+    warnings = []
+    for name, stream in streams.items():
+        if any(len(rows[1]) for rows in parts[name]):
+            warnings += _fill(record, name, parts[name])
+        if stream.misfits:
+            warnings.append(
+                f'{record.topics[name]}: {stream.misfits} messages whose number of joints does '
+                'not fit are left out'
+            )
+    record.alarms = [alarms[key] for key in sorted(alarms)]
+    if 'fault_estimate' in streams:
+        record.sensor_names = streams['fault_estimate'].sensors
+    if 'joint_states' in streams:
+        record.joint_names = streams['joint_states'].joints
+        _check_measurements(record, streams['joint_states'].missing)
+    record.warnings += warnings
+
+
+def _fill(record: RunRecord, name: str, parts: list[Rows]) -> list[str]:
+    """Rows by stamp into the record; of one stamp the last message counts."""
+    order = np.argsort(np.concatenate([part[0] for part in parts]), kind='stable')
+    stamps = np.concatenate([part[1] for part in parts])[order]
+    # np.unique gives the first of equal ones: reversed, that is the last message.
+    record.stamps[name], last = np.unique(stamps[::-1], return_index=True)
+    rows = order[len(order) - 1 - last]
+    record.streams[name] = {
+        field: np.concatenate([part[2][field] for part in parts])[rows]
+        for field in STREAMS[name][1]
+    }
+    warnings, topic = [], record.topics[name]
+    backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
+    if backwards:
+        warnings.append(
+            f'{topic}: time goes backwards {backwards} times, messages are sorted by their stamps'
+        )
+    if len(stamps) > len(last):
+        warnings.append(
+            f'{topic}: {len(stamps) - len(last)} messages have the stamp of another one, the last '
+            'one of each stamp counts'
+        )
+    return warnings
+
+
+def _check_measurements(record: RunRecord, missing: tuple[str, str] | None) -> None:
+    count, topic = len(record.stamps.get('joint_states', ())), record.topics['joint_states']
+    if count == 0 and missing:
+        raise BagError(f'joint {missing[0]!r} is not in joint_states, which has {missing[1]}')
+    if count == 0:
+        raise BagError(f'{topic} holds no message')
+    if count == 1:
+        raise BagError(f'all messages of {topic} have the same stamp, or there is one only')
 
 
 def _alarm(message: Any) -> RecordedAlarm:

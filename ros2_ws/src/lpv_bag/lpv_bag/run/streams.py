@@ -40,14 +40,6 @@ class RecordedAlarm(Alarm):
     stamp: int = 0  # [ns]
 
 
-def lengths(stream: str, message: Any) -> dict[str, int]:
-    """Lengths of the arrays in a message of a stream, by field."""
-    arrays = {name: getattr(message, name) for name in STREAMS[stream][1] if name not in SCALARS}
-    if stream == 'fault_estimate':
-        arrays['sensor_names'] = message.sensor_names
-    return {name: len(array) for name, array in arrays.items()}
-
-
 def stamp_of(stamp: Any) -> int:
     """Nanoseconds of a builtin_interfaces/Time as rosbags gives it."""
     return stamp.sec * NANOSECONDS + stamp.nanosec
@@ -73,33 +65,13 @@ class RunRecord:
     warnings: list[str] = field(default_factory=list)  # tolerated defects of bag and messages
 
     def get(self, stream: str, name: str) -> np.ndarray | None:
-        """Field of a stream on the stream's own stamps.
-
-        Parameters
-        ----------
-        stream, name : str
-            Stream and field.
-
-        Returns
-        -------
-        ndarray or None
-            One row per stamp; None if the stream is absent.
-        """
+        """Field of a stream on the stream's own stamps; None if the stream is absent."""
         return self.streams[stream][name] if stream in self.streams else None
 
     def aligned(self, stream: str, name: str) -> np.ndarray | None:
-        """Field of a stream on the stamps of joint_states.
+        """Field of a stream on the stamps of joint_states; None if the stream is absent.
 
-        Parameters
-        ----------
-        stream, name : str
-            Stream and field.
-
-        Returns
-        -------
-        ndarray or None
-            One row per measurement, NaN where the stream has no message with that stamp; None if
-            the stream is absent.
+        Rows are NaN where the stream has no message with that stamp.
         """
         values = self.get(stream, name)
         if values is None:
@@ -117,17 +89,6 @@ class RunRecord:
         return self.seconds(self.stamps['joint_states'])
 
     def seconds(self, stamps: int | np.ndarray) -> Any:
-        """Time since the first measurement.
-
-        Parameters
-        ----------
-        stamps : int or ndarray of int64
-            [ns].
-
-        Returns
-        -------
-        float or ndarray
-            [s].
-        """
+        """Time of stamps [ns] since the first measurement [s]."""
         # The difference of integers is exact; epoch seconds as floats would lose 100 ns.
         return (stamps - self.stamps['joint_states'][0]) / NANOSECONDS

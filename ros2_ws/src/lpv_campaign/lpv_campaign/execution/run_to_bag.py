@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from lpv_bag.blocks.chunk_assembly import ChunkAssembly
-from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.replay.answer_records import RecordTemplate
 from lpv_bag.replay.replay import Replay
 from lpv_bag.rosbag.messages import BagMessages
-from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.rosbag.writing import BagWriter, qos_profile
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import load_run
 from lpv_campaign.execution.run_files import write_run_files
@@ -29,7 +27,6 @@ NAMESPACE = '/lpv'
 START = NANOSECONDS
 """Stamp of the first sample [ns], as in the lockstep graph: zero means "not set" in ROS."""
 _TRUTH, _MEASURED, _COMMAND, _REFERENCE = range(4)
-_SLOTS = 4
 _ROWS = 2000
 """Samples in a chunk."""
 _TYPES = {
@@ -184,30 +181,24 @@ class _Signals:
 
 def _write_signals(plan: RunPlan, run: Run, path: Path) -> None:
     signals = _Signals(run)
-    bag = ChunkBagWriter(path)
+    bag = BagWriter(path)
     try:
         templates = _templates(bag, plan.arm)
         for first in range(0, len(run.time), _ROWS):
-            assembly = ChunkAssembly(_SLOTS * _ROWS)
+            parts = []
             for kind, template in templates.items():
                 rows = first + np.flatnonzero(signals.chosen[kind][first : first + _ROWS])
                 stamps = signals.stamps[rows]
-                records = template.fill(
-                    stamps,
-                    stamps,
-                    {name: values[rows] for name, values in signals.values[kind].items()},
-                )
-                assembly.add_rows(_SLOTS * (rows - first) + kind, records)
-            data, index = assembly.finish()
-            if index:
-                bag.write_chunk(data, index)
+                values = {name: array[rows] for name, array in signals.values[kind].items()}
+                parts.append(template.fill(stamps, stamps, values))
+            bag.write_chunk(*parts)
     finally:
         missing = bag.close()
     if missing:
         raise ConfigError('--bag', f'cannot be written as a whole: {missing} is missing', str(path))
 
 
-def _templates(bag: ChunkBagWriter, arm: ArmParameters) -> dict[int, RecordTemplate]:
+def _templates(bag: BagWriter, arm: ArmParameters) -> dict[int, RecordTemplate]:
     zero, messages = np.zeros(2), BagMessages(bag.typestore, arm.name)
     examples: dict[int, dict[str, Any]] = {
         _TRUTH: {

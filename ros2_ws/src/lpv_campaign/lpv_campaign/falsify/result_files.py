@@ -5,8 +5,8 @@ from typing import Any
 
 import yaml
 
-from lpv_bag.blocks.chunk_writing import ChunkBagWriter
 from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.writing import BagWriter
 from lpv_campaign.falsify.search import Attacker, Finding
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
@@ -33,7 +33,7 @@ def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
     (folder / SCENARIO).write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
     attacker.run(worst.attack)
     arm = attacker.arm
-    with ChunkBagWriter(folder / BAG, 'zstd_small') as writer:
+    with BagWriter(folder / BAG, 'zstd_small') as writer:
         messages = BagMessages(writer.typestore, 'base_link')
         writer.add_topic('/lpv/joint_states', 'sensor_msgs/msg/JointState')
         for k, sample in enumerate(attacker.readings()):

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from lpv_bag.errors import BagError
-from lpv_bag.mcap.writer import PRESETS
 from lpv_bag.rosbag.recovery import Recovery, recover
+from lpv_bag.rosbag.writing import PRESETS
 
 NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
 

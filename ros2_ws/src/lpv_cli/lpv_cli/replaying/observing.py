@@ -1,20 +1,26 @@
 """What observes, and what of a bag is read: arguments that several commands share."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from lpv_bag.replay.replay import ReplayOptions
+from lpv_bag.rosbag.output_folder import GAINS_NAME
+from lpv_bag.rosbag.reading import open_bag
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.model.arm import ArmParameters
 from lpv_core.monitoring.factory import refuse_gains
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
+
+_ANSWER = 'lpv_msgs/msg/FaultEstimate'
 
 
 def add_diagnosis(parser: argparse._ActionsContainer) -> None:
@@ -22,10 +28,12 @@ def add_diagnosis(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         '--arm',
         help='arm file, or name of a shipped arm; the one that the gains '
-        'were designed for if not given',
+        'were designed for, or that the bag names, if not given',
     )
     source = parser.add_mutually_exclusive_group()
-    source.add_argument('--gains', help='gains file of this arm')
+    source.add_argument(
+        '--gains', help='gains file of this arm, or name of shipped ones; those in the bag if any'
+    )
     source.add_argument(
         '--requirement',
         help='requirement to design gains for, a file or a '
@@ -80,16 +88,42 @@ def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptio
 
 
 def arm_and_gains(arguments: argparse.Namespace, console: Console) -> tuple[Arm, Gains | None]:
-    """Arm and gains as arguments say; a serial arm has no gains."""
-    gains = load_gains(arguments.gains) if arguments.gains else None
-    name = arguments.arm or (gains and gains.arm_name)
+    """Arm and gains as arguments say, or as the bag says; a serial arm has no gains."""
+    gains = load_gains(bringup_file('gains', arguments.gains)) if arguments.gains else None
+    name, kept = arguments.arm or (gains and gains.arm_name), None
+    bag = getattr(arguments, 'bag', None)
+    if bag and not gains and not arguments.requirement:
+        found, kept = _of_bag(Path(bag))
+        if found and not name:
+            what = ' and gains' if kept else ''
+            console.print(f'arm {found!r}{what} as in the bag')
+            name = found
     if not name:
-        raise ConfigError('--arm', 'is needed where no gains are given')
+        raise ConfigError('--arm', 'is needed where neither gains nor the bag name an arm')
     arm = load_any_arm(bringup_file('arms', name))
     refuse_gains(arm, bool(arguments.gains or arguments.requirement))
     if isinstance(arm, SerialArm):
         return arm, None
+    if kept and kept.arm_sha256 == arm.sha256():
+        gains = kept
+    elif kept and not arguments.arm:
+        kept.check_arm(arm, f'{bag}: {GAINS_NAME}')  # another arm of this name: say so
     return arm, gains or _design(arguments, arm, console)
+
+
+def _of_bag(bag: Path) -> tuple[str, Gains | None]:
+    """Arm that the gains in a bag, or the recorded answers, name, and the gains; '' without."""
+    file = (bag if bag.is_dir() else bag.parent) / GAINS_NAME
+    if file.is_file() and (bag.is_dir() or (bag.parent / 'metadata.yaml').is_file()):
+        parameters = serial_parameters(file)
+        if parameters is None:
+            gains = load_gains(file)
+            return gains.arm_name, gains
+    with open_bag(bag) as reader:
+        answers = [c for c in reader.connections if c.msgtype == _ANSWER and c.msgcount]
+        for connection, _, data in reader.messages(answers) if answers else ():
+            return str(reader.deserialize(data, connection.msgtype).header.frame_id), None
+    return '', None
 
 
 def _design(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains:

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from lpv_bag.mcap.writer import PRESETS
 from lpv_bag.replay.injected_faults import InjectedFault, judge
 from lpv_bag.replay.replay import Replay, ReplayResult
 from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
+from lpv_bag.rosbag.writing import PRESETS
 from lpv_bag.run.streams import RecordedAlarm
 from lpv_cli.replaying.observing import (
     add_diagnosis,

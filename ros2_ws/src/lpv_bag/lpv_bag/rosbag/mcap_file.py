@@ -1,0 +1,197 @@
+"""MCAP files, read by the mcap package a chunk at a time, as far as they are whole."""
+
+import io
+import mmap
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, DataEnd, Message, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+
+from lpv_bag.blocks.message_blocks import BLOCK_SIZE, Block, record, split
+from lpv_bag.errors import BagError, DamageError
+
+MAX_CHUNK = 1 << 27
+"""Largest chunk that is read, decompressed [bytes]."""
+_MAX_RECORD = 1 << 28
+
+
+class Place(NamedTuple):
+    """Where a chunk is, and what is in it."""
+
+    start: int  # least log time [ns]
+    end: int  # greatest log time [ns]
+    offset: int  # [bytes]
+    channels: tuple[int, ...]  # none where they are not known
+    messages: int
+
+
+class _NoIndex(DamageError):
+    """The file may be whole, but messages can only be found by reading all of it."""
+
+
+class McapFile:
+    """An open file; topics and chunks are known once `read_summary` or `salvage` has run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.places: list[Place] = []
+        self.counts: dict[int, int] = {}  # messages by channel, as the file says
+        self.attachments = 0
+        self.complete = False  # whether the recording was finished
+        self.damages: list[str] = []
+        try:
+            with open(path, 'rb') as file:
+                # Reads from a map end where the file ends, whatever length a record claims.
+                self._data: Any = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:
+            reason = 'is empty' if isinstance(error, ValueError) else f'cannot be read ({error})'
+            raise BagError(f'{path}: {reason}') from None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._data.close()
+
+    def read_summary(self) -> None:
+        """Learn from the summary where what is; any exception if it is missing or damaged."""
+        summary = SeekingReader(self._data, record_size_limit=_MAX_RECORD).get_summary()
+        if summary is None or summary.statistics is None:
+            raise _NoIndex('it has no summary')
+        footer = self._data[-37:-8]
+        start, crc = int.from_bytes(footer[9:17], 'little'), int.from_bytes(footer[25:], 'little')
+        if crc and zlib.crc32(self._data[start:-12]) != crc:
+            raise DamageError('the checksum of its summary is wrong')
+        self.counts = dict(summary.statistics.channel_message_counts)
+        if any(self.counts.values()) and not summary.chunk_indexes:
+            raise _NoIndex('its summary does not say where the messages are')
+        for index in summary.chunk_indexes:
+            if not index.message_start_time <= index.message_end_time < 2**63 - 1:
+                raise DamageError('the times of a chunk are wrong')
+            offsets = index.message_index_offsets
+            self.places.append(
+                Place(
+                    index.message_start_time,
+                    index.message_end_time,
+                    index.chunk_start_offset,
+                    tuple(offsets),
+                    max(0, index.message_index_length - 15 * len(offsets)) // 16,
+                )
+            )
+        if not {*self.counts, *(c for p in self.places for c in p.channels)} <= {*summary.channels}:
+            raise DamageError('its summary counts messages of unknown topics')
+        self.schemas, self.channels = summary.schemas, summary.channels
+        self.attachments, self.complete = summary.statistics.attachment_count, True
+
+    def read(self, place: Place) -> Block:
+        """Messages of a chunk; DamageError if they are not what was recorded."""
+        try:
+            self._data.seek(place.offset)
+            head = ReadDataStream(self._data)
+            if head.read1() != Opcode.CHUNK:
+                raise DamageError('there is no chunk')
+            head.read8()
+            block = split(_content(Chunk.read(head)))[0]
+            if hasattr(self._data, 'madvise'):  # what has been read would count as memory
+                self._data.madvise(mmap.MADV_DONTNEED)
+            times = block.time
+            if len(times) and not place.start <= times.min() <= times.max() <= place.end:
+                raise DamageError('its times are not those of the index')
+        except Exception as error:  # of many kinds: the bytes may be anything
+            raise DamageError(
+                f'{self.path.name}: the chunk at byte {place.offset} is damaged '
+                f'({error_text(error)}), its {place.messages} messages are left out'
+            ) from None
+        return block
+
+    def salvage(self) -> Iterator[Block]:
+        """Messages of all that is whole from the front; what is wrong is in ``damages``."""
+        try:
+            self.read_summary()
+        except _NoIndex:
+            pass
+        except Exception as error:  # of many kinds
+            self.damages.append(error_text(error))
+        if self.complete:
+            for place in self.places:
+                try:
+                    yield self.read(place)
+                except DamageError as error:
+                    self.damages.append(str(error))
+            return
+        self.counts, at, loose = {}, 8, b''
+        self._data.seek(0)
+        reader = StreamReader(self._data, emit_chunks=True, record_size_limit=_MAX_RECORD)
+        try:
+            for found in reader.records:
+                if isinstance(found, Chunk):
+                    block = self._scanned(found, at)
+                    if block is not None:
+                        yield block
+                elif isinstance(found, Message):
+                    loose += record(found.channel_id, found.log_time, found.data)
+                elif isinstance(found, (Schema, Channel)):
+                    self._define(found)
+                self.complete |= isinstance(found, DataEnd)
+                at = self._data.tell()
+                if len(loose) > BLOCK_SIZE:
+                    yield split(np.frombuffer(loose, np.uint8))[0]
+                    loose = b''
+        except Exception as error:  # of many kinds
+            if not self.complete:
+                rest = len(self._data) - at
+                self.damages.append(
+                    f'{rest} bytes from byte {at} on are lost ({error_text(error)})'
+                )
+        if loose:
+            yield split(np.frombuffer(loose, np.uint8))[0]
+
+    def _scanned(self, chunk: Chunk, at: int) -> Block | None:
+        try:
+            block, others = split(_content(chunk))
+            for other in others:
+                kind: Any = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(other[0])  # type: ignore[call-overload]
+                if kind is not None:
+                    self._define(kind.read(ReadDataStream(io.BytesIO(other[9:]))))
+            return block
+        except Exception as error:  # of many kinds
+            self.damages.append(f'the chunk at byte {at} is damaged ({error_text(error)})')
+            return None
+
+    def _define(self, found: Schema | Channel) -> None:
+        known: dict[int, Any] = self.channels if isinstance(found, Channel) else self.schemas
+        if known.setdefault(found.id, found) != found:
+            raise DamageError(f'the number {found.id} means two different topics or schemas')
+
+
+def _content(chunk: Chunk) -> np.ndarray:
+    """Content of a chunk, checked, in bounded memory."""
+    size = chunk.uncompressed_size
+    if size > MAX_CHUNK:
+        raise DamageError(f'it claims to hold {size} bytes')
+    if chunk.compression == 'lz4':  # mcap's own way has no bound
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+        chunk = replace(chunk, compression='', data=data)
+    elif chunk.compression == 'zstd' and zstandard.frame_content_size(chunk.data) > MAX_CHUNK:
+        raise DamageError('its compressed data claim to be larger than a chunk may be')
+    elif chunk.compression not in ('', 'zstd'):
+        raise DamageError(f'it is compressed with {chunk.compression[:20]!r}, which is unknown')
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    if length != size:
+        raise DamageError('it does not have the size that it claims')
+    return np.frombuffer(stream.read(length), np.uint8)
+
+
+def error_text(error: BaseException) -> str:
+    """An error in one line."""
+    return ' '.join(str(error).split())[:200] or type(error).__name__
