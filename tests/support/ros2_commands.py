@@ -33,7 +33,7 @@ class Running:
             os.killpg(self.process.pid, signal.SIGKILL)
             self.process.communicate()
 
-    def until(self, pattern, timeout=60.0):
+    def until(self, pattern, timeout=250.0):
         """Read lines until one matches; all lines so far as one text."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:

@@ -1,7 +1,6 @@
 """The verbs of the ros2 command, against nodes in this process."""
 
 import math
-import os
 import re
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import ros
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from ros2_commands import Running, ros2
+from ros2_commands import Running
 
 pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
@@ -113,7 +112,7 @@ def test_given_yaml_that_does_not_fit_when_a_message_is_filled_then_the_field_is
 
 @pytest.fixture(scope='module')
 def graph():
-    """Environment of a domain with a managed node that publishes, serves and has a parameter."""
+    """A managed node that publishes, serves and has a parameter, on a domain of its own."""
     import rclpy
     from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
     from rclpy.context import Context
@@ -123,6 +122,7 @@ def graph():
     domain, context = ros.next_domain(), Context()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('ROS_DOMAIN_ID', str(domain))
         rclpy.init(context=context, domain_id=domain)
         node = LifecycleNode('arm', namespace='cell', context=context)
         publisher = node.create_publisher(JointState, 'joints', 10)
@@ -140,7 +140,7 @@ def graph():
 
         thread = threading.Thread(target=executor.spin)
         thread.start()
-        yield dict(os.environ, ROS_DOMAIN_ID=str(domain))
+        yield
         executor.shutdown()
         thread.join()
         node.destroy_node()
@@ -148,11 +148,17 @@ def graph():
 
 
 @pytest.fixture
-def out(graph):
+def ros2(graph, capsys):
+    """Run a command in this process, which has imported rclpy: exit code, stdout, stderr."""
+    return lambda *words: (main([str(word) for word in words]), *capsys.readouterr())
+
+
+@pytest.fixture
+def out(ros2):
     """Run a command that succeeds; what it prints."""
 
     def run(*words):
-        code, text, errors = ros2(*words, env=graph)
+        code, text, errors = ros2(*words)
         assert (code, errors) == (0, ''), errors
         return text
 
@@ -170,13 +176,11 @@ def test_given_a_graph_when_listed_then_nodes_topics_and_services_are_there(out)
 
 
 @pytest.mark.ros
-def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_interrupted(
-    out, graph
-):
+def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_interrupted(out):
     text = out('topic', 'echo', '--once', '/cell/joints')
     assert text.startswith("header:\n  stamp:\n    sec: 0\n    nanosec: 0\n  frame_id: ''\n")
     assert text.endswith('position:\n- 0.5\n- -1.0\nvelocity: []\neffort: []\n---\n')
-    with Running('topic', 'hz', '/cell/joints', env=graph) as rate:
+    with Running('topic', 'hz', '/cell/joints') as rate:
         text = rate.until('window')
         assert re.search(r'average rate: [\d.]+\n\tmin: [\d.]+s max: .* window: \d+\n', text)
         code, text = rate.interrupt()
@@ -185,42 +189,42 @@ def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_i
 
 
 @pytest.mark.ros
-def test_given_a_service_when_called_then_request_and_response_are_shown(out, graph):
+def test_given_a_service_when_called_then_request_and_response_are_shown(out, ros2):
     kind = 'lpv_msgs/srv/InjectFault'
     text = out('service', 'call', '/cell/inject', kind, '{sensor: elbow, size: 1}')
     assert 'requester: making request: lpv_msgs.srv.InjectFault_Request(sensor=' in text
     assert "response:\nlpv_msgs.srv.InjectFault_Response(success=True, message='elbow'" in text
-    code, _, errors = ros2('service', 'call', '/cell/inject', 'std_srvs/srv/Empty', env=graph)
+    code, _, errors = ros2('service', 'call', '/cell/inject', 'std_srvs/srv/Empty')
     assert (code, errors) == (1, f"service '/cell/inject' is of type {kind}\n")
 
 
 @pytest.mark.ros
-def test_given_parameters_when_set_then_the_node_says_what_it_takes(out, graph):
+def test_given_parameters_when_set_then_the_node_says_what_it_takes(out, ros2):
     assert '  gain\n' in out('param', 'list', '/cell/arm')
     assert out('param', 'set', '/cell/arm', 'gain', '2') == 'Set parameter successful\n'
     assert out('param', 'get', '/cell/arm', 'gain') == 'Double value is: 2.0\n'
-    code, text, errors = ros2('param', 'set', '/cell/arm', 'gain', '20.0', env=graph)
+    code, text, errors = ros2('param', 'set', '/cell/arm', 'gain', '20.0')
     assert (code, text) == (0, '')
     assert errors.startswith('Setting parameter failed: ')
     for words in (('get', '/cell/arm', 'nix'), ('get', '/nix', 'gain')):
-        code, _, errors = ros2('param', *words, env=graph)
+        code, _, errors = ros2('param', *words)
         assert (code, errors.count('\n')) == (1, 1)
 
 
 @pytest.mark.ros
-def test_given_a_managed_node_when_its_state_is_changed_then_it_follows(out, graph):
+def test_given_a_managed_node_when_its_state_is_changed_then_it_follows(out, ros2):
     assert out('lifecycle', 'get', '/cell/arm') == 'unconfigured [1]\n'
     assert out('lifecycle', 'set', '/cell/arm', 'configure') == 'Transitioning successful\n'
-    code, _, errors = ros2('lifecycle', 'set', '/cell/arm', 'configure', env=graph)
+    code, _, errors = ros2('lifecycle', 'set', '/cell/arm', 'configure')
     assert code == 1
     assert errors.startswith('Unknown transition requested, available ones are:\n- cleanup [2]\n')
     assert out('lifecycle', 'set', '/cell/arm', '2') == 'Transitioning successful\n'
 
 
 @pytest.mark.ros
-def test_given_a_topic_when_recorded_then_the_bag_is_described(out, graph, tmp_path):
+def test_given_a_topic_when_recorded_then_the_bag_is_described(out, tmp_path):
     bag = tmp_path / 'bag'
-    with Running('bag', 'record', '-o', bag, 'cell/joints', env=graph) as recorder:
+    with Running('bag', 'record', '-o', bag, 'cell/joints') as recorder:
         recorder.until(r'rosbag2_recorder\]: recording 1 topic')
         assert out('topic', 'echo', '--once', '/cell/joints')  # time passes
         code, text = recorder.interrupt()
