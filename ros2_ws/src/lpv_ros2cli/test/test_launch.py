@@ -202,6 +202,7 @@ def test_given_a_file_that_is_not_there_when_launched_then_its_error_ends_the_la
 
 @pytest.mark.ros
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_given_files_when_launched_then_nodes_start_and_come_back_and_end_cleanly(tmp_path):
     for kind, name in (('arms', 'paper'), ('scenarios', 'two_faults')):
         shutil.copy(BRINGUP / kind / f'{name}.yaml', tmp_path / f'{kind}.yaml')
