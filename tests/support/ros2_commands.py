@@ -1,6 +1,5 @@
-"""Commands of our ros2: as processes, or in this process on a graph that is known."""
+"""Commands of our ros2 as processes."""
 
-import contextlib
 import os
 import re
 import signal
@@ -9,18 +8,16 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
-
 ROS2 = Path(sys.prefix) / 'bin' / 'ros2'
 
 
 class Running:
     """A ros2 command as a process that prints lines and is interrupted in the end."""
 
-    def __init__(self, *words, **options):
+    def __init__(self, *words, program=(ROS2,), **options):
         self.lines = []
         self.process = subprocess.Popen(
-            [str(ROS2), *map(str, words)],
+            [*map(str, (*program, *words))],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -51,31 +48,22 @@ class Running:
     def interrupt(self, timeout=300.0):
         """Send SIGINT to the command alone; its exit code and all it printed."""
         self.process.send_signal(signal.SIGINT)
+        return self.end(timeout)
+
+    def end(self, timeout=250.0):
+        """Wait for the end; the exit code and all that was printed."""
         rest, _ = self.process.communicate(timeout=timeout)
         return self.process.returncode, ''.join(self.lines) + rest
 
 
-@contextlib.contextmanager
-def known_graph():
-    """Commands in this process share a participant: each would need up to 3 s to find the graph."""
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-
-    from lpv_ros2cli.graph import discovery
-
-    @contextlib.contextmanager
-    def command_node(name=None):
-        node = rclpy.create_node(
-            name or '_ros2cli_test', start_parameter_services=False, enable_rosout=False
-        )
-        yield node
-        node.destroy_node()
-
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(discovery, 'command_node', command_node)
-        keeper = rclpy.create_node('_keeper')
-        discovery.settle(keeper)
-        yield
-        keeper.destroy_node()
-    rclpy.shutdown()
+def ros2(*words, **options):
+    """Run a command to its end: exit code, stdout, stderr."""
+    done = subprocess.run(
+        [str(ROS2), *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+        **options,
+    )
+    return done.returncode, done.stdout, done.stderr

@@ -32,15 +32,15 @@ from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import declare_gains, fixed, read_gains_if_set, required_text
+from lpv_node.parameters import declare_gains, fixed, named_file, read_gains_if_set
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
 from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
 SPECS = (
-    fixed('arm_file', '', 'arm file (YAML)'),
-    fixed('scenario_file', '', 'scenario file (YAML)'),
+    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
+    fixed('scenario_file', '', 'scenario file (YAML), or name of a shipped one'),
     fixed('seed', -1, "seed of noise and disturbance; -1 takes the scenario's", -1, 2**31 - 1),
     fixed('substeps', 2, 'Runge-Kutta steps per sample', 1, 100),
     fixed(
@@ -115,8 +115,8 @@ class SimulatorNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and scenario, create publishers and services."""
-        self._arm = load_any_arm(required_text(self, 'arm_file'))
-        scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
+        self._arm = load_any_arm(named_file(self, 'arm_file', 'arms'))
+        scenario = load_any_scenario(named_file(self, 'scenario_file', 'scenarios'), self._arm)
         seed = self.get_parameter('seed').value
         if seed >= 0:
             scenario = replace(scenario, seed=seed)

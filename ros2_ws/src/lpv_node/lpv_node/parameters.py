@@ -23,6 +23,7 @@ from lpv_core.serial_arm.certificate.loop_gains import LoopGains, parse_loop
 from lpv_core.serial_arm.certificate.model_bounds import BOUNDS
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
 
 _ARRAY, _DOUBLE, _STRING, _INTEGER = (
     Parameter.Type.DOUBLE_ARRAY,
@@ -197,6 +198,31 @@ def required_text(node: Node, name: str) -> str:
     if not value:
         raise ConfigError(name, 'must be set', node.get_name())
     return value
+
+
+def named_file(node: Node, name: str, kind: str) -> str:
+    """Path that a string parameter gives, or that of the shipped file that it names.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The node.
+    name : str
+        Name of the parameter.
+    kind : {'arms', 'scenarios'}
+        Of the file.
+
+    Returns
+    -------
+    str
+        Path of an existing file.
+
+    Raises
+    ------
+    ConfigError
+        If the parameter is empty, or there is no such file.
+    """
+    return str(bringup_file(kind, required_text(node, name)))
 
 
 def declare_gains(node: Node) -> frozenset[str]:

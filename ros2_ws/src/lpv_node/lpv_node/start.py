@@ -6,9 +6,13 @@ Needs no ROS itself.
 import importlib
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 from lpv_node.signals import StopRequest
+
+_SILENCE = 1.5
+"""A start that takes longer than this is said [s]."""
 
 
 def start(module: str, argv: Sequence[str] | None = None) -> None:
@@ -19,8 +23,12 @@ def start(module: str, argv: Sequence[str] | None = None) -> None:
     interpreter would die of them.
     """
     stop = StopRequest()
+    note = threading.Timer(_SILENCE, print, [f'{module} is loading ...'], {'flush': True})
+    note.daemon = True
+    note.start()
     try:
         main = importlib.import_module(module).main
+        note.cancel()
         if stop.is_set:  # its exception was lost in an import
             sys.exit(0)
         main(argv)

@@ -1,28 +1,24 @@
-"""``ros2 run``."""
+"""``ros2 run``: run a program of a package."""
 
 import argparse
 import os
-import shlex
-from argparse import ArgumentParser, Namespace
 
-from lpv_ros2cli.command_line import completion
-from lpv_ros2cli.errors import CliError
+from lpv_ros2cli.command_line import CliError
 from lpv_ros2cli.packages import executable
 
 
-def add_arguments(parser: ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument('--prefix', help='command that starts the program, e.g. "gdb --args"')
-    completion.add_argument(parser, completion.packages, 'package', help='package')
-    completion.add_argument(parser, completion.executables, 'executable', help='its program')
+    parser.add_argument('package', help='package')
+    parser.add_argument('executable', help='its program')
     parser.add_argument('argv', nargs=argparse.REMAINDER, metavar='...', help='passed on')
+    parser.set_defaults(run=run)
 
 
-def run(arguments: Namespace) -> None:
+def run(arguments: argparse.Namespace) -> None:
     """Become the program, which then gets signals and returns its exit code itself."""
-    path = executable(arguments.package, arguments.executable)
-    command = [*shlex.split(arguments.prefix or ''), str(path), *arguments.argv]
+    program = str(executable(arguments.package, arguments.executable))
     try:
-        os.execvp(command[0], command)
+        os.execv(program, [program, *arguments.argv])
     except OSError as error:
-        raise CliError(f'{command[0]} cannot be started: {error}') from error
+        raise CliError(f'{program} cannot be started: {error}') from error

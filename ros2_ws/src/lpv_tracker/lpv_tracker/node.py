@@ -38,9 +38,9 @@ from lpv_node.parameters import (
     declare_gains,
     declare_loop,
     fixed,
+    named_file,
     read_gains,
     read_loop_if_set,
-    required_text,
 )
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
@@ -49,8 +49,10 @@ from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_tracker.upcoming import UpcomingReferences
 
 SPECS = (
-    fixed('arm_file', '', 'arm file (YAML)'),
-    fixed('scenario_file', '', 'scenario file (YAML); its path is tracked'),
+    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
+    fixed(
+        'scenario_file', '', 'scenario file (YAML) or name of a shipped one; its path is tracked'
+    ),
     Spec(
         'compensation',
         'confirmed',
@@ -137,9 +139,9 @@ class TrackerNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
-        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        self._arm = load_any_arm(named_file(self, 'arm_file', 'arms'))
         self._make_controller()
-        scenario = load_any_scenario(required_text(self, 'scenario_file'), self._arm)
+        scenario = load_any_scenario(named_file(self, 'scenario_file', 'scenarios'), self._arm)
         self._path = new_path(self._arm, scenario)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
         period, joints = round(self._arm.sample_time * NANOSECONDS), len(self._arm.joint_names)

@@ -27,7 +27,7 @@ from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, declare_gains, fixed, read_gains, required_text
+from lpv_node.parameters import Spec, declare_gains, fixed, named_file, read_gains
 from lpv_node.qos import latched, stream
 from lpv_node.stamps import to_nanoseconds
 from lpv_uio.messages import OutputMessages
@@ -72,7 +72,7 @@ DIAGNOSIS_SPECS = tuple(
     for name, *meaning in _TUNABLE
 )
 SPECS = DIAGNOSIS_SPECS + (
-    fixed('arm_file', '', 'arm file (YAML)'),
+    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
     fixed(
         'torque_source',
         'effort',
@@ -122,7 +122,7 @@ class UioNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and gains, create publishers."""
-        self._arm = load_any_arm(required_text(self, 'arm_file'))
+        self._arm = load_any_arm(named_file(self, 'arm_file', 'arms'))
         self._monitor = self._make_monitor()
         note = threading.Timer(1.0, self.get_logger().info, [_COMPILING])
         note.start()

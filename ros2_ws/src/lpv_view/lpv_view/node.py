@@ -24,7 +24,7 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
-from lpv_node.parameters import fixed, required_text
+from lpv_node.parameters import fixed, named_file
 from lpv_view.access import Access
 from lpv_view.foxglove_bridge import BAND, FoxgloveBridge, sdk_is_installed
 from lpv_view.foxglove_gate import gate
@@ -36,7 +36,7 @@ from lpv_view.skeleton import urdf_text
 from lpv_view.topics import TOPICS, Inbox, Topic
 
 SPECS = (
-    fixed('arm_file', '', 'arm file (YAML)'),
+    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
     fixed(
         'scenario_file', '', 'scenario file (YAML) whose path and obstacle are drawn; may be empty'
     ),
@@ -89,11 +89,12 @@ class ViewNode(ManagedNode):
 
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
-        arm = load_any_arm(required_text(self, 'arm_file'))
+        self._arm_file = named_file(self, 'arm_file', 'arms')
+        arm = load_any_arm(self._arm_file)
         scenario = self.get_parameter('scenario_file').value
         path = None
         if scenario and not isinstance(arm, SerialArm):
-            path = load_scenario(scenario).path(arm)
+            path = load_scenario(named_file(self, 'scenario_file', 'scenarios')).path(arm)
         self._model = LiveModel(arm, path)
         typestore = make_typestore()
         add_type(typestore, MARKERS)
@@ -213,7 +214,7 @@ class ViewNode(ManagedNode):
     def _describe_serial(self, arm: SerialArm) -> None:
         """The URDF of the arm file, for both descriptions; none where there is no such file."""
         try:
-            text = urdf_text(arm, self.get_parameter('arm_file').value)
+            text = urdf_text(arm, self._arm_file)
         except ConfigError as error:
             self.get_logger().info(f'no robot description is published: {error}')
             self._described = []

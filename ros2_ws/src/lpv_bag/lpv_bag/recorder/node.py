@@ -25,7 +25,7 @@ from lpv_bag.rosbag.output_folder import (
 from lpv_bag.rosbag.writing import PRESETS, BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import fixed, required_text
+from lpv_node.parameters import fixed, named_file, required_text
 
 SPECS = (
     fixed(
@@ -124,7 +124,9 @@ class RecorderNode(ManagedNode):
         self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
         self._flush_period = value['flush_period']
         gains = read_gains_file(value['gains_file']) if value['gains_file'] else None
-        scenario = read_scenario_file(value['scenario_file']) if value['scenario_file'] else None
+        scenario = None
+        if value['scenario_file']:
+            scenario = read_scenario_file(named_file(self, 'scenario_file', 'scenarios'))
         output = required_text(self, 'output')
         path = free_path(output)
         if str(path) != str(Path(output)):

@@ -9,6 +9,7 @@ from lpv_cli.doctor.measurements import check_measurements
 from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.support.errors import LpvError
+from lpv_core.support.resources import bringup_file
 
 SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
 """Topics of a graph that must have one publisher."""
@@ -38,7 +39,7 @@ def running_arm(shot: Snapshot) -> Arm | None:
     """The arm of the running observer, or of any other node of ours; None if it is not known."""
     for _, values in sorted(shot.parameters.items(), key=lambda item: '/uio' not in item[0]):
         try:
-            return load_any_arm(values['arm_file'])
+            return load_any_arm(bringup_file('arms', values['arm_file']))
         except (KeyError, TypeError, LpvError):
             continue  # a node of another machine, or one that could not read it either
     return None

@@ -1,1 +1,0 @@
-"""Parsing, completion and interruption of a command line."""

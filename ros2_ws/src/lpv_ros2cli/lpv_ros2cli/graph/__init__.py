@@ -1,1 +1,0 @@
-"""The running graph, as a command sees it."""

@@ -1,1 +1,0 @@
-"""Launch files in XML and YAML: reading, evaluating, running."""

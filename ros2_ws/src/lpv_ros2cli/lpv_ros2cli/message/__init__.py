@@ -1,1 +1,0 @@
-"""Interface types, and messages as text."""

@@ -1,0 +1,116 @@
+"""``ros2 topic``: list, echo, hz, info."""
+
+import argparse
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from lpv_ros2cli import graph, messages
+from lpv_ros2cli.command_line import add_verb
+
+_WINDOW = 10000
+"""Messages over which a rate is averaged, as in ros2cli."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verbs."""
+    verbs = parser.add_subparsers(metavar='VERB')
+    verb = add_verb(verbs, run_list, 'list the topics that are available')
+    verb.add_argument('-t', '--show-types', action='store_true', help='show the types')
+    verb = add_verb(verbs, run_echo, 'print the messages of a topic', 'topic_name')
+    verb.add_argument('--once', action='store_true', help='leave after the first message')
+    add_verb(verbs, run_hz, 'print the rate of a topic', 'topic_name')
+    add_verb(verbs, run_info, 'print information about a topic', 'topic_name')
+
+
+def run_list(arguments: argparse.Namespace) -> None:
+    """Print the topics of the graph."""
+    with graph.command_node() as node:
+        graph.settle(node)
+        graph.print_names(node.get_topic_names_and_types(), arguments.show_types)
+
+
+def run_info(arguments: argparse.Namespace) -> None:
+    """Print type, publishers and subscriptions of a topic."""
+    with graph.command_node() as node:
+        name, kind = graph.find_topic(node, arguments.topic_name)
+        graph.settle(node)
+        print(f'Type: {kind}\nPublisher count: {node.count_publishers(name)}')
+        print(f'Subscription count: {node.count_subscribers(name)}')
+
+
+def run_echo(arguments: argparse.Namespace) -> None:
+    """Print messages until interrupted."""
+    shown = 0
+
+    def show(message: Any) -> None:
+        nonlocal shown
+        if arguments.once and shown:
+            return
+        shown += 1
+        print(messages.to_yaml(message), end='---\n', flush=True)
+
+    with graph.command_node() as node:
+        name, kind = graph.find_topic(node, arguments.topic_name)
+        # A topic may be known by its subscriptions; publishers decide what is latched.
+        graph.find(node, lambda: node.get_publishers_info_by_topic(name))
+        profile = _matching(node, name)
+        node.create_subscription(messages.load(kind, 'msg'), name, show, profile)
+        _receive(node, lambda: bool(arguments.once and shown))
+
+
+def run_hz(arguments: argparse.Namespace) -> None:
+    """Print the rate of the last messages once a second until interrupted."""
+    times: deque[float] = deque(maxlen=_WINDOW + 1)
+    last = 0.0
+
+    def report() -> None:
+        nonlocal last
+        if len(times) < 2 or times[-1] == last:
+            return
+        last = times[-1]
+        gaps = [b - a for a, b in zip(times, list(times)[1:])]
+        mean = sum(gaps) / len(gaps)
+        deviation = math.sqrt(sum((gap - mean) ** 2 for gap in gaps) / len(gaps))
+        print(
+            f'average rate: {1.0 / mean if mean else 0.0:.3f}\n\tmin: {min(gaps):.3f}s '
+            f'max: {max(gaps):.3f}s std dev: {deviation:.5f}s window: {len(gaps)}',
+            flush=True,
+        )
+
+    with graph.command_node() as node:
+        name, kind = graph.find_topic(node, arguments.topic_name)
+        node.create_subscription(
+            messages.load(kind, 'msg'),
+            name,
+            lambda _: times.append(time.monotonic()),
+            _matching(node, name, 1000),
+            raw=True,
+        )
+        node.create_timer(1.0, report)
+        _receive(node, lambda: False)
+
+
+def _matching(node: Any, topic: str, depth: int = 10) -> Any:
+    """Profile that is compatible with every publisher of a topic."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
+    profile = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+    if offered and all(q.reliability == ReliabilityPolicy.RELIABLE for q in offered):
+        profile.reliability = ReliabilityPolicy.RELIABLE
+    if offered and all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in offered):
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return profile
+
+
+def _receive(node: Any, done: Callable[[], bool]) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    while not done():
+        executor.spin_once(timeout_sec=0.1)  # short: SIGINT is seen in between
+    executor.shutdown()

@@ -1,0 +1,209 @@
+"""Where the ros2 command of ours is installed, tab completion, and the gains that are shipped."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import BRINGUP, ROOT
+
+from lpv_core.certificate.conditions import verify
+from lpv_core.certificate.exact_proof import prove
+from lpv_core.certificate.gains import load_gains
+from lpv_core.model.arm import ArmParameters, load_arm
+from lpv_core.serial_arm.any_arm import load_any_arm
+
+BIN = Path(sys.prefix) / 'bin'
+
+
+def test_given_the_shipped_gains_when_verified_then_they_hold_for_the_shipped_arms():
+    arms = sorted(path.name for path in (BRINGUP / 'arms').glob('*.yaml'))
+    assert sorted(path.name for path in (BRINGUP / 'gains').glob('*.yaml')) == arms
+    found = {name: load_any_arm(BRINGUP / 'arms' / name) for name in arms}
+    planar = [name for name, arm in found.items() if isinstance(arm, ArmParameters)]
+    assert len(planar) == 2
+    for name in planar:
+        arm, gains = load_arm(BRINGUP / 'arms' / name), load_gains(BRINGUP / 'gains' / name)
+        checks = verify(arm, gains)
+        assert len(checks) > 10
+        assert [check.name for check in checks if not check.holds] == []
+        proved = prove(arm, gains)
+        assert proved
+        assert all(proved.values())
+
+
+# ------------------------------------------------------------------ set-up
+
+
+def script(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f'#!/bin/bash\n{text}\n')
+    path.chmod(0o755)
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """An empty machine: run a function of the set-up with stand-ins for Python and colcon."""
+    venv = tmp_path / 'venv'
+    script(venv / 'bin' / 'python', f'echo "$@" >> {tmp_path}/built.txt')
+    script(tmp_path / 'bin' / 'python-without', 'exit 1')  # imports nothing
+    script(tmp_path / 'bin' / 'python-with', 'exit 0')  # imports everything
+
+    def build(python='python-without', source='wheels'):
+        (tmp_path / 'built.txt').write_text('')
+        command = (
+            f'source {ROOT}/tools/setup.sh; venv={venv}; build={tmp_path}/build; '
+            f'state={venv}/.lpv; python={tmp_path}/bin/{python}; source={source}; '
+            'build_workspace'
+        )
+        environment = {'PATH': f'{tmp_path}/bin:/usr/bin:/bin', 'HOME': str(tmp_path)}
+        subprocess.run(['bash', '-c', command], env=environment, check=True, capture_output=True)
+        return (tmp_path / 'built.txt').read_text()
+
+    build.folder, build.venv = tmp_path, venv
+    return build
+
+
+def test_given_no_ros2cli_when_set_up_then_the_stand_in_is_built(machine):
+    built = machine()
+    assert 'colcon' in built
+    assert '--packages-skip' not in built
+    assert machine() == ''  # done already
+
+
+def test_given_our_stand_in_of_another_environment_when_set_up_then_it_is_built(machine):
+    script(machine.folder / 'bin' / 'ros2', 'from lpv_ros2cli.main import main')
+    assert '--packages-skip' not in machine()
+
+
+@pytest.mark.parametrize('how', ['on the path', 'importable', 'sourced'])
+def test_given_a_real_ros2cli_when_set_up_then_ours_is_not_built_and_an_old_one_is_removed(
+    machine, how
+):
+    machine()
+    stale = [
+        machine.venv / 'bin' / 'ros2',
+        machine.venv / 'lib' / 'python3.11' / 'site-packages' / 'lpv_ros2cli' / 'main.py',
+    ]
+    for path in stale:
+        script(path, 'lpv_ros2cli')
+    if how == 'on the path':
+        script(machine.folder / 'bin' / 'ros2', 'exec real ros2')
+    built = machine(
+        'python-with' if how == 'importable' else 'python-without',
+        'sourced' if how == 'sourced' else 'wheels',
+    )
+    assert '--packages-skip lpv_ros2cli' in built
+    assert [path for path in stale if path.exists()] == []
+
+
+@pytest.mark.parametrize(
+    ('real', 'scripts'), [(True, []), (False, ['ros2 = lpv_ros2cli.main:main'])]
+)
+def test_given_a_workspace_built_by_hand_when_ros2cli_is_there_then_no_ros2_command_is_made(
+    tmp_path, real, scripts
+):
+    if real:
+        script(tmp_path / 'ros2cli' / '__init__.py', '')
+    code = (
+        'import runpy, setuptools; setuptools.setup = lambda **given: '
+        'print(given["entry_points"]["console_scripts"]); runpy.run_path("setup.py")'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT / 'ros2_ws' / 'src' / 'lpv_ros2cli',
+        env=dict(os.environ, PYTHONPATH=str(tmp_path)),
+    )
+    assert done.stdout.strip() == str(scripts)
+
+
+# ------------------------------------------------------------------ completion
+
+
+def completions(line, tmp_path):
+    """What the shell offers after a line."""
+    answer = tmp_path / 'answer'
+    environment = dict(
+        os.environ,
+        COMP_LINE=line,
+        COMP_POINT=str(len(line)),
+        COMP_TYPE='9',
+        _ARGCOMPLETE='1',
+        _ARGCOMPLETE_IFS='\n',
+        _ARGCOMPLETE_SUPPRESS_SPACE='1',
+        _ARGCOMPLETE_STDOUT_FILENAME=str(answer),
+        ROS_DOMAIN_ID='99',
+    )
+    subprocess.run(
+        [str(BIN / line.split()[0])],
+        env=environment,
+        check=False,
+        timeout=60,
+        capture_output=True,
+        cwd=tmp_path,
+    )
+    return answer.read_text().split('\n')
+
+
+@pytest.mark.parametrize(
+    ('line', 'offered'),
+    [
+        ('lpv de', {'demo', 'design'}),
+        ('lpv demo --arm ', {'paper', 'real_arm'}),
+        ('lpv demo --scenario tw', {'two_faults'}),
+        ('lpv run lpv_uio ', {'uio'}),
+        ('ros2 topic ', {'echo', 'hz'}),
+    ],
+)
+def test_given_a_line_when_completed_then_what_fits_is_offered(tmp_path, line, offered):
+    if line.startswith('ros2'):
+        pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
+    assert offered <= set(completions(line, tmp_path))
+
+
+def test_given_an_interactive_shell_when_the_environment_is_sourced_then_completion_is_on():
+    shown = subprocess.run(
+        ['bash', '--norc', '-i', '-c', f'source {ROOT}/tools/env.sh; complete -p lpv'],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        env=dict(os.environ, VENV=sys.prefix),
+    )
+    assert re.search(r'complete .*-F _python_argcomplete lpv', shown.stdout), shown.stderr
+
+
+# ------------------------------------------------------------------ nodes without their files
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ('words', 'told'),
+    [
+        (
+            ('--params-file', '/nowhere/gains.yaml'),
+            'there is no file /nowhere/gains.yaml; gains of an arm are written by: lpv design',
+        ),
+        (('-p', 'broken'), '--ros-args: '),
+        (('--nix',), '--ros-args: '),
+    ],
+)
+def test_given_ros_arguments_that_are_wrong_when_a_node_starts_then_one_line_says_so(words, told):
+    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+    from lpv_core.support.resources import executable
+
+    done = subprocess.run(
+        [str(executable('lpv_uio', 'uio')), '--ros-args', *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    assert 'Traceback' not in done.stderr
+    assert told in done.stderr.splitlines()[-1]
