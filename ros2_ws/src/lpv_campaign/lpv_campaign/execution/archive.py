@@ -34,23 +34,8 @@ def archive_text(
     options: ReplayOptions | None = None,
     **sampling: Any,
 ) -> str:
-    """Text of an `Archive`.
-
-    Parameters
-    ----------
-    root : str or pathlib.Path
-        Archive; workers on other machines must find it under the same name.
-    arm : ArmParameters or SerialArm
-        Arm of all bags.
-    gains : Gains or None
-        Of a two-link arm.
-    diagnosis : DiagnosisParameters, optional
-        Tuning.
-    options : ReplayOptions, optional
-        What of each bag is read.
-    **sampling
-        As of `lpv_core.monitoring.factory.make_monitor`.
-    """
+    """Text of an `Archive`: its folder, the arm of all bags, what observes them; ``sampling`` as of
+    `lpv_core.monitoring.factory.make_monitor`."""
     content = {
         'root': str(Path(root).resolve()),
         'arm': arm_content(arm),
@@ -63,22 +48,7 @@ def archive_text(
 
 
 class Archive:
-    """Bags of one arm, observed with the same settings.
-
-    Parameters
-    ----------
-    text : str
-        Of `archive_text`.
-
-    Attributes
-    ----------
-    text : str
-        The same.
-    root : pathlib.Path
-        The folder.
-    arm : ArmParameters or SerialArm
-        Arm of all bags.
-    """
+    """Bags of one arm below ``root``, observed with the same settings; from `archive_text`."""
 
     def __init__(self, text: str) -> None:
         self.text, data = text, json.loads(text)

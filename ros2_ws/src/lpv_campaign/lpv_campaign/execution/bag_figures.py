@@ -148,8 +148,8 @@ class BagFigures:
         tables = {name: _sorted(parts) for name, parts in self._truth.items()}
         truth = tables['ground_truth']
         stamps = truth.pop('stamp')
-        others = {name: table for name, table in tables.items() if table is not truth}
-        held = {name: _held(table, stamps) for name, table in others.items()}
+        del tables['ground_truth']
+        held = {name: _held(table, stamps) for name, table in tables.items()}
         run = SimpleNamespace(time=(stamps - stamps[0]) / NANOSECONDS, **truth, **held['answers'])
         run.reference = held.get('reference', {}).get(
             'position', np.full_like(run.position, np.nan)
@@ -167,7 +167,7 @@ class BagFigures:
 
     def _faults(self, run: Any, scenario: Path) -> tuple[Sequence[Fault], int]:
         """Faults of the scenario in the bag's folder, and its seed; where there is none, of kind
-        ``unknown``, what the truth shows of each sensor from its first faulty sample to the last."""
+        ``unknown``, what the truth shows of a sensor from its first faulty sample to the last."""
         names = self._arm.sensor_names
         try:
             stored = load_any_scenario(scenario, self._arm)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -40,16 +40,8 @@ class WorkerError(LpvError):
     """A worker does not run the same software, or died of its work."""
 
 
-class Work(Protocol):
-    """What `Campaign` and `Archive` have in common."""
-
-    @property
-    def text(self) -> str:
-        """All of it, as a worker needs it."""
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that can change a result but the software itself."""
+Work = Campaign | Archive
+"""Both have a ``text``, all that a worker needs, and a ``key``, a hash of what makes results."""
 
 
 def software() -> str:
@@ -59,7 +51,7 @@ def software() -> str:
 
 
 @lru_cache(maxsize=2)
-def work_of(text: str) -> Campaign | Archive:
+def work_of(text: str) -> Work:
     """`Campaign` or `Archive` of a text; a worker parses it once."""
     return Archive(text) if 'root' in json.loads(text) else Campaign(text)
 
@@ -223,7 +215,7 @@ class ResultsFolder:
         self._chunks.mkdir(parents=True, exist_ok=True)
         _write(self.path / 'campaign.json', lambda part: part.write_text(work.text))
 
-    def load(self) -> Campaign | Archive | None:
+    def load(self) -> Work | None:
         """What was begun here; None if nothing was. ConfigError if it cannot be read."""
         file = self.path / 'campaign.json'
         if not file.exists():

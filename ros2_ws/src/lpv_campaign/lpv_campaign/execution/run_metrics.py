@@ -20,22 +20,9 @@ _EARLY = 0.1
 
 
 def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
-    """Figures of one run; names, meaning and units in docs/campaign.md.
-
-    Parameters
-    ----------
-    plan : RunPlan
-        What was simulated; its ``arm`` and ``scenario`` are used.
-    run : Run or SerialLoopRun
-        What came out.
-    twin : Run or SerialLoopRun, optional
-        The same run without faults.
-
-    Returns
-    -------
-    dict
-        NaN where there is nothing to be measured.
-    """
+    """Figures of one run, and of its healthy twin if there is one; NaN where there is nothing to be
+    measured. Names, meaning and units are in docs/campaign.md; of the plan ``arm`` and ``scenario``
+    are used."""
     scheduled = plan.scenario.faults
     faults = [f for f in scheduled if f.kind != 'rate_bias']
     begin, end = _interval(plan.scenario)

@@ -156,10 +156,10 @@ def _write_signals(plan: RunPlan, run: Any, path: Path) -> None:
         'disturbance': getattr(run, 'disturbance', np.zeros(len(run.time))),
     }
     reference = {
-        'position': wanted.position,
+        'position': run.reference,
         'velocity': wanted.velocity,
         'acceleration': wanted.acceleration,
-        'tip_position': way.tip(wanted.position),
+        'tip_position': way.tip(run.reference),
     }
     kept, everywhere = ~_lost(run), np.ones(len(run.time), bool)
     measured = {'position': run.measured, 'velocity': run.measured_velocity, 'effort': effort}

@@ -50,20 +50,7 @@ class RunPlan:
 
 
 def plan_run(campaign: Campaign, number: int) -> RunPlan:
-    """What is simulated in a run.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        The campaign.
-    number : int
-        Number of the run; with the campaign it determines everything.
-
-    Returns
-    -------
-    RunPlan
-        Ready to be simulated.
-    """
+    """What is simulated in a run; campaign and number determine everything."""
     values, spec = campaign.values(number), campaign.spec
     # Not the generator of the plan's points, which must not depend on what else is random in a run.
     rng = np.random.default_rng([spec.seed, 2, number])

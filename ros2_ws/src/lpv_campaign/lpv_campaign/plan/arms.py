@@ -54,7 +54,7 @@ def kind_of(arm: Arm) -> ArmKind:
 def random_path(
     arm: ArmParameters, rng: np.random.Generator, duration: float, fastest: float = 2.0
 ) -> tuple[Any, ...]:
-    """Timed points of a random path of a two-link arm on which gains are certified.
+    """Times [s] and points (x, y) [m] of a random path of a two-link arm that is certified.
 
     Parameters
     ----------
@@ -66,11 +66,6 @@ def random_path(
         Length of the run, more than 1 s [s]; the path leaves half a second at either end.
     fastest : float, optional
         Largest joint rate [rad/s].
-
-    Returns
-    -------
-    tuple
-        Times [s] and points (x, y) [m], both tuples, as a scenario has them.
 
     Raises
     ------

@@ -117,6 +117,8 @@ class _Bench:
             is_own = match[1] == 'diagnosis'
             part = DiagnosisParameters() if is_own else getattr(self._requirement, match[1])
         value = getattr(part, match[2], None) if match else None
+        if isinstance(value, tuple) and len(set(value)) == 1 and match and not match[3]:
+            return float(value[0])  # one for all
         if isinstance(value, tuple) and match and match[3] and int(match[3]) < len(value):
             return float(value[int(match[3])])
         if isinstance(value, float) and match and not match[3]:
@@ -133,10 +135,13 @@ class _Bench:
         data = copy.deepcopy(self._data)
         for name, value in values.items():
             part, field, index = _FIELD.fullmatch(name).groups()  # type: ignore[union-attr]
-            if part != 'diagnosis' and index:
-                data[part][field] = list(getattr(getattr(self._requirement, part), field))
-                data[part][field][int(index)] = value
-            elif part != 'diagnosis':
+            old = None if part == 'diagnosis' else getattr(getattr(self._requirement, part), field)
+            if isinstance(old, tuple):
+                now = data[part].get(field, old)
+                now = list(now) if isinstance(now, (list, tuple)) else list(old)
+                chosen = range(len(now)) if index is None else (int(index),)
+                data[part][field] = [value if k in chosen else now[k] for k in range(len(now))]
+            elif old is not None:
                 data[part][field] = value
         return data
 
