@@ -80,6 +80,7 @@ class _Bench:
         if not path.is_file():
             path = bringup_file('campaigns', arguments.campaign)
         self.name, self._execute = path.stem, execute
+        self._designed: dict[tuple[Any, ...], Gains] = {}
         self.campaign: Campaign = resolve(read_yaml(path), str(path), path.parent, designed=False)
         self.arm = self.campaign.arm
         if not self.campaign.kind.designed:
@@ -147,9 +148,12 @@ class _Bench:
 
     def gains(self, values: dict[str, float]) -> Gains:
         """Certified gains; InfeasibleError or ConfigError where there are none."""
-        gains = design(self.arm, parse_requirement(self.content(values), self.name)).gains
-        require(self.arm, gains, self.name)
-        return gains
+        key = tuple(values.items())
+        if key not in self._designed:
+            gains = design(self.arm, parse_requirement(self.content(values), self.name)).gains
+            require(self.arm, gains, self.name)
+            self._designed[key] = gains
+        return self._designed[key]
 
     def rows(self, values: dict[str, float], seed: int | None = None) -> list[dict[str, Any]]:
         """Results of all runs with given values: the same paths, noise and faults for each."""
