@@ -281,7 +281,8 @@ class _TwoLinkRange:
         answers = self._monitor.take_many(
             _stamps(samples, self.arm.sample_time), *np.ascontiguousarray(samples.swapaxes(0, 1))
         )
-        state, threshold = np.asarray(answers.fault.state), np.array(answers.fault.threshold)
+        # The bound is the threshold without its floor.
+        state, threshold = np.asarray(answers.fault.state), np.array(answers.fault.bound)
         judged = answers.has_fault[:, None] & (state <= int(SensorState.ERROR))
         judged &= (threshold > 0.0) & (threshold < LARGEST)
         ratio = np.abs(answers.fault.estimate) / np.where(judged, threshold, np.inf)
