@@ -1,7 +1,7 @@
 """How near our estimates are to the best that any estimator could do on the same data.
 
     python benchmarks/accuracy_limit.py                      # a run of each case
-    python benchmarks/accuracy_limit.py --runs 8 --jobs 2    # the tables of accuracy_limit.md
+    python benchmarks/accuracy_limit.py --runs 8 --jobs 2    # a mean over eight
 
 Random closed-loop runs as in diagnosis_campaign.py: the true arm differs from the model within what
 the arm file states.  Beside our estimates stand FilterPy's EKF and UKF with random-walk faults, and
