@@ -20,9 +20,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.execution.execute import execute, run_one
+from lpv_campaign.execution.execute import chunks_of, worker_pool
 from lpv_campaign.execution.run_metrics import figures
-from lpv_campaign.execution.runs import plan_run
+from lpv_campaign.execution.runs import plan_run, run_one
 from lpv_campaign.plan.campaign import Campaign, resolve
 from lpv_core.bound.error_bound import update_bound
 from lpv_core.control.tracking import TRACKING_STATE, track, tracking_constants
@@ -307,10 +307,11 @@ def vertex_times():
 def on_all_cores(campaign):
     """Wall time of a campaign, with its workers' start, and peaks of memory [MB]."""
     began, done, early = time.monotonic(), 0, 0
-    for rows in execute(campaign, range(campaign.spec.runs)):
-        done += len(rows)
-        if not early and done >= campaign.spec.runs // 10:
-            early = _peak()
+    with worker_pool() as do:
+        for _, rows in do(campaign, chunks_of(campaign)):
+            done += len(rows)
+            if not early and done >= campaign.spec.runs // 10:
+                early = _peak()
     return time.monotonic() - began, early, _peak()
 
 

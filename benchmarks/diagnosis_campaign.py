@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.plan.paths import random_path
+from lpv_campaign.plan.arms import random_path
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.model.arm import load_arm
 from lpv_core.model.joints import JointMap

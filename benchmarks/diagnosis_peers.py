@@ -12,10 +12,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from accuracy_limit import make_ekf, make_ukf
 from rich.console import Console
 from rich.table import Table
 
-from lpv_campaign.limit.kalman import make_ekf, make_ukf
 from lpv_core.control.tracking import TrackingController
 from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.model.arm import load_arm

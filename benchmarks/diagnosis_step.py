@@ -9,8 +9,8 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
+from accuracy_limit import make_ekf
 
-from lpv_campaign.limit.kalman import make_ekf
 from lpv_core.control.tracking import TrackingController
 from lpv_core.model.arm import load_arm
 from lpv_core.model.joints import JointMap

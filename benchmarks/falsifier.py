@@ -14,11 +14,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from lpv_campaign.falsify.result_files import write_worst
-from lpv_campaign.falsify.search import Finding, search
-from lpv_campaign.falsify.two_link import TwoLinkAttacker
+from lpv_campaign.falsify.attack import Attacker
+from lpv_campaign.falsify.search import search, write_worst
 from lpv_core.model.arm import ArmParameters, Link, load_arm
 from lpv_core.support.resources import bringup_file
 from lpv_design.design_flow import design
@@ -83,18 +80,6 @@ ARMS: dict[str, tuple[Callable[[], ArmParameters], str]] = {
 """Arms, and the requirement that each is designed from."""
 
 
-class CountingAttacker(TwoLinkAttacker):
-    """Counts the runs that crossed."""
-
-    crossings = 0
-
-    def run(self, attack: np.record) -> Finding:
-        """Simulate one attack, and count it if it crossed."""
-        found = super().run(attack)
-        self.crossings += int(found.ratio >= 1.0)
-        return found
-
-
 def attack(name: str, rate: int, options: argparse.Namespace) -> dict[str, object]:
     """Design one case, search it, keep its worst run.
 
@@ -106,10 +91,10 @@ def attack(name: str, rate: int, options: argparse.Namespace) -> dict[str, objec
     make, requirement = ARMS[name]
     arm = replace(make(), sample_time=1.0 / rate)
     gains = design(arm, load_requirement(requirement)).gains
-    attacker = CountingAttacker(arm, gains, options.duration)
+    attacker = Attacker(arm, options.duration, gains)
     start = time.process_time()
-    worst = search(attacker, options.evaluations, options.seed)
-    spent, crossings = time.process_time() - start, attacker.crossings
+    found = search(attacker, options.evaluations, options.seed)
+    spent, worst = time.process_time() - start, found[0]
     write_worst(attacker, worst, Path(options.out) / f'{name}_{rate}')
     return {
         'arm': name,
@@ -117,8 +102,8 @@ def attack(name: str, rate: int, options: argparse.Namespace) -> dict[str, objec
         'runs': options.evaluations,
         'worst_ratio': round(worst.ratio, 4),
         'sensor': arm.sensor_names[worst.sensor],
-        'threshold': round(worst.threshold, 6),
-        'crossings': crossings,
+        'threshold': round(float(worst.thresholds[worst.sensor]), 6),
+        'crossings': sum(one.ratio >= 1.0 for one in found),
         'cpu_time': round(spent, 1),
     }
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpv_campaign.execution.execute import run_one
+from lpv_campaign.execution.runs import run_one
 from lpv_campaign.plan.campaign import resolve
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.simulation.any_scenario import load_any_scenario

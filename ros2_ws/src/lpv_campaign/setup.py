@@ -10,7 +10,7 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
     ],
-    package_data={'lpv_campaign.report': ['report.html'], 'lpv_campaign.fleet': ['fleet.html']},
+    package_data={'lpv_campaign.report': ['report.html']},
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
     zip_safe=False,

@@ -11,15 +11,18 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from lpv_campaign.execution.execute import WorkerError, execute, run_one
+from lpv_campaign.execution.execute import WorkerError, chunks_of, worker_pool
+from lpv_campaign.execution.runs import run_one
 from lpv_campaign.plan.campaign import resolve
 from lpv_cli.main import main
+from lpv_core.support.resources import shipped_files
 
 pytestmark = pytest.mark.slow
 
 MANY = {
     'name': 'many',
     'seed': 9,
+    'designs': [str(shipped_files('gains')['paper'])],
     'duration': 2.0,
     'plan': {'method': 'random', 'runs': 160},
     'factors': {
@@ -95,13 +98,21 @@ def cluster(tmp_path):
     cluster.close()
 
 
+def execute(campaign, runs, workers=None, scheduler=None, size=20):
+    """Rows of the first runs, chunk by chunk."""
+    chunks = {name: part for name, part in chunks_of(campaign, size).items() if part[-1] < runs}
+    with worker_pool(workers, scheduler) as do:
+        for _, rows in do(campaign, chunks):
+            yield rows
+
+
 def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_different(
     cluster, tmp_path
 ):
     workers = [cluster.worker('one'), cluster.worker('two')]
     campaign = resolve(MANY, 'many', '.')
     rows, killed = [], False
-    for part in execute(campaign, range(160), scheduler=cluster.address, chunk=5):
+    for part in execute(campaign, 160, scheduler=cluster.address, size=5):
         rows += part
         if not killed and len(rows) >= 40:
             os.killpg(workers[0].pid, signal.SIGKILL)
@@ -116,9 +127,8 @@ def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_differen
     file.write_text(yaml.safe_dump(few))
     assert main(['campaign', str(file), '--out', str(out), '--scheduler', cluster.address]) == 0
     again = pq.read_table(out / 'runs.parquet').to_pylist()
-    assert repr([{name: row[name] for name in full} for row, full in zip(again, rows)]) == repr(
-        rows[:30]
-    )
+    for row, full in zip(again, rows):
+        assert repr([row[name] for name in full]) == repr(list(full.values()))
 
 
 def test_given_a_worker_of_another_version_when_run_then_its_results_are_refused(
@@ -127,13 +137,13 @@ def test_given_a_worker_of_another_version_when_run_then_its_results_are_refused
     cluster.worker('one')
     monkeypatch.setattr('lpv_campaign.execution.execute.software', lambda: 'another')
     with pytest.raises(WorkerError, match='another version'):
-        list(execute(resolve(MANY, 'many', '.'), range(20), scheduler=cluster.address))
+        list(execute(resolve(MANY, 'many', '.'), 20, scheduler=cluster.address))
 
 
 def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_with_a_new_one(
     cluster, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr('lpv_campaign.execution.cluster._NO_WORKER_TIMEOUT', 2.0)
+    monkeypatch.setattr('lpv_campaign.execution.execute._NO_WORKER_TIMEOUT', 2.0)
     worker, file, out = cluster.worker('one'), tmp_path / 'many.yaml', tmp_path / 'out'
     file.write_text(yaml.safe_dump(MANY))
     command = [
@@ -145,7 +155,7 @@ def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_w
         cluster.address,
         '--no-report',
     ]
-    found = execute(resolve(MANY, 'many', '.'), range(160), scheduler=cluster.address, chunk=5)
+    found = execute(resolve(MANY, 'many', '.'), 160, scheduler=cluster.address, size=5)
     next(found)
     os.killpg(worker.pid, signal.SIGKILL)
     with pytest.raises(WorkerError, match='no worker has been left'):
@@ -157,7 +167,7 @@ def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_w
 
 def test_given_a_scheduler_without_workers_when_run_then_one_line_says_so(cluster):
     with pytest.raises(WorkerError, match='has no workers'):
-        next(execute(resolve(MANY, 'many', '.'), range(20), scheduler=cluster.address))
+        next(execute(resolve(MANY, 'many', '.'), 20, scheduler=cluster.address))
 
 
 def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, capsys, monkeypatch):
@@ -174,6 +184,6 @@ def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, capsys, mon
 
 def test_given_processes_of_its_own_when_run_then_the_results_are_those_of_one_process():
     campaign = resolve(MANY, 'many', '.')
-    rows = [row for part in execute(campaign, range(60), workers=2, chunk=10) for row in part]
+    rows = [row for part in execute(campaign, 60, workers=2, size=10) for row in part]
     rows.sort(key=lambda row: row['number'])
     assert repr(rows) == repr([run_one(campaign, number) for number in range(60)])

@@ -1,70 +1,144 @@
-"""The falsifier: attacks within the arm file, a search, files that repeat."""
+"""The falsifier: attacks within the arm file, a search, files that repeat; arms of either kind."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from lpv_campaign.falsify.attack import NUMBERS, attack_as_dict, attack_from_dict, make_attack
-from lpv_campaign.falsify.result_files import BAG, SCENARIO, read_attack, repeat, write_worst
-from lpv_campaign.falsify.search import search
-from lpv_campaign.falsify.two_link import TwoLinkAttacker
+from lpv_campaign.falsify.attack import Attacker
+from lpv_campaign.falsify.healthy_run import ACCELERATION, CENTRE, RATE_SCALE, SPEED, SWING
+from lpv_campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
+from lpv_cli.main import main
+from lpv_core.model.joints import J
+from lpv_core.serial_arm.arm_file import load_serial_arm, save_serial_arm
+from lpv_core.serial_arm.description import Uncertainty
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
 
 pytestmark = pytest.mark.slow
 
 
-def test_given_any_candidate_when_made_an_attack_then_it_is_within_the_arm_file(arm):
+@pytest.fixture(scope='module')
+def ur10():
+    arm = load_serial_arm(bringup_file('arms', 'ur10'))
+    return replace(arm, uncertainty=Uncertainty(2.0, 0.1, 0.05))
+
+
+@pytest.fixture
+def gains_of(paper_gains, real_gains):
+    return {'paper': paper_gains, 'real_arm': real_gains}
+
+
+def attacks(attacker, count):
     rng = np.random.default_rng(3)
-    nominal = arm.constants()
-    for _ in range(50):
-        attack = make_attack(arm, rng.uniform(-1.5, 1.5, len(NUMBERS)), 1)
-        reach = np.arccos(arm.cos_min)
-        middle = 0.0 if arm.sign > 0 else np.pi
-        assert np.all(np.abs(attack.centre - middle) + attack.swing <= reach)
-        assert abs(attack.disturbance) <= abs(arm.disturbance_mean)
-        assert np.all(np.abs(attack.rate_scale) <= arm.velocity_error)
-        most = 1.0 + arm.model_error + 1e-9
-        assert np.all(attack.true_arm.gravity <= most * nominal.gravity)
+    return [attacker.attack(rng.uniform(-1.5, 1.5, attacker.numbers), k) for k in range(count)]
 
 
-def test_given_an_attack_when_stored_and_read_then_it_is_the_same(paper_arm):
-    attack = make_attack(paper_arm, np.linspace(-1.0, 1.0, len(NUMBERS)), 5)
-    assert attack_from_dict(attack_as_dict(attack)) == attack
+def test_given_any_candidate_when_made_an_attack_then_it_is_within_the_arm_file(arm, gains_of):
+    attacker = Attacker(arm, 1.0, gains_of[arm.name])
+    upright = 0.0 if arm.sign > 0 else np.pi
+    for attack in attacks(attacker, 50):
+        rows = np.array(attack.joints)
+        assert np.abs(attack.shares).max() <= 1.0
+        away = rows[CENTRE] + [arm.zero_angle] * 2 - upright
+        assert np.all(np.abs(away) + rows[SWING] <= np.arccos(arm.cos_min))
+        assert (rows[SWING] * rows[SPEED]).sum() <= 0.5 * min(arm.velocity_limit) + 1e-12
+        direction = np.linalg.solve(J, rows[ACCELERATION])
+        most = np.abs(np.array(arm.disturbance_direction) * arm.disturbance_mean)
+        assert np.all(np.abs(direction) <= most + 1e-12)
+        assert np.all(np.abs(rows[RATE_SCALE]) <= arm.velocity_error)
+
+
+def test_given_a_nominal_healthy_run_when_simulated_then_the_measurements_obey_the_file(
+    arm, gains_of
+):
+    """Readings follow the motion; rates are their derivative, but for noise and stated errors."""
+    attacker = Attacker(arm, 2.0, gains_of[arm.name])
+    assert attacker.simulate(attacker.attack(np.zeros(attacker.numbers), 1))
+    position, rate = attacker.samples[:, 0], attacker.samples[:, 1]
+    slope = np.gradient(position, arm.sample_time, axis=0)
+    few = 50
+    mean = [np.convolve(column, np.ones(few) / few, 'valid') for column in (slope - rate).T]
+    assert np.abs(mean).max() < 0.1 + 2.0 * arm.position_noise / (few * arm.sample_time)
+
+
+def test_given_any_candidate_of_a_serial_arm_when_made_then_it_is_within_the_arm_file(ur10):
+    attacker = Attacker(ur10, 0.5)
+    lower = [max(joint.limits.lower, -np.pi) for joint in ur10.joints]
+    for attack in attacks(attacker, 5):
+        rows = np.array(attack.joints)
+        assert np.all(rows[CENTRE] - rows[SWING] >= np.array(lower) - 1e-9)
+        assert np.all(rows[SWING] * rows[SPEED] <= ur10.velocity_limit)
+        assert np.abs(attack.shares).max() <= 1.0
 
 
 def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, gains_of):
-    attacker = TwoLinkAttacker(arm, gains_of[arm.name], 4.0)
-    worst = search(attacker, 150)
-    assert 0.45 < worst.ratio < 1.0
+    found = search(Attacker(arm, 4.0, gains_of[arm.name]), 150)
+    assert len(found) == 150 and found == sorted(found, key=lambda one: -one.ratio)
+    assert 0.4 < found[0].ratio < 1.0
+    assert not any(one.blamed for one in found)
 
 
 def test_given_an_arm_beyond_its_file_when_searched_then_the_threshold_is_crossed(
     paper_arm, paper_gains
 ):
     """The search finds what is there to be found: the bound of one arm, a worse one simulated."""
-    attacker = TwoLinkAttacker(paper_arm, paper_gains, 4.0)
-    attacker.arm = replace(paper_arm, model_error=0.2, disturbance_mean=1.0)
-    assert search(attacker, 100).ratio > 1.0
+    attacker = Attacker(paper_arm, 4.0, paper_gains)
+    attacker.range.arm = replace(paper_arm, model_error=0.2, disturbance_mean=1.0)
+    assert search(attacker, 100)[0].ratio > 1.0
 
 
-def test_given_a_worst_run_when_written_then_it_repeats_bit_by_bit(
-    paper_arm, paper_gains, tmp_path
+def test_given_a_short_search_of_a_serial_arm_then_it_comes_near_and_never_across(ur10):
+    worst = search(Attacker(ur10, 2.0), 20)[0]
+    assert 0.4 < worst.ratio < 1.0
+    assert worst.thresholds[worst.sensor] < 1.5
+
+
+def test_given_a_monitor_that_is_told_too_little_when_searched_then_it_is_crossed(ur10):
+    told = replace(ur10, uncertainty=Uncertainty(0.2, 0.05, 0.01))
+    assert search(Attacker(ur10, 2.0, monitored=told), 8)[0].ratio > 1.0
+
+
+@pytest.mark.parametrize('kind', ['two links', 'serial'])
+def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
+    kind, ur10, paper_arm, paper_gains, tmp_path, capsys
 ):
-    attacker = TwoLinkAttacker(paper_arm, paper_gains, 1.0)
-    worst = search(attacker, 5)
+    serial = kind == 'serial'
+    arm, gains = (ur10, None) if serial else (paper_arm, paper_gains)
+    attacker = Attacker(arm, 0.6, gains)
+    worst = search(attacker, 3)[0]
     write_worst(attacker, worst, tmp_path)
     attack, duration = read_attack(tmp_path / SCENARIO)
-    again = TwoLinkAttacker(paper_arm, paper_gains, duration)
-    assert repeat(again, attack, tmp_path).ratio == worst.ratio
+    again = repeat(Attacker(arm, duration, gains), attack, tmp_path)
+    assert again.ratio == worst.ratio and asdict(again.attack) == asdict(worst.attack)
     assert (tmp_path / BAG / 'metadata.yaml').is_file()
+    options = ['--arm', 'paper', '--gains', 'paper']
+    if serial:
+        save_serial_arm(ur10, tmp_path / 'arm.yaml')
+        options = ['--arm', str(tmp_path / 'arm.yaml')]
+    assert main(['falsify', *options, '--repeat', str(tmp_path / SCENARIO)]) == 0
+    assert f'reached {worst.ratio:.3f} of its threshold' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize('text', ['{}', 'attack: 3', 'attack: {centre: x}'])
-def test_given_no_attack_when_read_then_it_is_refused_by_name(
+@pytest.mark.parametrize(
+    'text', ['{}', 'attack: 3', 'attack: {joints: x}', 'attack: {joints: [[0.0]], rest: 1.0}']
+)
+def test_given_no_attack_on_this_arm_when_read_then_it_is_refused_by_name(
     tmp_path, text, paper_arm, paper_gains
 ):
     path = tmp_path / 'a.yaml'
     path.write_text(f'duration: 1.0\n{text}' if 'attack' in text else text)
     with pytest.raises(ConfigError, match='attack'):
-        repeat(TwoLinkAttacker(paper_arm, paper_gains, 1.0), read_attack(path)[0], path)
+        repeat(Attacker(paper_arm, 1.0, paper_gains), read_attack(path)[0], path)
+
+
+def test_given_what_nothing_is_guaranteed_of_when_attacked_then_that_is_said(
+    ur10, paper_arm, capsys
+):
+    with pytest.raises(ConfigError, match='model_error'):
+        Attacker(replace(ur10, uncertainty=Uncertainty()), 1.0)
+    with pytest.raises(ConfigError, match='gains'):
+        Attacker(paper_arm, 1.0)
+    assert main(['falsify', '--arm', 'paper']) == 2
+    assert main(['falsify', '--arm', 'ur10', '--gains', 'paper']) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 2

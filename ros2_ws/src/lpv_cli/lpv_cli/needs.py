@@ -10,7 +10,6 @@ DISTRIBUTION = 'lpv-arm-fdi'
 _EXTRAS = {
     'pyarrow': 'campaign',
     'distributed': 'campaign',
-    'filterpy': 'campaign',
     'cmaes': 'campaign',
     'optuna': 'tune',
     'sqlalchemy': 'tune',

@@ -1,134 +1,280 @@
-"""Runs a campaign: here, on all cores, or on a cluster; the results are the same."""
+"""Runs a campaign of simulations or bags by chunks: here, on all cores, or on a cluster."""
 
+import json
+import logging
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
+import lpv_bag
 import lpv_campaign
 import lpv_core
-from lpv_campaign.execution.cluster import WorkerError, connect, map_chunks
-from lpv_campaign.execution.run_metrics import figures
-from lpv_campaign.execution.runs import RunPlan, plan_run
-from lpv_campaign.limit.accuracy import limit_figures
-from lpv_campaign.plan.campaign import Campaign, campaign_of
-from lpv_campaign.plan.spec import CampaignSpec
-from lpv_core.simulation.closed_loop import Run
-from lpv_core.support.errors import LpvError
+from lpv_campaign.execution.archive import Archive
+from lpv_campaign.execution.runs import run_one
+from lpv_campaign.plan.campaign import Campaign
+from lpv_campaign.plan.spec import TEXTS
+from lpv_core.support.errors import ConfigError, LpvError
 from lpv_core.support.jit import source_digest
 
-__all__ = [
-    'CHUNK',
-    'WorkerError',
-    'worker_pool',
-    'execute',
-    'has_limit',
-    'run_chunk',
-    'run_one',
-    'software',
-]
 CHUNK = 20
 """Runs that are sent to a worker, and written, together."""
+_BATCH = 1000
+"""Chunks that a scheduler holds at a time."""
+_CONNECT_TIMEOUT = 5.0
+"""How long a scheduler may take to answer, and to have a worker [s]."""
+_NO_WORKER_TIMEOUT = 60.0
+"""Time without any worker after which a campaign gives up [s]."""
+_MOST_BYTES = 64 << 20
+"""Largest campaign.json that is read."""
+
+
+class WorkerError(LpvError):
+    """A worker does not run the same software, or died of its work."""
+
+
+Work = Campaign | Archive
+"""Both have a ``text``, all that a worker needs, and a ``key``, a hash of what makes results."""
 
 
 def software() -> str:
     """Hash of everything that makes the numbers."""
-    return '-'.join(
-        source_digest(Path(module).parent) for module in (lpv_core.__file__, lpv_campaign.__file__)
-    )
+    modules = (lpv_core.__file__, lpv_bag.__file__, lpv_campaign.__file__)
+    return '-'.join(source_digest(Path(module).parent) for module in modules)
 
 
-def run_one(campaign: Campaign, number: int) -> dict[str, Any]:
-    """Simulate a run and measure it."""
-    try:
-        plan = plan_run(campaign, number)
-        run = plan.simulate()
-        twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
-    except LpvError as error:
-        raise LpvError(f'run {number}: {error}') from error
-    row = {'number': number, **plan.values, **figures(plan, run, twin)}
-    if has_limit(campaign.spec, number) and isinstance(plan, RunPlan) and isinstance(run, Run):
-        row.update(_limits(plan, run))
-    return row
+@lru_cache(maxsize=2)
+def work_of(text: str) -> Work:
+    """`Campaign` or `Archive` of a text; a worker parses it once."""
+    return Archive(text) if 'root' in json.loads(text) else Campaign(text)
 
 
-def _limits(plan: RunPlan, run: Run) -> dict[str, float]:
-    if not np.isfinite(run.position).all():
-        return {}
-    found = limit_figures(plan.arm, plan.scenario, run, substeps=plan.substeps)
-    return {f'limit_{name}': value for name, value in found.items()}
+def run_chunk(text: str, name: str, tasks: list[Any]) -> tuple[str, str, list[dict[str, Any]]]:
+    """Some tasks, as a worker runs them; name of the chunk, software, rows."""
+    work = work_of(text)
+    run = work.row if isinstance(work, Archive) else lambda number: run_one(work, number)
+    return name, software(), [run(task) for task in tasks]
 
 
-def has_limit(spec: CampaignSpec, number: int) -> bool:
-    """Whether the estimates of a run are compared with the best possible ones."""
-    return (number + 1) * spec.limit // spec.runs > number * spec.limit // spec.runs
+def chunks_of(campaign: Campaign, size: int = CHUNK) -> dict[str, list[int]]:
+    """Runs of a campaign by the name of their chunk."""
+    tasks = campaign.tasks
+    return {f'{k:08d}': tasks[k : k + size] for k in range(0, len(tasks), size)}
 
 
-def run_chunk(text: str, numbers: list[int]) -> tuple[Any, ...]:
-    """Some runs of a campaign, as a worker runs them."""
-    campaign = campaign_of(text)
-    return software(), [run_one(campaign, number) for number in numbers]
-
-
-def execute(
-    campaign: Campaign,
-    numbers: Sequence[int],
-    workers: int | None = None,
-    scheduler: str | None = None,
-    chunk: int = CHUNK,
-) -> Iterator[list[dict[str, Any]]]:
-    """Run a part of a campaign.
+@contextmanager
+def worker_pool(
+    workers: int | None = None, scheduler: str | None = None
+) -> Iterator[Callable[[Work, dict[str, list[Any]]], Iterator[tuple[str, list[dict[str, Any]]]]]]:
+    """Workers that serve one campaign after another.
 
     Parameters
     ----------
-    campaign : Campaign
-        The campaign.
-    numbers : sequence of int
-        Runs to do.
     workers : int, optional
         Processes of a cluster on this machine; 0: none, all in this process; by default as many as
         there are cores.
     scheduler : str, optional
         Address of a Dask scheduler to use instead.
-    chunk : int, optional
-        Runs a task.
 
     Yields
     ------
-    list of dict
-        Rows, as chunks are done, in any order.
+    callable
+        Takes a campaign and its chunks by name, and yields name and rows of each, as they are
+        done, in any order; the rows are the same whoever computes them.
 
     Raises
     ------
     WorkerError
         If a worker runs other software, or workers die of the same chunk again and again.
     """
-    with worker_pool(workers, scheduler) as do:
-        yield from do(campaign, numbers, chunk)
-
-
-@contextmanager
-def worker_pool(
-    workers: int | None = None, scheduler: str | None = None
-) -> Iterator[Callable[..., Any]]:
-    """Workers that serve several campaigns."""
     if scheduler is None and workers == 0:
         yield _here
         return
-    with connect(workers, scheduler) as client:
-        yield lambda campaign, numbers, chunk=CHUNK: map_chunks(
-            client, run_chunk, campaign.text, _chunks(numbers, chunk), software()
-        )
+    with ExitStack() as stack:
+        client = stack.enter_context(_client(workers, scheduler, stack))
+        yield lambda work, chunks: _mapped(client, work, chunks)
 
 
-def _here(
-    campaign: Campaign, numbers: Sequence[int], chunk: int = CHUNK
-) -> Iterator[list[dict[str, Any]]]:
-    for part in _chunks(numbers, chunk):
-        yield run_chunk(campaign.text, part)[1]
+def _here(work: Work, chunks: dict[str, list[Any]]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    for name, tasks in chunks.items():
+        yield name, run_chunk(work.text, name, tasks)[2]
 
 
-def _chunks(numbers: Sequence[int], chunk: int) -> list[list[int]]:
-    return [list(numbers[k : k + chunk]) for k in range(0, len(numbers), chunk)]
+def _client(workers: int | None, scheduler: str | None, stack: ExitStack) -> Any:
+    from distributed import Client, LocalCluster
+
+    if scheduler is None:
+        with _interrupts_ignored():
+            cluster = LocalCluster(
+                n_workers=workers or len(os.sched_getaffinity(0)),
+                threads_per_worker=1,
+                host='127.0.0.1',
+                dashboard_address='127.0.0.1:0',
+                memory_limit=0,
+                silence_logs=logging.ERROR,
+            )
+        return Client(stack.enter_context(cluster))
+    try:
+        client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
+    except (OSError, ValueError, ImportError) as error:
+        raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
+    try:
+        client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
+    except TimeoutError:
+        client.close()
+        raise WorkerError(f'scheduler {scheduler!r} has no workers') from None
+    return client
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that are started within ignore Ctrl-C: the one that started them ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _mapped(
+    client: Any, work: Work, chunks: dict[str, list[Any]]
+) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    from distributed import wait
+    from distributed.scheduler import KilledWorker
+
+    names, own = list(chunks), software()
+    for first in range(0, len(names), _BATCH):
+        batch = names[first : first + _BATCH]
+        tasks = [chunks[name] for name in batch]
+        # Not pure: a key by content would hash the text again for each chunk.
+        pending = set(client.map(run_chunk, [work.text] * len(batch), batch, tasks, pure=False))
+        while pending:
+            try:
+                done, pending = wait(pending, _NO_WORKER_TIMEOUT, return_when='FIRST_COMPLETED')
+            except TimeoutError:
+                if client.nthreads():
+                    continue
+                raise WorkerError(
+                    f'no worker has been left for {_NO_WORKER_TIMEOUT:g} s; finished work is '
+                    'kept: start workers and run the command again'
+                ) from None
+            for future in done:
+                try:
+                    name, version, rows = future.result()
+                except KilledWorker as error:
+                    raise WorkerError(f'workers died of the same work again: {error}') from error
+                if version != own:
+                    raise WorkerError(
+                        'a worker runs another version of this software: install the same one '
+                        'everywhere'
+                    )
+                yield name, rows
+
+
+class ResultsFolder:
+    """Results on disk: one Parquet file a chunk, and one of all rows in the end.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The folder; made when something is written.
+    name : str
+        Name of the file of all rows.
+    """
+
+    def __init__(self, path: str | Path, name: str = 'runs') -> None:
+        self.path = Path(path)
+        self.file, self._chunks = self.path / f'{name}.parquet', self.path / 'chunks'
+
+    def begin(self, work: Work) -> None:
+        """Keep what is run, so that it can be resumed after a crash.
+
+        Raises
+        ------
+        ConfigError
+            If something else was begun here.
+        """
+        begun = self.load()
+        if begun is not None and begun.key != work.key:
+            raise ConfigError(
+                '--out',
+                'holds results of another campaign (a file or an option changed): take another '
+                'folder, or remove it',
+                str(self.path),
+            )
+        self._chunks.mkdir(parents=True, exist_ok=True)
+        _write(self.path / 'campaign.json', lambda part: part.write_text(work.text))
+
+    def load(self) -> Work | None:
+        """What was begun here; None if nothing was. ConfigError if it cannot be read."""
+        file = self.path / 'campaign.json'
+        if not file.exists():
+            return None
+        try:
+            if file.stat().st_size > _MOST_BYTES:
+                raise ValueError('too large')
+            return work_of(file.read_text(encoding='utf-8'))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ConfigError('campaign', f'cannot be read ({error})', str(file)) from error
+
+    def missing(self, chunks: dict[str, list[Any]]) -> dict[str, list[Any]]:
+        """Chunks that are not here yet."""
+        return {name: tasks for name, tasks in chunks.items() if not self._chunk(name).exists()}
+
+    def add(self, name: str, rows: list[dict[str, Any]]) -> None:
+        """Write a chunk; it is there as a whole or not at all."""
+        table = _table(rows)
+        _write(self._chunk(name), lambda part: pq.write_table(table, part))
+
+    def rows(self, chunks: dict[str, list[Any]], others: Sequence[dict[str, Any]] = ()) -> pa.Table:
+        """All rows of some chunks that are here, and others that are kept nowhere else."""
+        tables = [_table(others)] if others else []
+        for file in filter(Path.exists, map(self._chunk, chunks)):
+            try:
+                tables.append(pq.read_table(file))
+            except (pa.ArrowInvalid, OSError) as error:
+                raise ConfigError(
+                    'results',
+                    f'cannot be read ({error}); remove the file to repeat its runs',
+                    str(file),
+                ) from error
+        if not tables:
+            raise ConfigError('results', 'there are none', str(self.path))
+        table = pa.concat_tables(tables, promote_options='permissive')
+        for i, field in enumerate(table.schema):
+            if pa.types.is_null(field.type):  # nothing there in any row
+                kind = pa.string() if field.name in TEXTS else pa.float64()
+                table = table.set_column(i, field.name, table[field.name].cast(kind))
+        return table
+
+    def finish(self, table: pa.Table) -> None:
+        """Write the file of all rows."""
+        _write(self.file, lambda part: pq.write_table(table, part))
+
+    def _chunk(self, name: str) -> Path:
+        return self._chunks / f'{name}.parquet'
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> pa.Table:
+    names = dict.fromkeys(name for row in rows for name in row)
+    return pa.table({name: [row.get(name) for row in rows] for name in names})
+
+
+def _write(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write a file that is there as a whole or not at all."""
+    part = path.with_name(path.name + '.part')
+    write(part)
+    # On disk before it gets its name: a power cut must not leave a name without content.
+    with open(part, 'rb') as file:
+        os.fsync(file.fileno())
+    part.replace(path)

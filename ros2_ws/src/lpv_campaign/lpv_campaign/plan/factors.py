@@ -79,41 +79,42 @@ def parse_factor(
 
 def _choice(data: Any, name: str, source: str) -> Choice:
     values = tuple(data) if isinstance(data, list) else (data,)
+    reason = ''
     if not 1 <= len(values) <= _MOST_CHOICES:
-        raise ConfigError(name, f'must list 1 to {_MOST_CHOICES} values', source)
-    for value in values:
-        if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-            raise ConfigError(name, f'must be numbers or texts, got {value!r}', source)
-        if not isinstance(value, str) and not math.isfinite(value):
-            raise ConfigError(name, 'must be finite', source)
-    if len({isinstance(v, str) for v in values}) > 1:
-        raise ConfigError(name, 'must not mix numbers and texts', source)
-    if len(set(values)) < len(values):
-        raise ConfigError(name, 'lists a value twice', source)
+        reason = f'must list 1 to {_MOST_CHOICES} values'
+    elif not all(isinstance(v, str) or _is_number(v) for v in values):
+        reason = 'must be finite numbers or texts'
+    elif len({isinstance(v, str) for v in values}) > 1:
+        reason = 'must not mix numbers and texts'
+    elif len(set(values)) < len(values):
+        reason = 'lists a value twice'
+    if reason:
+        raise ConfigError(name, reason, source)
     return Choice(tuple(v if isinstance(v, str) else float(v) for v in values))
 
 
+def _is_number(value: object) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)  # type: ignore[arg-type]
+
+
 def _range(data: dict[str, Any], name: str, source: str) -> Range:
-    unknown = sorted(set(map(str, data)) - _KEYS)
-    if unknown or 'low' not in data or 'high' not in data:
+    if set(data) - _KEYS or not {'low', 'high'} <= set(data):
         raise ConfigError(
             name,
             'must be a value, a list of values, or a mapping of low and high, '
             'with spacing (linear, log) and levels',
             source,
         )
-    ends = []
     for key in ('low', 'high'):
-        if isinstance(data[key], bool) or not isinstance(data[key], (int, float)):
+        if type(data[key]) not in (int, float):
             raise ConfigError(f'{name}.{key}', 'must be a number', source)
-        ends.append(float(data[key]))
     spacing, levels = data.get('spacing', 'linear'), data.get('levels', 2)
     if spacing not in ('linear', 'log'):
         raise ConfigError(f'{name}.spacing', 'must be linear or log', source)
-    if isinstance(levels, bool) or not isinstance(levels, int) or not 2 <= levels <= _MOST_CHOICES:
+    if type(levels) is not int or not 2 <= levels <= _MOST_CHOICES:
         raise ConfigError(f'{name}.levels', f'must be an integer, 2 to {_MOST_CHOICES}', source)
-    if not (all(map(math.isfinite, ends)) and ends[0] < ends[1]):
+    if not (_is_number(data['low']) and _is_number(data['high']) and data['low'] < data['high']):
         raise ConfigError(name, 'must have a finite low below a finite high', source)
-    if spacing == 'log' and ends[0] <= 0.0:
+    if spacing == 'log' and data['low'] <= 0.0:
         raise ConfigError(f'{name}.low', 'must be positive for logarithmic spacing', source)
-    return Range(ends[0], ends[1], spacing == 'log', levels)
+    return Range(float(data['low']), float(data['high']), spacing == 'log', levels)

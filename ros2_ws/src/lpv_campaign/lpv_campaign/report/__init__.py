@@ -1,6 +1,5 @@
-"""Report of a campaign: one self-contained page, its numbers as JSON, a summary on the terminal."""
+"""One report of a campaign of runs or of bags: a page, its numbers, a summary on the terminal."""
 
-from lpv_campaign.report.summary import print_summary
-from lpv_campaign.report.write import CampaignReport, write_report
+from lpv_campaign.report.write import CampaignReport, print_summary, report_numbers, write_report
 
-__all__ = ['CampaignReport', 'print_summary', 'write_report']
+__all__ = ['CampaignReport', 'print_summary', 'report_numbers', 'write_report']

@@ -2,49 +2,31 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
-import pyarrow as pa
 from rich.console import Console
+from rich.table import Table
 
-from lpv_campaign.execution.execute import execute
-from lpv_campaign.execution.store import CampaignFolder
-from lpv_campaign.plan.campaign import Campaign
-from lpv_cli.campaigns import fleet
-from lpv_cli.campaigns.campaign_files import open_file, open_folder
-from lpv_cli.campaigns.campaign_run import run_to_bag
+from lpv_campaign.execution.execute import ResultsFolder, chunks_of, worker_pool
+from lpv_campaign.execution.run_metrics import figures
+from lpv_campaign.execution.runs import plan_run
+from lpv_campaign.plan.campaign import Campaign, resolve
 from lpv_cli.progress import counted
-from lpv_core.support.errors import ConfigError
+from lpv_core.support.config import read_yaml
+from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.resources import bringup_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
         'spec',
-        nargs='?',
-        help='campaign file (YAML) or name of a shipped one; '
-        'or a folder of results: its report is written again, or with --run one '
-        'of its runs as a bag',
+        help='campaign file (YAML) or name of a shipped one; or a folder of results: its report '
+        'is written again, or with --run one of its runs as a bag',
     )
-    parser.add_argument(
-        '--out',
-        default=None,
-        help='folder of the results (out/campaign/NAME); where it holds a part '
-        'of this campaign, the rest is run',
-    )
-    parser.add_argument(
-        '--workers',
-        type=int,
-        default=None,
-        help='processes on this machine; 0: this process only (default: one per core)',
-    )
+    add_execution(parser, 'out/campaign/NAME')
     parser.add_argument(
         '--no-report', action='store_true', help='put the results together, and write no report'
-    )
-    parser.add_argument(
-        '--scheduler',
-        default=None,
-        metavar='ADDRESS',
-        help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786',
     )
     parser.add_argument(
         '--run',
@@ -54,91 +36,168 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='do this run again, and write it as the bag that --bag names',
     )
     parser.add_argument('--bag', metavar='FOLDER', help='bag of the run to write')
-    fleet.add_arguments(parser)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Run what is missing, and put the results together.
-
-    Exit code: 0; 3 if a bag of an archive could not be read.
-    """
-    _check_workers(arguments)
-    if arguments.bags is not None:
-        return _replay_archive(arguments)
-    if arguments.number is not None or arguments.bag is not None:
-        return run_to_bag(arguments)
-    if arguments.spec is None:
-        raise ConfigError('spec', 'is missing: name a campaign file')
-    console = Console(soft_wrap=True)
-    if Path(arguments.spec).is_dir():
-        return _report_again(arguments, console)
-    campaign, folder = open_file(arguments.spec, arguments.out)
-    if folder.holds_another(campaign):
-        raise ConfigError(
-            '--out',
-            'holds results of another campaign (file, arm or scenario '
-            'changed): take another folder, or remove it',
-            str(folder.path),
-        )
-    finished = folder.finished()
-    numbers = [n for n in range(campaign.spec.runs) if n not in finished]
-    if finished:
-        console.print(f'{len(finished)} of {campaign.spec.runs} runs are here already')
-    if numbers:
-        folder.begin(campaign)
-        _run(arguments, campaign, folder, numbers, console)
-    table = folder.finish()
-    console.print(f'results: {folder.runs_file}')
-    if not arguments.no_report:
-        _report(campaign, folder, table, console)
-    return 0
+def add_execution(parser: argparse.ArgumentParser, out: str) -> None:
+    """Declare where results go, and who computes them."""
+    parser.add_argument(
+        '--out',
+        help=f'folder of the results ({out}); where it holds a part of them, the rest is done',
+    )
+    parser.add_argument(
+        '--workers',
+        type=int,
+        help='processes on this machine; 0: this process only (default: one per core)',
+    )
+    parser.add_argument(
+        '--scheduler',
+        metavar='ADDRESS',
+        help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786',
+    )
 
 
-def _report(campaign: Campaign, folder: CampaignFolder, table: pa.Table, console: Console) -> None:
-    # Only here: runs must not wait for plotting.
-    from lpv_campaign.report import print_summary, write_report
-
-    report = write_report(campaign, table, folder.path)
-    print_summary(report.numbers, console)
-    console.print(f'report: {report.html}')
-
-
-def _report_again(arguments: argparse.Namespace, console: Console) -> int:
-    """Report of what is in a folder, whether it is all or not."""
-    if arguments.out is not None:
-        raise ConfigError('--out', 'goes with a campaign file, not with a folder of results')
-    campaign, folder = open_folder(arguments.spec)
-    table = folder.table()
-    missing = campaign.spec.runs - table.num_rows
-    if missing > 0:
-        console.print(
-            f'{missing} of {campaign.spec.runs} runs are missing: the same campaign file '
-            f'with --out {folder.path} runs them'
-        )
-    _report(campaign, folder, table, console)
-    return 0
-
-
-def _check_workers(arguments: argparse.Namespace) -> None:
+def check_workers(arguments: argparse.Namespace) -> None:
+    """ConfigError for a number of workers that makes no sense."""
     if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
         raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
 
 
-def _replay_archive(arguments: argparse.Namespace) -> int:
-    if arguments.spec is not None or arguments.number is not None or arguments.bag is not None:
-        raise ConfigError('--bags', 'goes without a campaign file, --run and --bag')
-    return fleet.replay_archive(arguments)
+def run(arguments: argparse.Namespace) -> int:
+    """Run what is missing, and put the results together."""
+    check_workers(arguments)
+    console = Console(soft_wrap=True, highlight=False)
+    is_folder = Path(arguments.spec).is_dir()
+    campaign, folder = _open(arguments)
+    if arguments.number is not None or arguments.bag is not None:
+        return _run_to_bag(arguments, campaign, folder, console)
+    if is_folder and arguments.out is not None:
+        raise ConfigError('--out', 'goes with a campaign file, not with a folder of results')
+    chunks = chunks_of(campaign)
+    if not is_folder:
+        execute(arguments, campaign, folder, chunks, campaign.spec.name, console)
+    table = folder.rows(chunks)
+    missing = campaign.spec.runs - table.num_rows
+    if missing:
+        console.print(
+            f'{missing} of {campaign.spec.runs} runs are missing: the same campaign file '
+            f'with --out {folder.path} runs them'
+        )
+    else:
+        folder.finish(table)
+        console.print(f'results: {folder.file}')
+    if not arguments.no_report:
+        # Only here: runs must not wait for plotting.
+        from lpv_campaign.report import print_summary, write_report
+
+        report = write_report(campaign, table, folder.path, campaign.spec.runs)
+        print_summary(report.numbers, console)
+        console.print(f'report: {report.html}')
+    return 0
 
 
-def _run(
+def _open(arguments: argparse.Namespace) -> tuple[Campaign, ResultsFolder]:
+    """Campaign and its results, with the gains that were used if it has begun already."""
+    path = Path(arguments.spec)
+    if path.is_dir():
+        folder = ResultsFolder(path)
+        begun = folder.load()
+        if not isinstance(begun, Campaign):
+            raise ConfigError('spec', 'holds no results of a campaign', str(path))
+        return begun, folder
+    if not path.is_file():
+        path = bringup_file('campaigns', arguments.spec)
+    campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
+    folder = ResultsFolder(arguments.out or Path('out') / 'campaign' / path.stem)
+    begun = folder.load()
+    same = isinstance(begun, Campaign) and begun.key == campaign.key
+    return (begun if same else campaign), folder  # type: ignore[return-value]
+
+
+def execute(
     arguments: argparse.Namespace,
-    campaign: Campaign,
-    folder: CampaignFolder,
-    numbers: list[int],
+    work: Any,
+    folder: ResultsFolder,
+    chunks: dict[str, list[Any]],
+    name: str,
     console: Console,
-) -> None:
-    total = campaign.spec.runs
-    with counted(console, campaign.spec.name, total, total - len(numbers)) as advance:
-        for rows in execute(campaign, numbers, arguments.workers, arguments.scheduler):
-            folder.add(campaign, rows)
+) -> list[dict[str, Any]]:
+    """Do what is missing of a campaign of runs or bags; rows of bags that could not be read, which
+    are tried again the next time."""
+    folder.begin(work)
+    missing = folder.missing(chunks)
+    total, left = (sum(map(len, part.values())) for part in (chunks, missing))
+    if left < total:
+        console.print(f'{total - left} of {total} are here already')
+    failed: list[dict[str, Any]] = []
+    if not left:
+        return failed
+    with (
+        worker_pool(arguments.workers, arguments.scheduler) as do,
+        counted(console, name, total, total - left) as advance,
+    ):
+        for chunk, rows in do(work, missing):
+            if any(row.get('error') for row in rows):
+                failed += rows
+            else:
+                folder.add(chunk, rows)
             advance(len(rows))
+    return failed
+
+
+def _run_to_bag(
+    arguments: argparse.Namespace, campaign: Campaign, folder: ResultsFolder, console: Console
+) -> int:
+    """Simulate a run again, compare its figures with the results, write its bag."""
+    from lpv_campaign.execution.run_to_bag import differences, write_run_bag
+
+    number, runs = arguments.number, campaign.spec.runs
+    if number is None or arguments.bag is None:
+        raise ConfigError(
+            '--run', 'and --bag must be given together: which run, and the bag to write'
+        )
+    if not 0 <= number < runs:
+        raise ConfigError('--run', f'must lie within 0 and {runs - 1}, got {number}')
+    plan = plan_run(campaign, number)
+    run = plan.simulate()
+    twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
+    found = {'number': number, **plan.values, **figures(plan, run, twin)}
+    stored = _stored_row(campaign, folder, number)
+    table = Table('figure', 'results', 'now', title=f'run {number}', title_justify='left')
+    for name, value in found.items():
+        table.add_row(name, '-' if stored is None else _text(stored.get(name)), _text(value))
+    console.print(table)
+    wrong = [] if stored is None else differences(stored, found)
+    if wrong:
+        raise LpvError(
+            f'{folder.path}: run {number} gives another {", ".join(wrong)} now; the results are of '
+            'another version of this software'
+        )
+    bag = arguments.bag
+    write_run_bag(plan, run, bag)
+    files = f'--arm {bag}/arm.yaml'
+    gains = f' --gains {bag}/gains.yaml' if plan.gains is not None else ''
+    console.print(f'bag     {bag}')
+    console.print(f'report  lpv report {bag} {files} --scenario {bag}/scenario.yaml')
+    console.print(f'replay  lpv replay {bag} {files}{gains} --parameters {bag}/parameters.yaml')
+    if plan.delay or plan.loss:
+        console.print(
+            'The graph does not repeat this run: it has neither delayed commands nor lost samples.'
+        )
+    return 0
+
+
+def _stored_row(campaign: Campaign, folder: ResultsFolder, number: int) -> dict[str, Any] | None:
+    begun = folder.load()
+    if begun is None or begun.key != campaign.key:
+        return None
+    chunk = {name: runs for name, runs in chunks_of(campaign).items() if number in runs}
+    if folder.missing(chunk):
+        return None
+    table = folder.rows(chunk)
+    return table.slice(table['number'].index(number).as_py(), 1).to_pylist()[0]
+
+
+def _text(value: Any) -> str:
+    if value is None or value != value:
+        return '-'
+    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -1,52 +1,219 @@
-"""``lpv tune``: search the weights of a design by campaigns of runs."""
+"""``lpv tune``: search the weights of a design by campaigns of runs, with Optuna."""
 
 import argparse
+import copy
+import json
+import math
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import optuna
+import yaml
 from rich.console import Console
 from rich.table import Table
+from scipy import stats
 
-from lpv_campaign.execution.execute import software, worker_pool
-from lpv_campaign.tune.picture import draw
-from lpv_campaign.tune.result import conclude, write
-from lpv_campaign.tune.search import Search
-from lpv_campaign.tune.study_file import MOST_TRIALS, Study, load_study
-from lpv_campaign.tune.trial import Bench
-from lpv_cli.progress import counted
-from lpv_core.support.config import sha256_of
+from lpv_campaign.execution.execute import chunks_of, software, worker_pool
+from lpv_campaign.plan.campaign import Campaign, resolve
+from lpv_campaign.plan.spec import NO_FAULT
+from lpv_cli.campaigns.campaign import add_execution, check_workers
+from lpv_core.certificate.conditions import require
+from lpv_core.certificate.gains import Gains, load_gains, save_gains
+from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
+from lpv_design.design_flow import design
+from lpv_design.requirement import load_requirement, parse_requirement
+from lpv_design.solve import InfeasibleError
 
 EXIT_NOTHING = 1
+COSTS = {
+    'detection_delay': 2.0,
+    'missed': 1.0,
+    'unstable': 1.0,
+    'fault_rms_before': 0.5,
+    'fault_rms_during': 0.5,
+    'tracking_rms_during': 0.5,
+}
+"""Weights of the figures that a cost is made of, unless --cost says otherwise."""
+_RATES, _LEAST_RATE = ('missed', 'unstable', 'wrong_alarms', 'false_alarms'), 0.05
+"""Figures that may be zero before the search, and what they count over then."""
+_TOLERANCE, _LEAST_GAIN, _RESAMPLES = 0.02, 0.02, 2000
+_MOST_TRIALS = 10_000
+_DIAGNOSIS = {'threshold_factor': 1.0, 'sigmas': 3.0, 'dwell': 1e-3, 'false_alarm_hours': 1.0}
+"""Least values: below its bound a threshold means nothing, whatever a campaign says."""
+_FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument('study', help='study file (YAML), see docs/tune.md')
     parser.add_argument(
-        '--out',
-        default=None,
-        help='folder of the results (out/tune/NAME); where it holds a part of '
-        'this study, the search is resumed',
-    )
+        'campaign', help='campaign of a two-link arm, file or shipped name; its first design is '
+        'what the search begins from'
+    )  # fmt: skip
     parser.add_argument(
-        '--trials',
-        type=int,
-        default=None,
-        help='designs to try, in place of the number in the study file',
-    )
+        '--search', action='append', required=True, metavar='FIELD=LOW:HIGH',
+        help='number of the requirement (observer.decay, controller.FIELD[0]) or of the diagnosis '
+        '(diagnosis.dwell) to search, on a logarithmic scale; may be repeated',
+    )  # fmt: skip
     parser.add_argument(
-        '--workers',
-        type=int,
-        default=None,
-        help='processes on this machine; 0: this process only (default: one per core)',
-    )
-    parser.add_argument(
-        '--scheduler',
-        default=None,
-        metavar='ADDRESS',
-        help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786',
-    )
+        '--cost', action='append', metavar='COLUMN=WEIGHT',
+        help='column of the results whose mean counts, and its weight; may be repeated '
+        f'({", ".join(f"{name}={weight:g}" for name, weight in COSTS.items())})',
+    )  # fmt: skip
+    parser.add_argument('--trials', type=int, default=40, help='designs to try (%(default)s)')
+    parser.add_argument('--seed', type=int, default=1, help='of the search (%(default)s)')
+    add_execution(parser, 'out/tune/NAME')
+
+
+class _Bench:
+    """Designs by given values, and runs them on the campaign."""
+
+    def __init__(self, arguments: argparse.Namespace, execute: Callable[..., Any]) -> None:
+        path = Path(arguments.campaign)
+        if not path.is_file():
+            path = bringup_file('campaigns', arguments.campaign)
+        self.name, self._execute = path.stem, execute
+        self._designed: dict[tuple[Any, ...], Gains] = {}
+        self.campaign: Campaign = resolve(read_yaml(path), str(path), path.parent, designed=False)
+        self.arm = self.campaign.arm
+        if not self.campaign.kind.designed:
+            raise ConfigError('arm', f'{self.arm.name} is a serial arm, without a design to tune')
+        if len(self.campaign.spec.designs) > 1 or 'sample_time' in self.campaign.spec.factors:
+            raise ConfigError('designs', 'must be one, at one sample time')
+        name = self.campaign.spec.designs[0]
+        near = path.parent / name
+        self._requirement = load_requirement(near if near.is_file() else name)
+        self._data = read_yaml(self._requirement.source)
+        self.ranges = dict(self._range(text) for text in arguments.search)
+        self.base = {name: self._value(name) for name in self.ranges}
+        for name, (low, high) in self.ranges.items():
+            if not low <= self.base[name] <= high:
+                raise ConfigError(
+                    f'--search {name}', f'must hold {self.base[name]:g}, as it is now'
+                )
+        self.weights = dict(map(_weight, arguments.cost)) if arguments.cost else COSTS
+
+    def _range(self, text: str) -> tuple[str, tuple[float, float]]:
+        name, _, ends = text.partition('=')
+        try:
+            low, high = (float(end) for end in ends.split(':'))
+        except ValueError:
+            raise ConfigError('--search', f'must be FIELD=LOW:HIGH, got {text!r}') from None
+        least = _DIAGNOSIS.get(name.removeprefix('diagnosis.'), 0.0)
+        if not (least <= low < high < math.inf and low > 0.0):
+            raise ConfigError(f'--search {name}', f'must have ends from {least:g} on, low < high')
+        return name, (low, high)
+
+    def _value(self, name: str) -> float:
+        match = _FIELD.fullmatch(name)
+        part: Any = None
+        if match:
+            is_own = match[1] == 'diagnosis'
+            part = DiagnosisParameters() if is_own else getattr(self._requirement, match[1])
+        value = getattr(part, match[2], None) if match else None
+        if isinstance(value, tuple) and len(set(value)) == 1 and match and not match[3]:
+            return float(value[0])  # one for all
+        if isinstance(value, tuple) and match and match[3] and int(match[3]) < len(value):
+            return float(value[int(match[3])])
+        if isinstance(value, float) and match and not match[3]:
+            return value
+        known = [
+            f'{kind}.{field.name}'
+            for kind in ('observer', 'controller')
+            for field in fields(getattr(self._requirement, kind))
+        ]
+        raise ConfigError(f'--search {name}', 'is no number of ' + ', '.join(known))
+
+    def content(self, values: dict[str, float]) -> dict[str, Any]:
+        """Content of the requirement file with given values."""
+        data = copy.deepcopy(self._data)
+        for name, value in values.items():
+            part, field, index = _FIELD.fullmatch(name).groups()  # type: ignore[union-attr]
+            old = None if part == 'diagnosis' else getattr(getattr(self._requirement, part), field)
+            if isinstance(old, tuple):
+                now = data[part].get(field, old)
+                now = list(now) if isinstance(now, (list, tuple)) else list(old)
+                chosen = range(len(now)) if index is None else (int(index),)
+                data[part][field] = [value if k in chosen else now[k] for k in range(len(now))]
+            elif old is not None:
+                data[part][field] = value
+        return data
+
+    def gains(self, values: dict[str, float]) -> Gains:
+        """Certified gains; InfeasibleError or ConfigError where there are none."""
+        key = tuple(values.items())
+        if key not in self._designed:
+            gains = design(self.arm, parse_requirement(self.content(values), self.name)).gains
+            require(self.arm, gains, self.name)
+            self._designed[key] = gains
+        return self._designed[key]
+
+    def rows(self, values: dict[str, float], seed: int | None = None) -> list[dict[str, Any]]:
+        """Results of all runs with given values: the same paths, noise and faults for each."""
+        spec = self.campaign.content['spec']
+        tuning = {name: value for name, value in values.items() if name.startswith('diagnosis.')}
+        tried = self.campaign.with_gains(
+            self.gains(values),
+            factors={**spec.get('factors', {}), **tuning},
+            seed=self.campaign.spec.seed if seed is None else seed,
+        )
+        rows = [row for _, part in self._execute(tried, chunks_of(tried)) for row in part]
+        return sorted(rows, key=lambda row: row['number'])
+
+    def table(self, rows: list[dict[str, Any]]) -> np.ndarray:
+        """Figures of the cost, shape (runs, figures); NaN where a run has none."""
+        return np.array([[_figure(row, name) for name in self.weights] for row in rows])
+
+    def cost(self, table: np.ndarray, first: np.ndarray) -> float:
+        """Weighted mean of the figures' means, each over that of the first trial."""
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', RuntimeWarning)  # a figure that no run has
+            means, scales = np.nanmean(table, axis=0), np.nanmean(first, axis=0)
+        least = [_LEAST_RATE if name in _RATES else 1e-9 for name in self.weights]
+        weights = np.array(list(self.weights.values())) * np.isfinite(scales)
+        ratios = np.nan_to_num(means) / np.maximum(np.nan_to_num(scales), least)
+        return float(weights @ ratios / weights.sum())
+
+
+def _weight(text: str) -> tuple[str, float]:
+    name, _, value = text.partition('=')
+    try:
+        weight = float(value)
+    except ValueError:
+        weight = math.nan
+    if not 0.0 < weight < math.inf:
+        raise ConfigError('--cost', f'must be COLUMN=WEIGHT with a positive weight, got {text!r}')
+    return name, weight
+
+
+def _figure(row: dict[str, Any], name: str) -> float:
+    faulty = row['kind'] not in (NO_FAULT, 'rate_bias')
+    if name == 'missed':
+        return float(not row['detected']) if faulty else math.nan
+    if name == 'unstable':
+        return float(not row['stable'])
+    if name == 'detection_delay' and faulty and not row['detected']:
+        return row['observed'] - row['early_time']  # as late as can be
+    if not isinstance(row.get(name), (int, float)):
+        raise ConfigError('--cost', f'{name!r} is no number of the results')
+    return min(float(row[name]), 1e6)
+
+
+def healthy(rows: list[dict[str, Any]]) -> tuple[float, int]:
+    """Largest score and number of alarms where there is no fault."""
+    scores = [row[name] for row in rows for name in row if name.startswith('score_before')]
+    alarms = sum(row[n] for row in rows for n in row if n.startswith('alarms_before'))
+    finite = [min(score, 1e6) for score in scores if not math.isnan(score)]
+    if not finite:
+        raise ConfigError('campaign', 'has no run with a part without fault')
+    return max(finite), alarms
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -54,94 +221,163 @@ def run(arguments: argparse.Namespace) -> int:
 
     Exit code: 0; 1 if no trial is certified and keeps all limits.
     """
-    study = load_study(arguments.study)
-    trials = study.trials if arguments.trials is None else arguments.trials
-    if not 1 <= trials <= MOST_TRIALS:
-        raise ConfigError('--trials', f'must lie within 1 and {MOST_TRIALS}, got {trials}')
-    if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
-        raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
-    folder = Path(arguments.out or Path('out') / 'tune' / Path(arguments.study).stem)
+    if not 1 <= arguments.trials <= _MOST_TRIALS:
+        raise ConfigError('--trials', f'must lie within 1 and {_MOST_TRIALS}')
+    check_workers(arguments)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
     console = Console(soft_wrap=True, highlight=False)
     with worker_pool(arguments.workers, arguments.scheduler) as execute:
-        bench = Bench(study, execute)
+        bench = _Bench(arguments, execute)
+        folder = Path(arguments.out or Path('out') / 'tune' / bench.name)
         folder.mkdir(parents=True, exist_ok=True)
-        search = Search(study, _key(study, bench), folder / 'study.db')
-        _search(search, bench, trials, console)
+        study = _search(bench, arguments, folder, console)
+        good = [trial for trial in _finished(study) if trial.values]
+        good = [trial for trial in good if max(trial.constraints.values()) <= 0.0]
+        if not good:
+            console.print('nothing is changed: no trial is certified and keeps all limits')
+            return EXIT_NOTHING
+        lowest = (1.0 + _TOLERANCE) * min(trial.values[0] for trial in good)
+        near = [trial for trial in good if trial.values[0] <= lowest]
+        picked = min(near, key=lambda trial: (trial.values[1], trial.number))
         console.print('validating the picked trial on other runs ...')
-        result = conclude(bench, search)
-    files = write(bench, result, folder)
-    draw(result, folder / 'study.png')
-    _show(result, console)
-    for path in (*files, folder / 'study.png'):
-        console.print(f'written: {path}')
-    return EXIT_NOTHING if result['picked'] is None else 0
-
-
-def _key(study: Study, bench: Bench) -> str:
-    """Trials may be more; everything else makes another study."""
-    data = {
-        name: value
-        for name, value in study.data.items()
-        if name not in ('trials', 'validation', 'tolerance')
-    }
-    return sha256_of([data, bench.key, bench.content({}), software()])
-
-
-def _search(search: Search, bench: Bench, trials: int, console: Console) -> None:
-    done = len(search.trials)
-    if done:
-        console.print(f'{done} trials are here already')
-    with counted(console, bench.study.name, trials, done, _best(search.trials)) as advance:
-        for _ in range(done, trials):
-            search.step(bench)
-            advance(note=_best(search.trials))
-
-
-def _best(trials: list[dict[str, Any]]) -> str:
-    costs = [trial['cost'] for trial in trials if trial['state'] == 'good']
-    return f'lowest cost {min(costs):.3f}' if costs else 'nothing yet'
-
-
-def _show(result: dict[str, Any], console: Console) -> None:
-    states = [trial['state'] for trial in result['trials']]
-    console.print(
-        f'{len(states)} trials: {states.count("good")} good, '
-        f'{states.count("beyond limits")} beyond the limits, '
-        f'{states.count("infeasible")} without certified gains'
-    )
-    if result['picked'] is not None:
-        values = result['trials'][result['picked']]['values']
-        table = Table(title=f'searched values, trial {result["picked"]} picked')
-        for name in ('field', 'before', 'picked'):
-            table.add_column(name, justify='right')
-        for name, value in values.items():
-            table.add_row(name, f'{result["first"][name]:g}', f'{value:g}')
-        console.print(table)
-    if result['validation']:
-        _show_validation(result['validation'], console)
-    console.print(
-        ('accepted: ' if result['accepted'] else 'nothing is changed: ') + result['verdict']
-    )
-
-
-def _show_validation(found: dict[str, Any], console: Console) -> None:
-    table = Table(
-        title=f'on {found["runs"]} other runs; intervals hold '
-        f'{found["confidence"]:.0%} of {found["resamples"]} resamples'
-    )
-    for name in ('figure', 'before', 'picked', 'difference, from to'):
-        table.add_column(name, justify='right', no_wrap=True)
-    for name, entry in (('cost', found['cost']), *found['figures'].items()):
-        table.add_row(
-            name,
-            f'{entry["first"]:.4g}',
-            f'{entry["picked"]:.4g}',
-            '{:+.3g} {:+.3g}'.format(*entry['interval']),
-        )
-    for name in ('healthy_score', 'false_alarms'):
-        table.add_row(
-            name.replace('_', ' '),
-            *(f'{found[name][which]:.4g}' for which in ('first', 'picked')),
-            '',
-        )
+        result = _validate(bench, picked.params, arguments.seed)
+    result['trial'] = picked.number
+    (folder / 'study.json').write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')
+    table = Table('field', 'before', 'picked', title=f'trial {picked.number} of {arguments.trials}')
+    for name, value in picked.params.items():
+        table.add_row(name, f'{bench.base[name]:g}', f'{value:g}')
     console.print(table)
+    accepted = not result['reason']
+    interval = '{:+.3g} to {:+.3g}'.format(*result['interval'])
+    console.print(f'cost {result["first"]:.4g} before, {result["picked"]:.4g} picked: {interval}')
+    console.print('accepted' if accepted else 'nothing is changed: ' + result['reason'])
+    if accepted:
+        _write(bench, picked.params, folder)
+    _draw(study, folder)
+    for path in sorted(folder.iterdir()):
+        console.print(f'written: {path}')
+    return 0
+
+
+def _finished(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
+    return [trial for trial in study.trials if trial.state.is_finished()]
+
+
+def _search(
+    bench: _Bench, arguments: argparse.Namespace, folder: Path, console: Console
+) -> optuna.Study:
+    """Trials up to the number wanted; each draws from a generator of its own, so that a study that
+    was killed goes on as if it had not been."""
+    key = sha256_of([bench.campaign.key, bench.ranges, bench.weights, bench.content({}),
+                     arguments.seed, software()])  # fmt: skip
+    storage = f'sqlite:///{folder / "study.db"}'
+    try:
+        known = optuna.get_all_study_names(storage)
+        if known and known != [key]:
+            raise ConfigError('--out', 'holds another study: take another folder', str(folder))
+        study = optuna.create_study(
+            storage=storage, study_name=key, directions=['minimize'] * 2, load_if_exists=True
+        )
+    except ConfigError:
+        raise
+    except Exception as error:  # whatever the storage says of a file that is none
+        raise ConfigError('--out', f'study.db cannot be used ({error})', str(folder)) from None
+    if not any(trial.params == bench.base for trial in _finished(study)):
+        study.enqueue_trial(bench.base, skip_if_exists=True)
+    first = bench.table(bench.rows(bench.base))
+
+    def objective(trial: optuna.Trial) -> tuple[float, float]:
+        values = {name: trial.suggest_float(name, *ends, log=True)
+                  for name, ends in bench.ranges.items()}  # fmt: skip
+        try:
+            rows = bench.rows(values)
+        except (InfeasibleError, ConfigError) as error:
+            trial.set_user_attr('reason', str(error))
+            raise optuna.TrialPruned(str(error)) from None
+        score, alarms = healthy(rows)
+        trial.set_constraint('healthy score', score - 1.0)
+        trial.set_constraint('false alarms', float(alarms))
+        return bench.cost(bench.table(rows), first), score
+
+    while (done := len(_finished(study))) < arguments.trials:
+        study.sampler = optuna.samplers.TPESampler(seed=arguments.seed + done)
+        study.optimize(objective, n_trials=1)
+        last = _finished(study)[-1]
+        told = f'cost {last.values[0]:.3f}' if last.values else last.user_attrs['reason']
+        console.print(f'trial {done}: {told}', markup=False)
+    return study
+
+
+def _validate(bench: _Bench, values: dict[str, float], seed: int) -> dict[str, Any]:
+    """Compare with the values before on other runs, pair by pair, by a bootstrap over runs."""
+    other = bench.campaign.spec.seed + 1
+    rows = bench.rows(values, other)
+    first, tried = bench.table(bench.rows(bench.base, other)), bench.table(rows)
+    numbers = np.arange(len(rows))
+
+    def difference(chosen: np.ndarray) -> float:
+        return bench.cost(tried[chosen], first) - bench.cost(first[chosen], first)
+
+    before, now = bench.cost(first, first), bench.cost(tried, first)
+    score, alarms = healthy(rows)
+    interval = [now - before] * 2
+    if len(numbers) > 1 and values != bench.base:
+        found = stats.bootstrap(
+            (numbers,), difference, n_resamples=_RESAMPLES, vectorized=False,
+            method='percentile', rng=np.random.default_rng(seed)).confidence_interval  # fmt: skip
+        interval = [float(found.low), float(found.high)]
+    reason = ''
+    if score > 1.0 or alarms:
+        reason = f'{alarms} false alarms, healthy score {score:.3g} on other runs'
+    elif not interval[1] < -_LEAST_GAIN * before:
+        reason = f'the cost is not lower by {_LEAST_GAIN:.0%} with 95 % confidence'
+    return {'values': values, 'base': bench.base, 'first': before, 'picked': now,
+            'interval': interval, 'healthy_score': score, 'reason': reason}  # fmt: skip
+
+
+def _write(bench: _Bench, values: dict[str, float], folder: Path) -> None:
+    """Requirement and gains, verified as the nodes will; parameters if the diagnosis was tuned."""
+    content = {'requirement': bench.content(values)}
+    tuned: dict[str, Any] = {
+        name[10:]: value for name, value in values.items() if name.startswith('diagnosis.')
+    }
+    if tuned:
+        parameters = vars(replace(DiagnosisParameters(), **tuned))
+        content['diagnosis'] = {'/**': {'ros__parameters': {'diagnosis': parameters}}}
+    for name, data in content.items():
+        text = '# Found by lpv tune.\n' + yaml.safe_dump(data, sort_keys=False)
+        (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
+    found = design(bench.arm, load_requirement(folder / 'requirement.yaml'))
+    lines = [f'Gains for arm {bench.arm.name!r}, found by lpv tune.', *found.lines]
+    save_gains(found.gains, folder / 'gains.yaml', '\n'.join(lines))
+    require(bench.arm, load_gains(folder / 'gains.yaml'), 'gains.yaml')
+
+
+def _draw(study: optuna.Study, folder: Path) -> None:
+    """Optuna's pictures: front, course of the search, importance, slices."""
+    import matplotlib
+
+    matplotlib.use('Agg')
+    import matplotlib.pyplot as plt
+    from optuna.visualization import matplotlib as plots
+
+    def cost(trial: Any) -> float:
+        return trial.values[0]
+
+    evaluator = optuna.importance.PedAnovaImportanceEvaluator
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # these plots are called experimental
+        for name, draw in (
+            ('front', lambda: plots.plot_pareto_front(study, target_names=['cost', 'score'])),
+            ('history', lambda: plots.plot_optimization_history(
+                study, target=cost, target_name='cost')),
+            ('importance', lambda: plots.plot_param_importances(
+                study, evaluator=evaluator(), target=cost, target_name='cost')),
+            ('slices', lambda: plots.plot_slice(study, target=cost, target_name='cost')),
+        ):  # fmt: skip
+            try:
+                draw()
+            except (ValueError, RuntimeError, ZeroDivisionError):
+                continue  # too few trials to say anything
+            plt.savefig(folder / f'{name}.png', dpi=100, bbox_inches='tight')
+            plt.close('all')

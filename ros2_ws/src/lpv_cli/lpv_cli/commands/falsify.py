@@ -4,20 +4,20 @@ import argparse
 import sys
 from pathlib import Path
 
-from lpv_campaign.falsify.result_files import (
+from lpv_campaign.falsify.attack import Attacker, Finding
+from lpv_campaign.falsify.search import (
     BAG,
     LONGEST,
     SCENARIO,
     read_attack,
     repeat,
+    search,
     write_worst,
 )
-from lpv_campaign.falsify.search import Attacker, Finding, search
-from lpv_campaign.falsify.serial import SerialAttacker
-from lpv_campaign.falsify.two_link import TwoLinkAttacker
 from lpv_cli.completion import shipped
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import load_gains
+from lpv_core.monitoring.factory import refuse_gains
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
@@ -48,52 +48,49 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.repeat:
         attack, duration = read_attack(arguments.repeat)
         attacker = _attacker(arm, arguments.gains, duration)
-        return _conclude(attacker, repeat(attacker, attack, arguments.repeat), 1)
+        return _conclude(attacker, [repeat(attacker, attack, arguments.repeat)])
     if arguments.evaluations < 1 or not 0.0 < arguments.duration <= LONGEST:
         raise ConfigError(
             '--evaluations, --duration', f'must be positive, and at most {LONGEST:g} s'
         )
     attacker = _attacker(arm, arguments.gains, arguments.duration)
-    worst = search(attacker, arguments.evaluations, arguments.seed, _show)
-    write_worst(attacker, worst, arguments.out)
+    found = search(attacker, arguments.evaluations, arguments.seed, _show)
+    write_worst(attacker, found[0], arguments.out)
     folder = Path(arguments.out)
     print(f'worst run: {folder / SCENARIO}, {folder / BAG}')
-    return _conclude(attacker, worst, arguments.evaluations)
+    return _conclude(attacker, found)
 
 
 def _attacker(arm: Arm, gains_file: str | None, duration: float) -> Attacker:
-    """What attacks an arm of either kind."""
+    refuse_gains(arm, bool(gains_file))
     if isinstance(arm, SerialArm):
-        if gains_file:
-            raise ConfigError('--gains', 'are not used: serial arms are diagnosed without')
-        return SerialAttacker(arm, duration)
+        return Attacker(arm, duration)
     if not gains_file:
         raise ConfigError('--gains', 'must be given for a two-link arm')
     gains = load_gains(bringup_file('gains', gains_file))
     require(arm, gains, gains_file)
     if gains.observer.method != 'exact':
         raise ConfigError('gains', "must be of method 'exact': 'paper' has no guaranteed bound")
-    return TwoLinkAttacker(arm, gains, duration)
+    return Attacker(arm, duration, gains)
 
 
 def _show(count: int, found: Finding) -> None:
     print(f'  run {count}: estimate at {found.ratio:.3f} of its threshold', file=sys.stderr)
 
 
-def _conclude(attacker: Attacker, worst: Finding, count: int) -> int:
-    names = attacker.arm.sensor_names
-    for name, ratio, threshold in zip(names, worst.ratios, worst.thresholds):
-        if ratio > 0.0:
-            print(f'{name}: {ratio:.3f} of {threshold:.4f} rad')
+def _conclude(attacker: Attacker, found: list[Finding]) -> int:
+    names, worst = attacker.arm.sensor_names, found[0]
+    for i, name in enumerate(names):
+        most = max(found, key=lambda one: one.ratios[i])
+        if most.ratios[i] > 0.0:
+            print(f'{name}: {most.ratios[i]:.3f} of {most.thresholds[i]:.4f} rad')
         else:
             print(f'{name}: no threshold that says anything')
-    if isinstance(attacker, SerialAttacker):
-        print(f'statistical alarms: in {attacker.blamed} of {attacker.runs} runs')
-    crossed = worst.ratio >= 1.0
-    outcome = 'CROSSED' if crossed else 'no crossing'
+    print(f'alarms: in {sum(one.blamed for one in found)} of {len(found)} runs')
+    crossed, i = worst.ratio >= 1.0, worst.sensor
     print(
-        f'{outcome} in {count} runs: {names[worst.sensor]} '
-        f'reached {worst.ratio:.3f} of its threshold, {worst.threshold:.4f} rad, at '
-        f'{worst.time:.2f} s'
+        f'{"CROSSED" if crossed else "no crossing"} in {len(found)} runs: {names[i]} '
+        f'reached {worst.ratio:.3f} of its threshold, {worst.thresholds[i]:.4f} rad, at '
+        f'{worst.times[i]:.2f} s'
     )
     return EXIT_CROSSED if crossed else 0

@@ -1,0 +1,237 @@
+"""Figures of one bag: sums over the answers while it is replayed, and those against its truth."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from lpv_campaign.execution.run_metrics import figures
+from lpv_core.decision.diagnosis import Alarm, AlarmEvent, SensorState
+from lpv_core.simulation.any_scenario import load_any_scenario
+from lpv_core.simulation.faults import Fault
+from lpv_core.support.errors import LpvError
+from lpv_core.support.timestamps import NANOSECONDS
+
+STATES = tuple(state.name.lower() for state in SensorState)
+"""Names of the states of a sensor, in the order of their numbers."""
+MOST_SAMPLES = 1_000_000
+"""Longest truth that is held in memory: half an hour at 500 Hz."""
+_DIAGNOSED = (int(SensorState.OK), int(SensorState.WARN), int(SensorState.ERROR))
+_STALE = int(SensorState.STALE)
+
+
+class BagFigures:
+    """Sums over the answers to one bag's measurements; memory does not grow without a truth.
+
+    A sample counts for the time until the next one, at most ``max_gap``: what was not recorded was
+    not observed.
+
+    Parameters
+    ----------
+    arm : ArmParameters or SerialArm
+        The arm.
+    max_gap : float
+        Longest interval that counts [s].
+    """
+
+    STREAMS = ('ground_truth', 'reference', 'torque_command')
+
+    def __init__(self, arm: Any, max_gap: float) -> None:
+        self._arm, self._max_gap, self.warnings = arm, max_gap, list[str]()
+        n = len(arm.sensor_names)
+        self._state_time, self._doubtful = np.zeros((len(STATES), n)), np.zeros(2)
+        self._score, self._largest, self._sums = np.zeros(n), np.zeros(n), np.zeros((4, n))
+        self._pending: np.ndarray | None = None
+        self._stamps: list[int] = []
+        self._truth: dict[str, list[dict[str, np.ndarray]]] = {}
+        self._true_samples = 0
+
+    def take(self, measured: Any, answers: Any, streams: dict[str, Any]) -> None:
+        """Count a block, as `lpv_bag.replay.replay.Replay.watch` hands it on."""
+        stamps = measured.stamp
+        if len(stamps):
+            self._stamps = [f([*self._stamps, f(stamps)]) for f in (min, max)]
+            self._stamps = [int(stamp) for stamp in self._stamps]
+        rows = np.flatnonzero(answers.answered)
+        state = np.where(answers.has_fault[rows, None], answers.fault.state[rows], _STALE)
+        doubtful = [answers.inconsistent[rows], ~answers.state.trustworthy[rows]]
+        table = np.column_stack([stamps[rows], *doubtful, state]).astype(np.int64)
+        if self._pending is not None:
+            table = np.vstack([self._pending, table])
+        if len(table):
+            time = np.clip(np.diff(table[:, 0]) / NANOSECONDS, 0.0, self._max_gap)
+            self._add_time(table[:-1], time)
+            self._pending = table[-1:]
+        fault = answers.fault[answers.answered & answers.has_fault]
+        if len(fault):
+            self._add_faults(fault.estimate, fault.threshold, fault.state)
+        self._keep_truth(measured, answers, streams)
+
+    def _add_time(self, table: np.ndarray, time: np.ndarray) -> None:
+        self._doubtful += time @ table[:, 1:3]
+        for i in range(self._state_time.shape[1]):
+            self._state_time[:, i] += np.bincount(table[:, 3 + i], time, len(STATES))
+
+    def _add_faults(self, estimate: np.ndarray, threshold: np.ndarray, state: np.ndarray) -> None:
+        known = (state != _STALE) & (threshold > 0.0)
+        score = np.divide(np.abs(estimate), threshold, out=np.zeros_like(estimate), where=known)
+        self._score = np.maximum(self._score, score.max(axis=0))
+        diagnosed = np.isin(state, _DIAGNOSED)
+        sure = np.where(diagnosed, estimate, 0.0)
+        self._largest = np.maximum(self._largest, np.abs(sure).max(axis=0))
+        parts = (diagnosed, sure, sure**2, np.where(diagnosed, threshold, 0.0))
+        self._sums += [part.sum(axis=0) for part in parts]
+
+    def _keep_truth(self, measured: Any, answers: Any, streams: dict[str, Any]) -> None:
+        if 'ground_truth' not in streams:
+            return
+        if streams['ground_truth'] is not None:
+            self._true_samples += len(streams['ground_truth'][0])
+        if self._true_samples > MOST_SAMPLES:
+            self._truth.clear()
+            self.warnings = ['too long to be compared with its ground truth']
+            return
+        rows = np.flatnonzero(answers.answered & answers.has_fault)
+        state, fault = answers.state[rows], answers.fault[rows]
+        known = {
+            'estimate': state.position,
+            'estimated_velocity': state.velocity,
+            'fault_estimate': fault.estimate,
+            'threshold': fault.threshold,
+            'inconsistent': answers.inconsistent[rows],
+        }
+        parts = {name: part for name, part in streams.items() if part is not None}
+        for name, (stamps, values) in {**parts, 'answers': (measured.stamp[rows], known)}.items():
+            table = {'stamp': stamps, **values}
+            kept = {field: np.array(array) for field, array in table.items()}
+            self._truth.setdefault(name, []).append(kept)
+
+    def row(self, events: Sequence[Alarm], scenario: Path) -> dict[str, Any]:
+        """Figures of the bag, by column; None where there is nothing to be measured."""
+        if self._pending is not None:
+            self._add_time(self._pending, np.array([self._arm.sample_time]))
+            self._pending = None
+        start, end = self._stamps or (0, 0)
+        count = np.where(self._sums[0] > 0, self._sums[0], np.nan)
+        mean, square, threshold = self._sums[1:] / count
+        row: dict[str, Any] = self._against_truth(events, scenario)
+        raised = [event.sensor for event in events if event.event == AlarmEvent.RAISED]
+        row.update(
+            start=start,
+            duration=(end - start) / NANOSECONDS,
+            observed=float(self._state_time[:, 0].sum()),
+            inconsistent_time=float(self._doubtful[0]),
+            untrusted_time=float(self._doubtful[1]),
+            alarms=len(raised),
+            alarm_list=alarm_rows(events, start),
+        )
+        for i, sensor in enumerate(self._arm.sensor_names):
+            states = {f'time_{name}': self._state_time[k, i] for k, name in enumerate(STATES)}
+            found = {
+                **states,
+                'score': self._score[i],
+                'fault_largest': self._largest[i],
+                'fault_mean': mean[i],
+                'fault_rms': np.sqrt(square[i]),
+                'threshold_mean': threshold[i],
+            }
+            row.update({f'{name}_{i + 1}': _number(value) for name, value in found.items()})
+            row[f'alarms_{i + 1}'] = raised.count(sensor)
+        return row
+
+    def _against_truth(self, events: Sequence[Alarm], scenario: Path) -> dict[str, Any]:
+        """What `figures` finds of a run, where the truth is there."""
+        if not {'ground_truth', 'answers'} <= set(self._truth):
+            return {}
+        tables = {name: _sorted(parts) for name, parts in self._truth.items()}
+        truth = tables['ground_truth']
+        stamps = truth.pop('stamp')
+        del tables['ground_truth']
+        held = {name: _held(table, stamps) for name, table in tables.items()}
+        run = SimpleNamespace(time=(stamps - stamps[0]) / NANOSECONDS, **truth, **held['answers'])
+        run.reference = held.get('reference', {}).get(
+            'position', np.full_like(run.position, np.nan)
+        )
+        stop = held.get('torque_command', {}).get('safe_stop', np.zeros(len(stamps)))
+        run.braked = stop.reshape(-1).astype(bool)
+        run.alarms = [_moved(event, int(stamps[0])) for event in events]
+        faults, seed = self._faults(run, scenario)
+        what = SimpleNamespace(faults=faults, seed=seed)
+        with np.errstate(invalid='ignore', divide='ignore'):
+            found = figures(SimpleNamespace(arm=self._arm, scenario=what), run)
+        if 'reference' not in tables:
+            found['stable'] = None
+        return found
+
+    def _faults(self, run: Any, scenario: Path) -> tuple[Sequence[Fault], int]:
+        """Faults of the scenario in the bag's folder, and its seed; where there is none, of kind
+        ``unknown``, what the truth shows of a sensor from its first faulty sample to the last."""
+        names = self._arm.sensor_names
+        try:
+            stored = load_any_scenario(scenario, self._arm)
+            if {fault.sensor for fault in stored.faults} <= set(names):
+                return stored.faults, stored.seed
+        except (LpvError, OSError):
+            pass
+        faults = []
+        for i, sensor in enumerate(names):
+            rows = np.flatnonzero(run.fault[:, i] != 0.0)  # a dropout is NaN, which is not zero
+            if len(rows):
+                onset, last = float(run.time[rows[0]]), rows[-1] == len(run.time) - 1
+                length = 0.0 if last else float(run.time[rows[-1] + 1]) - onset
+                size = float(np.nan_to_num(np.abs(run.fault[rows, i])).max())
+                faults.append(Fault(sensor, 'unknown', onset, length, size))
+        return faults, -1
+
+
+def _sorted(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    # Of several messages with one stamp the last one counts.
+    stamps, last = np.unique(table['stamp'][::-1], return_index=True)
+    rows = len(table['stamp']) - 1 - last
+    return {name: stamps if name == 'stamp' else values[rows] for name, values in table.items()}
+
+
+def _held(table: dict[str, np.ndarray], stamps: np.ndarray) -> dict[str, np.ndarray]:
+    """Values at other stamps: what is not said again stays as it was; before the first one the
+    drives brake, and all else is zero or the first value."""
+    last = np.searchsorted(table['stamp'], stamps, side='right') - 1
+    held = {name: array[np.maximum(last, 0)] for name, array in table.items() if name != 'stamp'}
+    for name, values in held.items():
+        if name == 'safe_stop' or 'threshold' in held:
+            values[last < 0] = name == 'safe_stop'
+    return held
+
+
+def _moved(event: Alarm, start: int) -> SimpleNamespace:
+    found = SimpleNamespace(**vars(event))
+    found.onset, found.detected = event.onset - start, event.detected - start
+    return found
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def alarm_rows(events: Sequence[Alarm], start: int) -> list[dict[str, Any]]:
+    """Alarms of a bag by sensor and last said kind: ``count``, and of the first one ``onset`` and
+    ``detected`` [s], ``size`` and ``bound`` [rad]."""
+    raised: list[tuple[Alarm, str]] = []
+    for event in events:
+        if event.event == AlarmEvent.RAISED:
+            raised.append((event, event.kind))
+            continue
+        own = [k for k, (first, _) in enumerate(raised) if first.sensor == event.sensor]
+        if own:
+            raised[own[-1]] = raised[own[-1]][0], event.kind
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for first, kind in raised:
+        found = {
+            name: (getattr(first, name) - start) / NANOSECONDS for name in ('onset', 'detected')
+        }
+        new = {**found, 'size': float(first.size), 'bound': float(first.bound), 'count': 0}
+        rows.setdefault((first.sensor, kind), {'sensor': first.sensor, 'kind': kind, **new})
+        rows[first.sensor, kind]['count'] += 1
+    return list(rows.values())

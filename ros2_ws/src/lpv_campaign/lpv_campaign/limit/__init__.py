@@ -1,1 +1,0 @@
-"""The best that any estimator could do, and estimators that come close."""

@@ -1,1 +1,0 @@
-"""Sections of the report, as plain values for its template."""

@@ -1,1 +1,0 @@
-"""Search for the weights of a design by campaigns of runs."""
