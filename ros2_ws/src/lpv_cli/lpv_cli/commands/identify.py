@@ -61,13 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--name', help="name of the arm (the URDF's)")
     parser.add_argument(
-        '--lock',
-        action='append',
-        default=[],
-        metavar='JOINT[=ANGLE]',
-        help="hold a joint of the URDF, as a gripper's (angle 0)",
-    )
-    parser.add_argument(
         '--base-rpy',
         nargs=3,
         type=float,
@@ -174,7 +167,7 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     """The arm that the fit starts from."""
     from dataclasses import replace
 
-    arm = arm_choice.chosen_arm(arguments, dict(_locked(text) for text in arguments.lock))
+    arm = arm_choice.chosen_arm(arguments)
     if arguments.name:
         arm = replace(arm, name=arguments.name)
     if arguments.base_rpy:
@@ -186,14 +179,6 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     if arguments.effort_unit == 'A':
         arm = replace(arm, effort_unit='A')
     return arm
-
-
-def _locked(text: str) -> tuple[str, float]:
-    name, _, angle = text.partition('=')
-    try:
-        return name, float(angle) if angle else 0.0
-    except ValueError:
-        raise ConfigError('--lock', f'{angle!r} is not an angle') from None
 
 
 def _with_gains(arm: 'SerialArm', gains: list[float]) -> 'SerialArm':

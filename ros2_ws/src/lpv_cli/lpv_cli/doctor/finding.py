@@ -4,11 +4,6 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
 
-from rich.console import Console
-from rich.markup import escape
-from rich.padding import Padding
-from rich.table import Table
-
 
 class Level(Enum):
     """How bad it is."""
@@ -25,10 +20,10 @@ _STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 class Finding:
     """Result of one check."""
 
-    level: Level  # How bad it is
-    check: str  # What was checked, a word or two
-    text: str  # What was found
-    remedy: str = ''  # What to do; empty where nothing is to be done
+    level: Level  # how bad it is
+    check: str  # what was checked, a word or two
+    text: str  # what was found
+    remedy: str = ''  # what to do; empty where nothing is to be done
 
 
 def ok(check: str, text: str) -> Finding:
@@ -51,22 +46,25 @@ def as_dict(finding: Finding) -> dict[str, Any]:
     return {**asdict(finding), 'level': finding.level.value}
 
 
-def show(findings: list[Finding], console: Console) -> None:
+def show(findings: list[Finding]) -> None:
     """Print findings as a table, each with its remedy below."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False, show_header=False)
     for _ in range(3):
         table.add_column(overflow='fold')
-    for finding in findings:
-        style = _STYLES[finding.level]
-        table.add_row(
-            f'[{style}]{finding.level.value}', escape(finding.check), escape(finding.text)
-        )
-        if finding.remedy:
-            table.add_row('', '', Padding(f'-> {escape(finding.remedy)}', (0, 0, 0, 2)))
+    for found in findings:
+        level = f'[{_STYLES[found.level]}]{found.level.value}'
+        table.add_row(level, escape(found.check), escape(found.text))
+        if found.remedy:
+            table.add_row('', '', f'  -> {escape(found.remedy)}')
+    bad = sum(found.level != Level.OK for found in findings)
+    console = Console(soft_wrap=True, highlight=False)
     console.print(table)
-    bad = [f for f in findings if f.level != Level.OK]
     console.print(
-        f'{len(bad)} of {len(findings)} checks found something'
+        f'{bad} of {len(findings)} checks found something'
         if bad
         else f'{len(findings)} checks, nothing found'
     )
