@@ -33,6 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser, required: bool = True) -> Non
         metavar='JOINT[=VALUE]',
         help="hold a joint of the URDF, as a gripper's (at 0) [rad], [m]",
     )
+    parser.add_argument(
+        '--tip', metavar='LINK', help='last link of the arm: its joints are those on the way to it'
+    )
 
 
 def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
@@ -47,7 +50,7 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
     moving = {str(j.get('name')): j for j in root.iter('joint') if j.get('type') in _MOVING}
     locked = dict(_locked(text) for text in arguments.lock)
     joints = [name for text in arguments.joints or () for name in text.split(',') if name]
-    tip = getattr(arguments, 'tip', None)
+    tip = arguments.tip
     if tip is not None:
         if joints:
             raise ConfigError('--tip', 'and --joints say the same: give one of them')

@@ -3,7 +3,6 @@
 import argparse
 import importlib.util
 import platform
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from lpv_core.support.errors import ConfigError
@@ -62,6 +61,8 @@ class Version(argparse.Action):
 
 
 def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # only here: it takes time
+
     try:
         return version(name)
     except PackageNotFoundError:

@@ -47,7 +47,7 @@ from lpv_report.style import (
 if TYPE_CHECKING:
     from lpv_core.model.arm import ArmParameters
     from lpv_design.guarantee import Guarantee
-    from lpv_report.run import Run
+    from lpv_report.load import Run
 
 ALARM = '#c8102e'
 STATES: tuple[tuple[SensorState, str, dict[str, Any]], ...] = (

@@ -42,11 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--name', help="name of the arm (the URDF's, or my_arm)")
     arm_choice.add_arguments(parser, required=False)
-    parser.add_argument(
-        '--tip',
-        metavar='LINK',
-        help='last link of the arm: the joints on the way to it are those of the arm',
-    )
 
 
 def run(arguments: argparse.Namespace) -> int:

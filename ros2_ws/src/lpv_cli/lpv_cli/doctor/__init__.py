@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Check environment, files and graph."""
     from lpv_cli.doctor.environment import check_environment
     from lpv_cli.doctor.files import check_files
-    from lpv_cli.doctor.finding import Level, as_dict, show
+    from lpv_cli.doctor.finding import Level, show
 
     arm, of_files = check_files(arguments.arm, arguments.gains, arguments.scenario)
     findings = check_environment() + of_files
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         findings += _check_graph(arm, arguments, alone=not of_files)
     is_ok = all(f.level == Level.OK for f in findings)
     if arguments.json:
-        print(json.dumps({'ok': is_ok, 'findings': [as_dict(f) for f in findings]}, indent=2))
+        print(json.dumps({'ok': is_ok, 'findings': [f.as_dict() for f in findings]}, indent=2))
     else:
         show(findings)
     return 0 if is_ok else FOUND

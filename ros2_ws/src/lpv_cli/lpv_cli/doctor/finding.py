@@ -6,7 +6,7 @@ from typing import Any
 
 
 class Level(Enum):
-    """How bad it is."""
+    """How bad it is, and its colour."""
 
     OK = 'OK'
     WARN = 'WARN'
@@ -20,10 +20,14 @@ _STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 class Finding:
     """Result of one check."""
 
-    level: Level  # how bad it is
+    level: Level
     check: str  # what was checked, a word or two
     text: str  # what was found
     remedy: str = ''  # what to do; empty where nothing is to be done
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**asdict(self), 'level': self.level.value}
 
 
 def ok(check: str, text: str) -> Finding:
@@ -39,11 +43,6 @@ def warn(check: str, text: str, remedy: str) -> Finding:
 def error(check: str, text: str, remedy: str) -> Finding:
     """A finding that keeps the software from working."""
     return Finding(Level.ERROR, check, text, remedy)
-
-
-def as_dict(finding: Finding) -> dict[str, Any]:
-    """Fields of a finding as plain data."""
-    return {**asdict(finding), 'level': finding.level.value}
 
 
 def show(findings: list[Finding]) -> None:
@@ -63,8 +62,5 @@ def show(findings: list[Finding]) -> None:
     bad = sum(found.level != Level.OK for found in findings)
     console = Console(soft_wrap=True, highlight=False)
     console.print(table)
-    console.print(
-        f'{bad} of {len(findings)} checks found something'
-        if bad
-        else f'{len(findings)} checks, nothing found'
-    )
+    end = f' of {len(findings)} checks found something' if bad else ' checks, nothing found'
+    console.print(f'{bad or len(findings)}{end}')

@@ -56,12 +56,10 @@ def check_measurements(shot: Any, arm: Arm | None) -> list[Finding]:
     return findings
 
 
-def stated_rates(arm: Arm) -> list[str]:
+def stated_rates(arm: Any) -> list[str]:
     """What the arm file says of the rates of each joint."""
-    return [
-        joint.sensors.rates if joint is not None else arm.rates
-        for joint in getattr(arm, 'joints', (None,) * len(arm.joint_names))
-    ]
+    joints = getattr(arm, 'joints', None)
+    return [j.sensors.rates for j in joints] if joints else [arm.rates] * len(arm.joint_names)
 
 
 def needs_rates(arm: Arm | None) -> bool:
