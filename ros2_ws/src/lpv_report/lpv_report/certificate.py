@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Certified:
     what: str  # as `Certificate.what`
     claims: tuple[Claim, ...]  # what holds where the certificate does
 
-    def facts(self, arm: Arm) -> list[str]:
+    def facts(self, arm: Any) -> list[str]:
         """The region of the certificate, and what is certified, for the reader."""
         if isinstance(self.gains, LoopGains):
             return region_lines(arm, self.gains)
@@ -71,14 +72,14 @@ class Certified:
             f'{self.gains.controller.decay:g} /s',
         ]
 
-    def checks(self, arm: Arm) -> list[Check]:
+    def checks(self, arm: Any) -> list[Check]:
         """Every inequality, rebuilt; ConfigError for another arm than that of the gains."""
         if isinstance(self.gains, LoopGains):
             return verify_loop(arm, self.gains)
         self.gains.check_arm(arm)
         return verify(arm, self.gains)
 
-    def prove(self, arm: Arm) -> dict[str, bool]:
+    def prove(self, arm: Any) -> dict[str, bool]:
         """Inequalities by name, and whether exact rational arithmetic proves them."""
         # Only here: few need the proof, and it takes time to import.
         if isinstance(self.gains, LoopGains):
@@ -164,7 +165,7 @@ def find_arm_and_gains(
     source = file.name + ('' if gains else ' of the bag') if file else ''
     if arm:
         return load_any_arm(bringup_file('arms', arm)), file, source
-    described = _unless_ours(lambda: file and load_certified(file).arm(), bool(gains))
+    described = _unless_ours(lambda: load_certified(file).arm() if file else None, bool(gains))
     if described is not None:
         return described, file, source
     name = named_arm(bag)

@@ -93,8 +93,9 @@ class Comparison:
     @property
     def same(self) -> bool:
         """Whether nothing differs beyond the tolerances."""
-        parts = (*self.figures, *self.differences, *self.alarms)
-        return self.complete and all(part.same for part in parts)
+        parts = [*self.figures, *self.differences]
+        alarms = all(pair.same for pair in self.alarms)
+        return self.complete and alarms and all(part.same for part in parts)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
@@ -164,7 +165,7 @@ def compare_runs(
     """
     tolerances = tolerances or Tolerances()
     stamps = [_answer_stamps(record) for record in (first, second)]
-    common = np.intersect1d(*stamps)
+    common = np.intersect1d(stamps[0], stamps[1])
     if not len(common):
         raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
     alone = [len(s) - len(common) for s in stamps]
@@ -175,7 +176,8 @@ def compare_runs(
         list(_differences(first, second, tolerances)),
         pairs,
         len(common),
-        *alone,
+        alone[0],
+        alone[1],
         tolerances.missing,
     )
 
@@ -277,7 +279,7 @@ def draw_comparison(first: RunRecord, second: RunRecord, arm: Arm, out: Path) ->
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
     stamps = [record.stamps['fault_estimate'] for record in (first, second)]
-    common, i, j = np.intersect1d(*stamps, return_indices=True)
+    common, i, j = np.intersect1d(stamps[0], stamps[1], return_indices=True)
     runs = [record.streams['fault_estimate'] for record in (first, second)]
     truth = first.get('ground_truth', 'fault')
     for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):

@@ -228,7 +228,7 @@ def _spread(points: np.ndarray, step: float = 0.5e-3) -> np.ndarray:
 def _mark_ends(axis: Axes, ends: np.ndarray) -> None:
     for point, marker, text, below in zip(ends, 'os', ('start', 'end'), (7, -13)):
         axis.plot(*point, marker, color=INK, markersize=4.5, zorder=5)
-        offset = {'textcoords': 'offset points', 'xytext': (8, below), 'color': INK}
+        offset: dict[str, Any] = {'textcoords': 'offset points', 'xytext': (8, below), 'color': INK}
         axis.annotate(text, point, **offset)
 
 
@@ -243,7 +243,8 @@ def faults(run: 'Run') -> Figure | None:
             _column(record, 'fault_estimate', name, i)
             for name in ('estimate', 'bound', 'state', 'threshold')
         )
-        assert estimate is not None and bound is not None and threshold is not None
+        assert estimate is not None and bound is not None
+        assert state is not None and threshold is not None
         at, high = thin(record.time, threshold)
         look: dict[str, Any] = {'color': BAND, 'alpha': 0.45, 'linewidth': 0}
         axis.fill_between(at, -high, high, label='below threshold', **look)

@@ -398,11 +398,11 @@ def _path_error(record: RunRecord, arm: Arm) -> float | None:
     return float(np.linalg.norm(gap, axis=1).max()) if len(rows) else None
 
 
-def tip_positions(arm: Arm, position: np.ndarray) -> np.ndarray:
+def tip_positions(arm: Any, position: np.ndarray) -> np.ndarray:
     """Tips for rows of joint positions, x forward and z up, shape (k, 3) [m]."""
     links = getattr(arm, 'links', None)
     if links is not None:  # in its plane, where angles count from the x-axis
-        x, z = forward(position + [arm.zero_angle + np.pi / 2, 0.0], arm.lengths).T
+        x, z = forward(position + np.array([arm.zero_angle + np.pi / 2, 0.0]), arm.lengths).T
         return np.stack([x, np.zeros(len(x)), z], axis=1)
     # Only here: compiled code that plane arms do not need.
     from lpv_core.serial_arm.chain import compile_chain

@@ -1,6 +1,7 @@
 """Figures of a run: mean squared errors, beside Table 2 of the paper where its arm ran."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from rich import box
@@ -36,7 +37,7 @@ _ERRORS = (
 """Names in the paper, meaning, field, and the streams whose difference is the error."""
 
 
-def is_paper_arm(arm: Arm) -> bool:
+def is_paper_arm(arm: Any) -> bool:
     """Whether an arm is that of the paper's Table 1, whose errors Table 2 lists."""
     links = tuple(
         (k.mass, k.length, k.center_of_mass, k.inertia) for k in getattr(arm, 'links', ())

@@ -88,11 +88,11 @@ def show(result: 'Comparison', console: 'Console') -> None:
         rows = [(f.name, f.unit, number(f.first), number(f.second), _mark(f.same)) for f in figures]
         _table(console, title, ('', 'unit', *columns, ''), rows)
     names = ('kind', 'raised', 'delay', 'cleared', 'size')
-    columns = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size\n[rad]')
+    heads = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size\n[rad]')
     _table(
         console,
         'alarms, first run above second',
-        ('sensor', *columns, ''),
+        ('sensor', *heads, ''),
         [
             (
                 next(e.sensor for e in (p.first, p.second) if e),

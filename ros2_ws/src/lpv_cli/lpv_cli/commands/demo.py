@@ -16,7 +16,6 @@ from lpv_cli.progress import bar
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lpv_core.serial_arm.any_arm import Arm
     from lpv_core.simulation.any_scenario import AnyScenario
 
 NAMESPACE = '/lpv'
@@ -112,7 +111,7 @@ def _fresh_folder(name: str) -> Path:
     return out
 
 
-def _gains(arm: 'Arm', requirement: str | None, out: Path, console: 'Console') -> Path | None:
+def _gains(arm: Any, requirement: str | None, out: Path, console: 'Console') -> Path | None:
     """Gains for the arm: designed for a requirement, or shipped if they are certified for it."""
     from lpv_core.certificate.gains import save_gains
     from lpv_core.support.resources import shipped_files

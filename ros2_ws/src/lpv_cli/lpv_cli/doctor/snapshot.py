@@ -65,7 +65,7 @@ def watch(seconds: float) -> Snapshot:
     stay_local()
     context = Context()
     rclpy.init(context=context)
-    options = {'enable_rosout': False, 'start_parameter_services': False, 'context': context}
+    options: Any = {'enable_rosout': False, 'start_parameter_services': False, 'context': context}
     node = rclpy.create_node(f'lpv_doctor_{os.getpid()}', **options)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
