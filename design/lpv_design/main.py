@@ -4,18 +4,15 @@ import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lpv_core.certificate.exact_proof import prove
-from lpv_core.certificate.gains import save_gains
-from lpv_core.model.arm import ArmParameters
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError, LpvError
 from lpv_core.support.resources import bringup_file
-from lpv_design.design_flow import NotDetectableError, design
-from lpv_design.guarantee import Guarantee
-from lpv_design.requirement import load_requirement
-from lpv_design.solve import InfeasibleError
+
+if TYPE_CHECKING:
+    from lpv_core.model.arm import ArmParameters
+    from lpv_core.serial_arm.description import SerialArm
+    from lpv_design.guarantee import Guarantee
 
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
 _SERIAL_HELP = {
@@ -56,9 +53,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(
-    arguments: argparse.Namespace, draw: Callable[[Guarantee, ArmParameters], None] | None = None
+    arguments: argparse.Namespace, draw: 'Callable[[Guarantee, ArmParameters], None] | None' = None
 ) -> int:
     """Design, report, write; ``draw`` makes a picture of what is guaranteed."""
+    # Only here: help must not wait for the solver.
+    from lpv_core.certificate.exact_proof import prove
+    from lpv_core.certificate.gains import save_gains
+    from lpv_core.serial_arm.any_arm import load_any_arm
+    from lpv_core.serial_arm.description import SerialArm
+    from lpv_design.design_flow import NotDetectableError, design
+    from lpv_design.requirement import load_requirement
+    from lpv_design.solve import InfeasibleError
+
     try:
         arm = load_any_arm(bringup_file('arms', arguments.arm))
         if isinstance(arm, SerialArm):
@@ -97,7 +103,7 @@ def run(
     return 0
 
 
-def _certify_serial(arm: SerialArm, arguments: argparse.Namespace) -> int:
+def _certify_serial(arm: 'SerialArm', arguments: argparse.Namespace) -> int:
     """Certificate of a serial arm's computed-torque loop."""
     # Only here: two-link arms need nothing of it.
     from lpv_core.serial_arm.certificate.exact_proof import prove_loop

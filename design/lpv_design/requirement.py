@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.config import Section, names_all_errors, read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
@@ -61,6 +61,7 @@ def load_requirement(name: str | Path) -> Requirement:
     return parse_requirement(read_yaml(path), str(path))
 
 
+@names_all_errors
 def parse_requirement(data: dict[str, Any], source: str) -> Requirement:
     """Build a requirement from the mapping of a requirement file."""
     top = Section(data, source)
@@ -82,34 +83,34 @@ def _observer(section: Section) -> ExactRequirement | PaperRequirement:
         requirement = PaperRequirement(
             lmi=section.text('lmi', '55', ('55', '54+disc')),
             sinc_min=section.number('sinc_min', 0.96, -0.3, 0.999),
-            gamma=section.number('gamma', 1.0, above=0.0),
-            q=section.number('q', 20.0, above=0.0),
-            r=section.number('r', 15.0, above=0.0),
+            gamma=section.number('gamma', 1.0, above=0.0, high=1e9),
+            q=section.number('q', 20.0, above=0.0, high=1e9),
+            r=section.number('r', 15.0, above=0.0, high=1e9),
         )
         if not requirement.r < requirement.q:
             raise section.error('r', 'must be below q, or the disc reaches unstable poles')
         return requirement
     return ExactRequirement(
-        decay=section.number('decay', above=0.0),
+        decay=section.number('decay', above=0.0, high=1e9),
         fastest=_fastest(section, 'decay'),
-        acceleration_noise=section.pair('acceleration_noise', above=0.0),
-        rate_noise=section.number('rate_noise', above=0.0),
-        velocity_weight=section.number('velocity_weight', 0.02, above=0.0),
-        torque_gain=section.number('torque_gain', 1e9, above=0.0),
+        acceleration_noise=section.pair('acceleration_noise', above=0.0, high=1e9),
+        rate_noise=section.number('rate_noise', above=0.0, high=1e9),
+        velocity_weight=section.number('velocity_weight', 0.02, above=0.0, high=1e9),
+        torque_gain=section.number('torque_gain', 1e9, above=0.0, high=1e9),
     )
 
 
 def _controller(section: Section) -> ControllerRequirement:
     return ControllerRequirement(
-        alpha=section.number('alpha', above=0.0),
+        alpha=section.number('alpha', above=0.0, high=1e9),
         fastest=_fastest(section, 'alpha'),
-        state_weight=tuple(section.vector('state_weight', 3, above=0.0)),
-        torque_weight=section.number('torque_weight', above=0.0),
+        state_weight=tuple(section.vector('state_weight', 3, above=0.0, high=1e9)),
+        torque_weight=section.number('torque_weight', above=0.0, high=1e9),
     )
 
 
 def _fastest(section: Section, slowest: str) -> float:
-    fastest = section.number('fastest', above=0.0)
+    fastest = section.number('fastest', above=0.0, high=1e9)
     if not fastest > section.number(slowest):
         raise section.error('fastest', f'must be greater than {slowest}')
     return fastest

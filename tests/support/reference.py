@@ -20,7 +20,7 @@ from lpv_bag.replay.replay import Replay
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import stamp_of
-from lpv_cli.commands.compare import load_pair, show
+from lpv_cli.commands.compare import show
 from lpv_core.certificate.gains import load_gains, save_gains
 from lpv_core.control.tracking import TrackingController
 from lpv_core.model.arm import load_arm
@@ -29,7 +29,7 @@ from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.resources import bringup_file
-from lpv_report.comparison import Tolerances, compare_runs
+from lpv_report.comparison import Tolerances, compare_runs, load_pair
 
 BAG = DATA / 'reference'
 TOLERANCES = Tolerances(mise=1e-3, delay=0.0, signal=1e-6, flags=0.0, missing=1.0)

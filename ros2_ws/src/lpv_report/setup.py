@@ -10,7 +10,7 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
     ],
-    package_data={'lpv_report': ['style.css', 'parts.html'], 'lpv_report.run': ['report.html']},
+    package_data={PACKAGE: ['*.css', '*.html']},
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
     zip_safe=False,

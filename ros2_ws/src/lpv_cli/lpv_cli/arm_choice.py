@@ -1,33 +1,146 @@
-"""The arm that ``lpv identify`` and ``lpv excite`` start from: a URDF, or an arm file."""
+"""The arm that ``lpv init``, ``identify`` and ``excite`` start from: a URDF, or an arm file."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from lpv_core.serial_arm.description import SerialArm
 
+_MOVING = ('revolute', 'continuous', 'prismatic', 'planar', 'floating')
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+
+def add_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """Declare the choice."""
-    arm = parser.add_mutually_exclusive_group(required=True)
+    arm = parser.add_mutually_exclusive_group(required=True) if required else parser
     arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
-    arm.add_argument('--arm', help='arm file, of n joints or of two links')
+    if required:
+        arm.add_argument('--arm', help='arm file, of n joints or of two links')
     parser.add_argument(
         '--joints',
         nargs='+',
         metavar='JOINT',
-        help='joints of the arm; all others of the URDF are locked',
+        help='joints of the arm, with spaces or commas; all others of the URDF are locked',
+    )
+    parser.add_argument(
+        '--lock',
+        action='append',
+        default=[],
+        metavar='JOINT[=VALUE]',
+        help="hold a joint of the URDF, as a gripper's (at 0) [rad], [m]",
+    )
+    parser.add_argument(
+        '--tip', metavar='LINK', help='last link of the arm: its joints are those on the way to it'
     )
 
 
-def chosen_arm(
-    arguments: argparse.Namespace, locked: Mapping[str, float] | None = None
-) -> 'SerialArm':
-    """Arm of the arguments; joints of the URDF can be locked at an angle [rad]."""
+def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
+    """Arm of the arguments."""
     from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-    from lpv_identify.results.starting_arm import load_any_arm
 
-    if arguments.urdf:
-        return read_urdf_chain(arguments.urdf, locked, arguments.joints)
-    return load_any_arm(arguments.arm)
+    if not arguments.urdf:
+        from lpv_identify.results.starting_arm import load_any_arm
+
+        return load_any_arm(arguments.arm)
+    root = _read(arguments.urdf)
+    moving = {str(j.get('name')): j for j in root.iter('joint') if j.get('type') in _MOVING}
+    locked = dict(_locked(text) for text in arguments.lock)
+    joints = [name for text in arguments.joints or () for name in text.split(',') if name]
+    tip = arguments.tip
+    if tip is not None:
+        if joints:
+            raise ConfigError('--tip', 'and --joints say the same: give one of them')
+        joints = [name for name in _way_to(root, tip) if name in moving and name not in locked]
+    kept = [name for name in moving if name not in locked and (not joints or name in joints)]
+    _refuse_others(kept, moving, arguments.urdf)
+    arm = read_urdf_chain(arguments.urdf, locked, joints or None)
+    return arm if tip is None else replace(arm, tip=_place(arguments.urdf, arm, tip))
+
+
+def with_stated_friction(arm: 'SerialArm', urdf: str) -> 'SerialArm':
+    """The arm with the friction that ``<dynamics>`` of its URDF states."""
+    found = {j.get('name'): j.find('dynamics') for j in _read(urdf).iter('joint')}
+    joints = []
+    for joint in arm.joints:
+        dynamics = found.get(joint.name)
+        if dynamics is not None:
+            viscous, coulomb = (_number(dynamics, key) for key in ('damping', 'friction'))
+            joint = replace(
+                joint, friction=replace(joint.friction, viscous=viscous, coulomb=coulomb)
+            )
+        joints.append(joint)
+    return replace(arm, joints=tuple(joints))
+
+
+def _read(path: str) -> ElementTree.Element:
+    from pathlib import Path
+
+    from lpv_core.serial_arm.urdf_text import read_urdf_text
+
+    return ElementTree.fromstring(read_urdf_text(Path(path)))
+
+
+def _locked(text: str) -> tuple[str, float]:
+    name, _, value = text.partition('=')
+    try:
+        return name, float(value) if value else 0.0
+    except ValueError:
+        raise ConfigError('--lock', f'{value!r} is not a number') from None
+
+
+def _way_to(root: ElementTree.Element, tip: str) -> list[str]:
+    """Names of the joints from the base to a link."""
+    above = {_end(j, 'child'): j for j in root.iter('joint')}
+    links = [str(link.get('name')) for link in root.iter('link')]
+    if tip not in links:
+        raise ConfigError('--tip', f'{tip!r} is no link of the URDF: {", ".join(links)}')
+    way: list[str] = []
+    while tip in above and len(way) < len(above):
+        way.insert(0, str(above[tip].get('name')))
+        tip = _end(above[tip], 'parent')
+    return way
+
+
+def _end(joint: ElementTree.Element, side: str) -> str:
+    element = joint.find(side)
+    return '' if element is None else str(element.get('link'))
+
+
+def _refuse_others(
+    kept: Sequence[str], moving: dict[str, ElementTree.Element], source: str
+) -> None:
+    """ConfigError that says how to leave out joints that do not turn."""
+    others = [name for name in kept if moving[name].get('type') not in ('revolute', 'continuous')]
+    if others:
+        turning = ','.join(name for name in kept if name not in others)
+        kinds = ', '.join(f'{name!r} is {moving[name].get("type")}' for name in others)
+        raise ConfigError(
+            'joint',
+            f'{kinds}: hold it with {" ".join(f"--lock {name}=0" for name in others)}, name the '
+            f'joints of the arm with --joints {turning}, or its last link with --tip LINK',
+            source,
+        )
+
+
+def _number(element: ElementTree.Element, key: str) -> float:
+    text = element.get(key, '0')
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1e6:
+        raise ConfigError(f'dynamics.{key}', f'must be a number within [0, 1e6], got {text!r}')
+    return value
+
+
+def _place(urdf: str, arm: 'SerialArm', tip: str) -> tuple[float, float, float]:
+    """The origin of a link in the frame of the arm's last joint."""
+    from lpv_core.serial_arm.urdf_chain import read_urdf_model
+
+    model, _ = read_urdf_model(urdf, dict(arm.locked))
+    x, y, z = (float(v) for v in model.frames[model.getFrameId(tip)].placement.translation)
+    return x, y, z

@@ -14,7 +14,6 @@ _PROGRAMS = {
     'lpv_tracker': 'tracker',
     'lpv_uio': 'uio',
 }
-
 _KINDS = {
     'arm': 'arms',
     'columns': 'columns',
@@ -55,8 +54,10 @@ def shipped(kind: str) -> Callable[..., Any]:
     def names(prefix: str, **_: object) -> list[str]:
         import argcomplete
 
-        files = argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix)
-        return [*_shipped_names(kind), *files]
+        return [
+            *_shipped_names(kind),
+            *argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix),
+        ]
 
     return names
 

@@ -3,9 +3,11 @@
 import argparse
 import importlib
 import sys
+from contextlib import nullcontext
 
 from lpv_cli.completion import complete, complete_by_name
-from lpv_cli.needs import remedy, versions
+from lpv_cli.needs import Version, remedy
+from lpv_cli.progress import announced
 from lpv_core.support.errors import LpvError
 
 COMMANDS = {
@@ -23,21 +25,24 @@ COMMANDS = {
     'import-csv': ('lpv_cli.commands.import_csv', 'turn a CSV recording of an arm into a bag'),
     'replay': ('lpv_cli.replaying.replay', 'run observer and diagnosis offline on a bag'),
     'view': ('lpv_cli.commands.view', 'show the running graph: web page, Foxglove, markers'),
-    'init': ('lpv_cli.initialising.init', 'write commented files of an arm to start from'),
+    'init': ('lpv_cli.commands.init', 'write commented files of an arm to start from'),
     'urdf': ('lpv_cli.commands.urdf', 'print the URDF of an arm'),
     'recover': ('lpv_cli.commands.recover', 'repair a bag that is cut off or damaged'),
     'compare': ('lpv_cli.commands.compare', 'compare the answers in two bags of one recording'),
     'report': ('lpv_cli.commands.report', 'write the report of a bag'),
 }
-"""Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps."""
+"""Command names, the modules that implement them (``add_arguments``, ``run``), one-line helps.
+
+A module declares arguments without importing what only its ``run`` needs: help must not wait.
+"""
 
 
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
     """Parser of the command line."""
     parser = argparse.ArgumentParser(
-        prog='lpv', description='Sensor-fault diagnosis and tracking of two-link robot arms.'
+        prog='lpv', description='Sensor-fault diagnosis and tracking of serial robot arms.'
     )
-    parser.add_argument('--version', action='version', version=versions())
+    parser.add_argument('--version', action=Version)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, (module, text) in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text)
@@ -52,14 +57,17 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Entry point; exit code 2 for bad input."""
     complete(build_parser, COMMANDS)
-    argv = sys.argv[1:] if argv is None else argv
+    is_shell, argv = argv is None, sys.argv[1:] if argv is None else argv
     chosen = next((a for a in argv if a in COMMANDS), None)
     if not argv:
         build_parser().print_help()
         return 0
+    # A shell waits; who calls from Python does not want more than what the command prints.
+    waiting = announced(f'lpv {chosen}: {COMMANDS[chosen][1]}') if is_shell and chosen else None
     try:
-        arguments = build_parser(chosen).parse_args(argv)
-        return arguments.run(arguments)
+        with waiting or nullcontext():
+            arguments = build_parser(chosen).parse_args(argv)
+            return arguments.run(arguments)
     except ModuleNotFoundError as error:
         print(f'lpv {chosen}: {remedy(error.name)}', file=sys.stderr)
         return 2

@@ -1,8 +1,9 @@
 """What a command needs that is not installed, and how it is installed."""
 
+import argparse
 import importlib.util
 import platform
-from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 from lpv_core.support.errors import ConfigError
 
@@ -45,15 +46,24 @@ def remedy(module: str | None) -> str:
     return f'{name} is not installed: pip install {name}'
 
 
-def versions() -> str:
-    """Version of this software and of what its figures depend on."""
-    parts = [f'Python {platform.python_version()}']
-    parts += [f'{name} {_version(name)}' for name in ('numpy', 'numba')]
-    own = _version(DISTRIBUTION)
-    return f'lpv {_version("lpv_cli") if own == "-" else own} ({", ".join(parts)})'
+class Version(argparse.Action):
+    """Print the version of this software and of what its figures depend on."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, nargs=0, help='show the version')
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print and leave."""
+        own = _version(DISTRIBUTION)
+        parts = [f'{name} {_version(name)}' for name in ('numpy', 'numba')]
+        text = ', '.join([f'Python {platform.python_version()}', *parts])
+        print(f'lpv {_version("lpv_cli") if own == "-" else own} ({text})')
+        parser.exit()
 
 
 def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # only here: it takes time
+
     try:
         return version(name)
     except PackageNotFoundError:

@@ -1,44 +1,156 @@
-"""Progress of long commands: how much is done, and how long the rest takes."""
+"""What a long command does, how much of it is done, and text that fits the terminal."""
 
+import contextlib
+import io
+import shutil
+import sys
+import textwrap
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+_SILENT, _EVERY = 1.5, 5.0
+"""When a command first says what it does, and how often how far it is [s]."""
+_spinner: Any = None
+_bars = 0
+
+
+@contextmanager
+def announced(text: str) -> Iterator[None]:
+    """Say what a command does if it takes long, and then that it goes on.
+
+    On a terminal that is one line that moves; elsewhere lines on the standard error.
+    """
+    done = threading.Event()
+    thread = threading.Thread(target=_announce, args=(text, done), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        _stop_spinner()
+
+
+def _announce(text: str, done: threading.Event) -> None:
+    global _spinner
+    begin = time.monotonic()
+    if done.wait(_SILENT) or _bars:
+        return
+    if sys.stdout.isatty() and sys.stderr.isatty():
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        columns = SpinnerColumn(), TextColumn('{task.description}'), TimeElapsedColumn()
+        _spinner = Progress(*columns, transient=True)
+        _spinner.add_task(text)
+        _spinner.start()
+        return
+    print(f'{text} ...', file=sys.stderr, flush=True)
+    while not done.wait(2.0 * _EVERY):
+        if not _bars:
+            print(f'  {time.monotonic() - begin:.0f} s', file=sys.stderr, flush=True)
+
+
+def _stop_spinner() -> None:
+    global _spinner
+    if _spinner is not None:
+        _spinner.stop()
+    _spinner = None
+
+
+@contextmanager
+def bar(
+    console: 'Console', name: str, total: float, done: float = 0, unit: str = '', note: str = ''
+) -> Iterator[tuple['Progress', Callable[..., None]]]:
+    """Bar of a work; yields it, and a function that sets what is done and the note behind it."""
+    global _bars
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    form = '.1f' if unit else '.0f'
+    count = f'{{task.completed:{form}}}/{{task.total:{form}}} {unit}'
+    _stop_spinner()
+    _bars += 1
+    said = time.monotonic()
+    with Progress(
+        TextColumn('{task.description}'),
+        BarColumn(),
+        TextColumn(count),
+        TimeElapsedColumn(),
+        TextColumn('left'),
+        TimeRemainingColumn(),
+        TextColumn('{task.fields[note]}'),
+        console=console,
+    ) as progress:
+        task = progress.add_task(name, total=total, note=note)
+        progress.update(task, completed=done)
+
+        def show(completed: float, note: str = note) -> None:
+            nonlocal said
+            progress.update(task, completed=completed, note=note)
+            if not console.is_terminal and time.monotonic() - said > _EVERY:
+                said = time.monotonic()
+                text = f'  {name}: {completed:{form}} of {total:{form}} {unit} {note}'
+                console.print(text.rstrip(), highlight=False)
+
+        try:
+            yield progress, show
+        finally:
+            _bars -= 1
 
 
 @contextmanager
 def counted(
-    console: Console, name: str, total: int, done: int, note: str = ''
+    console: 'Console', name: str, total: int, done: int, note: str = ''
 ) -> Iterator[Callable[..., None]]:
     """Bar of a work whose finished part is kept when it is interrupted.
 
     Yields a function that advances the bar, by 1 if not said, and may change the note behind it.
     """
-    columns = (
-        TextColumn('{task.description}'),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn('left'),
-        TimeRemainingColumn(),
-        TextColumn('{task.fields[note]}'),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(name, total=total, completed=done, note=note)
+    with bar(console, name, total, done, note=note) as (_, show):
 
         def advance(count: int = 1, note: str = note) -> None:
-            progress.update(task, advance=count, note=note)
+            nonlocal done
+            done += count
+            show(done, note)
 
         try:
             yield advance
         except KeyboardInterrupt:
             console.print('finished work is kept; run the same command again to resume')
             raise
+
+
+@contextmanager
+def wrapped() -> Iterator[None]:
+    """Wrap what is printed at the terminal's width; text for a file or a pipe stays as it is."""
+    terminal = sys.stdout
+    if not terminal.isatty():
+        yield
+        return
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        try:
+            yield
+        finally:
+            terminal.write(fitted(printed.getvalue(), shutil.get_terminal_size().columns))
+
+
+def fitted(text: str, width: int) -> str:
+    """The text with long lines wrapped, their other parts below the first one's beginning."""
+    lines = []
+    for line in text.splitlines(keepends=True):
+        indent = ' ' * (len(line) - len(line.lstrip()) + 4)
+        parts = textwrap.wrap(line, width, subsequent_indent=indent) if len(line) > width else []
+        lines.append('\n'.join(parts) + '\n' if parts else line)
+    return ''.join(lines)

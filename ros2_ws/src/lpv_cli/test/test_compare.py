@@ -12,11 +12,10 @@ from rosbags.highlevel import AnyReader
 
 from lpv_bag.replay.replay import Replay
 from lpv_bag.rosbag.writing import BagWriter
-from lpv_cli.commands.compare import load_pair
 from lpv_cli.main import main
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.support.errors import LpvError
-from lpv_report.comparison import Tolerances, compare_runs
+from lpv_report.comparison import Tolerances, compare_runs, load_pair
 
 
 @pytest.fixture(scope='module')
@@ -159,7 +158,7 @@ def test_given_slower_alarms_when_the_command_is_run_then_the_code_is_3_and_json
         if p['second'] is not None and not p['same']
     ]
     assert max(late) == pytest.approx(0.04, abs=0.005)
-    assert {f['name'] for f in found['figures']} >= {'f1: estimate of fault 1'}
+    assert {f['name'] for f in found['figures']} >= {'f1: estimate of the fault'}
     assert main(['compare', str(replayed), str(slower)]) == 3
     said = capsys.readouterr().out
     assert 'DIFFERENT' in said

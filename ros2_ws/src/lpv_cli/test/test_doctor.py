@@ -20,9 +20,9 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_cli.doctor import environment, graph, signals  # noqa: E402
 from lpv_cli.doctor.files import check_arm, check_files, check_gains, check_scenario  # noqa: E402
-from lpv_cli.doctor.findings import Level  # noqa: E402
-from lpv_cli.doctor.measurements import check_values, needs_rates  # noqa: E402
-from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot  # noqa: E402
+from lpv_cli.doctor.finding import Level  # noqa: E402
+from lpv_cli.doctor.signals import check_values, needs_rates  # noqa: E402
+from lpv_cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot  # noqa: E402
 from lpv_cli.main import main  # noqa: E402
 from lpv_core.certificate.gains import save_gains  # noqa: E402
 from lpv_core.model.joints import JointMap  # noqa: E402
@@ -123,7 +123,7 @@ def test_given_a_serial_arm_when_checked_then_it_needs_no_gains_and_refuses_some
     assert arm.joint_names == ('joint1', 'joint2', 'joint3') and found(findings) == []
     assert 'bounds are statistical' in findings[-1].text
     refused = check_gains(str(BRINGUP / 'gains' / 'paper.yaml'), arm)
-    assert refused.level == Level.ERROR and 'for another kind' in refused.text
+    assert refused.level == Level.ERROR and 'another arm' in refused.text
 
 
 def test_given_gains_of_serial_arms_when_checked_then_the_certificate_of_the_loop_is(tmp_path):

@@ -1,12 +1,12 @@
 """lpv init, lpv --version, and what is said where something is missing."""
 
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from places import BRINGUP, ROOT
 
-from lpv_cli.initialising.urdf_arm import read_urdf_arm
 from lpv_cli.main import main
 from lpv_cli.needs import remedy
 from lpv_core.export.urdf import arm_urdf
@@ -14,7 +14,6 @@ from lpv_core.model.arm import load_arm
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.scenario import load_scenario
-from lpv_core.support.errors import ConfigError
 from lpv_design.requirement import load_requirement
 
 
@@ -70,30 +69,120 @@ def test_given_the_urdf_of_a_serial_arm_when_initialised_then_arm_and_path_fit(
 
 @pytest.mark.parametrize('zero', [0.0, np.pi / 3, np.pi])
 def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(tmp_path, paper_arm, zero):
-    from dataclasses import replace
-
     path = tmp_path / 'arm.urdf'
     path.write_text(arm_urdf(replace(paper_arm, zero_angle=zero)))
-    assert np.cos(read_urdf_arm(path).zero_angle - zero) == pytest.approx(1.0)
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(path)]) == 0
+    assert np.cos(load_arm(tmp_path / 'new' / 'arm.yaml').zero_angle - zero) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
     ('old', 'new', 'said'),
     [
-        ('continuous', 'fixed', 'two revolute joints'),
-        ('xyz="0 -1 0"', 'xyz="0 0 1"', 'horizontal'),
-        ('xyz="0 -1 0"', 'xyz="0 0 0"', 'no direction'),
-        ('<mass value="10.0"', '<mass value="heavy"', 'must be a number'),
-        ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', 'entities'),
-        ('</robot>', '', 'cannot be read'),
+        ('xyz="0 -1 0"', 'xyz="0 0 0"', 'direction'),
+        ('<mass value="10.0"', '<mass value="heavy"', 'mass'),
+        ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', 'document type'),
+        ('</robot>', '', 'no element found'),
+        ('<dynamics', '<dynamics damping="-1"/><dynamics', 'dynamics.damping: must be'),
     ],
 )
-def test_given_a_urdf_of_another_kind_when_read_then_it_is_refused(urdf, old, new, said):
+def test_given_a_urdf_with_a_defect_when_initialised_then_it_is_named(
+    tmp_path, urdf, capsys, old, new, said
+):
     text = urdf.read_text()
     assert old in text
     urdf.write_text(text.replace(old, new))
-    with pytest.raises(ConfigError, match=said):
-        read_urdf_arm(urdf)
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / 'new').exists()
+
+
+def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_is_a_serial_arm(
+    tmp_path, urdf
+):
+    urdf.write_text(urdf.read_text().replace('xyz="0 -1 0"', 'xyz="0 0 1"'))
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 0
+    arm = load_any_arm(tmp_path / 'new' / 'arm.yaml')
+    assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2
+
+
+def link(name):
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>'
+        '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def joint(name, parent, child, kind='revolute', dynamics=''):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        '<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="500" '
+        f'velocity="2"/>{dynamics}</joint>'
+    )
+
+
+@pytest.fixture
+def gripper(tmp_path):
+    """Three joints that turn, and two fingers that slide."""
+    path = tmp_path / 'gripper.urdf'
+    friction = '<dynamics damping="0.5" friction="0.25"/>'
+    path.write_text(
+        '<robot name="my arm">'
+        + ''.join(link(name) for name in ('base', 'one', 'two', 'hand', 'left', 'right', 'tool'))
+        + joint('shoulder', 'base', 'one', dynamics=friction)
+        + joint('elbow', 'one', 'two')
+        + joint('wrist', 'two', 'hand', 'continuous')
+        + joint('left_finger', 'hand', 'left', 'prismatic')
+        + joint('right_finger', 'hand', 'right', 'prismatic')
+        + joint('flange', 'hand', 'tool', 'fixed')
+        + '</robot>'
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        ['--lock', 'left_finger=0.02', '--lock', 'right_finger'],
+        ['--joints', 'shoulder,elbow,wrist'],
+        ['--joints', 'shoulder', 'elbow', 'wrist'],
+        ['--tip', 'tool'],
+    ],
+)
+def test_given_a_gripper_when_its_joints_are_held_then_the_arm_has_the_others_and_their_friction(
+    tmp_path, gripper, options
+):
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(gripper), *options]) == 0
+    arm = load_any_arm(tmp_path / 'new' / 'arm.yaml')
+    assert (arm.name, arm.joint_names) == ('my_arm', ('shoulder', 'elbow', 'wrist'))
+    assert dict(arm.locked).keys() == {'left_finger', 'right_finger'}
+    assert dict(arm.locked)['left_finger'] == (0.02 if '--lock' in options else 0.0)
+    assert [(j.friction.viscous, j.friction.coulomb) for j in arm.joints] == [
+        (0.5, 0.25),
+        (0.0, 0.0),
+        (0.0, 0.0),
+    ]
+    if '--tip' in options:
+        assert arm.tip == (0.0, 0.0, 0.3)
+
+
+@pytest.mark.parametrize(
+    ('options', 'said'),
+    [
+        ([], "'left_finger' is prismatic, 'right_finger' is prismatic: hold it with --lock left_f"),
+        ([], '--joints shoulder,elbow,wrist, or its last link with --tip'),
+        (['--tip', 'nose'], "'nose' is no link of the URDF: base, one"),
+        (['--lock', 'left_finger=open'], "'open' is not a number"),
+        (['--lock', 'thumb'], "no moving joint 'thumb'"),
+        (['--tip', 'tool', '--joints', 'elbow'], 'give one of them'),
+    ],
+)
+def test_given_a_gripper_that_is_not_held_when_initialised_then_the_options_are_named(
+    tmp_path, gripper, capsys, options, said
+):
+    if options == ['--lock', 'thumb']:
+        options = [*options, '--joints', 'shoulder,elbow,wrist']
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(gripper), *options]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_given_files_that_are_there_when_initialised_then_none_is_overwritten(tmp_path, capsys):

@@ -12,8 +12,10 @@ from places import BRINGUP
 
 from lpv_core.certificate.gains import gains_to_dict, load_gains, parse_gains, save_gains
 from lpv_core.model.arm import Link, load_arm, parse_arm
+from lpv_core.serial_arm.arm_file import parse_serial_arm
 from lpv_core.simulation.faults import KINDS, Fault, FaultInjector
 from lpv_core.simulation.scenario import load_scenario, parse_scenario
+from lpv_core.simulation.serial_scenario import parse_serial_scenario
 from lpv_core.support import config
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError, LpvError
@@ -616,3 +618,87 @@ def test_given_gains_when_checked_against_another_arm_then_both_hashes_are_told(
     assert caught.value.field == 'gains.arm_sha256'
     for text in ('g.yaml', paper_arm.sha256()[:12], real_arm.sha256()[:12]):
         assert text in str(caught.value)
+
+
+# ------------------------------------------------------------------ all errors, and ranges
+
+
+def test_given_several_wrong_fields_when_read_then_one_error_names_each(tmp_path):
+    data = changed(ARM, 'links[0].mass', -1.0)
+    data = changed(data, 'links[1].length', 'long')
+    data = changed(data, 'joints', Missing)
+    data = changed(data, 'sensors.arrangement', 'sideways')
+    data = changed(data, 'colour', 'red')
+    path = tmp_path / 'arm.yaml'
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(ConfigError) as caught:
+        load_arm(path)
+    said = str(caught.value)
+    assert said.startswith(f'{path}: 5 fields are wrong: (1) links[0].mass: ')
+    assert '\n' not in said
+    assert caught.value.field == 'links[0].mass'
+    for number, begin in enumerate(
+        (
+            'links[0].mass: must lie within (0.0, 100000.0], got -1.0',
+            "links[1].length: must be a number, got 'long'",
+            'joints: is missing',
+            'sensors.arrangement: must be one of absolute, relative',
+            'colour: is not a known field',
+        ),
+        start=1,
+    ):
+        assert f'({number}) {begin}' in said
+
+
+def test_given_wrong_faults_and_waypoints_when_read_then_all_are_named():
+    data = changed(SCENARIO, 'faults[0].kind', 'sabotage')
+    data = changed(data, 'faults[1].onset', math.inf)
+    data = changed(data, 'path.waypoints[2].x', 1e9)
+    with pytest.raises(ConfigError) as caught:
+        parse_scenario(data)
+    said = str(caught.value)
+    for field in ('faults[0].kind', 'faults[1].onset', 'path.waypoints[2].x'):
+        assert f') {field}: ' in said
+
+
+@pytest.mark.parametrize('value', [-1e308, 1e308, 1e4])
+def test_given_numbers_that_no_arm_has_when_read_then_field_value_and_range_are_named(value):
+    arm = yaml.safe_load((BRINGUP / 'arms' / 'ur10.yaml').read_text())
+    error = refused(parse_serial_arm, {**arm, 'tip': [0, 0, value]}, 'tip[2]')
+    assert f'must lie within [-100.0, 100.0], got {value}' in str(error)
+
+
+def numbers(data, place=()):
+    """Places of all numbers in nested data."""
+    for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+        if isinstance(value, (dict, list)):
+            yield from numbers(value, (*place, key))
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            yield (*place, key)
+
+
+@pytest.mark.parametrize(
+    ('parse', 'file'),
+    [
+        (parse_arm, 'arms/paper.yaml'),
+        (parse_arm, 'arms/real_arm.yaml'),
+        (parse_serial_arm, 'arms/ur10.yaml'),
+        (parse_scenario, 'scenarios/two_faults.yaml'),
+        (parse_serial_scenario, 'scenarios/ur10.yaml'),
+    ],
+)
+@pytest.mark.parametrize('huge', [1e300, -1e300])
+def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(parse, file, huge):
+    path = BRINGUP / file
+    data = yaml.safe_load(path.read_text())
+    for place in numbers(data):
+        if 'covariance' in place:
+            continue
+        wrong = yaml.safe_load(path.read_text())
+        holder = wrong
+        for key in place[:-1]:
+            holder = holder[key]
+        holder[place[-1]] = huge
+        options = {'folder': path.parent} if parse is parse_serial_arm else {}
+        with pytest.raises(ConfigError):
+            parse(wrong, 'some.yaml', **options)

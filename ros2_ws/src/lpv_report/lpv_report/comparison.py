@@ -1,34 +1,38 @@
 """What two runs of one recording have in common, and where they differ."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lpv_bag.errors import BagError
+from lpv_bag.run.record import load_run
 from lpv_bag.run.streams import RunRecord
 from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.support.errors import LpvError
-from lpv_report.history.episodes import Episode, episodes
-from lpv_report.run.table import make_table
+from lpv_report.history import Episode, episodes
+from lpv_report.table import make_table
 
-SIGNALS = {
-    'state_estimate': ('position', 'velocity', 'compensated_position'),
-    'fault_estimate': ('estimate', 'bound', 'threshold'),
-}
-"""Vectors of answers that are compared sample by sample."""
-_FLAGS = {'state_estimate': ('mode',), 'fault_estimate': ('state', 'alarm')}
-_LABELS = {
-    'compensated_position': 'compensated position',
-    'estimate': 'fault estimate',
-    'mode': 'observer mode',
-    'state': 'sensor states',
-    'alarm': 'alarm flags',
-}
+# Stream, field, what it is called, unit; flags are compared by the share that differs.
+_SIGNALS = (
+    ('state_estimate', 'position', 'position', 'rad'),
+    ('state_estimate', 'velocity', 'velocity', 'rad/s'),
+    ('state_estimate', 'compensated_position', 'compensated position', 'rad'),
+    ('fault_estimate', 'estimate', 'fault estimate', 'rad'),
+    ('fault_estimate', 'bound', 'bound', 'rad'),
+    ('fault_estimate', 'threshold', 'threshold', 'rad'),
+    ('state_estimate', 'mode', 'observer mode', 'share'),
+    ('fault_estimate', 'state', 'sensor states', 'share'),
+    ('fault_estimate', 'alarm', 'alarm flags', 'share'),
+)
 _SMALLEST = 1e-7
 """Mean squared errors below are numerical noise: their ratio says nothing."""
+_SLACK = 0.5
+"""Alarms of two runs that are this far apart may still be the same [s]."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +53,12 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of both runs."""
+    """One figure of both runs, or a difference (``second``) against its tolerance (``first``)."""
 
     name: str  # what is compared
     unit: str  # of both values
-    first: float | None  # value of the first run; None where it has none
-    second: float | None  # value of the second run, likewise
+    first: float | None  # None where the run has none
+    second: float | None
     same: bool  # within the tolerance
 
 
@@ -73,8 +77,7 @@ class Comparison:
 
     # MISE or, without ground truth, sizes of the fault estimates
     figures: list[Figure] = field(default_factory=list)
-    # by signal the largest difference (``second``) against its tolerance (``first``)
-    differences: list[Figure] = field(default_factory=list)
+    differences: list[Figure] = field(default_factory=list)  # the largest of each signal
     alarms: list[AlarmPair] = field(default_factory=list)  # in the order of time
     common: int = 0  # answers with the same stamp in both runs
     only_first: int = 0  # answers of the first run alone
@@ -84,18 +87,15 @@ class Comparison:
     @property
     def complete(self) -> bool:
         """Whether the runs have the same answers, as far as is asked for."""
-        total = self.common + self.only_first + self.only_second
-        return self.common > 0 and (
-            self.only_first + self.only_second <= self.missing_allowed * total
-        )
+        alone = self.only_first + self.only_second
+        return self.common > 0 and alone <= self.missing_allowed * (self.common + alone)
 
     @property
     def same(self) -> bool:
         """Whether nothing differs beyond the tolerances."""
-        parts = (*self.figures, *self.differences)
-        return (
-            self.complete and all(part.same for part in parts) and all(a.same for a in self.alarms)
-        )
+        parts = [*self.figures, *self.differences]
+        alarms = all(pair.same for pair in self.alarms)
+        return self.complete and alarms and all(part.same for part in parts)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
@@ -105,29 +105,38 @@ class Comparison:
                 return {k: plain(v) for k, v in value.items()}
             if isinstance(value, list):
                 return [plain(v) for v in value]
+            if isinstance(value, Episode):
+                return plain({**asdict(value), 'delay': value.delay})
             return None if isinstance(value, float) and not math.isfinite(value) else value
 
+        names = ('common', 'only_first', 'only_second', 'complete')
         return plain(
             {
                 'same': self.same,
-                'answers': {
-                    'common': self.common,
-                    'only_first': self.only_first,
-                    'only_second': self.only_second,
-                    'complete': self.complete,
-                },
-                'figures': [asdict(f) for f in self.figures],
-                'differences': [asdict(f) for f in self.differences],
-                'alarms': [
-                    {'same': p.same, 'first': _alarm(p.first), 'second': _alarm(p.second)}
-                    for p in self.alarms
-                ],
+                'answers': {name: getattr(self, name) for name in names},
+                'figures': [vars(f) for f in self.figures],
+                'differences': [vars(f) for f in self.differences],
+                'alarms': [vars(p) for p in self.alarms],
             }
         )
 
 
-def _alarm(episode: Episode | None) -> dict[str, Any] | None:
-    return None if episode is None else {**asdict(episode), 'delay': episode.delay}
+def load_pair(bag: str | Path, other: str | Path, arm: Arm) -> tuple[RunRecord, RunRecord]:
+    """Two runs of one recording; what one bag does not hold is taken from the other."""
+    first, second = (
+        load_run(path, joint_names=arm.joint_names, answers_only=True) for path in (bag, other)
+    )
+    for one, another in ((first, second), (second, first)):
+        for name in ('joint_states', 'ground_truth', 'reference', 'torque_command'):
+            if name in one.streams and name not in another.streams:
+                another.streams[name], another.stamps[name] = one.streams[name], one.stamps[name]
+        another.joint_names = another.joint_names or one.joint_names
+    for path, record in ((bag, first), (other, second)):
+        if not {'state_estimate', 'fault_estimate'} & set(record.streams):
+            raise BagError(f'{path}: holds no answers of the diagnosis; run lpv replay first')
+        # Without measurements, times count from the first answer.
+        record.stamps.setdefault('joint_states', _answer_stamps(record))
+    return first, second
 
 
 def compare_runs(
@@ -155,52 +164,49 @@ def compare_runs(
         If the answers have no sample in common.
     """
     tolerances = tolerances or Tolerances()
-    result = Comparison(missing_allowed=tolerances.missing)
-    stamps = [answer_stamps(record) for record in (first, second)]
+    stamps = [_answer_stamps(record) for record in (first, second)]
     common = np.intersect1d(stamps[0], stamps[1])
-    result.common = len(common)
-    result.only_first, result.only_second = (len(s) - len(common) for s in stamps)
     if not len(common):
         raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
-    result.alarms = _pairs(first, second, tolerances.delay)
+    alone = [len(s) - len(common) for s in stamps]
+    pairs = _pairs(first, second, tolerances.delay)
     first, second = _restricted(first, common), _restricted(second, common)
-    result.figures = _figures(first, second, arm, tolerances.mise)
-    result.differences = [
-        *_differences(first, second, tolerances),
-        *_flag_changes(first, second, tolerances),
-    ]
-    return result
+    return Comparison(
+        _figures(first, second, arm, tolerances.mise),
+        list(_differences(first, second, tolerances)),
+        pairs,
+        len(common),
+        alone[0],
+        alone[1],
+        tolerances.missing,
+    )
 
 
-def answer_stamps(record: RunRecord) -> np.ndarray:
-    """Stamps of the answers of a run [ns]."""
-    return record.stamps[
-        'fault_estimate' if 'fault_estimate' in record.stamps else 'state_estimate'
-    ]
+def _answer_stamps(record: RunRecord) -> np.ndarray:
+    name = 'fault_estimate' if 'fault_estimate' in record.stamps else 'state_estimate'
+    return record.stamps[name]
 
 
 def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:
     """The record with answers at common stamps alone: others must not count for one run only."""
     result = copy(record)
     result.stamps, result.streams = dict(record.stamps), dict(record.streams)
-    for stream in SIGNALS:
-        if stream in record.stamps:
-            kept = np.isin(record.stamps[stream], common)
-            result.stamps[stream] = record.stamps[stream][kept]
-            result.streams[stream] = {k: v[kept] for k, v in record.streams[stream].items()}
+    for stream in {'state_estimate', 'fault_estimate'} & set(record.stamps):
+        kept = np.isin(record.stamps[stream], common)
+        result.stamps[stream] = record.stamps[stream][kept]
+        result.streams[stream] = {k: v[kept] for k, v in record.streams[stream].items()}
     return result
 
 
 def _figures(first: RunRecord, second: RunRecord, arm: Arm, tolerance: float) -> list[Figure]:
-    tables = [
+    one, two = (
         {(row.signal, row.meaning): row for row in make_table(record, arm)}
         for record in (first, second)
-    ]
+    )
     found = []
-    units = {key: row.unit for table in tables for key, row in table.items()}
-    for key, unit in units.items():
-        a, b = (float(table[key].value) if key in table else None for table in tables)
-        found.append(Figure(': '.join(key), unit, a, b, _close(a, b, tolerance)))
+    for key, row in {**one, **two}.items():
+        a, b = (table[key].value if key in table else None for table in (one, two))
+        found.append(Figure(': '.join(key), row.unit, a, b, _close(a, b, tolerance)))
     return found
 
 
@@ -209,53 +215,27 @@ def _close(first: float | None, second: float | None, tolerance: float) -> bool:
         return False
     if first == second or (math.isnan(first) and math.isnan(second)):
         return True
-    allowed = tolerance * max(abs(first), abs(second))
-    return abs(first - second) <= (max(allowed, _SMALLEST) if tolerance else 0.0)
+    allowed = max(tolerance * max(abs(first), abs(second)), _SMALLEST) if tolerance else 0.0
+    return abs(first - second) <= allowed
 
 
-def _differences(first: RunRecord, second: RunRecord, tolerances: Tolerances) -> list[Figure]:
-    found = []
-    for name, a, b in _aligned(first, second, SIGNALS):
-        for i in range(a.shape[1]):
-            with np.errstate(invalid='ignore'):
-                gap = np.abs(a[:, i] - b[:, i])
-            gap[(a[:, i] == b[:, i]) | (np.isnan(a[:, i]) & np.isnan(b[:, i]))] = 0.0
-            largest = float(np.nan_to_num(gap, nan=math.inf).max(initial=0.0))
-            unit = 'rad/s' if name == 'velocity' else 'rad'
-            found.append(
-                Figure(
-                    f'{_LABELS.get(name, name)} {i + 1}',
-                    unit,
-                    tolerances.signal,
-                    largest,
-                    largest <= tolerances.signal,
-                )
-            )
-    return found
-
-
-def _flag_changes(first: RunRecord, second: RunRecord, tolerances: Tolerances) -> list[Figure]:
-    found = []
-    for name, a, b in _aligned(first, second, _FLAGS):
-        share = float(np.mean((a != b).any(axis=1))) if len(a) else 0.0
-        found.append(
-            Figure(
-                _LABELS.get(name, name), 'share', tolerances.flags, share, share <= tolerances.flags
-            )
-        )
-    return found
-
-
-def _aligned(
-    first: RunRecord, second: RunRecord, names: Mapping[str, tuple[str, ...]]
-) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    for stream, fields in names.items():
+def _differences(first: RunRecord, second: RunRecord, allowed: Tolerances) -> Iterator[Figure]:
+    for stream, name, label, unit in _SIGNALS:
         if stream not in first.stamps or stream not in second.stamps:
             continue
         _, i, j = np.intersect1d(first.stamps[stream], second.stamps[stream], return_indices=True)
-        for name in fields:
-            a, b = first.streams[stream][name][i], second.streams[stream][name][j]
-            yield name, a.reshape(len(a), -1), b.reshape(len(b), -1)
+        a, b = first.streams[stream][name][i], second.streams[stream][name][j]
+        if unit == 'share':
+            differ = (a != b).reshape(len(a), -1).any(axis=1)
+            share = float(np.mean(differ)) if len(a) else 0.0
+            yield Figure(label, unit, allowed.flags, share, share <= allowed.flags)
+            continue
+        with np.errstate(invalid='ignore'):
+            gap = np.abs(a - b)
+        gap[(a == b) | (np.isnan(a) & np.isnan(b))] = 0.0
+        for k, column in enumerate(np.nan_to_num(gap, nan=math.inf).T, start=1):
+            largest = float(column.max(initial=0.0))
+            yield Figure(f'{label} {k}', unit, allowed.signal, largest, largest <= allowed.signal)
 
 
 def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmPair]:
@@ -263,35 +243,70 @@ def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmP
     left, pairs = list(episodes(second)), []
     shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
     for alarm in episodes(first):
-        near = [other for other in left if other.sensor_index == alarm.sensor_index]
+        near = [
+            other
+            for other in left
+            if other.sensor_index == alarm.sensor_index
+            and alarm.raised <= _end(other) + shift + _SLACK
+            and other.raised + shift <= _end(alarm) + _SLACK
+        ]
         other = min(near, key=lambda o: abs(o.raised + shift - alarm.raised), default=None)
-        if other is not None and _overlap(alarm, other, shift):
+        if other is not None:
             left.remove(other)
-        else:
-            other = None
         pairs.append(AlarmPair(alarm, other, _same_alarm(alarm, other, shift, tolerance)))
     pairs += [AlarmPair(None, other, False) for other in left]
-    return sorted(pairs, key=_begin)
+    return sorted(pairs, key=lambda pair: (pair.first or pair.second).raised)  # type: ignore[union-attr]
 
 
-def _begin(pair: AlarmPair) -> float:
-    alarm = pair.first or pair.second
-    assert alarm is not None
-    return alarm.raised
-
-
-def _overlap(one: Episode, other: Episode, shift: float) -> bool:
-    ends = [math.inf if e.cleared is None else e.cleared for e in (one, other)]
-    return one.raised <= ends[1] + shift + 0.5 and other.raised + shift <= ends[0] + 0.5
+def _end(episode: Episode) -> float:
+    return math.inf if episode.cleared is None else episode.cleared
 
 
 def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: float) -> bool:
     if other is None or one.kind != other.kind:
         return False
-    if (one.cleared is None) != (other.cleared is None):
-        return False
-    times = [(one.raised, other.raised)]
-    if one.cleared is not None and other.cleared is not None:
-        times.append((one.cleared, other.cleared))
+    times = ((one.raised, other.raised + shift), (_end(one), _end(other) + shift))
     # Differences of seconds as floats have nanoseconds of rounding.
-    return all(abs(a - b - shift) <= tolerance + 1e-9 for a, b in times)
+    return all(a == b or abs(a - b) <= tolerance + 1e-9 for a, b in times)
+
+
+def draw_comparison(first: RunRecord, second: RunRecord, arm: Arm, out: Path) -> None:
+    """Write pictures of the fault estimates of both runs, and of how far they are apart."""
+    import matplotlib.pyplot as plt
+
+    from lpv_report.style import INK, PALE, SENSOR, SETTINGS, legend_above, png, thin
+
+    if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
+        return
+    stamps = [record.stamps['fault_estimate'] for record in (first, second)]
+    common, i, j = np.intersect1d(stamps[0], stamps[1], return_indices=True)
+    runs = [record.streams['fault_estimate'] for record in (first, second)]
+    truth = first.get('ground_truth', 'fault')
+    for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):
+        with plt.rc_context(SETTINGS):
+            count = len(arm.sensor_names)
+            figure, axes = plt.subplots(
+                count, sharex=True, squeeze=False, figsize=(8.6, 2.6 * count)
+            )
+            for k, axis in enumerate(axes[:, 0]):
+                if name == 'faults':
+                    for label, color, width in (
+                        ('first', PALE[k], 3.4),
+                        ('second', SENSOR[k], 1.1),
+                    ):
+                        at = 0 if label == 'first' else 1
+                        values = thin(first.seconds(stamps[at]), runs[at]['estimate'][:, k])
+                        axis.plot(*values, color=color, linewidth=width, label=label)
+                    if truth is not None:
+                        values = thin(first.seconds(first.stamps['ground_truth']), truth[:, k])
+                        axis.plot(*values, color=INK, linewidth=0.9, linestyle='--', label='fault')
+                else:
+                    for what, color in (('estimate', SENSOR[k]), ('threshold', PALE[k])):
+                        gap = runs[1][what][j, k] - runs[0][what][i, k]
+                        values = thin(first.seconds(common), gap)
+                        axis.plot(*values, color=color, label=f'{what}, second - first')
+                axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=unit)
+                legend_above(axis)
+            axes[-1, 0].set_xlabel('time [s]')
+            (out / f'{name}.png').write_bytes(png(figure))
+            plt.close(figure)

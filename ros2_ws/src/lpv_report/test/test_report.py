@@ -19,7 +19,7 @@ from lpv_bag.run.record import BagError, load_run
 from lpv_cli.main import main
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.timestamps import NANOSECONDS
-from lpv_report.history.episodes import episodes, missed_faults
+from lpv_report.history import episodes, missed_faults
 from lpv_report.run import print_table, write_report
 
 pytestmark = pytest.mark.slow
@@ -161,7 +161,7 @@ def test_given_a_report_when_read_then_it_needs_nothing_from_elsewhere(report):
     assert '@import' not in page
     assert 'url(' not in page
     found = References(page)
-    assert len(found.pictures) == 8
+    assert len(found.pictures) == 6
     assert all(source.startswith('data:image/png;base64,') for source in found.pictures)
     assert found.links == found.targets  # within the page alone
     assert found.others == []
@@ -175,8 +175,6 @@ def test_given_a_report_when_written_then_its_pictures_are_files_and_inside_the_
         'measured',
         'states',
         'torques',
-        'detectability',
-        'map',
     ]
     page = report.html.read_text(encoding='utf-8')
     inside = [base64.b64decode(data) for data in re.findall(r'base64,([^"]*)"', page)]
@@ -227,7 +225,7 @@ def test_given_the_same_run_when_reported_twice_then_every_byte_is_the_same(
 def test_given_a_title_with_markup_when_reported_then_it_is_text(
     run, paper_arm, tmp_path, title, monkeypatch
 ):
-    monkeypatch.setattr('lpv_report.run.write.draw_all', lambda *_: [])
+    monkeypatch.setattr('lpv_report.run.draw_all', lambda *_: [])
     page = write_report(run, tmp_path, paper_arm, title=title).html.read_text(encoding='utf-8')
     for tag in ('title', 'h1'):
         (inside,) = re.findall(f'<{tag}>(.*?)</{tag}>', page, re.DOTALL)
@@ -258,7 +256,7 @@ def test_given_no_ground_truth_when_reported_then_the_sizes_of_fault_estimates_a
         largest, rms = (row.value for row in report.table[2 * i : 2 * i + 2])
         assert largest == np.abs(later[:, i]).max()
         assert rms == pytest.approx(np.sqrt(np.mean(later[:, i] ** 2)), rel=1e-12)
-    assert len(report.pictures) == 8
+    assert len(report.pictures) == 6
     page = report.html.read_text(encoding='utf-8')
     assert 'false alarm' not in text(page)
     line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
@@ -285,18 +283,18 @@ def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_sho
     paper_arm, paper_gains, scenario, tmp_path, monkeypatch, streams, pictures
 ):
     # Rendering takes a second a run, and other tests look at pictures.
-    monkeypatch.setattr('lpv_report.run.write.png', lambda figure: b'drawn')
+    monkeypatch.setattr('lpv_report.run.png', lambda figure: b'drawn')
     bag = record(tmp_path / 'bag', paper_arm, paper_gains, scenario, streams)
     report = write_report(bag, tmp_path / 'report', paper_arm)
-    more = ['timeline', 'detectability', 'map'] if 'fault_estimate' in streams else []
-    assert [p.stem for p in report.pictures] == more[:1] + pictures + more[1:]
+    more = ['timeline'] if 'fault_estimate' in streams else []
+    assert [p.stem for p in report.pictures] == more + pictures
     assert report.html.read_text(encoding='utf-8').count('<figure>') == len(pictures + more)
 
 
 def test_given_no_reference_when_reported_then_tracking_is_left_out(
     paper_arm, paper_gains, scenario, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr('lpv_report.run.write.draw_all', lambda *_: [])
+    monkeypatch.setattr('lpv_report.run.draw_all', lambda *_: [])
     bag = record(tmp_path / 'bag', paper_arm, paper_gains, scenario, ALL - {'reference'})
     assert [row.signal for row in write_report(bag, tmp_path, paper_arm).table] == SIGNALS[:6]
 
@@ -308,7 +306,7 @@ def test_given_a_dropout_when_reported_then_table_and_figures_are_made_of_the_re
     bag = record(tmp_path / 'bag', paper_arm, paper_gains, replace(scenario, faults=(fault,)))
     report = write_report(bag, tmp_path / 'report', paper_arm)
     assert all(np.isfinite(row.value) for row in report.table)
-    assert len(report.pictures) == 8
+    assert len(report.pictures) == 6
     assert not re.search('(?i)[+-]?nan|inf', ' '.join(sum(rows(report.html.read_text()), [])))
 
 
@@ -379,7 +377,7 @@ RIGHT = {'sensor': 'right', 'sensor_index': 1}
 def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_listed(
     paper_arm, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr('lpv_report.run.write.draw_all', lambda *_: [])
+    monkeypatch.setattr('lpv_report.run.draw_all', lambda *_: [])
     bag = made_up(
         tmp_path / 'bag',
         [(0, 200, 400), (1, 500, 700)],
@@ -388,7 +386,7 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
     page = write_report(bag, tmp_path, paper_arm).html.read_text(encoding='utf-8')
     found, false = (cells for cells in rows(page) if cells[0] == 'left')
     assert found[2:7] == ['0.210', '0.230', '0.030', '0.450', '+0.300']
-    assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', '-0.200']
+    assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', '+1.000']
     assert re.findall('Missed: [^!]*? alarm[.]', text(page)) == [
         'Missed: a fault of right from 0.500 s to 0.700 s raised no alarm.'
     ]
@@ -397,7 +395,7 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
 def test_given_a_healthy_run_when_reported_then_it_says_that_there_was_no_alarm(
     paper_arm, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr('lpv_report.run.write.draw_all', lambda *_: [])
+    monkeypatch.setattr('lpv_report.run.draw_all', lambda *_: [])
     bag = made_up(tmp_path / 'bag', [], [])
     page = write_report(bag, tmp_path, paper_arm).html.read_text(encoding='utf-8')
     assert 'No alarm.' in text(page)
@@ -465,7 +463,7 @@ def test_given_no_truth_when_gathered_then_alarms_are_neither_right_nor_false(tm
 def test_given_a_sensor_name_with_markup_when_reported_then_it_is_text(
     paper_arm, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr('lpv_report.run.write.draw_all', lambda *_: [])
+    monkeypatch.setattr('lpv_report.run.draw_all', lambda *_: [])
     bag = made_up(tmp_path / 'bag', [], [(210, 205, 210, {'sensor': '<b>left</b>'})])
     page = write_report(bag, tmp_path, paper_arm).html.read_text(encoding='utf-8')
     assert '<b>' not in page

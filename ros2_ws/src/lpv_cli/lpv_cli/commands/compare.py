@@ -4,20 +4,20 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich import box
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+if TYPE_CHECKING:
+    from rich.console import Console
 
-from lpv_bag.run.record import BagError, RunRecord, load_run
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
-from lpv_core.support.errors import ConfigError
-from lpv_core.support.formatting import number
-from lpv_core.support.resources import bringup_file
-from lpv_report.comparison import AlarmPair, Comparison, Tolerances, answer_stamps, compare_runs
+    from lpv_report.comparison import AlarmPair, Comparison
 
-_DEFAULTS = Tolerances()
+_TOLERANCES = {
+    'mise': (0.05, 'relative change of mean squared errors'),
+    'delay': (0.02, 'change of the time of an alarm [s]'),
+    'signal': (1e-3, 'difference of estimates [rad], [rad/s]'),
+    'flags': (0.002, 'share of samples with another mode, state or alarm'),
+    'missing': (0.0, 'share of answers that only one bag has'),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,20 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--arm', default='paper', help='arm file, or name of a shipped arm (paper)')
     parser.add_argument('--out', help='folder for comparison.json and pictures')
     parser.add_argument('--json', action='store_true', help='print JSON in place of tables')
-    for name, unit in (
-        ('mise', 'relative change of mean squared errors'),
-        ('delay', 'change of the time of an alarm [s]'),
-        ('signal', 'difference of estimates [rad], [rad/s]'),
-        ('flags', 'share of samples with another mode, state or alarm'),
-        ('missing', 'share of answers that only one bag has'),
-    ):
-        parser.add_argument(
-            f'--{name}',
-            type=float,
-            default=getattr(_DEFAULTS, name),
-            metavar='X',
-            help=f'tolerated {unit} ({getattr(_DEFAULTS, name):g})',
-        )
+    for name, (value, what) in _TOLERANCES.items():
+        text = f'tolerated {what} ({value:g})'
+        parser.add_argument(f'--{name}', type=float, default=value, metavar='X', help=text)
     parser.add_argument(
         '--exact',
         action='store_true',
@@ -53,75 +42,57 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare, show, write."""
-    names = ('mise', 'delay', 'signal', 'flags', 'missing')
-    tolerances = Tolerances(**{n: 0.0 if arguments.exact else getattr(arguments, n) for n in names})
+    """Compare, show, write.
+
+    Exit code: 0; 3 if the runs differ.
+    """
+    from rich.console import Console
+
+    from lpv_core.serial_arm.any_arm import load_any_arm
+    from lpv_core.support.errors import ConfigError
+    from lpv_core.support.resources import bringup_file
+    from lpv_report.comparison import Tolerances, compare_runs, draw_comparison, load_pair
+
+    chosen = {name: 0.0 if arguments.exact else getattr(arguments, name) for name in _TOLERANCES}
+    tolerances = Tolerances(**chosen)
     arm = load_any_arm(bringup_file('arms', arguments.arm))
-    first, second = load_pair(arguments.bag, arguments.other, arm)
-    result = compare_runs(first, second, arm, tolerances)
+    pair = load_pair(arguments.bag, arguments.other, arm)
+    result = compare_runs(*pair, arm, tolerances)
     text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
     if arguments.json:
         print(text)
     else:
         show(result, Console(soft_wrap=True, highlight=False))
     if arguments.out:
-        _write(Path(arguments.out), text, first, second, arm)
+        out = Path(arguments.out)
+        if out.exists() and not out.is_dir():
+            raise ConfigError('--out', f'{out} is not a folder')
+        out.mkdir(parents=True, exist_ok=True)
+        (out / 'comparison.json').write_text(text + '\n', encoding='utf-8')
+        draw_comparison(*pair, arm, out)
     return 0 if result.same else 3
 
 
-def load_pair(bag: str | Path, other: str | Path, arm: Arm) -> tuple[RunRecord, RunRecord]:
-    """Two runs of one recording."""
-    records = [
-        load_run(path, joint_names=arm.joint_names, answers_only=True) for path in (bag, other)
-    ]
-    for one, another in (records, records[::-1]):
-        for name in ('joint_states', 'ground_truth', 'reference', 'torque_command'):
-            if name in one.streams and name not in another.streams:
-                another.streams[name], another.stamps[name] = one.streams[name], one.stamps[name]
-        another.joint_names = another.joint_names or one.joint_names
-    for path, record in zip((bag, other), records):
-        if not {'state_estimate', 'fault_estimate'} & set(record.streams):
-            raise BagError(f'{path}: holds no answers of the diagnosis; run lpv replay first')
-        if 'joint_states' not in record.stamps:  # times then count from the first answer
-            record.stamps['joint_states'] = answer_stamps(record)
-    return records[0], records[1]
-
-
-def show(result: Comparison, console: Console) -> None:
+def show(result: 'Comparison', console: 'Console') -> None:
     """Show a comparison as tables."""
+    from lpv_core.support.formatting import number
+
     console.print(
         f'{result.common} answers in both bags, {result.only_first} in the first alone, '
         f'{result.only_second} in the second alone  ' + _mark(result.complete)
     )
-    _table(
-        console,
-        'figures',
-        ('', 'unit', 'first', 'second', ''),
-        [
-            (f.name, f.unit, number(f.first), number(f.second), _mark(f.same))
-            for f in result.figures
-        ],
-    )
-    _table(
-        console,
-        'largest differences',
-        ('', 'unit', 'tolerated', 'found', ''),
-        [
-            (f.name, f.unit, number(f.first), number(f.second), _mark(f.same))
-            for f in result.differences
-        ],
-    )
-    names = {
-        'kind': 'kind',
-        'raised': 'raised\n[s]',
-        'delay': 'delay\n[s]',
-        'cleared': 'cleared\n[s]',
-        'size': 'size\n[rad]',
-    }
+    for title, columns, figures in (
+        ('figures', ('first', 'second'), result.figures),
+        ('largest differences', ('tolerated', 'found'), result.differences),
+    ):
+        rows = [(f.name, f.unit, number(f.first), number(f.second), _mark(f.same)) for f in figures]
+        _table(console, title, ('', 'unit', *columns, ''), rows)
+    names = ('kind', 'raised', 'delay', 'cleared', 'size')
+    heads = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size\n[rad]')
     _table(
         console,
         'alarms, first run above second',
-        ('sensor', *names.values(), ''),
+        ('sensor', *heads, ''),
         [
             (
                 next(e.sensor for e in (p.first, p.second) if e),
@@ -135,8 +106,12 @@ def show(result: Comparison, console: Console) -> None:
 
 
 def _table(
-    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+    console: 'Console', title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> None:
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
     if not rows:
         return
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify='left')
@@ -153,22 +128,10 @@ def _mark(same: bool) -> str:
     return '' if same else '<- differs'
 
 
-def _both(pair: AlarmPair, name: str) -> str:
+def _both(pair: 'AlarmPair', name: str) -> str:
     """Attribute of both alarms, one above the other; once if it reads the same."""
     texts = []
     for episode in (pair.first, pair.second):
         value = getattr(episode, name) if episode is not None else None
         texts.append('-' if value is None else value if isinstance(value, str) else f'{value:.3f}')
     return texts[0] if pair.same and texts[0] == texts[1] else '\n'.join(texts)
-
-
-def _write(out: Path, text: str, first: RunRecord, second: RunRecord, arm: Arm) -> None:
-    from lpv_report.comparison_figures import draw_comparison
-    from lpv_report.style import png
-
-    if out.exists() and not out.is_dir():
-        raise ConfigError('--out', f'{out} is not a folder')
-    out.mkdir(parents=True, exist_ok=True)
-    (out / 'comparison.json').write_text(text + '\n', encoding='utf-8')
-    for name, figure in draw_comparison(first, second, arm):
-        (out / f'{name}.png').write_bytes(png(figure))

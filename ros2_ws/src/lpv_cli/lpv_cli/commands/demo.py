@@ -7,27 +7,19 @@ import re
 import shutil
 import time
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from typing import TYPE_CHECKING, Any
 
 from lpv_cli.needs import require_ros
-from lpv_cli.processes import Graph, NodeFailure, NodeProcess, ended_by_signals
-from lpv_core.certificate.gains import save_gains
-from lpv_core.control.path import CartesianPath
-from lpv_core.control.tracking import COMPENSATION
-from lpv_core.model.arm import ArmParameters
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.serial_arm.certificate.conditions import require_loop
-from lpv_core.serial_arm.certificate.loop_gains import load_loop_gains
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.simulation.any_scenario import AnyScenario, load_any_scenario, new_path
-from lpv_core.simulation.precompile import precompile
-from lpv_core.support.errors import ConfigError
-from lpv_core.support.resources import bringup_file, executable, shipped_files
+from lpv_cli.processes import Graph, NodeFailure, ended_by_signals
+from lpv_cli.progress import bar
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lpv_core.simulation.any_scenario import AnyScenario
 
 NAMESPACE = '/lpv'
+COMPENSATION = ('off', 'confirmed', 'always')
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
 _SILENCE = 900.0
 """Longest time without progress before the run is given up [s]; the first start compiles."""
@@ -64,7 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--domain-id',
         type=int,
-        default=None,
         help="ROS_DOMAIN_ID of the run; otherwise the environment's, or one of its own",
     )
 
@@ -74,41 +65,44 @@ def run(arguments: argparse.Namespace) -> int:
 
     Exit code: 0; 1 if a node failed or the design is infeasible.
     """
-    from lpv_report.run import print_table, read_used_gains, write_report
+    from rich.console import Console
+
+    from lpv_core.serial_arm.any_arm import load_any_arm
+    from lpv_core.simulation.any_scenario import load_any_scenario, new_path
+    from lpv_core.support.resources import bringup_file
 
     require_ros()
-    console = Console(soft_wrap=True)
+    console = Console(soft_wrap=True, highlight=False)
+    # Files first, and what needs time only when they are right.
     files = {'arm': bringup_file('arms', arguments.arm)}
     arm = load_any_arm(files['arm'])
-    designed = isinstance(arm, ArmParameters)
-    default = 'two_faults' if designed else Path(arguments.arm).stem
+    is_designed = hasattr(arm, 'links')
+    default = 'two_faults' if is_designed else Path(arguments.arm).stem
     files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
     scenario = load_any_scenario(files['scenario'], arm)
-    path = new_path(arm, scenario)
+    new_path(arm, scenario)
     out = _fresh_folder(arguments.out)
-    if isinstance(arm, ArmParameters):
-        files['gains'] = out / 'gains.yaml'
-        if not _design(arm, arguments.requirement, files['gains'], console):
-            return 1
-    else:
-        files.update(_certified_loop(arm, console))
+    gains = _gains(arm, arguments.requirement if is_designed else None, out, console)
+    if gains is None and is_designed:
+        return 1
+    files |= {'gains': gains} if gains else {}
+    if not is_designed:
+        from lpv_core.simulation.precompile import precompile
+
         precompile(arguments.arm)  # kept after the first time
     try:
         _run_graph(arguments, files, out, scenario, console)
     except NodeFailure as error:
-        console.print(f'[red]lpv demo: {error}', highlight=False)
+        console.print(f'[red]lpv demo: {error}')
         return 1
     console.print('writing the report ...')
-    result = write_report(
-        out / 'bag',
-        out / 'report',
-        arm=arm,
-        path=path if isinstance(path, CartesianPath) else None,
-        title=f'Scenario {scenario.name}, arm “{arm.name}”',
-        used=read_used_gains(files['gains']) if designed else None,
-    )
+    from lpv_report.run import load, planned_path, print_table, write
+
+    path = planned_path(files['scenario'], arm)
+    title = f'Scenario {scenario.name}, arm “{arm.name}”'
+    result = write(load(out / 'bag', arm, path, title, gains), out / 'report')
     print_table(result.table, console)
-    console.print(f'bag     {out / "bag"}\nreport  {result.html}', highlight=False)
+    console.print(f'bag     {out / "bag"}\nreport  {result.html}')
     return 0
 
 
@@ -121,22 +115,23 @@ def _fresh_folder(name: str) -> Path:
     return out
 
 
-def _certified_loop(arm: SerialArm, console: Console) -> dict[str, Path]:
-    """Shipped parameters of a serial arm's loop, if their certificate is about this arm."""
-    file = shipped_files('gains').get(arm.name)
-    text = f'arm {arm.name!r} is tracked by computed torque'
-    try:
-        if file is not None:
-            require_loop(arm, load_loop_gains(file))
+def _gains(arm: Any, requirement: str | None, out: Path, console: 'Console') -> Path | None:
+    """Gains for the arm: designed for a requirement, or shipped if they are certified for it."""
+    from lpv_core.certificate.gains import save_gains
+    from lpv_core.support.resources import shipped_files
+    from lpv_report.certificate import examine
+
+    if requirement is None:
+        text = f'arm {arm.name!r} is tracked by computed torque'
+        file = shipped_files('gains').get(arm.name)
+        if file is not None and examine(file, arm).holds:
             console.print(f'{text}; the certificate of its loop holds')
-            return {'gains': file}
-    except ConfigError:
-        pass  # changed by the user, or of another version: the demo runs without
-    console.print(f'{text}; its loop has no certificate: lpv design --arm {arm.name} writes one')
-    return {}
-
-
-def _design(arm: ArmParameters, requirement: str, gains_file: Path, console: Console) -> bool:
+            return file
+        # Changed by the user, or of another version: the demo runs without.
+        console.print(
+            f'{text}; its loop has no certificate: lpv design --arm {arm.name} writes one'
+        )
+        return None
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
@@ -145,56 +140,41 @@ def _design(arm: ArmParameters, requirement: str, gains_file: Path, console: Con
     try:
         result = design(arm, load_requirement(requirement))
     except InfeasibleError as error:
-        console.print(f'[red]lpv demo: {error}', highlight=False)
-        return False
-    save_gains(result.gains, gains_file, '\n'.join(result.lines))
+        console.print(f'[red]lpv demo: {error}')
+        return None
+    save_gains(result.gains, out / 'gains.yaml', '\n'.join(result.lines))
     checks = len(result.gains.certificate['margins'])
-    console.print(f'  all {checks} checks of the certificate hold', highlight=False)
+    console.print(f'  all {checks} checks of the certificate hold')
     for line in result.lines[checks:]:
-        console.print(f'  {line}', highlight=False)
-    return True
+        console.print(f'  {line}')
+    return out / 'gains.yaml'
 
 
 def _commands(
     arguments: argparse.Namespace, files: dict[str, Path], out: Path
 ) -> dict[str, list[Any]]:
     """Programs of the graph with their arguments, in the order in which they start."""
-    lockstep = str(arguments.mode == 'lockstep').lower()
-    common = ['--ros-args', '-r', f'__ns:={NAMESPACE}', '-p', f'lockstep:={lockstep}']
-    arm = ['-p', f'arm_file:={files["arm"]}', '-p', 'await_recorders:=1']
-    gains = ['--params-file', files['gains']] if 'gains' in files else []
-    recorded = ['-p', f'gains_file:={files["gains"]}'] if gains else []
-    scenario = ['-p', f'scenario_file:={files["scenario"]}']
+    from lpv_core.support.resources import executable
+
+    def program(package: str, name: str, **values: Any) -> list[Any]:
+        line = [executable(package, name), '--ros-args', '-r', f'__ns:={NAMESPACE}']
+        if name != 'recorder' and 'gains' in files:
+            line += ['--params-file', files['gains']]
+        for key, value in {'lockstep': arguments.mode == 'lockstep', **values}.items():
+            line += ['-p', f'{key}:={str(value).lower() if isinstance(value, bool) else value}']
+        return line
+
+    arm = {'arm_file': files['arm'], 'await_recorders': 1}
+    scenario = {'scenario_file': files['scenario']}
+    recorded = {'gains_file': files['gains']} if 'gains' in files else {}
+    moved = {**arm, **scenario}
     return {
-        'recorder': [
-            executable('lpv_bag', 'recorder'),
-            *common,
-            '-p',
-            f'output:={out / "bag"}',
-            *recorded,
-            *scenario,
-        ],
-        'uio': [executable('lpv_uio', 'uio'), *common, *gains, *arm],
-        'tracker': [
-            executable('lpv_tracker', 'tracker'),
-            *common,
-            *gains,
-            *arm,
-            *scenario,
-            '-p',
-            f'compensation:={arguments.compensation}',
-        ],
-        'simulator': [
-            executable('lpv_arm_sim', 'simulator'),
-            *common,
-            *gains,
-            *arm,
-            *scenario,
-            '-p',
-            'shutdown_at_end:=true',
-            '-p',
-            f'seed:={arguments.seed}',
-        ],
+        'recorder': program('lpv_bag', 'recorder', output=out / 'bag', **recorded, **scenario),
+        'uio': program('lpv_uio', 'uio', **arm),
+        'tracker': program('lpv_tracker', 'tracker', **moved, compensation=arguments.compensation),
+        'simulator': program(
+            'lpv_arm_sim', 'simulator', **moved, shutdown_at_end=True, seed=arguments.seed
+        ),
     }
 
 
@@ -202,16 +182,15 @@ def _run_graph(
     arguments: argparse.Namespace,
     files: dict[str, Path],
     out: Path,
-    scenario: AnyScenario,
-    console: Console,
+    scenario: 'AnyScenario',
+    console: 'Console',
 ) -> None:
     domain = arguments.domain_id
     if domain is None:
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     console.print(
         f'running {scenario.name!r} ({scenario.duration:g} s, {arguments.mode}) with '
-        f'ROS_DOMAIN_ID {domain} ...',
-        highlight=False,
+        f'ROS_DOMAIN_ID {domain} ...'
     )
     with ended_by_signals(), Graph(out / 'log', domain) as graph:
         for name, command in _commands(arguments, files, out).items():
@@ -223,36 +202,24 @@ def _run_graph(
         raise NodeFailure(f'nodes ended with codes {bad}; their logs are in {out / "log"}')
 
 
-def _follow(graph: Graph, duration: float, console: Console) -> None:
+def _follow(graph: Graph, duration: float, console: 'Console') -> None:
     """Show progress and alarms until the simulator has finished; the others then miss it."""
-    simulator = graph.nodes[-1]
-    columns = (
-        TextColumn('scenario'),
-        BarColumn(),
-        TextColumn('{task.completed:.1f} s'),
-        TimeElapsedColumn(),
-    )
-    last = time.monotonic()
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task('scenario', total=duration)
+    simulator, last, done = graph.nodes[-1], time.monotonic(), 0.0
+    with bar(console, 'scenario', duration, unit='s') as (progress, show):
         while simulator.process.poll() is None or not graph.lines.empty():
             try:
                 name, line = graph.lines.get(timeout=0.2)
             except queue.Empty:
-                _check_running(graph, simulator, last)
+                graph.check(finite=simulator)
+                show(done)
+                if time.monotonic() - last > _SILENCE:
+                    raise NodeFailure(f'no progress for {_SILENCE:g} s; logs are kept') from None
                 continue
-            found = _PROGRESS.search(line)
-            if found:
-                last = time.monotonic()
-                progress.update(task, completed=float(found.group(1)))
+            if found := _PROGRESS.search(line):
+                last, done = time.monotonic(), float(found.group(1))
+                show(done)
             elif 'ALARM' in line or 'alarm ' in line:
-                progress.console.print(f'  {line.split("]: ", 1)[-1]}', highlight=False)
+                progress.console.print(f'  {line.split("]: ", 1)[-1]}')
             elif not progress.finished and ('ERROR' in line or 'FATAL' in line):
-                progress.console.print(f'  {name}: {line}', highlight=False)
+                progress.console.print(f'  {name}: {line}')
     graph.check(finite=simulator)
-
-
-def _check_running(graph: Graph, simulator: NodeProcess, last: float) -> None:
-    graph.check(finite=simulator)
-    if time.monotonic() - last > _SILENCE:
-        raise NodeFailure(f'no progress for {_SILENCE:g} s; logs are kept')

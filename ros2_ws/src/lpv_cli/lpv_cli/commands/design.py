@@ -3,6 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
+from lpv_cli.progress import wrapped
 from lpv_design import main as design
 
 if TYPE_CHECKING:
@@ -22,13 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Design, report, write."""
-    if not arguments.map:
-        return design.run(arguments)
-    # Only here: a design without a picture need not wait for plotting.
-    from lpv_report.guarantees.region_figure import draw_region
 
     def draw(found: 'Guarantee', arm: 'ArmParameters') -> None:
+        # Only here: a design without a picture need not wait for plotting.
+        from lpv_report.figures import draw_region
+
         draw_region(found, arm, arguments.map)
         print(f'map written to {arguments.map}')
 
-    return design.run(arguments, draw)
+    with wrapped():
+        return design.run(arguments, draw if arguments.map else None)

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,6 @@ from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from lpv_core.serial_arm.description import SerialArm
-    from lpv_identify.estimation.identification import Identification
     from lpv_identify.recordings.recording import Recording
 
 
@@ -61,13 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--name', help="name of the arm (the URDF's)")
     parser.add_argument(
-        '--lock',
-        action='append',
-        default=[],
-        metavar='JOINT[=ANGLE]',
-        help="hold a joint of the URDF, as a gripper's (angle 0)",
-    )
-    parser.add_argument(
         '--base-rpy',
         nargs=3,
         type=float,
@@ -113,10 +106,17 @@ def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
     if not 0.2 <= arguments.train_share <= 0.9:
         raise ConfigError('--train-share', 'must lie within [0.2, 0.9]')
+    pairs = dict(_pair(text) for text in arguments.second_encoder)
+    from lpv_core.support.resources import bringup_file
+    from lpv_identify.estimation.identification import Options, identify
     from lpv_identify.recordings.recording import read_recording
+    from lpv_identify.results.summary import table
 
-    arm = _arm(arguments)
-    columns = _columns(arguments)
+    arm, columns = _arm(arguments), None
+    if arguments.columns:
+        from lpv_bag.run.csv_import import load_column_map
+
+        columns = load_column_map(bringup_file('columns', arguments.columns))
 
     def read(path: str) -> 'Recording':
         return read_recording(path, arm.joint_names, arguments.topic, columns)
@@ -124,46 +124,34 @@ def run(arguments: argparse.Namespace) -> int:
     recordings = [read(path) for path in arguments.recordings]
     if arguments.payload:
         return _payload(arguments, arm, recordings)
-    from lpv_identify.estimation.identification import Options, identify
+    stated = arguments.without_gravity or arguments.with_gravity
+    options = Options(arguments.train_share, arguments.refit, stated)
+    result = identify(arm, recordings, options, [read(path) for path in arguments.test])
+    print(table(result))
+    for text in result.warnings:
+        print(f'warning: {text}', file=sys.stderr)
+    if pairs:
+        from lpv_identify.sensors import second_encoder
 
-    result = identify(
-        arm,
-        recordings,
-        Options(
-            arguments.train_share,
-            arguments.refit,
-            arguments.without_gravity or arguments.with_gravity,
-        ),
-        [read(path) for path in arguments.test],
-    )
-    _print(result)
-    result = _with_second_encoders(arguments, result, columns)
-    _write(arguments, result)
+        found = second_encoder.find_second_encoders(
+            arguments.recordings[0], pairs, arguments.topic, columns
+        )
+        for reading in found:
+            print(second_encoder.describe(reading))
+        result = replace(result, arm=second_encoder.with_second_encoders(result.arm, found))
+    if arguments.out:
+        from lpv_identify.results.starting_arm import save_like
+
+        save_like(arguments.arm, result, Path(arguments.out))
+        print(f'arm file: {arguments.out}')
+    if arguments.report:
+        from lpv_identify.results.report import write_report
+
+        print(f'report: {write_report(result, Path(arguments.report))}')
     return 0
 
 
-def _with_second_encoders(
-    arguments: argparse.Namespace, result: 'Identification', columns: Any
-) -> 'Identification':
-    """The result with the second encoders that were named; says what they are."""
-    from dataclasses import replace
-
-    from lpv_identify.sensors.second_encoder import (
-        describe,
-        find_second_encoders,
-        with_second_encoders,
-    )
-
-    pairs = dict(_second_encoder(text) for text in arguments.second_encoder)
-    if not pairs:
-        return result
-    found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
-    for reading in found:
-        print(describe(reading))
-    return replace(result, arm=with_second_encoders(result.arm, found))
-
-
-def _second_encoder(text: str) -> tuple[str, str]:
+def _pair(text: str) -> tuple[str, str]:
     joint, _, name = text.partition('=')
     if not joint or not name:
         raise ConfigError('--second-encoder', f'{text!r} is not JOINT=NAME')
@@ -172,47 +160,21 @@ def _second_encoder(text: str) -> tuple[str, str]:
 
 def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     """The arm that the fit starts from."""
-    from dataclasses import replace
-
-    arm = arm_choice.chosen_arm(arguments, dict(_locked(text) for text in arguments.lock))
-    if arguments.name:
-        arm = replace(arm, name=arguments.name)
+    arm, gains = arm_choice.chosen_arm(arguments), arguments.gain
+    changes: dict[str, Any] = {'name': arguments.name or arm.name}
     if arguments.base_rpy:
-        arm = replace(arm, base_orientation=tuple(arguments.base_rpy))
+        changes['base_orientation'] = tuple(arguments.base_rpy)
     if arguments.without_gravity or arguments.with_gravity:
-        arm = replace(arm, effort_includes_gravity=arguments.with_gravity)
-    if arguments.gain:
-        arm = _with_gains(arm, arguments.gain)
+        changes['effort_includes_gravity'] = arguments.with_gravity
     if arguments.effort_unit == 'A':
-        arm = replace(arm, effort_unit='A')
-    return arm
-
-
-def _locked(text: str) -> tuple[str, float]:
-    name, _, angle = text.partition('=')
-    try:
-        return name, float(angle) if angle else 0.0
-    except ValueError:
-        raise ConfigError('--lock', f'{angle!r} is not an angle') from None
-
-
-def _with_gains(arm: 'SerialArm', gains: list[float]) -> 'SerialArm':
-    from dataclasses import replace
-
-    if len(gains) not in (1, len(arm.joints)) or 0.0 in gains:
-        raise ConfigError('--gain', f'needs 1 or {len(arm.joints)} numbers other than 0')
-    gains = gains * len(arm.joints) if len(gains) == 1 else gains
-    joints = [replace(joint, torque_gain=gain) for joint, gain in zip(arm.joints, gains)]
-    return replace(arm, joints=tuple(joints))
-
-
-def _columns(arguments: argparse.Namespace) -> Any:
-    if not arguments.columns:
-        return None
-    from lpv_bag.run.csv_import import load_column_map
-    from lpv_core.support.resources import bringup_file
-
-    return load_column_map(bringup_file('columns', arguments.columns))
+        changes['effort_unit'] = 'A'
+    if gains:
+        count = len(arm.joints)
+        if len(gains) not in (1, count) or 0.0 in gains:
+            raise ConfigError('--gain', f'needs 1 or {count} numbers other than 0')
+        gains = gains * count if len(gains) == 1 else gains
+        changes['joints'] = tuple(replace(j, torque_gain=k) for j, k in zip(arm.joints, gains))
+    return replace(arm, **changes)
 
 
 def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']) -> int:
@@ -220,11 +182,10 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
 
     found = identify_payload(arm, recordings)
     x, y, z = found.center
+    spread = ' '.join(f'{2 * s:.4f}' for s in found.center_sigma)
     print(f'mass    {found.mass:8.3f} kg    +- {2 * found.mass_sigma:.3f}')
     print(
-        f'centre  {x:8.4f} {y:.4f} {z:.4f} m +- '
-        + ' '.join(f'{2 * s:.4f}' for s in found.center_sigma)
-        + f'    in the frame of {arm.joint_names[-1]}'
+        f'centre  {x:8.4f} {y:.4f} {z:.4f} m +- {spread}    in the frame of {arm.joint_names[-1]}'
     )
     print(f'torque residual {found.rms_before:.3f} -> {found.rms_after:.3f} N m RMS')
     for text in found.warnings:
@@ -243,23 +204,3 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
         save_serial_arm(result, arguments.out)
         print(f'{what} written to {arguments.out}')
     return 0
-
-
-def _print(result: 'Identification') -> None:
-    from lpv_identify.results.summary import table
-
-    print(table(result))
-    for text in result.warnings:
-        print(f'warning: {text}', file=sys.stderr)
-
-
-def _write(arguments: argparse.Namespace, result: 'Identification') -> None:
-    if arguments.out:
-        from lpv_identify.results.starting_arm import save_like
-
-        save_like(arguments.arm, result, Path(arguments.out))
-        print(f'arm file: {arguments.out}')
-    if arguments.report:
-        from lpv_identify.results.report import write_report
-
-        print(f'report: {write_report(result, Path(arguments.report))}')

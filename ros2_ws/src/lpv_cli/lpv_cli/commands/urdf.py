@@ -3,10 +3,6 @@
 import argparse
 from pathlib import Path
 
-from lpv_core.export.urdf import arm_urdf
-from lpv_core.model.arm import load_arm
-from lpv_core.support.resources import bringup_file
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -16,6 +12,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print or write the URDF."""
+    from lpv_core.export.urdf import arm_urdf
+    from lpv_core.model.arm import load_arm
+    from lpv_core.support.resources import bringup_file
+
     text = arm_urdf(load_arm(bringup_file('arms', arguments.arm)))
     if arguments.out:
         Path(arguments.out).write_text(text, encoding='utf-8')

@@ -2,13 +2,11 @@
 
 import argparse
 import json
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-
-from lpv_cli.doctor.environment import check_environment
-from lpv_cli.doctor.files import check_files
-from lpv_cli.doctor.findings import Finding, Level, as_dict, show
-from lpv_core.serial_arm.any_arm import Arm
+if TYPE_CHECKING:
+    from lpv_cli.doctor.finding import Finding
+    from lpv_core.serial_arm.any_arm import Arm
 
 FOUND = 3
 """Exit code where something was found."""
@@ -37,29 +35,25 @@ def _seconds(text: str) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check environment, files and graph."""
-    findings = check_environment()
+    from lpv_cli.doctor.environment import check_environment
+    from lpv_cli.doctor.files import check_files
+    from lpv_cli.doctor.finding import Level, show
+
     arm, of_files = check_files(arguments.arm, arguments.gains, arguments.scenario)
-    findings += of_files
-    if not arguments.offline:
-        blocked = any(f.check in ('ros', 'middleware') and f.level == Level.ERROR for f in findings)
-        if not blocked:  # importing rclpy would end this process
-            findings += _check_graph(arm, arguments, alone=not of_files)
+    findings = check_environment() + of_files
+    # Importing rclpy without its middleware would end this process.
+    blocked = any(f.check in ('ros', 'middleware') and f.level == Level.ERROR for f in findings)
+    if not arguments.offline and not blocked:
+        findings += _check_graph(arm, arguments, alone=not of_files)
+    is_ok = all(f.level == Level.OK for f in findings)
     if arguments.json:
-        print(
-            json.dumps(
-                {'ok': _is_ok(findings), 'findings': [as_dict(f) for f in findings]}, indent=2
-            )
-        )
+        print(json.dumps({'ok': is_ok, 'findings': [f.as_dict() for f in findings]}, indent=2))
     else:
-        show(findings, Console(soft_wrap=True, highlight=False))
-    return 0 if _is_ok(findings) else FOUND
+        show(findings)
+    return 0 if is_ok else FOUND
 
 
-def _is_ok(findings: list[Finding]) -> bool:
-    return all(f.level == Level.OK for f in findings)
-
-
-def _check_graph(arm: Arm | None, arguments: argparse.Namespace, alone: bool) -> list[Finding]:
+def _check_graph(arm: 'Arm | None', arguments: argparse.Namespace, alone: bool) -> 'list[Finding]':
     try:
         import rclpy  # noqa: F401
 
@@ -67,6 +61,6 @@ def _check_graph(arm: Arm | None, arguments: argparse.Namespace, alone: bool) ->
     except ImportError:
         return []  # the check of the environment has said so
     from lpv_cli.doctor.graph import check_graph
-    from lpv_cli.doctor.watch import watch
+    from lpv_cli.doctor.snapshot import watch
 
     return check_graph(watch(arguments.seconds), arm, alone)

@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.metadata
-import importlib.util
 import os
 import re
 import subprocess
@@ -10,9 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from packaging.requirements import Requirement
-
-from lpv_cli.doctor.findings import Finding, error, ok, warn
+from lpv_cli.doctor.finding import Finding, error, ok, warn
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import executable
 
@@ -32,7 +29,7 @@ REQUIREMENTS = (
 """As in requirements/base.txt, which is not installed."""
 _SAME = {'cvxpy-base': 'cvxpy'}
 """Distributions that do as well."""
-PROGRAMS = (
+_PROGRAMS = (
     ('lpv_arm_sim', 'simulator'),
     ('lpv_uio', 'uio'),
     ('lpv_tracker', 'tracker'),
@@ -50,24 +47,25 @@ print('lpv', get_rmw_implementation_identifier(), flush=True)
 """
 _PROBE_TIMEOUT = 60.0
 """[s]"""
-_LARGEST_DOMAIN = 232
-_SAFE_DOMAIN = 101
-"""Domains above have ports that the operating system also gives to others."""
+_LARGEST_DOMAIN, _SAFE_DOMAIN = 232, 101
+"""Domains above the second have ports that the operating system also gives to others."""
+
+
+@dataclass(frozen=True)
+class RosProbe:
+    """What another process found: rclpy ends a process whose middleware is missing."""
+
+    file: str  # of rclpy; empty where it cannot be imported
+    middleware: str  # that was loaded; empty where none could be
+    problem: str  # last line of what was printed
 
 
 def check_environment() -> list[Finding]:
     """Run all checks of this module."""
     probe = probe_ros()
-    return [
-        check_python(),
-        check_packages(),
-        check_compiler(),
-        check_ros(probe),
-        check_workspace(),
-        check_middleware(probe),
-        check_domain(),
-        check_range(),
-    ]
+    plain = (check_python, check_packages, check_compiler, check_workspace, check_domain)
+    found = [check() for check in plain]
+    return [*found, check_ros(probe), check_middleware(probe), check_range()]
 
 
 def check_python() -> Finding:
@@ -80,18 +78,19 @@ def check_python() -> Finding:
 
 def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
     """Versions of the Python packages that all commands need."""
+    from packaging.requirements import Requirement
+
     bad = []
-    for requirement in map(Requirement, requirements):
-        version = _version(requirement.name) or _version(_SAME.get(requirement.name, ''))
+    for wanted in map(Requirement, requirements):
+        version = _version(wanted.name) or _version(_SAME.get(wanted.name, ''))
         if version is None:
-            bad.append(f'{requirement.name} is missing')
+            bad.append(f'{wanted.name} is missing')
             continue
-        if not requirement.specifier.contains(version, prereleases=True):
-            bad.append(f'{requirement.name} is {version}, {requirement.specifier} is needed')
+        if not wanted.specifier.contains(version, prereleases=True):
+            bad.append(f'{wanted.name} is {version}, {wanted.specifier} is needed')
     if bad:
-        return error(
-            'packages', '; '.join(bad), 'make setup, or pip install -r requirements/base.txt'
-        )
+        remedy = 'make setup, or pip install -r requirements/base.txt'
+        return error('packages', '; '.join(bad), remedy)
     return ok('packages', f'{len(requirements)} packages in the versions that are needed')
 
 
@@ -108,27 +107,14 @@ def check_compiler() -> Finding:
 
     if COMPILED:
         return ok('compiler', 'the numerical code is compiled')
-    return warn(
-        'compiler',
-        'the numerical code runs as plain Python, too slowly for real time',
-        'unset LPV_NO_JIT, and install numba',
-    )
-
-
-@dataclass(frozen=True)
-class RosProbe:
-    """What another process found: rclpy ends a process whose middleware is missing."""
-
-    file: str  # of rclpy; empty where it cannot be imported
-    middleware: str  # that was loaded; empty where none could be
-    problem: str  # last line of what was printed
+    text = 'the numerical code runs as plain Python, too slowly for real time'
+    return warn('compiler', text, 'unset LPV_NO_JIT, and install numba')
 
 
 def probe_ros() -> RosProbe:
     """Import rclpy in another process."""
-    done = subprocess.run(
-        [sys.executable, '-c', _PROBE], capture_output=True, text=True, timeout=_PROBE_TIMEOUT
-    )
+    line = [sys.executable, '-c', _PROBE]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=_PROBE_TIMEOUT)
     lines = [line.split(' ', 1)[1] for line in done.stdout.splitlines() if line[:4] == 'lpv ']
     printed = [line for line in done.stderr.splitlines() if line.strip()]
     problem = re.sub(r', at /.*', '', printed[-1].split(']: ')[-1]) if printed else ''
@@ -140,11 +126,8 @@ def check_ros(probe: RosProbe | None = None) -> Finding:
     """Whether there is one ROS 2, and only one."""
     distro, probe = os.environ.get('ROS_DISTRO', ''), probe or probe_ros()
     if not probe.file:
-        return error(
-            'ros',
-            f'rclpy cannot be imported: {probe.problem}',
-            'make setup, or source the ROS 2 that it was run with',
-        )
+        text = f'rclpy cannot be imported: {probe.problem}'
+        return error('ros', text, 'make setup, or source the ROS 2 that it was run with')
     inside = os.path.realpath(probe.file).startswith(os.path.realpath(sys.prefix) + os.sep)
     if distro and inside and sys.prefix != sys.base_prefix:
         return error(
@@ -160,12 +143,11 @@ def check_workspace() -> Finding:
     """Whether messages and programs of this workspace are built."""
     try:
         importlib.import_module('lpv_msgs.msg')
-        for package, program in PROGRAMS:
+        for package, program in _PROGRAMS:
             executable(package, program)
     except (ImportError, LpvError) as problem:
-        return error(
-            'workspace', str(problem), 'make setup, or colcon build and source install/setup.bash'
-        )
+        remedy = 'make setup, or colcon build and source install/setup.bash'
+        return error('workspace', str(problem), remedy)
     return ok('workspace', 'messages and programs are there')
 
 
@@ -176,11 +158,8 @@ def check_middleware(probe: RosProbe | None = None) -> Finding:
     if not probe.middleware:
         return error('middleware', probe.problem or 'none could be loaded', remedy)
     if wanted and wanted != probe.middleware:
-        return error(
-            'middleware',
-            f'RMW_IMPLEMENTATION is {wanted}, but {probe.middleware} is loaded',
-            remedy,
-        )
+        text = f'RMW_IMPLEMENTATION is {wanted}, but {probe.middleware} is loaded'
+        return error('middleware', text, remedy)
     return ok('middleware', probe.middleware)
 
 
@@ -199,23 +178,13 @@ def check_domain() -> Finding:
 
 def check_range() -> Finding:
     """Where nodes are looked for."""
-    text = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
+    name = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+    text, remedy = os.environ.get(name, ''), f'export {name}=LOCALHOST (or SUBNET)'
     if os.environ.get('ROS_LOCALHOST_ONLY', '') == '1':
-        return warn(
-            'discovery',
-            'ROS_LOCALHOST_ONLY overrides ROS_AUTOMATIC_DISCOVERY_RANGE and is out of use',
-            'unset ROS_LOCALHOST_ONLY',
-        )
+        said = f'ROS_LOCALHOST_ONLY overrides {name} and is out of use'
+        return warn('discovery', said, 'unset ROS_LOCALHOST_ONLY')
     if text and text not in _RANGES:
-        return error(
-            'discovery',
-            f'ROS_AUTOMATIC_DISCOVERY_RANGE is {text!r}',
-            'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)',
-        )
+        return error('discovery', f'{name} is {text!r}', remedy)
     if text == 'OFF':
-        return error(
-            'discovery',
-            'ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other',
-            'export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (or SUBNET)',
-        )
+        return error('discovery', f'{name} is OFF: nodes do not find each other', remedy)
     return ok('discovery', text or 'LOCALHOST (of lpv, as nothing is set)')

@@ -2,16 +2,9 @@
 
 from typing import Any
 
-from lpv_cli.doctor.findings import Finding, error, ok, warn
-from lpv_core.certificate.conditions import verify
-from lpv_core.certificate.gains import load_gains
+from lpv_cli.doctor.finding import Finding, error, ok, warn
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
-from lpv_core.serial_arm.certificate.conditions import require_loop
-from lpv_core.serial_arm.certificate.loop_gains import load_loop_gains, serial_parameters
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
-from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 
 
@@ -25,34 +18,32 @@ def check_files(
         findings.append(finding)
     if gains_name:
         findings.append(check_gains(gains_name, arm, arm_name))
-    elif isinstance(arm, SerialArm):
+    elif arm is not None and needs_gains(arm):
+        remedy = f'lpv design --arm {arm_name} --out gains.yaml; then lpv doctor --arm {arm_name} '
         findings.append(
-            ok(
-                'gains',
-                'a serial arm needs none: its bounds are statistical; lpv design certifies its '
-                'tracking loop',
-            )
+            warn('gains', 'none given: no node starts without', f'{remedy}--gains gains.yaml')
         )
     elif arm is not None:
-        findings.append(
-            warn(
-                'gains',
-                'none given: no node starts without',
-                f'lpv design --arm {arm_name} --out gains.yaml; then lpv doctor '
-                f'--arm {arm_name} --gains gains.yaml',
-            )
-        )
-    if scenario_name and not isinstance(arm, SerialArm):
+        text = 'it needs none: its bounds are statistical; lpv design certifies its tracking loop'
+        findings.append(ok('gains', text))
+    if scenario_name:
         findings.append(check_scenario(scenario_name, arm))
     return arm, findings
+
+
+def needs_gains(arm: Arm) -> bool:
+    """Whether an arm is diagnosed with gains: two links in a plane."""
+    return hasattr(arm, 'links')
 
 
 def check_arm(name: str) -> tuple[Any, ...]:
     """Whether an arm file can be read."""
     try:
         arm = load_any_arm(bringup_file('arms', name))
-        if isinstance(arm, SerialArm):
-            SerialMonitor(arm)
+        if not needs_gains(arm):
+            from lpv_core.monitoring.factory import make_monitor
+
+            make_monitor('doctor', arm)
     except LpvError as problem:
         return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
@@ -60,48 +51,33 @@ def check_arm(name: str) -> tuple[Any, ...]:
 
 def check_gains(name: str, arm: Arm | None, arm_name: str | None = 'ARM') -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
-    if isinstance(arm, SerialArm):
-        return _check_loop(name, arm, arm_name)
+    from lpv_report.certificate import examine, load_certified
+
     again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
     try:
-        gains = load_gains(name)
+        text = load_certified(name).gains.arm_name
     except (LpvError, OSError) as problem:
         return error('gains', str(problem), again)
     if arm is None:
-        return ok('gains', f'for arm {gains.arm_name!r}; give --arm to verify them')
-    try:
-        gains.check_arm(arm, name)
-    except LpvError as problem:
-        return error('gains', str(problem), f'{again}, or give the arm file that they are for')
-    failed = [check.name for check in verify(arm, gains) if not check.holds]
-    if failed:
-        return error(
-            'gains',
-            f'the certificate does not hold: {"; ".join(failed)}',
-            f'the numbers were changed after the design: {again}',
-        )
-    return ok('gains', f'certificate for arm {arm.name!r} holds')
-
-
-def _check_loop(name: str, arm: SerialArm, arm_name: str | None) -> Finding:
-    """As `check_gains`, of a serial arm's tracking loop."""
-    again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
-    try:
-        if serial_parameters(name) is None:
-            raise ConfigError('gains', f'{arm.name!r} is a serial arm, these are for another kind')
-        require_loop(arm, load_loop_gains(name), name)
-    except (LpvError, OSError) as problem:
-        return error('gains', str(problem), again)
-    return ok('gains', f'certificate of the tracking loop of arm {arm.name!r} holds')
+        return ok('gains', f'for arm {text!r}; give --arm to verify them')
+    found = examine(name, arm)
+    if found.problem:
+        return error('gains', found.problem, f'{again}, or give the arm file that they are for')
+    if not found.holds:
+        failed = f'the certificate does not hold: {"; ".join(found.failed)}'
+        return error('gains', failed, f'the numbers were changed after the design: {again}')
+    return ok('gains', f'certificate of the {found.what} of arm {arm.name!r} holds')
 
 
 def check_scenario(name: str, arm: Arm | None) -> Finding:
     """Whether a scenario can be run with the arm."""
-    remedy = 'correct the field; docs/scenario-file.md describes all'
+    from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
+
     try:
         scenario = load_any_scenario(bringup_file('scenarios', name), arm)
         if arm is not None:
             new_simulator(arm, scenario)
     except LpvError as problem:
+        remedy = 'correct the field; docs/scenario-file.md describes all'
         return error('scenario', str(problem), remedy)
     return ok('scenario', f'{scenario.name!r}, {scenario.duration:g} s')

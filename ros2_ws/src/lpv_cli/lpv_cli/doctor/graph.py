@@ -1,17 +1,18 @@
 """Checks of a running graph, on what was seen of it."""
 
 from collections import Counter
+from collections.abc import Iterator
 
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
-from lpv_cli.doctor.findings import Finding, error, ok, warn
-from lpv_cli.doctor.measurements import check_measurements
-from lpv_cli.doctor.watch import JOINT_STATE, Endpoint, Snapshot
+from lpv_cli.doctor.finding import Finding, error, ok, warn
+from lpv_cli.doctor.signals import check_measurements
+from lpv_cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 
-SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
+_SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
 """Topics of a graph that must have one publisher."""
 _DEAD = 'a node that was killed is in the graph for some 20 s more'
 
@@ -21,18 +22,18 @@ def check_graph(shot: Snapshot, arm: Arm | None = None, alone: bool = True) -> l
     if not shot.ours() and not shot.measured:
         return [check_anybody(shot, alone)]
     arm = arm or running_arm(shot)
-    return [
-        check_anybody(shot, alone),
-        *check_states(shot),
-        *check_names(shot),
-        *check_publishers(shot),
-        *check_clock(shot),
-        *check_modes(shot),
-        *check_gains_in_use(shot, arm),
-        *check_connections(shot),
-        *check_qos(shot),
-        *check_measurements(shot, arm),
-    ]
+    found = [check_anybody(shot, alone)]
+    for check, name, text in (
+        (_states, 'lifecycle', f'{len(shot.states)} nodes are active'),
+        (_names, 'names', 'no name is used twice'),
+        (_publishers, 'publishers', 'every topic has one source'),
+        (_clock, 'clock', 'nodes run on the wall clock, or /clock runs'),
+        (_modes, 'mode', 'all nodes are in one mode'),
+        (check_connections, 'connections', 'every input has a source'),
+        (_qos, 'qos', 'publishers and subscriptions fit'),
+    ):
+        found += list(check(shot)) or [ok(name, text)]
+    return [*found, *_gains(shot, arm), *check_measurements(shot, arm)]
 
 
 def running_arm(shot: Snapshot) -> Arm | None:
@@ -51,173 +52,100 @@ def check_anybody(shot: Snapshot, alone: bool = True) -> Finding:
         return ok('nodes', f'domain {shot.domain}: {", ".join(shot.ours())}')
     text = f'nothing of this software runs on domain {shot.domain}'
     if shot.measured:
-        return warn(
-            'nodes',
-            f'{text}, but there are measurements',
-            'ros2 launch lpv_bringup observer.launch.xml ...; a node that ended at once '
-            'said why: no gains, gains of another arm, a file that is not there',
-        )
+        remedy = 'ros2 launch lpv_bringup observer.launch.xml ...; a node that ended at once '
+        remedy += 'said why: no gains, gains of another arm, a file that is not there'
+        return warn('nodes', f'{text}, but there are measurements', remedy)
     if not alone:
         return ok('nodes', f'{text}: files were checked')
-    return warn(
-        'nodes',
-        text,
-        'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE to those of its shell',
+    remedy = (
+        'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as its shell has them'
     )
+    return warn('nodes', text, remedy)
 
 
-def check_states(shot: Snapshot) -> list[Finding]:
-    """Whether managed nodes are active."""
-    findings = []
+def _states(shot: Snapshot) -> Iterator[Finding]:
+    steps = {'unconfigured': 'configure, then activate', 'inactive': 'activate'}
     for name, state in shot.states.items():
         if state is None:
-            findings.append(
-                error(
-                    'lifecycle',
-                    f'{name} does not answer',
-                    f'it hangs or has died ({_DEAD}): start it again',
-                )
-            )
+            remedy = f'it hangs or has died ({_DEAD}): start it again'
+            yield error('lifecycle', f'{name} does not answer', remedy)
         elif state != 'active':
-            steps = {'unconfigured': 'configure, then activate', 'inactive': 'activate'}
-            findings.append(
-                warn(
-                    'lifecycle',
-                    f'{name} is {state}',
-                    f'ros2 lifecycle set {name} '
-                    f'{steps.get(state, "activate")}; finalized nodes must be restarted',
-                )
-            )
-    return findings or [ok('lifecycle', f'{len(shot.states)} nodes are active')]
+            step = steps.get(state, 'activate')
+            remedy = f'ros2 lifecycle set {name} {step}; finalized nodes must be restarted'
+            yield warn('lifecycle', f'{name} is {state}', remedy)
 
 
-def check_names(shot: Snapshot) -> list[Finding]:
-    """Whether two nodes have one name: two graphs on one domain."""
+def _names(shot: Snapshot) -> Iterator[Finding]:
     twice = sorted(name for name, count in Counter(shot.nodes).items() if count > 1)
-    if not twice:
-        return [ok('names', 'no name is used twice')]
-    return [
-        error(
-            'names',
-            f'there are several nodes {", ".join(twice)}',
-            'two runs are on one domain: give one another ROS_DOMAIN_ID or namespace; ' + _DEAD,
-        )
-    ]
+    if twice:
+        remedy = 'two runs are on one domain: give one another ROS_DOMAIN_ID or namespace; '
+        yield error('names', f'there are several nodes {", ".join(twice)}', remedy + _DEAD)
 
 
-def check_publishers(shot: Snapshot) -> list[Finding]:
-    """Whether topics of ours, and /clock, have one source each."""
-    findings = []
+def _publishers(shot: Snapshot) -> Iterator[Finding]:
     for topic, ends in sorted(shot.publishers.items()):
-        if len(ends) < 2 or not (topic == '/clock' or topic.rsplit('/', 1)[1] in SINGLE):
-            continue
-        by = ', '.join(sorted(e.node for e in ends))
-        findings.append(
-            error(
-                'publishers',
-                f'{topic} has {len(ends)} publishers: {by}',
-                'two simulators, or a driver and a simulator: stop one, or give it '
-                f'another ROS_DOMAIN_ID or namespace; {_DEAD}',
-            )
-        )
-    return findings or [ok('publishers', 'every topic has one source')]
+        if len(ends) > 1 and (topic == '/clock' or topic.rsplit('/', 1)[1] in _SINGLE):
+            by = ', '.join(sorted(e.node for e in ends))
+            remedy = 'two simulators, or a driver and a simulator: stop one, or give it '
+            remedy += f'another ROS_DOMAIN_ID or namespace; {_DEAD}'
+            yield error('publishers', f'{topic} has {len(ends)} publishers: {by}', remedy)
 
 
-def check_clock(shot: Snapshot) -> list[Finding]:
-    """Whether /clock runs where nodes wait for it."""
+def _clock(shot: Snapshot) -> Iterator[Finding]:
     waiting = sorted(n for n, values in shot.parameters.items() if values.get('use_sim_time'))
-    if not waiting:
-        return [ok('clock', 'nodes run on the wall clock')]
-    if len({told for _, told in shot.clock}) > 1:
-        return [ok('clock', f'/clock runs; {", ".join(waiting)} use it')]
-    state = 'stands still' if shot.clock else 'is silent'
-    return [
-        error(
-            'clock',
-            f'/clock {state}, but {", ".join(waiting)} use it',
-            'start what publishes /clock (simulator in lockstep, bag player with --clock), '
-            'or start the nodes without use_sim_time:=true',
-        )
-    ]
+    if waiting and len({told for _, told in shot.clock}) < 2:
+        state = 'stands still' if shot.clock else 'is silent'
+        remedy = 'start what publishes /clock (simulator in lockstep, bag player with --clock), '
+        remedy += 'or start the nodes without use_sim_time:=true'
+        yield error('clock', f'/clock {state}, but {", ".join(waiting)} use it', remedy)
 
 
-def check_modes(shot: Snapshot) -> list[Finding]:
-    """Whether all nodes of a graph run in the same mode."""
+def _modes(shot: Snapshot) -> Iterator[Finding]:
     modes = {n: v['lockstep'] for n, v in shot.parameters.items() if v.get('lockstep') is not None}
-    if len(set(modes.values())) < 2:
-        return [ok('mode', 'lockstep' if True in modes.values() else 'real time')]
-    stepping = ', '.join(sorted(n for n, mode in modes.items() if mode))
-    return [
-        error(
-            'mode',
-            f'only some nodes are in lockstep: {stepping}',
-            'start all with the same mode:=lockstep or mode:=realtime',
-        )
-    ]
+    if len(set(modes.values())) > 1:
+        stepping = ', '.join(sorted(n for n, mode in modes.items() if mode))
+        remedy = 'start all with the same mode:=lockstep or mode:=realtime'
+        yield error('mode', f'only some nodes are in lockstep: {stepping}', remedy)
 
 
-def check_gains_in_use(shot: Snapshot, arm: Arm | None) -> list[Finding]:
-    """Whether running nodes have gains of the arm."""
-    hashes = {
-        n: v['gains.arm_sha256'] for n, v in shot.parameters.items() if v.get('gains.arm_sha256')
-    }
-    if arm is None or not hashes:
-        return []
-    others = sorted(n for n, value in hashes.items() if value != arm.sha256())
-    if not others:
-        return [ok('gains in use', f'those of arm {arm.name!r}')]
-    return [
-        error(
-            'gains in use',
-            f'{", ".join(others)}: gains of another arm than {arm.name!r}',
-            'design gains for this arm file (lpv design) and start the nodes with them',
-        )
-    ]
+def _gains(shot: Snapshot, arm: Arm | None) -> Iterator[Finding]:
+    found = {name: values.get('gains.arm_sha256') for name, values in shot.parameters.items()}
+    others = sorted(n for n, sha in found.items() if sha and arm and sha != arm.sha256())
+    if others and arm is not None:
+        remedy = 'design gains for this arm file (lpv design) and start the nodes with them'
+        text = f'{", ".join(others)}: gains of another arm than {arm.name!r}'
+        yield error('gains in use', text, remedy)
+    elif arm is not None and any(found.values()):
+        yield ok('gains in use', f'those of arm {arm.name!r}')
 
 
-def check_connections(shot: Snapshot) -> list[Finding]:
+def check_connections(shot: Snapshot) -> Iterator[Finding]:
     """Whether what nodes of ours listen to has a source, and commands have subscribers."""
-    findings = []
+    # Recorder and live view take what there is.
+    ours = {name for name in shot.ours() if not name.endswith(('/recorder', '/view'))}
     for topic, ends in sorted(shot.subscriptions.items()):
-        listeners = [e for e in ends if e.node in shot.ours() and not e.node.endswith('/recorder')]
+        listeners = [e for e in ends if e.node in ours]
         if not listeners or shot.publishers.get(topic):
             continue
         remedy = 'start what publishes it, or remap the topic'
         others = sorted(t for t in shot.measured if t != topic)
         if listeners[0].msgtype == JOINT_STATE and others:
-            remedy = (
-                f'measurements are on {", ".join(others)}: joint_states:={others[0]} of '
-                f'the launch file, or -r joint_states:={others[0]}'
-            )
-        findings.append(
-            error(
-                'connections',
-                f'{listeners[0].node} subscribes to {topic}, which has no publisher',
-                remedy,
-            )
-        )
-    return findings or [ok('connections', 'every input has a source')]
+            remedy = f'measurements are on {", ".join(others)}: joint_states:={others[0]} of the '
+            remedy += f'launch file, or -r joint_states:={others[0]}'
+        text = f'{listeners[0].node} subscribes to {topic}, which has no publisher'
+        yield error('connections', text, remedy)
 
 
-def check_qos(shot: Snapshot) -> list[Finding]:
-    """Whether publishers and subscriptions of a topic can talk to each other."""
-    findings = []
+def _qos(shot: Snapshot) -> Iterator[Finding]:
+    remedy = 'give all nodes the same mode (lockstep or realtime); a driver should offer reliable, '
+    remedy += 'or be subscribed to best effort'
     for topic, publishers in sorted(shot.publishers.items()):
         for source in publishers:
             for sink in shot.subscriptions.get(topic, ()):
-                if not {source.node, sink.node} & set(shot.ours()):
-                    continue
                 reason = _mismatch(source, sink)
-                if reason:
-                    findings.append(
-                        error(
-                            'qos',
-                            f'{topic}: {sink.node} receives nothing from {source.node}: {reason}',
-                            'give all nodes the same mode (lockstep or realtime); a driver should '
-                            'offer reliable, or be subscribed to best effort',
-                        )
-                    )
-    return findings or [ok('qos', 'publishers and subscriptions fit')]
+                if reason and {source.node, sink.node} & set(shot.ours()):
+                    text = f'{topic}: {sink.node} receives nothing from {source.node}: {reason}'
+                    yield error('qos', text, remedy)
 
 
 def _mismatch(source: Endpoint, sink: Endpoint) -> str:

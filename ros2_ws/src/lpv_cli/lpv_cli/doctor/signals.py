@@ -1,18 +1,21 @@
-"""Checks of what measured signals mean: their units, and whether rates are independent."""
+"""Checks of the measurements that were heard: names, values, units, rates, stamps."""
 
+import math
 from typing import Any
 
 import numpy as np
 
-from lpv_cli.doctor.findings import Finding, error, ok, warn
-from lpv_core.model.arm import ArmParameters
+from lpv_cli.doctor.finding import Finding, Level, error, ok, warn
 from lpv_core.model.joint_order import JointOrder
 from lpv_core.model.joints import JointMap
 from lpv_core.residual.rate_independence import contradicts, rate_source
 from lpv_core.serial_arm.any_arm import Arm
-from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import SampleError
 
+_FAR_CLOCK = 0.5
+"""Largest difference between stamp and clock [s]."""
+_UNEVEN = 1.5
+"""Largest ratio of measured to expected interval."""
 _DEGREES = 180.0 / np.pi
 _FAR = 4.0 * np.pi
 """Positions beyond two turns are no angles of an arm in rad."""
@@ -23,27 +26,158 @@ _BETTER = 0.3
 _IN_RADIANS = 'let the driver publish rad, rad/s and N m in sensor_msgs/JointState (REP-103)'
 
 
-def samples(messages: list[Any], arm: Arm) -> tuple[np.ndarray, ...] | None:
+def check_measurements(shot: Any, arm: Arm | None) -> list[Finding]:
+    """Run all checks of the measurements of a `Snapshot`."""
+    findings = []
+    for topic, heard in sorted(shot.measured.items()):
+        if not heard:
+            remedy = 'the driver or simulator is not active, or waits (lockstep: for the torque '
+            remedy += 'that answers); see its log'
+            findings.append(error('measurements', f'{topic} is silent', remedy))
+            continue
+        messages = [message for _, message in heard]
+        problems = [
+            check_efforts(topic, messages, shot),
+            check_values(topic, messages, needs_rates(arm)),
+            check_stamps(topic, heard, shot),
+        ]
+        if arm is not None:
+            problems += [
+                check_joints(topic, messages[-1], arm),
+                check_rate(topic, messages, arm),
+                check_units(topic, messages, arm),
+                check_rate_source(topic, messages, arm),
+            ]
+        found = [p for p in problems if p is not None]
+        if all(p.level == Level.OK for p in found):
+            text = f'{topic}: {len(messages)} messages in {shot.seconds:g} s'
+            found.insert(0, ok('measurements', text))
+        findings += found
+    return findings
+
+
+def stated_rates(arm: Any) -> list[str]:
+    """What the arm file says of the rates of each joint."""
+    joints = getattr(arm, 'joints', None)
+    return [j.sensors.rates for j in joints] if joints else [arm.rates] * len(arm.joint_names)
+
+
+def needs_rates(arm: Arm | None) -> bool:
+    """Whether rates are measured on their own, or the observer needs them in any case."""
+    return arm is None or hasattr(arm, 'links') or 'independent' in stated_rates(arm)
+
+
+def check_joints(topic: str, message: Any, arm: Arm) -> Finding | None:
+    """Names and sizes against the arm file."""
+    try:
+        JointOrder(arm.joint_names).indices(message.name)
+    except SampleError as problem:
+        remedy = 'put the names of the driver into the arm file (and design the gains of a '
+        remedy += 'two-link arm again), or correct the driver'
+        return error('joints', f'{topic}: {problem}', remedy)
+    return None
+
+
+def check_efforts(topic: str, messages: list[Any], shot: Any) -> Finding | None:
+    """Whether torques are measured where the observer takes them from."""
+    sources = [values.get('torque_source') for values in shot.parameters.values()]
+    without = sum(not len(m.effort) or not np.isfinite(m.effort).all() for m in messages)
+    if not without or ('command' in sources and 'effort' not in sources):
+        return None
+    remedy = 'let the driver publish joint torques in effort [N m], or start the observer with '
+    text = f'{topic}: {without} of {len(messages)} messages carry no effort'
+    return error('efforts', text, f'{remedy}torque_source:=command')
+
+
+def check_values(topic: str, messages: list[Any], rates: bool = True) -> Finding | None:
+    """Whether positions and, where they are needed, rates are there, and numbers."""
+    of = f'of {len(messages)} messages'
+    if rates and (without := sum(not len(m.velocity) for m in messages)):
+        text = f'{topic}: {without} {of} carry no rates (velocity is empty)'
+        remedy = 'let the driver publish joint rates in velocity [rad/s]: samples without are not'
+        return error('values', text, f'{remedy} used')
+    odd = sum({len(m.position), len(m.velocity) or len(m.name)} != {len(m.name)} for m in messages)
+    if odd:
+        text = f'{topic}: {odd} {of} have other numbers of positions or rates than of names'
+        return error('values', text, 'let the driver publish one position and one rate per joint')
+    bad = sum(not np.isfinite([*m.position, *m.velocity]).all() for m in messages)
+    if not bad:
+        return None
+    return error(
+        'values',
+        f'{topic}: {bad} {of} have positions or rates that are not numbers',
+        'see the sensors and their driver; the observer predicts positions for some time, and does '
+        'not use samples without rates',
+    )
+
+
+def check_stamps(topic: str, heard: list[tuple[int, Any]], shot: Any) -> Finding | None:
+    """Whether stamps are set, increase, and are near the clock."""
+    stamps = _stamps([message for _, message in heard])
+    if not stamps.any():
+        remedy = 'let the driver stamp its messages with the time of measurement'
+        return error('stamps', f'{topic}: stamps are zero', remedy)
+    if backwards := int((np.diff(stamps) < 0).sum()):
+        text = f'{topic}: time goes backwards {backwards} times in {len(stamps)} messages'
+        return error(
+            'stamps', text, 'two sources publish on the topic, or a bag is played in a loop'
+        )
+    clock, name = np.array([t for t, _ in heard], dtype=np.int64), 'the clock of this machine'
+    if any(v.get('lockstep') or v.get('use_sim_time') for v in shot.parameters.values()):
+        if not shot.clock:
+            return None  # its own finding
+        arrived, told = np.array(shot.clock, dtype=np.int64).T
+        clock, name = told[np.searchsorted(arrived, clock).clip(max=len(told) - 1)], '/clock'
+    offset = float(np.median((stamps - clock) / 1e9))
+    if abs(offset) <= _FAR_CLOCK:
+        return None
+    way = 'ahead of' if offset > 0 else 'behind'
+    return error(
+        'stamps',
+        f'{topic}: stamps are {abs(offset):.3g} s {way} {name}',
+        'synchronise the clocks (chrony), stamp with the time of measurement since 1970, '
+        'or set use_sim_time where a bag or simulator drives /clock',
+    )
+
+
+def check_rate(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
+    """Whether samples come as often as the gains were designed for."""
+    stamps = np.unique(_stamps(messages))
+    if len(stamps) < 10:
+        return None
+    interval = float(np.median(np.diff(stamps))) / 1e9
+    ratio = interval / arm.sample_time
+    if 1.0 / _UNEVEN <= ratio <= _UNEVEN or math.isnan(ratio):
+        return None
+    text = f'{topic}: one sample every {1e3 * interval:.3g} ms, the arm file says '
+    remedy = 'set sample_time of the arm file to that of the driver and design the gains again'
+    return warn('rate', f'{text}{1e3 * arm.sample_time:.3g} ms', remedy)
+
+
+def _stamps(messages: list[Any]) -> np.ndarray:
+    times = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+    return np.array(times, np.int64)
+
+
+def _samples(messages: list[Any], arm: Arm) -> tuple[np.ndarray, ...] | None:
     """Stamps [ns], positions, rates and efforts of the arm's joints; None without all of them."""
-    order = JointOrder(arm.joint_names, needs_rates=not isinstance(arm, SerialArm))
+    order = JointOrder(arm.joint_names, needs_rates=hasattr(arm, 'links'))
     try:
         rows = [order.pick(message) for message in messages]
     except SampleError:
         return None
-    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
-    place = np.unique(stamps, return_index=True)[1]
-    arrays = (np.array([row[i] for row in rows], float)[place] for i in range(3))
-    return (np.array(stamps, np.int64)[place], *arrays)
+    stamps, place = np.unique(_stamps(messages), return_index=True)
+    return (stamps, *(np.array([row[i] for row in rows], float)[place] for i in range(3)))
 
 
 def check_units(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
     """Whether positions look like degrees: by size, by their rates, or by gravity."""
-    found = samples(messages, arm)
+    found = _samples(messages, arm)
     if found is None or len(found[0]) < 2:
         return None
     stamps, position, velocity, effort = found
-    if np.nanmax(np.abs(position), initial=0.0) > _FAR:
-        largest = np.nanmax(np.abs(position))
+    largest = np.nanmax(np.abs(position), initial=0.0)
+    if largest > _FAR:
         return error('units', f'{topic}: a position is {largest:.3g} rad: degrees?', _IN_RADIANS)
     # Between samples the mean rate counts, so that sampling does not matter.
     steps = np.diff(stamps)[:, None] / 1e9
@@ -54,23 +188,15 @@ def check_units(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
         if np.abs(moved[kept, i]).sum() < _MOTION or not power > 0.0:
             continue
         ratio = float(moved[kept, i] @ driven[kept, i]) / power
-        for factor, text in (
-            (_DEGREES, 'positions in degrees'),
-            (1 / _DEGREES, 'rates in degrees'),
-        ):
+        for factor, what in ((_DEGREES, 'positions'), (1 / _DEGREES, 'rates')):
             if 0.7 < ratio / factor < 1.4:
-                return error(
-                    'units',
-                    f'{topic}: {name} moves {ratio:.3g} times as far as its rate says: {text}?',
-                    _IN_RADIANS,
-                )
-    if isinstance(arm, SerialArm):
-        return None
-    return _against_gravity(topic, position, effort, arm)
+                text = f'{topic}: {name} moves {ratio:.3g} times as far as its rate says: '
+                return error('units', f'{text}{what} in degrees?', _IN_RADIANS)
+    return _against_gravity(topic, position, effort, arm) if hasattr(arm, 'links') else None
 
 
 def _against_gravity(
-    topic: str, position: np.ndarray, effort: np.ndarray, arm: ArmParameters
+    topic: str, position: np.ndarray, effort: np.ndarray, arm: Any
 ) -> Finding | None:
     """Torques that hold the arm fit gravity at its angles, in rad."""
     known = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)
@@ -86,49 +212,32 @@ def _against_gravity(
     as_said, in_degrees = residual(position[known]), residual(position[known] / _DEGREES)
     if as_said < 0.2 * float(gravity.max()) or in_degrees > _BETTER * as_said:
         return None
-    return error(
-        'units',
-        f'{topic}: torques fit gravity within {in_degrees:.3g} N m if positions are degrees, and '
-        f'within {as_said:.3g} N m if they are rad',
-        _IN_RADIANS,
-    )
+    text = f'{topic}: torques fit gravity within {in_degrees:.3g} N m if positions are degrees, '
+    return error('units', f'{text}and within {as_said:.3g} N m if they are rad', _IN_RADIANS)
 
 
 def check_rate_source(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
     """Whether rates are what the arm file says: independent, or derived from the positions."""
-    found = samples(messages, arm)
+    found = _samples(messages, arm)
     if found is None or not np.isfinite(found[2]).all():
         return None  # its own finding
     stamps, position, velocity, _ = found
-    sources = [
-        rate_source(stamps, position[:, i], velocity[:, i]) for i in range(position.shape[1])
-    ]
-    texts = [
-        f'{name} {found.source}'
-        + (
-            ''
-            if np.isnan(found.explained)
-            else f' ({100 * max(found.explained, 0.0):.0f}% derived)'
-        )
-        for name, found in zip(arm.joint_names, sources)
-    ]
+    sources = [rate_source(stamps, q, v) for q, v in zip(position.T, velocity.T)]
     if all(source.source == 'undecided' for source in sources):
         return None  # at rest, or too few samples
-    text = f'{topic}: ' + ', '.join(texts)
-    if isinstance(arm, SerialArm):
-        stated = [joint.sensors.rates for joint in arm.joints]
-    else:
-        stated = [arm.rates] * len(sources)
-    wrong = {
-        s.source
-        for said, s in zip(stated, sources)
-        if said != 'none' and contradicts(said, s.source)
-    }
+    texts = []
+    for name, one in zip(arm.joint_names, sources):
+        known = not np.isnan(one.explained)
+        share = f' ({100 * max(one.explained, 0.0):.0f}% derived)' if known else ''
+        texts.append(f'{name} {one.source}{share}')
+    text, stated = f'{topic}: ' + ', '.join(texts), stated_rates(arm)
+    pairs = zip(stated, (one.source for one in sources))
+    wrong = sorted({s for said, s in pairs if said != 'none' and contradicts(said, s)})
     if not wrong:
         return ok('rates', text)
     return warn(
         'rates',
         f'{text}; the arm file says {", ".join(dict.fromkeys(stated))}',
-        f'set sensors.rates of the arm file to {" or ".join(sorted(wrong))} and design the gains '
+        f'set sensors.rates of the arm file to {" or ".join(wrong)} and design the gains '
         'again: with derived rates an encoder and its rate go wrong together',
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.support.config import Section, read_yaml, sha256_of
+from lpv_core.support.config import Section, names_all_errors, read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import njit
 from lpv_core.support.records import new_record, record_type
@@ -290,6 +290,7 @@ def load_arm(path: str | Path) -> ArmParameters:
     return parse_arm(read_yaml(path), str(Path(path)))
 
 
+@names_all_errors
 def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
     """Build an arm from the mapping of an arm file.
 
@@ -313,7 +314,7 @@ def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
     top = Section(data, source)
     fields: dict[str, Any] = {
         'name': top.text('name'),
-        'gravity': top.number('gravity', 9.81, above=0.0),
+        'gravity': top.number('gravity', 9.81, above=0.0, high=100.0),
     }
     fields['inertia_reference'] = top.text(
         'inertia_reference', 'center_of_mass', ('center_of_mass', 'joint')
@@ -327,8 +328,8 @@ def parse_arm(data: dict[str, Any], source: str = 'arm') -> ArmParameters:
     fields['cos_min'] = region.pair('cos_min', low=0.01, high=0.999)
     region.finish()
     fields['model_error'] = top.number('model_error', 0.0, 0.0, 0.5)
-    fields['payload'] = top.number('payload', 0.0, 0.0)
-    fields['torque_tolerance'] = top.pair('torque_tolerance', 0.0, low=0.0)
+    fields['payload'] = top.number('payload', 0.0, 0.0, 1e4)
+    fields['torque_tolerance'] = top.pair('torque_tolerance', 0.0, 0.0, 1e9)
     fields['sample_time'] = top.number('sample_time', 0.002, 1e-5, 0.1)
     top.finish()
     arm = ArmParameters(**fields)
@@ -352,10 +353,10 @@ def _links(top: Section) -> tuple[Link, Link]:
     links = []
     for section in sections:
         link = Link(
-            mass=section.number('mass', above=0.0),
-            length=section.number('length', above=0.0),
-            center_of_mass=section.number('center_of_mass', above=0.0),
-            inertia=section.number('inertia', low=0.0),
+            mass=section.number('mass', above=0.0, high=1e5),
+            length=section.number('length', above=0.0, high=100.0),
+            center_of_mass=section.number('center_of_mass', above=0.0, high=100.0),
+            inertia=section.number('inertia', low=0.0, high=1e7),
         )
         section.finish()
         links.append(link)
@@ -366,12 +367,12 @@ def _drive(top: Section) -> dict[str, Any]:
     rotor = top.section('rotor', required=False)
     friction = top.section('friction', required=False)
     fields = {
-        'rotor_inertia': rotor.number('inertia', 0.0, low=0.0),
-        'gear_ratio': rotor.number('gear_ratio', 1.0, above=0.0),
-        'viscous': friction.pair('viscous', 0.0, low=0.0),
-        'coulomb': friction.pair('coulomb', 0.0, low=0.0),
-        'coulomb_slope': friction.number('coulomb_slope', 100.0, above=0.0),
-        'torque_limit': top.pair('torque_limit', 1e9, above=0.0),
+        'rotor_inertia': rotor.number('inertia', 0.0, 0.0, 1e4),
+        'gear_ratio': rotor.number('gear_ratio', 1.0, above=0.0, high=1e4),
+        'viscous': friction.pair('viscous', 0.0, 0.0, 1e6),
+        'coulomb': friction.pair('coulomb', 0.0, 0.0, 1e6),
+        'coulomb_slope': friction.number('coulomb_slope', 100.0, above=0.0, high=1e6),
+        'torque_limit': top.pair('torque_limit', 1e9, above=0.0, high=1e9),
     }
     rotor.finish()
     friction.finish()
@@ -384,11 +385,11 @@ def _joints_and_sensors(top: Section) -> dict[str, Any]:
     fields = {
         'joint_names': joints.names('names', 2),
         'zero_angle': joints.number('zero_angle', low=-math.pi, high=math.pi),
-        'velocity_limit': joints.pair('velocity_limit', 100.0, above=0.0),
+        'velocity_limit': joints.pair('velocity_limit', 100.0, above=0.0, high=1e4),
         'sensor_names': sensors.names('names', 2),
         'arrangement': sensors.text('arrangement', choices=('absolute', 'relative')),
-        'position_noise': sensors.number('position_noise', above=0.0),
-        'velocity_noise': sensors.number('velocity_noise', above=0.0),
+        'position_noise': sensors.number('position_noise', above=0.0, high=10.0),
+        'velocity_noise': sensors.number('velocity_noise', above=0.0, high=1e3),
         'velocity_error': sensors.number('velocity_error', 0.0, 0.0, 0.5),
         'rates': sensors.text('rates', 'independent', choices=RATES),
     }
@@ -400,9 +401,9 @@ def _joints_and_sensors(top: Section) -> dict[str, Any]:
 def _disturbance(top: Section) -> dict[str, Any]:
     section = top.section('disturbance')
     fields = {
-        'disturbance_direction': section.pair('direction'),
-        'disturbance_mean': section.number('mean'),
-        'disturbance_variance': section.number('variance', low=0.0),
+        'disturbance_direction': section.pair('direction', low=-1e3, high=1e3),
+        'disturbance_mean': section.number('mean', low=-1e4, high=1e4),
+        'disturbance_variance': section.number('variance', low=0.0, high=1e8),
     }
     section.finish()
     return fields

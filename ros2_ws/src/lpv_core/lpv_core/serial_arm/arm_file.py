@@ -22,11 +22,13 @@ from lpv_core.serial_arm.description import (
     Uncertainty,
 )
 from lpv_core.serial_arm.urdf_chain import MAX_JOINTS, read_urdf_chain
-from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.config import Section, names_all_errors, read_yaml
 
 KIND = 'serial_arm'
 """Value of ``kind`` in the arm files of n joints; files of two-link arms have no ``kind``."""
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
+_FAR = 100.0
+"""Largest coordinate of a frame, and largest angle of its orientation [m], [rad]."""
 _HEADER = '# Arm of n revolute joints; docs/arm-file.md describes the fields.\n'
 
 
@@ -56,6 +58,7 @@ def load_serial_arm(path: str | Path) -> SerialArm:
     return parse_serial_arm(read_yaml(path), str(path), Path(path).parent)
 
 
+@names_all_errors
 def parse_serial_arm(
     data: dict[str, Any], source: str = 'arm', folder: str | Path = '.'
 ) -> SerialArm:
@@ -94,15 +97,15 @@ def parse_serial_arm(
         urdf=urdf,
         locked=locked,
         base_orientation=_triple(top, 'base_orientation', -2 * math.pi, 2 * math.pi),
-        gravity=top.number('gravity', 9.81, low=0.0),
-        tip=_triple(top, 'tip'),
+        gravity=top.number('gravity', 9.81, 0.0, 100.0),
+        tip=_triple(top, 'tip', -_FAR, _FAR),
         effort_includes_gravity=effort.flag('includes_gravity', True),
         effort_unit=effort.text('unit', 'N m'),
-        effort_bandwidth=effort.number('bandwidth', above=0.0)
+        effort_bandwidth=effort.number('bandwidth', above=0.0, high=1e6)
         if 'bandwidth' in effort
         else math.inf,
         uncertainty=Uncertainty(
-            varying.number('payload', 0.0, low=0.0),
+            varying.number('payload', 0.0, 0.0, 1e4),
             varying.number('friction', 0.0, 0.0, 1.0),
             varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
         ),
@@ -216,7 +219,7 @@ def _triple(
 def _locked(top: Section) -> tuple[tuple[str, float], ...]:
     held = top.plain('locked')
     section = top.section('locked', required=False)
-    return tuple(sorted((str(name), section.number(name)) for name in held))
+    return tuple(sorted((str(name), section.number(name, None, -1e3, 1e3)) for name in held))
 
 
 def _joints(
@@ -246,7 +249,8 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     """A joint of the file; what it does not say comes from the URDF's joint ``base``."""
     name = section.text('name')
     if base is None or 'position' in section:
-        position, orientation = _triple(section, 'position'), _triple(section, 'orientation')
+        position = _triple(section, 'position', -_FAR, _FAR)
+        orientation = _triple(section, 'orientation', -_FAR, _FAR)
         axis = _axis(section)
     else:
         position, orientation, axis = base.position, base.orientation, base.axis
@@ -259,8 +263,8 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
         axis=axis,
         link=link,
         friction=_friction(section),
-        rotor_inertia=section.number('rotor_inertia', 0.0, low=0.0),
-        torque_gain=section.number('torque_gain', 1.0),
+        rotor_inertia=section.number('rotor_inertia', 0.0, 0.0, 1e5),
+        torque_gain=section.number('torque_gain', 1.0, -1e6, 1e6),
         effort_delay=section.number('effort_delay', 0.0, -1.0, 1.0),
         limits=limits,
         torque_tolerance=_tolerance(section),
@@ -278,7 +282,7 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
 
 
 def _axis(section: Section) -> tuple[float, float, float]:
-    x, y, z = axis = _triple(section, 'axis', default=(0.0, 0.0, 1.0))
+    x, y, z = axis = _triple(section, 'axis', -1e6, 1e6, default=(0.0, 0.0, 1.0))
     length = math.sqrt(x * x + y * y + z * z)
     if not 1e-6 < length < 1e6:
         raise section.error('axis', 'must not be 0')
@@ -288,9 +292,11 @@ def _axis(section: Section) -> tuple[float, float, float]:
 def _link(section: Section) -> LinkInertia:
     link = section.section('link')
     inertia = link.section('inertia')
-    xx, xy, yy, xz, yz, zz = (inertia.number(key) for key in INERTIA_KEYS)
+    xx, xy, yy, xz, yz, zz = (inertia.number(key, None, -1e7, 1e7) for key in INERTIA_KEYS)
     result = LinkInertia(
-        link.number('mass', low=0.0), _triple(link, 'first_moment'), (xx, xy, yy, xz, yz, zz)
+        link.number('mass', low=0.0, high=1e5),
+        _triple(link, 'first_moment', -1e6, 1e6),
+        (xx, xy, yy, xz, yz, zz),
     )
     inertia.finish()
     link.finish()
@@ -302,10 +308,10 @@ def _link(section: Section) -> LinkInertia:
 def _friction(section: Section) -> JointFriction:
     friction = section.section('friction', required=False)
     result = JointFriction(
-        offset=friction.number('offset', 0.0),
-        viscous=friction.number('viscous', 0.0),
-        coulomb=friction.number('coulomb', 0.0, low=0.0),
-        coulomb_slope=friction.number('coulomb_slope', 100.0, above=0.0),
+        offset=friction.number('offset', 0.0, -1e6, 1e6),
+        viscous=friction.number('viscous', 0.0, -1e6, 1e6),
+        coulomb=friction.number('coulomb', 0.0, 0.0, 1e6),
+        coulomb_slope=friction.number('coulomb_slope', 100.0, above=0.0, high=1e6),
         load=friction.number('load', 0.0, 0.0, 1.0),
     )
     friction.finish()
@@ -314,13 +320,13 @@ def _friction(section: Section) -> JointFriction:
 
 def _limits(section: Section) -> JointLimits:
     limits = section.section('limits', required=False)
-    lower = limits.number('lower') if 'lower' in limits else -math.inf
-    upper = limits.number('upper', low=lower) if 'upper' in limits else math.inf
+    lower = limits.number('lower', None, -1e6, 1e6) if 'lower' in limits else -math.inf
+    upper = limits.number('upper', None, lower, 1e6) if 'upper' in limits else math.inf
     result = JointLimits(
         lower,
         upper,
-        limits.number('velocity', 100.0, above=0.0),
-        limits.number('torque', 1e9, above=0.0),
+        limits.number('velocity', 100.0, above=0.0, high=1e4),
+        limits.number('torque', 1e9, above=0.0, high=1e9),
     )
     limits.finish()
     return result
@@ -330,10 +336,10 @@ def _tolerance(section: Section) -> TorqueTolerance:
     if 'torque_tolerance' not in section:
         return TorqueTolerance()
     part = section.section('torque_tolerance')
-    speed = part.numbers('speed', 64, low=0.0)
+    speed = part.numbers('speed', 64, 0.0, 1e4)
     if any(b <= a for a, b in zip(speed, speed[1:])):
         raise part.error('speed', 'must increase')
-    result = TorqueTolerance(tuple(speed), tuple(part.vector('torque', len(speed), low=0.0)))
+    result = TorqueTolerance(tuple(speed), tuple(part.vector('torque', len(speed), None, 0.0, 1e9)))
     part.finish()
     return result
 
@@ -345,16 +351,16 @@ def _sensors(section: Section, joint: str) -> JointSensors:
         other = part.section('second_encoder')
         second = SecondEncoder(
             other.text('name'),
-            other.number('position_noise', 1e-4, above=0.0),
-            other.number('quantization', 0.0, low=0.0),
+            other.number('position_noise', 1e-4, above=0.0, high=10.0),
+            other.number('quantization', 0.0, 0.0, 10.0),
         )
         other.finish()
     result = JointSensors(
         name=part.text('name', f'{joint}_encoder'),
-        position_noise=part.number('position_noise', 1e-4, above=0.0),
-        quantization=part.number('quantization', 0.0, low=0.0),
+        position_noise=part.number('position_noise', 1e-4, above=0.0, high=10.0),
+        quantization=part.number('quantization', 0.0, 0.0, 10.0),
         rates=part.text('rates', 'derived', RATE_SOURCES),
-        velocity_noise=part.number('velocity_noise', 1e-2, above=0.0),
+        velocity_noise=part.number('velocity_noise', 1e-2, above=0.0, high=1e3),
         second_encoder=second,
     )
     part.finish()

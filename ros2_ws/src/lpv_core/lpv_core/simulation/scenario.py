@@ -11,9 +11,12 @@ from lpv_core.export.mjcf import COULOMB
 from lpv_core.model.arm import ArmParameters
 from lpv_core.model.kinematics import ELBOWS
 from lpv_core.simulation.faults import KINDS, Fault
-from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.config import Section, names_all_errors, read_yaml
 
 PLANTS = ('nonlinear', 'nonlinear_without_coriolis', 'lpv', 'mujoco')
+
+_FAR = 100.0
+"""Largest coordinate of a waypoint [m]."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,7 @@ def load_scenario(path: str | Path) -> Scenario:
     return parse_scenario(read_yaml(path), str(Path(path)))
 
 
+@names_all_errors
 def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     """Build a scenario from the mapping of a scenario file.
 
@@ -102,12 +106,17 @@ def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     top = Section(expanded_plant(data), source)
     path = top.section('path')
     waypoints = path.sections('waypoints')
-    times = tuple(w.number('t', low=0.0) for w in waypoints)
-    points = tuple((w.number('x'), w.number('y')) for w in waypoints)
+    times = tuple(w.number('t', low=0.0, high=1e6) for w in waypoints)
+    points = tuple(
+        (w.number('x', None, -_FAR, _FAR), w.number('y', None, -_FAR, _FAR)) for w in waypoints
+    )
     obstacle = None
     if 'obstacle' in path:
         section = path.section('obstacle')
-        obstacle = Obstacle(section.pair('center'), section.number('radius', above=0.0))
+        obstacle = Obstacle(
+            section.pair('center', None, -_FAR, _FAR),
+            section.number('radius', above=0.0, high=_FAR),
+        )
         section.finish()
     elbow = path.text('elbow', 'positive', tuple(ELBOWS))
     for section in (*waypoints, path):
@@ -123,9 +132,9 @@ def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
         seed=top.integer('seed', 1, low=0),
         plant=model,
         sinc_min=plant.number('sinc_min', -0.2, -0.3, 0.99),
-        mass_factors=plant.pair('mass_factors', 1.0, above=0.0),
-        inertia_factors=plant.pair('inertia_factors', 1.0, above=0.0),
-        payload=plant.number('payload', 0.0),
+        mass_factors=plant.pair('mass_factors', 1.0, above=0.0, high=100.0),
+        inertia_factors=plant.pair('inertia_factors', 1.0, above=0.0, high=100.0),
+        payload=plant.number('payload', 0.0, -1e4, 1e4),
         friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
         noise=top.flag('noise', True),
         disturbance=top.flag('disturbance', True),
@@ -159,10 +168,10 @@ def _fault(section: Section) -> Fault:
     fault = Fault(
         sensor=section.text('sensor'),
         kind=section.text('kind', choices=KINDS),
-        onset=section.number('onset', low=0.0),
-        duration=section.number('duration', 0.0, low=0.0),
-        size=section.number('size', 0.0),
-        rate=section.number('rate', 0.0),
+        onset=section.number('onset', low=0.0, high=1e6),
+        duration=section.number('duration', 0.0, 0.0, 1e6),
+        size=section.number('size', 0.0, -1e3, 1e3),
+        rate=section.number('rate', 0.0, -1e3, 1e3),
     )
     section.finish()
     return fault

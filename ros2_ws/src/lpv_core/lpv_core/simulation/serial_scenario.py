@@ -13,7 +13,7 @@ from lpv_core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv_core.serial_arm.dynamics.payload import with_payload
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import expanded_plant, parse_faults
-from lpv_core.support.config import Section
+from lpv_core.support.config import Section, names_all_errors
 
 PLANTS = ('nonlinear', 'mujoco')
 _MOST_WAYPOINTS = 10_000
@@ -85,6 +85,7 @@ def is_serial_scenario(data: dict[str, Any]) -> bool:
     return data.get('kind') == KIND
 
 
+@names_all_errors
 def parse_serial_scenario(data: dict[str, Any], source: str = 'scenario') -> SerialScenario:
     """Build a scenario from the mapping of a scenario file.
 
@@ -115,7 +116,7 @@ def parse_serial_scenario(data: dict[str, Any], source: str = 'scenario') -> Ser
         seed=top.integer('seed', 1, low=0),
         plant=plant.text('model', 'nonlinear', PLANTS),
         parameter_error=plant.number('parameter_error', 0.0, 0.0, 0.5),
-        payload=plant.number('payload', 0.0),
+        payload=plant.number('payload', 0.0, -1e4, 1e4),
         friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
         noise=top.flag('noise', True),
         noise_factor=plant.number('noise_factor', 1.0, 0.0, 1e3),
@@ -135,7 +136,7 @@ def _waypoints(
     sections = path.sections('waypoints')
     if not 2 <= len(sections) <= _MOST_WAYPOINTS:
         raise path.error('waypoints', f'must be 2 to {_MOST_WAYPOINTS}')
-    times = tuple(point.number('t', low=0.0) for point in sections)
+    times = tuple(point.number('t', low=0.0, high=1e6) for point in sections)
     if any(b <= a for a, b in zip(times, times[1:])):
         raise path.error('waypoints', 'times must increase')
     joints, poses = ('joints' in sections[0], 'position' in sections[0])
@@ -143,11 +144,13 @@ def _waypoints(
         raise sections[0].error('joints', 'or position must be given, one of them')
     waypoints: tuple[tuple[float, ...], ...] | PoseWaypoints
     if joints:
-        waypoints = tuple(tuple(point.numbers('joints', MAX_JOINTS)) for point in sections)
+        waypoints = tuple(
+            tuple(point.numbers('joints', MAX_JOINTS, -1e3, 1e3)) for point in sections
+        )
     else:
         waypoints = PoseWaypoints(
             tuple(_triple(point, 'position') for point in sections),
-            tuple(path.numbers('start', MAX_JOINTS)),
+            tuple(path.numbers('start', MAX_JOINTS, -1e3, 1e3)),
             tuple(_triple(point, 'rpy') for point in sections if 'rpy' in point),
         )
         if 0 < len(waypoints.orientations) < len(sections):

@@ -1,0 +1,66 @@
+"""What a check says, and how it is shown."""
+
+from dataclasses import asdict, dataclass
+from enum import Enum
+from typing import Any
+
+
+class Level(Enum):
+    """How bad it is, and its colour."""
+
+    OK = 'OK'
+    WARN = 'WARN'
+    ERROR = 'ERROR'
+
+
+_STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of one check."""
+
+    level: Level
+    check: str  # what was checked, a word or two
+    text: str  # what was found
+    remedy: str = ''  # what to do; empty where nothing is to be done
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**asdict(self), 'level': self.level.value}
+
+
+def ok(check: str, text: str) -> Finding:
+    """A finding that all is well."""
+    return Finding(Level.OK, check, text)
+
+
+def warn(check: str, text: str, remedy: str) -> Finding:
+    """A finding that may be meant, or that may go wrong."""
+    return Finding(Level.WARN, check, text, remedy)
+
+
+def error(check: str, text: str, remedy: str) -> Finding:
+    """A finding that keeps the software from working."""
+    return Finding(Level.ERROR, check, text, remedy)
+
+
+def show(findings: list[Finding]) -> None:
+    """Print findings as a table, each with its remedy below."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for _ in range(3):
+        table.add_column(overflow='fold')
+    for found in findings:
+        level = f'[{_STYLES[found.level]}]{found.level.value}'
+        table.add_row(level, escape(found.check), escape(found.text))
+        if found.remedy:
+            table.add_row('', '', f'  -> {escape(found.remedy)}')
+    bad = sum(found.level != Level.OK for found in findings)
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(table)
+    end = f' of {len(findings)} checks found something' if bad else ' checks, nothing found'
+    console.print(f'{bad or len(findings)}{end}')

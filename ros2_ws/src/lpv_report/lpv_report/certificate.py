@@ -1,0 +1,207 @@
+"""Arm and gains of a run, and what the certificate of these gains proves of this arm."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpv_bag.errors import BagError
+from lpv_bag.rosbag.output_folder import GAINS_NAME
+from lpv_core.certificate.claims import CLAIMS, SERIAL_CLAIMS, Claim
+from lpv_core.certificate.conditions import Check, verify
+from lpv_core.certificate.gains import Gains, load_gains
+from lpv_core.model.arm import arm_from_json
+from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.certificate.conditions import region_lines, verify_loop
+from lpv_core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains, serial_parameters
+from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.resources import bringup_file, shipped_files
+
+_ANSWERS = tuple(
+    f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
+)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What gains prove, as far as it could be verified without any solver."""
+
+    what: str = 'gains'  # what is certified: the gains, or the tracking loop
+    facts: tuple[tuple[str, str], ...] = ()  # name and value
+    checks: tuple[Check, ...] = ()  # all inequalities, rebuilt now
+    problem: str = ''  # why nothing could be rebuilt; empty otherwise
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the inequalities that do not hold."""
+        return [check.name for check in self.checks if not check.holds]
+
+    @property
+    def holds(self) -> bool:
+        """Whether all inequalities hold now."""
+        return bool(self.checks) and not self.failed
+
+    @property
+    def bounds_faults(self) -> bool:
+        """Whether bounds of fault estimates rest on it."""
+        return self.holds and self.what == 'gains'
+
+
+@dataclass(frozen=True)
+class Certified:
+    """Gains of either kind, and how their certificate is verified."""
+
+    gains: Gains | LoopGains
+    what: str  # as `Certificate.what`
+    claims: tuple[Claim, ...]  # what holds where the certificate does
+
+    def facts(self, arm: Any) -> list[str]:
+        """The region of the certificate, and what is certified, for the reader."""
+        if isinstance(self.gains, LoopGains):
+            return region_lines(arm, self.gains)
+        way = 'upwards' if arm.sign > 0 else 'downwards'
+        degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in arm.cos_min)
+        return [
+            f'method: observer {self.gains.observer.method}, controller '
+            f'{self.gains.controller.method}',
+            f'certified region: links within {degrees} of the vertical {way}',
+            f'decay: estimation error {self.gains.observer.decay:g} /s, tracking error '
+            f'{self.gains.controller.decay:g} /s',
+        ]
+
+    def checks(self, arm: Any) -> list[Check]:
+        """Every inequality, rebuilt; ConfigError for another arm than that of the gains."""
+        if isinstance(self.gains, LoopGains):
+            return verify_loop(arm, self.gains)
+        self.gains.check_arm(arm)
+        return verify(arm, self.gains)
+
+    def prove(self, arm: Any) -> dict[str, bool]:
+        """Inequalities by name, and whether exact rational arithmetic proves them."""
+        # Only here: few need the proof, and it takes time to import.
+        if isinstance(self.gains, LoopGains):
+            from lpv_core.serial_arm.certificate.exact_proof import prove_loop
+
+            return prove_loop(arm, self.gains)
+        from lpv_core.certificate.exact_proof import prove
+
+        return prove(arm, self.gains)
+
+    def arm(self) -> Arm | None:
+        """The arm that the gains describe or that is shipped under their name, if it is theirs."""
+        text = getattr(self.gains, 'certificate', {}).get('arm_json')
+        if isinstance(text, str):
+            return arm_from_json(text)
+        file = shipped_files('arms').get(self.gains.arm_name)
+        return load_any_arm(file) if file is not None else None
+
+
+def load_certified(path: str | Path) -> Certified:
+    """Read a gains file of either kind; ConfigError if it is none."""
+    if serial_parameters(path) is not None:
+        return Certified(load_loop_gains(path), 'tracking loop', SERIAL_CLAIMS)
+    return Certified(load_gains(path), 'gains', CLAIMS)
+
+
+def examine(path: str | Path | None, arm: Arm, source: str = '') -> Certificate:
+    """Verify the certificate of a gains file for an arm; what stands against it is its problem."""
+    if path is None:
+        return Certificate(problem='the bag carries no gains, and none were given')
+    try:
+        found = load_certified(path)
+        facts = [
+            ('gains file', source or Path(path).name),
+            ('SHA-256 of the file', hashlib.sha256(Path(path).read_bytes()).hexdigest()),
+            ('designed for arm', found.gains.arm_name),
+        ]
+        checks = found.checks(arm)
+        facts += [('certified', line.strip()) for line in found.facts(arm)]
+        return Certificate(found.what, tuple(facts), tuple(checks))
+    except (LpvError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return Certificate(problem=str(error))
+
+
+def beside_bag(bag: str | Path, name: str) -> Path | None:
+    """A file that accompanies a bag; None where there is none."""
+    folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
+    # A single file belongs to the folder's bag only if that is one.
+    ours = folder == Path(bag) or (folder / 'metadata.yaml').is_file()
+    return folder / name if ours and (folder / name).is_file() else None
+
+
+def find_arm_and_gains(
+    bag: str | Path, arm: str | None = None, gains: str | None = None
+) -> tuple[Arm, Path | None, str]:
+    """Arm and gains of a recorded run.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        rosbag2 directory or single storage file.
+    arm : str, optional
+        Arm file or name; without, the arm of the gains, else the shipped one that the recorded
+        messages name.
+    gains : str, optional
+        Gains file or name; without, the file in the bag, else the shipped gains of the arm.
+
+    Returns
+    -------
+    tuple of Arm, pathlib.Path or None, str
+        Arm, gains file if there is one, and where the gains come from, for the reader.
+
+    Raises
+    ------
+    ConfigError
+        If a file that was given is none, or the arm is not known.
+    BagError
+        If there is no such bag, or it cannot be read.
+    """
+    if not Path(bag).exists():
+        raise BagError(f'{bag}: there is no such bag')
+    file = bringup_file('gains', gains) if gains else beside_bag(bag, GAINS_NAME)
+    source = file.name + ('' if gains else ' of the bag') if file else ''
+    if arm:
+        return load_any_arm(bringup_file('arms', arm)), file, source
+    described = _unless_ours(lambda: load_certified(file).arm() if file else None, bool(gains))
+    if described is not None:
+        return described, file, source
+    name = named_arm(bag)
+    shipped = shipped_files('arms').get(name)
+    if shipped is None:
+        what = f'the bag is of arm {name!r}, which is not a shipped one' if name else (
+            'the bag holds neither gains nor answers of the diagnosis'
+        )  # fmt: skip
+        example = name or 'my_arm'
+        raise ConfigError(
+            '--arm',
+            f'is needed: {what}; e.g. lpv report BAG --arm {example}.yaml --gains gains.yaml',
+        )
+    if file is None and name in shipped_files('gains'):
+        file = shipped_files('gains')[name]
+        source = f'shipped gains of arm {name!r}, which the messages name'
+    return load_any_arm(shipped), file, source
+
+
+def _unless_ours(read: Callable[[], Arm | None], given: bool) -> Arm | None:
+    """A damaged gains file in a bag must not stand in the way of a report; a given one must."""
+    try:
+        return read()
+    except ConfigError:
+        if given:
+            raise
+        return None
+
+
+def named_arm(bag: str | Path) -> str:
+    """Name of the arm that recorded answers of the diagnosis carry; '' without answers."""
+    # Only here: gains are examined where there is no bag, too.
+    from lpv_bag.rosbag.reading import open_bag
+
+    with open_bag(bag) as reader:
+        answers = [c for c in reader.connections if c.msgtype in _ANSWERS and c.msgcount]
+        for connection, _, data in reader.messages(answers) if answers else ():
+            return str(reader.deserialize(data, connection.msgtype).header.frame_id)
+    return ''

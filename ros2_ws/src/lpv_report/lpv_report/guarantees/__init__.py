@@ -1,1 +1,0 @@
-"""What the gains of a run guarantee, examined again."""

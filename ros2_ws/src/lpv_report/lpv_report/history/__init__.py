@@ -1,1 +1,0 @@
-"""What happened in a run: alarms as episodes, phases, timeline."""

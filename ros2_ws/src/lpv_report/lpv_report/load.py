@@ -1,0 +1,122 @@
+"""All that a report says of a recorded run, loaded at once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lpv_bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
+from lpv_bag.run.node_reports import NodeReport, node_reports
+from lpv_bag.run.record import load_run
+from lpv_bag.run.streams import RunRecord
+from lpv_core.control.path import CartesianPath
+from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.simulation.any_scenario import load_any_scenario, new_path
+from lpv_core.support.errors import LpvError
+from lpv_report.certificate import Certificate, beside_bag, examine
+from lpv_report.history import (
+    Episode,
+    Interval,
+    Motion,
+    Phase,
+    episodes,
+    missed_faults,
+    motion,
+    phases,
+)
+from lpv_report.table import Row, make_table
+
+
+@dataclass(frozen=True)
+class Run:
+    """All that is known of a recorded run."""
+
+    record: RunRecord
+    arm: Arm
+    title: str  # heading of its page
+    certificate: Certificate  # of the gains
+    alarms: list[Episode]
+    missed: list[Interval]  # true faults without an alarm
+    phases: list[Phase]  # intervals without an answer, stops, speeds above the limits
+    motion: Motion  # extremes
+    table: list[Row]  # of `make_table`
+    path: CartesianPath | None = None  # reference, with the obstacle
+
+
+def load(
+    bag: str | Path,
+    arm: Arm,
+    path: CartesianPath | None = None,
+    title: str = 'Run',
+    gains: str | Path | None = None,
+    source: str = '',
+) -> Run:
+    """Read all of a bag that a report needs.
+
+    Parameters
+    ----------
+    bag : str or pathlib.Path
+        Recorded run.
+    arm : ArmParameters or SerialArm
+        The arm.
+    path : CartesianPath, optional
+        Reference path with its obstacle; that of the scenario in the bag if not given.
+    title : str, optional
+        Heading.
+    gains : str or pathlib.Path, optional
+        Gains file that the run was answered with; the one in the bag if not given.
+    source : str, optional
+        Where the gains come from, for the reader.
+
+    Returns
+    -------
+    Run
+        All that is known.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    record = load_run(bag, joint_names=arm.joint_names)
+    streams = ('fault_estimate', 'state_estimate', 'torque_command')
+    topic = next((record.topics[name] for name in streams if name in record.topics), None)
+    reports = {} if topic is None else node_reports(bag, topic.rpartition('/')[0])
+    if gains is None and (gains := beside_bag(bag, GAINS_NAME)) is not None:
+        source = f'{gains.name} of the bag'
+    scenario = beside_bag(bag, SCENARIO_NAME)
+    if path is None and scenario is not None:
+        path = planned_path(scenario, arm)
+    return analyse(record, arm, reports, examine(gains, arm, source), title, path)
+
+
+def planned_path(scenario: str | Path, arm: Arm) -> CartesianPath | None:
+    """Path of a scenario in a plane; None where it has none, or is damaged."""
+    try:
+        path = new_path(arm, load_any_scenario(scenario, arm))
+    except LpvError:  # a damaged copy must not stand in the way of a report
+        return None
+    return path if isinstance(path, CartesianPath) else None
+
+
+def analyse(
+    record: RunRecord,
+    arm: Arm,
+    reports: Mapping[str, Sequence[NodeReport]],
+    certificate: Certificate,
+    title: str = 'Run',
+    path: CartesianPath | None = None,
+) -> Run:
+    """What a record says: alarms, misses, phases, motion, table."""
+    alarms = episodes(record)
+    return Run(
+        record,
+        arm,
+        title,
+        certificate,
+        alarms,
+        missed_faults(record, alarms),
+        phases(record, arm, reports),
+        motion(record, arm),
+        make_table(record, arm),
+        path,
+    )
