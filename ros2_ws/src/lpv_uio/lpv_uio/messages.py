@@ -73,12 +73,12 @@ class OutputMessages:
         state, fault = self.record['state'], self.record['fault']
         last_state, last_fault = self._last['state'], self._last['fault']
         wrong = False
-        for name in state.dtype.names:
+        for name in state.dtype.names or ():
             if state[name].dtype.kind == 'f' and not (finite := np.isfinite(state[name])).all():
                 state[name][~finite] = last_state[name][~finite]
                 wrong = True
                 state['mode'] = max(state['mode'][0], Mode.STALE)
-        for name in fault.dtype.names:
+        for name in fault.dtype.names or ():
             if fault[name].dtype.kind == 'f' and (missing := np.isnan(fault[name])).any():
                 fault[name][missing] = last_fault[name][missing]
                 fault['state'][missing] = SensorState.STALE

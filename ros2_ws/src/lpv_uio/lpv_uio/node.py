@@ -146,9 +146,7 @@ class UioNode(ManagedNode):
         self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
         self._stale = False
         self._refusals, self._sender = Refusals(self), OneSender(self._arm)
-        self._alarms = (
-            None if self.lockstep else OpenAlarms(alarm_file(self.get_fully_qualified_name()))
-        )
+        self._alarms = None if self.lockstep else OpenAlarms(alarm_file(self))
         if self._alarms is not None and self._alarms.before:
             self.get_logger().error(self._untrusted_text())
         self._recent: deque[int] = deque(maxlen=_RECENT)
