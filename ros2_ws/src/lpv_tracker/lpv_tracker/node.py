@@ -181,6 +181,7 @@ class TrackerNode(ManagedNode):
         self._compile()
         self._watchdog = TrackerWatchdog(self._arm, self._limits)
         self._guard, self._refusals, self._stops = StampGuard(), Refusals(self), 0
+        self._last_stop = ''
         self._last = None
         self._used = np.zeros(joints)  # correction of the last estimate that was trusted [rad]
         self._previous: int | None = None  # stamp of the last estimate that was followed [ns]
@@ -403,7 +404,8 @@ class TrackerNode(ManagedNode):
         stamp = self._last if self._last is not None else 0
         if reason is not self._reason:
             self._reason, self._stops = reason, self._stops + 1
-            self.get_logger().error(f'safe stop: {self._stop_text()}')
+            self._last_stop = self._stop_text()
+            self.get_logger().error(f'safe stop: {self._last_stop}')
         self._torque[:], self._safe_stop[0] = 0.0, True
         self._command_out.publish(self._command.at(stamp))
         self._report(stamp)
@@ -424,6 +426,7 @@ class TrackerNode(ManagedNode):
     def _status_values(self) -> dict[str, object]:
         return {
             'safe stops': self._stops,
+            'last safe stop': self._last_stop,
             'latency [ms]': f'{self._latency * 1e-6:.1f}',
             'tolerated constant latency [ms]': f'{self._tolerated * 1e3:.1f}',
             'certificate of the loop': self._certificate,

@@ -22,11 +22,6 @@ class Client:
     """One open WebSocket.
 
     Frames replace each other while the client is slow; other messages wait in a bounded queue.
-
-    Parameters
-    ----------
-    socket : aiohttp.web.WebSocketResponse
-        Prepared.
     """
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
@@ -41,9 +36,8 @@ class Client:
         """Queue a message that must arrive, or give the client up."""
         if len(self._waiting) >= _MOST_WAITING:
             self.close()
-        else:
-            self._waiting.append(text)
-            self._wake.set()
+        self._waiting.append(text)
+        self._wake.set()
 
     def put_frame(self, text: str) -> None:
         """Put the newest frame in place of one that was not sent yet."""
@@ -81,13 +75,7 @@ class Client:
 
 
 class Hub:
-    """All clients; lives in the server's thread.
-
-    Attributes
-    ----------
-    clients : set of Client
-        Open ones.
-    """
+    """All clients; lives in the server's thread."""
 
     def __init__(self) -> None:
         self.clients: set[Client] = set()

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -9,16 +10,18 @@ from importlib import resources
 from typing import Any
 
 from aiohttp import WSMsgType, web
+from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler, Middleware
 
 from lpv_core.support.errors import ConfigError
 from lpv_view.access import Access
 from lpv_view.commands import Command, CommandError, Reply, parse_command
 from lpv_view.hub import Client, Hub, encode
-from lpv_view.request_log import request_logger
 
 LARGEST_MESSAGE = 4096
 """Largest message of a client [byte]."""
+HEARTBEAT = 6.0
+"""Interval of pings; a client that answers none for half of it loses its place [s]."""
 _MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
 _MOST_RATE, _BURST = 10.0, 30.0
 """Messages of one client [1/s], and how many at once."""
@@ -59,8 +62,8 @@ class ViewServer:
     submit : callable
         Called in the server's thread with a `Command` and a function ``reply(ok, text)`` that may
         be called once, from any thread; returns False if it can take no more commands now.
-    max_clients : int, optional
-        More are refused.
+    max_clients, heartbeat : int, float, optional
+        More are refused; see `HEARTBEAT`.
     """
 
     def __init__(
@@ -69,9 +72,10 @@ class ViewServer:
         sensors: Sequence[str],
         submit: Callable[[Command, Reply], bool],
         max_clients: int = 16,
+        heartbeat: float = HEARTBEAT,
     ) -> None:
         self._access, self._sensors, self._submit = access, tuple(sensors), submit
-        self._max_clients = max_clients
+        self._max_clients, self._heartbeat = max_clients, heartbeat
         self._hub = Hub()
         self._pages = _load_pages()
         self._loop = asyncio.new_event_loop()
@@ -79,22 +83,9 @@ class ViewServer:
         self._thread: threading.Thread | None = None
 
     def start(self, sites: Sequence[tuple[Any, ...]]) -> list[int]:
-        """Open the ports and start serving.
+        """Open ports, ``(application, address, port)``, and serve; port 0 takes a free one.
 
-        Parameters
-        ----------
-        sites : sequence of tuple
-            ``(application, address, port)``; port 0 takes a free one.
-
-        Returns
-        -------
-        list of int
-            The ports.
-
-        Raises
-        ------
-        ConfigError
-            If a port cannot be had.
+        Returns the ports; ConfigError if one cannot be had.
         """
         try:
             ports = [self._loop.run_until_complete(self._open(*site)) for site in sites]
@@ -110,21 +101,19 @@ class ViewServer:
         runner = web.AppRunner(
             application,
             access_log=None,
-            logger=request_logger(),
+            logger=_logger(),
             handle_signals=False,
             shutdown_timeout=1.0,
         )
         await runner.setup()
         self._runners.append(runner)
         try:
-            await web.TCPSite(
-                runner, '127.0.0.1' if address == 'localhost' else address, port
-            ).start()
+            host = '127.0.0.1' if address == 'localhost' else address
+            await web.TCPSite(runner, host, port).start()
         except (OSError, OverflowError) as error:
+            reason = getattr(error, 'strerror', None) or error
             raise ConfigError(
-                'port',
-                f'cannot listen on {address}, port {port}: '
-                f'{getattr(error, "strerror", None) or error}',
+                'port', f'cannot listen on {address}, port {port}: {reason}'
             ) from error
         return runner.addresses[0][1]
 
@@ -168,6 +157,11 @@ class ViewServer:
         """Send a frame to all clients; those that are slow skip some."""
         self._call(self._hub.frame, message)
 
+    @property
+    def count(self) -> int:
+        """Number of clients."""
+        return len(self._hub.clients)
+
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message to all clients that none of them may miss."""
         self._call(self._hub.tell, message)
@@ -184,7 +178,7 @@ class ViewServer:
         if len(self._hub.clients) >= self._max_clients:
             raise web.HTTPServiceUnavailable(text='too many clients')
         socket = web.WebSocketResponse(
-            max_msg_size=LARGEST_MESSAGE, heartbeat=20.0, compress=False, timeout=2.0
+            max_msg_size=LARGEST_MESSAGE, heartbeat=self._heartbeat, compress=False, timeout=2.0
         )
         await socket.prepare(request)
         client = Client(socket)
@@ -270,6 +264,15 @@ def guard(access: Access) -> Middleware:
         return response
 
     return middleware
+
+
+def _logger() -> logging.Logger:
+    """A logger without what is sent here that is no HTTP, which aiohttp logs with a traceback."""
+    logger = logging.getLogger('lpv_view.requests')
+    logger.filters = [
+        lambda record: not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
+    ]
+    return logger
 
 
 def _reply(command: Command, ok: bool, text: str) -> str:
