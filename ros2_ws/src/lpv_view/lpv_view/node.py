@@ -189,14 +189,14 @@ class ViewNode(ManagedNode):
                 text = urdf_text(arm, self.get_parameter('arm_file').value)
                 descriptions = [text] * len(_DESCRIPTIONS)
             else:
-                descriptions = [self._urdf(arm), self._urdf(arm, (_GREEN,))]
+                descriptions = [self._urdf(arm), self._urdf(arm, _GREEN)]
         except ConfigError as error:
             self.get_logger().info(f'no robot description is published: {error}')
             descriptions = []
         self._described = [self._scene.text(text) for text in descriptions]
         self._describe_again()
 
-    def _urdf(self, arm: ArmParameters, *colours: tuple[tuple[str, str]]) -> str:
+    def _urdf(self, arm: ArmParameters, *colours: tuple[str, ...]) -> str:
         try:
             return arm_urdf(arm, True, *colours)
         except ConfigError as error:
@@ -267,7 +267,7 @@ class ViewNode(ManagedNode):
 
     def _report(self) -> None:
         """The node's own status, once a second."""
-        clients = self._server.count if self._server is not None else 0
+        clients = len(self._server.clients) if self._server is not None else 0
         count, refused = sum(self._refusals.counts.values()), self._refusals.is_recent
         status = (WARN, f'{count} messages refused') if refused else (OK, 'page is served')
         now = self.get_clock().now().nanoseconds

@@ -13,8 +13,8 @@ from fuzzing import peak_memory  # noqa: E402
 from hostile import Refused, damaged_bytes, forge, node_of, run_cases, set_parameters, sized  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
-from lpv_view.hub import encode  # noqa: E402
 from lpv_view.node import ViewNode  # noqa: E402
+from lpv_view.server import encode  # noqa: E402
 from lpv_view.topics import Inbox  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
