@@ -266,12 +266,12 @@ class ViewNode(ManagedNode):
         self._publish_arms(self._model.arms(now), frame['sample'], every_second)
 
     def _report(self) -> None:
-        """The node's own status, once a second."""
+        """The node's own status, once a second of the graph's time, which may be simulated."""
         clients = len(self._server.clients) if self._server is not None else 0
         count, refused = sum(self._refusals.counts.values()), self._refusals.is_recent
         status = (WARN, f'{count} messages refused') if refused else (OK, 'page is served')
-        now = self.get_clock().now().nanoseconds
-        self._status.report(now, *status, lambda: {'pages': clients, **self._refusals.counts})
+        values = {'pages': clients, **self._refusals.counts}
+        self._status.report(self._model.stamp() or 0, *status, lambda: values)
 
     def _publish_arms(self, arms: dict[str, Any], sample: dict[str, Any], with_path: bool) -> None:
         stamp = self._model.stamp()
