@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.certificate.gains import Gains
-from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.estimate_check import limit_correction, new_correction
+from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.path_references import PathReferences
 from lpv_core.control.tracking import (
     COMPENSATION,

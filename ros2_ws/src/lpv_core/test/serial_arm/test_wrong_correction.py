@@ -83,7 +83,7 @@ class Loop:
 
 @pytest.mark.parametrize('corrects_rates', [False, True])
 @pytest.mark.parametrize('name', CORRECTIONS)
-def test_given_a_wrong_correction_when_it_changes_then_no_joint_is_faster_than_allowed_before_a_stop(
+def test_given_a_wrong_correction_when_it_changes_then_no_joint_is_faster_than_its_limit(
     name, corrects_rates
 ):
     loop = Loop(CORRECTIONS[name], corrects_rates).run(ONSET + 2.5)
