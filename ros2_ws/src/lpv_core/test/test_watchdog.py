@@ -51,13 +51,17 @@ def first(reasons, wanted):
 
 
 def test_given_usable_estimates_when_judged_then_nothing_stops_the_arm(tracker):
-    reasons = [check_estimate(tracker, k * STEP, 0, OBSERVING, True, STILL) for k in range(100)]
+    reasons = [
+        check_estimate(tracker, k * STEP, 0, OBSERVING, True, STILL, STILL) for k in range(100)
+    ]
     assert set(reasons) == {StopReason.NONE}
 
 
 def test_given_unusable_measurements_when_they_last_then_the_arm_stops_in_the_stated_time(tracker):
-    check_estimate(tracker, 0, 0, OBSERVING, True, STILL)
-    reasons = [check_estimate(tracker, k * STEP, 0, STALE, True, STILL) for k in range(1, 50)]
+    check_estimate(tracker, 0, 0, OBSERVING, True, STILL, STILL)
+    reasons = [
+        check_estimate(tracker, k * STEP, 0, STALE, True, STILL, STILL) for k in range(1, 50)
+    ]
     assert first(reasons, StopReason.UNUSABLE) * 0.002 == pytest.approx(0.05, abs=0.003)
 
 
@@ -72,22 +76,26 @@ def test_given_unusable_measurements_when_they_last_then_the_arm_stops_in_the_st
 def test_given_an_estimate_when_late_or_not_trustworthy_then_the_arm_stops_at_once(
     tracker, latency, trustworthy, expected
 ):
-    assert check_estimate(tracker, STEP, latency, OBSERVING, trustworthy, STILL) == expected
+    assert check_estimate(tracker, STEP, latency, OBSERVING, trustworthy, STILL, STILL) == expected
 
 
 @pytest.mark.parametrize('fast', [np.array([0.0, 20.1]), np.array([np.nan, 0.0])])
 def test_given_a_joint_above_its_limit_when_it_lasts_then_both_sides_stop_until_reset(
     tracker, drives, fast
 ):
-    check_estimate(tracker, 0, 0, OBSERVING, True, STILL)
+    check_estimate(tracker, 0, 0, OBSERVING, True, STILL, STILL)
     check_drive(drives, 0, 0, False, STILL)
-    stops = [check_estimate(tracker, k * STEP, 0, OBSERVING, True, fast) for k in range(1, 20)]
+    stops = [
+        check_estimate(tracker, k * STEP, 0, OBSERVING, True, fast, STILL) for k in range(1, 20)
+    ]
     brakes = [check_drive(drives, k * STEP, 0, False, fast) for k in range(1, 20)]
     assert first(stops, StopReason.OVERSPEED) == first(brakes, BrakeReason.OVERSPEED) == 10
-    assert check_estimate(tracker, 30 * STEP, 0, OBSERVING, True, STILL) == StopReason.OVERSPEED
+    assert (
+        check_estimate(tracker, 30 * STEP, 0, OBSERVING, True, STILL, STILL) == StopReason.OVERSPEED
+    )
     assert check_drive(drives, 30 * STEP, 0, False, STILL) == BrakeReason.OVERSPEED
     tracker.latched = drives.latched = 0
-    assert check_estimate(tracker, 31 * STEP, 0, OBSERVING, True, STILL) == StopReason.NONE
+    assert check_estimate(tracker, 31 * STEP, 0, OBSERVING, True, STILL, STILL) == StopReason.NONE
     assert check_drive(drives, 31 * STEP, 0, False, STILL) == BrakeReason.NONE
 
 
@@ -99,7 +107,9 @@ def test_given_an_arm_off_its_reference_when_it_stays_there_then_it_stops_until_
         position = position + np.array([0.0, 0.02])  # it moves, but not as it should
         reasons.append(check_motion(tracker, k * STEP, reference, position))
     assert first(reasons, StopReason.TRACKING_ERROR) * 0.002 == pytest.approx(0.05, abs=0.003)
-    assert check_estimate(tracker, STEP, 0, OBSERVING, True, STILL) == StopReason.TRACKING_ERROR
+    assert (
+        check_estimate(tracker, STEP, 0, OBSERVING, True, STILL, STILL) == StopReason.TRACKING_ERROR
+    )
 
 
 @pytest.mark.parametrize('beside', [0.0, 0.04])
@@ -155,9 +165,15 @@ def test_given_any_sample_rate_when_limits_follow_from_the_gains_then_they_are_b
 def test_given_estimates_that_are_late_on_average_when_it_lasts_then_the_tracker_stops_for_a_while(
     tracker,
 ):
-    late = [check_estimate(tracker, k * STEP, 16 * MS, OBSERVING, True, STILL) for k in range(200)]
+    late = [
+        check_estimate(tracker, k * STEP, 16 * MS, OBSERVING, True, STILL, STILL)
+        for k in range(200)
+    ]
     assert 0.05 < first(late, StopReason.LATENCY) * 0.002 < 0.2
-    back = [check_estimate(tracker, k * STEP, MS, OBSERVING, True, STILL) for k in range(200, 400)]
+    back = [
+        check_estimate(tracker, k * STEP, MS, OBSERVING, True, STILL, STILL)
+        for k in range(200, 400)
+    ]
     assert 0.2 <= first(back, StopReason.NONE) * 0.002 < 0.3
 
 

@@ -2,11 +2,13 @@
 
 import math
 import time
-from collections.abc import Iterable, Sized
+from collections.abc import Iterable, Sequence, Sized
 from itertools import chain
 
+import numpy as np
 from rclpy.node import Node
 
+from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.support.timestamps import NANOSECONDS
 
 _JUMP = NANOSECONDS
@@ -42,6 +44,69 @@ class StampGuard:
             if self._count < _CONFIRMATIONS:
                 return False
         self._last, self._count = stamp, 0
+        return True
+
+
+_NEAR = 0.02
+"""Change of a reading that is no jump, beside what the velocity limit allows [rad]."""
+_LONGEST_STEP = 0.1
+"""Time for which a reading may go on at the velocity limit [s]."""
+
+
+class OneSender:
+    """Keeps the measurements of two senders on one topic apart.
+
+    A measurement that repeats or goes back in time, or is further from the one before than the arm
+    can have moved, is of another sender.  It is believed only after none that continues the first
+    one's has come for a while: then a sensor has failed, or the first sender has ended.
+
+    Parameters
+    ----------
+    arm : ArmParameters or SerialArm
+        The arm.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self._names, self._limit = arm.joint_names, np.array(arm.velocity_limit)
+        self._wait = max(0.03, 3.0 * arm.sample_time)
+        self._stamp: int | None = None  # of the last one that was believed [ns]
+        self._heard = 0.0  # when it came [s]
+        self._position = np.zeros(len(self._names))
+
+    def accept(
+        self,
+        stamp: int,
+        names: Sequence[str],
+        position: Sequence[float],
+        several: bool,
+        now: float | None = None,
+    ) -> bool:
+        """Whether a measurement is to be used.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns].
+        names, position : sequence
+            Fields of sensor_msgs/JointState.
+        several : bool
+            Whether there are several senders; otherwise all are accepted.
+        now : float, optional
+            Steady time [s].
+        """
+        readings = dict(zip(names, position))
+        if len(names) != len(position) or not all(name in readings for name in self._names):
+            return True  # of other joints, or not a measurement at all: the monitor says so
+        now = time.monotonic() if now is None else now
+        found = np.array([readings[name] for name in self._names])
+        if several and self._stamp is not None and now - self._heard < self._wait:
+            step = (stamp - self._stamp) / NANOSECONDS
+            most = _NEAR + self._limit * min(step, _LONGEST_STEP)
+            jumps = np.any(abs(found - self._position) > most)  # NaN, a dropout, does not
+            if jumps or not 0.0 < step <= _LONGEST_STEP:
+                return False
+        self._stamp, self._heard = stamp, now
+        self._position = np.where(np.isfinite(found), found, self._position)
         return True
 
 

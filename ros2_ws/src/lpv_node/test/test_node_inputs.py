@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 
 from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_core.support.resources import bringup_file  # noqa: E402
-from lpv_node.input_check import StampGuard, all_finite, all_sized  # noqa: E402
+from lpv_node.input_check import OneSender, StampGuard, all_finite, all_sized  # noqa: E402
 from lpv_node.parameter_service import CheckedParameterService  # noqa: E402
 from lpv_node.parameters import declare_gains, read_gains  # noqa: E402
 from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
@@ -149,3 +149,37 @@ def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order
 def test_given_fields_when_one_is_not_as_long_as_the_arm_has_joints_then_they_do_not_fit():
     assert all_sized(2, [0.0, 1.0], np.zeros(2), array('d', [1.0, 2.0]))
     assert not all_sized(2, [0.0, 1.0], [0.0, 1.0, 2.0]) and not all_sized(2, [])
+
+
+def stream_of(sender, stamps, position, several=True, names=('joint1', 'joint2')):
+    """Which measurements of a stream are accepted; it comes as it is stamped."""
+    return [sender.accept(round(s * 1e9), names, position, several, s) for s in stamps]
+
+
+@pytest.mark.parametrize('later', [0.0, 0.001, -0.001, -0.5, 10.0])
+def test_given_two_senders_when_their_measurements_alternate_then_only_those_of_the_first_are_used(
+    paper_arm, later
+):
+    sender = OneSender(paper_arm)
+    assert all(stream_of(sender, [0.0, 0.002], [1.0, 0.5]))
+    for k in range(2, 50):
+        other = round((0.002 * k + later) * 1e9)
+        assert not sender.accept(other, ('joint2', 'joint1'), [0.5, 1.3], True, 0.002 * k)
+        assert all(stream_of(sender, [0.002 * k + 0.0015], [1.0, 0.5]))
+
+
+def test_given_a_reading_that_jumps_when_nobody_continues_the_one_before_then_it_is_used(paper_arm):
+    times = 0.002 * np.arange(50)
+    for several in (False, True):
+        sender = OneSender(paper_arm)
+        assert all(stream_of(sender, times, [1.0, 0.5], several))
+        used = stream_of(sender, 0.1 + times, [3.0, 0.5], several)
+        assert all(used[16:]) and any(used[:14]) != several
+        assert all(stream_of(sender, 0.2 + times, [float('nan'), 0.5], several)), 'a dropout'
+
+
+def test_given_a_gripper_on_the_same_topic_when_it_publishes_then_both_are_passed_on(paper_arm):
+    sender = OneSender(paper_arm)
+    for k in range(20):
+        assert all(stream_of(sender, [0.002 * k], [1.0, 0.5]))
+        assert all(stream_of(sender, [0.002 * k], [0.01 * k], names=('finger',)))

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController
-from lpv_core.control.estimate_check import ROWS, ValueFault, check_values
+from lpv_core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
 from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.path_follower import PathFollower
 from lpv_core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, TrackingController
@@ -30,7 +30,7 @@ from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified
 from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, StampGuard, all_sized
+from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import (
@@ -92,6 +92,14 @@ SPECS = (
         10.0,
     ),
     fixed(
+        'max_speed',
+        TrackerLimits.speed,
+        'safe stop, until ~/resume is called, when a joint is faster for 0.02 s than this share of '
+        'its velocity limit, as measured or as estimated [1]',
+        0.01,
+        1.0,
+    ),
+    fixed(
         'approach_speed',
         0.5,
         'fastest joint rate on the way to the path, where the arm starts '
@@ -112,6 +120,8 @@ _REFUSALS = {
     ValueFault.NOT_FINITE: 'estimate with values that are not finite',
     ValueFault.IMPOSSIBLE: 'estimate with values that no arm has',
 }
+_CORRECTION = 0.05
+"""Smallest correction that counts as a confirmed fault, above noise and bridging [rad]."""
 _OTHER_CLOCK = 10 * NANOSECONDS
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
 
@@ -125,7 +135,8 @@ class TrackerNode(ManagedNode):
     first (`lpv_core.control.path_follower`).
 
     Safe stops: for the reasons of `lpv_core.control.watchdog`, and when the node is deactivated or
-    ends.  A joint that is too fast or far from its reference stops the arm until ``~/resume``.
+    ends.  A joint that is too fast or far from its reference stops the arm until ``~/resume``, and
+    so does a confirmed fault that the observer no longer knows after a silence.
     """
 
     def __init__(self) -> None:
@@ -158,17 +169,23 @@ class TrackerNode(ManagedNode):
         self._limits = TrackerLimits(
             silence=chosen_limit(self, 'estimate_timeout', certified.single),
             latency=LatencyLimits(single, mean),
+            speed=self.get_parameter('max_speed').value,
             tracking_error=self.get_parameter('max_tracking_error').value,
         )
         self._estimate = np.zeros((len(ROWS), joints))
         self._bytes = self._estimate.data.cast('B')
         self._velocity = self._estimate[ROWS.index('velocity')]
         self._measured = self._estimate[ROWS.index('measured_position')]
+        self._corrected = self._estimate[ROWS.index('compensated_position')]
+        self._measured_velocity = self._estimate[ROWS.index('measured_velocity')]
+        self._forgotten: np.ndarray | None = None  # correction before a silence [rad]
         self._choose_feedback()
         self._compile()
         self._watchdog = TrackerWatchdog(self._arm, self._limits)
         self._guard, self._refusals, self._stops = StampGuard(), Refusals(self), 0
+        self._last_stop = ''
         self._last = None
+        self._used = np.zeros(joints)  # correction of the last estimate that was trusted [rad]
         self._previous: int | None = None  # stamp of the last estimate that was followed [ns]
         self._received = 0  # time at which the last estimate came [ns]
         self._latency = 0  # of the last estimate [ns]
@@ -199,8 +216,9 @@ class TrackerNode(ManagedNode):
     def _choose_feedback(self, _parameters: object = None) -> None:
         """Let the loop close on the position that a parameter names."""
         if hasattr(self, '_estimate'):
-            field = FEEDBACK_FIELDS[self.get_parameter('compensation').value]
-            self._position = self._estimate[ROWS.index(field)]
+            compensation = self.get_parameter('compensation').value
+            self._position = self._estimate[ROWS.index(FEEDBACK_FIELDS[compensation])]
+            self._correction = CorrectionLimit(self._arm, compensation != 'off')
 
     def _make_controller(self) -> None:
         """The law of the arm's kind: designed gains, or computed torque."""
@@ -225,8 +243,10 @@ class TrackerNode(ManagedNode):
         self._controller.answer(np.zeros((3, len(still))), still + 0.1, still, still + 0.1, 0.0)
         self._controller.reset()
         watchdog = TrackerWatchdog(self._arm, self._limits)
-        watchdog.check_estimate(1, 0, 0, True, still)
+        watchdog.check_estimate(1, 0, 0, True, still, still)
         watchdog.check_motion(1, still, still)
+        self._correction.take(1, still, still)
+        self._correction.restart()
         check_values(self._estimate)
 
     def outputs(self) -> dict[Publisher, int]:
@@ -268,19 +288,23 @@ class TrackerNode(ManagedNode):
             if not self.lockstep and self._last - stamp < NANOSECONDS:
                 return  # duplicate or out of order
             self._restart()
+        if self._last is not None and self._is_silence(stamp - self._last):
+            self._forgotten = self._used
         self._received, self._last = now, stamp
         reason = self._judge(message, stamp, now)
         if reason is StopReason.NONE:
             self._follower.advance(stamp, self._position)
             reference = self._follower.reference.position
             reason = self._watchdog.check_motion(stamp, reference, self._position)
+        if reason is StopReason.NONE and not self._answer(stamp):
+            reason = StopReason.UNUSABLE
         if reason is not StopReason.NONE:
             self._stop(reason)
             return
         if self._reason is not None:
             self._reason = None
             self.get_logger().info('following the path')
-        self._publish_command(stamp)
+        self._command_out.publish(self._command.at(stamp))
         self._reference_out.publish(self._reference.at(stamp))
         self._previous = stamp
         self._report(stamp)
@@ -309,11 +333,30 @@ class TrackerNode(ManagedNode):
         if not self.lockstep and abs(now - stamp) < _OTHER_CLOCK:
             self._latency = now - stamp
         reason = self._watchdog.check_estimate(
-            stamp, self._latency, message.mode, message.trustworthy, self._velocity
+            stamp,
+            self._latency,
+            message.mode,
+            message.trustworthy,
+            self._velocity,
+            self._measured_velocity,
         )
+        if reason is StopReason.NONE and self._has_lost_a_correction():
+            reason = StopReason.CORRECTION_LOST
+            self._watchdog.latched = int(reason)
         # A node that was held up itself has seen no silence: the drives have braked meanwhile.
         silent = self._previous is not None and self._is_silence(stamp - self._previous)
         return StopReason.SILENCE if silent and reason is StopReason.NONE else reason
+
+    def _has_lost_a_correction(self) -> bool:
+        """Whether a correction from before a silence is gone: the observer was restarted.
+
+        The correction of the first estimate that is trusted is compared.
+        """
+        before, self._forgotten = self._forgotten, None
+        self._used = self._measured - self._corrected
+        return before is not None and bool(
+            np.any((abs(before) > _CORRECTION) & (abs(self._used) < 0.5 * abs(before)))
+        )
 
     def _restart(self) -> None:
         """Time has restarted, and so does the path."""
@@ -325,6 +368,7 @@ class TrackerNode(ManagedNode):
 
     def _forget(self) -> None:
         self._controller.reset()
+        self._correction.restart()
         self._follower.stop()
         self._watchdog.note_stop()
         self._previous = None
@@ -335,14 +379,15 @@ class TrackerNode(ManagedNode):
         if not self._safe_stop[0]:
             self._reference_out.publish(self._reference.at(stamp))
 
-    def _publish_command(self, stamp: int) -> None:
-        integrated = self._measured if self._integrates_measurement else self._position
+    def _answer(self, stamp: int) -> bool:
+        """Compute the torques; False if they are not finite."""
+        self._correction.take(stamp, self._position, self._velocity)
+        position, velocity = self._correction.position, self._correction.velocity
+        integrated = self._measured if self._integrates_measurement else position
         interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
-        self._controller.answer(
-            self._follower.motion, self._position, self._velocity, integrated, interval
-        )
+        self._controller.answer(self._follower.motion, position, velocity, integrated, interval)
         self._torque[:], self._safe_stop[0] = self._controller.torque, False
-        self._command_out.publish(self._command.at(stamp))
+        return all_finite(self._torque)
 
     def _check_silence(self) -> None:
         """Stop safely when the observer is silent: the drives then brake."""
@@ -361,7 +406,8 @@ class TrackerNode(ManagedNode):
         stamp = self._last if self._last is not None else 0
         if reason is not self._reason:
             self._reason, self._stops = reason, self._stops + 1
-            self.get_logger().error(f'safe stop: {self._stop_text()}')
+            self._last_stop = self._stop_text()
+            self.get_logger().error(f'safe stop: {self._last_stop}')
         self._torque[:], self._safe_stop[0] = 0.0, True
         self._command_out.publish(self._command.at(stamp))
         self._report(stamp)
@@ -382,6 +428,7 @@ class TrackerNode(ManagedNode):
     def _status_values(self) -> dict[str, object]:
         return {
             'safe stops': self._stops,
+            'last safe stop': self._last_stop,
             'latency [ms]': f'{self._latency * 1e-6:.1f}',
             'tolerated constant latency [ms]': f'{self._tolerated * 1e3:.1f}',
             'certificate of the loop': self._certificate,
@@ -391,7 +438,7 @@ class TrackerNode(ManagedNode):
     def _on_resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
         response.message = 'the arm resumes' if self._watchdog.latched else 'nothing was latched'
-        self._watchdog.latched = 0
+        self._watchdog.latched, self._forgotten = 0, None
         self.get_logger().info(f'~/resume: {response.message}')
         return response
 

@@ -1,5 +1,7 @@
 """Answers of the tracker node to single estimates, without a graph."""
 
+from types import SimpleNamespace
+
 import pytest
 from places import BRINGUP
 
@@ -29,12 +31,12 @@ class Publisher:
 
 
 @pytest.fixture
-def node():
-    """A configured tracker in lockstep; its commands are in ``node.sent``."""
+def node(request):
+    """A configured tracker, in lockstep if not said otherwise; its commands are ``node.sent``."""
     files = {
         'arm_file': BRINGUP / 'arms' / 'paper.yaml',
         'scenario_file': BRINGUP / 'scenarios' / 'two_faults.yaml',
-        'lockstep': 'true',
+        'lockstep': str(getattr(request, 'param', True)).lower(),
     }
     words = [word for name, value in files.items() for word in ('-p', f'{name}:={value}')]
     words += ['--params-file', str(BRINGUP / 'gains' / 'paper.yaml')]
@@ -83,3 +85,27 @@ def test_given_an_estimate_of_three_joints_when_it_comes_then_it_is_refused(node
     node._on_estimate(message)
     assert node.sent.safe_stops == []
     assert list(node._refusals.counts) == ['estimate with another number of joints than the arm']
+
+
+def answers(node, numbers, corrected, size=0.2):
+    """Answers to estimates, with a correction of the first joint or without."""
+    for number in numbers:
+        message = estimate(number)
+        message.measured_position[0] += size * corrected
+        node._on_estimate(message)
+    return node.sent.safe_stops[-1]
+
+
+@pytest.mark.parametrize('node', [False], indirect=True)
+@pytest.mark.parametrize(('pause', 'known'), [(400, False), (400, True), (1, False)])
+def test_given_a_confirmed_fault_when_forgotten_during_a_silence_then_the_arm_waits_for_resume(
+    node, pause, known
+):
+    """A restarted observer knows no faults; one that saw the end of the fault was not silent."""
+    assert not answers(node, range(1, 10), corrected=True)
+    stops = answers(node, range(9 + pause, 30 + pause), corrected=known)
+    assert stops == (pause > 1 and not known)
+    if stops:
+        assert 'forgotten' in node._stop_text()
+        node._on_resume(None, SimpleNamespace())
+        assert not answers(node, range(30 + pause, 40 + pause), corrected=False)

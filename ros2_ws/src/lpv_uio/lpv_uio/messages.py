@@ -1,5 +1,6 @@
-"""ROS messages of the observer's answers."""
+"""ROS messages of the observer's answers; none has a value that is NaN."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,12 +8,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from lpv_core.decision.diagnosis import SensorState
+from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.any_arm import Arm
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
 from lpv_node.serialized import SerializedMessage
 from lpv_node.stamps import set_stamp
 
 Fields = dict[str, Any]
+_WITHOUT_NUMBER = {'size': 0.0, 'bound': math.inf, 'confidence': 0.0}
+"""What an alarm says of itself in place of NaN: nothing is known."""
 
 
 class OutputMessages:
@@ -36,6 +41,8 @@ class OutputMessages:
     def __init__(self, arm: Arm, answer_type: np.dtype) -> None:
         self._frame_id, self.record = arm.name, np.zeros(1, answer_type)
         self._bytes = self.record.view(f'V{answer_type.itemsize}')
+        self._words, self._last = self.record.view('f8'), np.zeros(1, answer_type)
+        self._numbers = _number_places(answer_type)
         state, fault = _views(self.record['state']), _views(self.record['fault'])
         fault['alarm'] = fault['alarm'].view(bool)
         joints, sensors = list(arm.joint_names), list(arm.sensor_names)
@@ -48,9 +55,37 @@ class OutputMessages:
             {'position': state['compensated_position'], 'velocity': state['velocity']},
         )
 
-    def fill(self, record: np.void) -> None:
-        """Copy an answer's record."""
+    def fill(self, record: np.void) -> bool:
+        """Copy an answer's record; whether all its numbers are finite, see `degrade`."""
         self._bytes[0] = record.tobytes()  # not field by field
+        if not (np.isfinite(self._words[self._numbers]).all() or self.degrade()):
+            return False
+        self._last[0] = self.record[0]
+        return True
+
+    def degrade(self) -> bool:
+        """Replace values that are not finite by the last ones; False if there were any.
+
+        The estimate is then not trustworthy; it is stale where it is its own values, and so are
+        sensors whose values are replaced.  An infinite bound or threshold is none: nothing is
+        known.
+        """
+        state, fault = self.record['state'], self.record['fault']
+        last_state, last_fault = self._last['state'], self._last['fault']
+        wrong = False
+        for name in state.dtype.names or ():
+            if state[name].dtype.kind == 'f' and not (finite := np.isfinite(state[name])).all():
+                state[name][~finite] = last_state[name][~finite]
+                wrong = True
+                state['mode'] = max(state['mode'][0], Mode.STALE)
+        for name in fault.dtype.names or ():
+            if fault[name].dtype.kind == 'f' and (missing := np.isnan(fault[name])).any():
+                fault[name][missing] = last_fault[name][missing]
+                fault['state'][missing] = SensorState.STALE
+                wrong = True
+        if wrong:
+            state['trustworthy'] = False
+        return not wrong
 
     def _header(self) -> Header:
         return Header(frame_id=self._frame_id)
@@ -63,7 +98,8 @@ class OutputMessages:
             if name in ('onset', 'detected'):
                 set_stamp(getattr(message, name), value)
             else:
-                setattr(message, name, value)
+                missing = isinstance(value, float) and math.isnan(value)
+                setattr(message, name, _WITHOUT_NUMBER[name] if missing else value)
         return message
 
     @staticmethod
@@ -89,3 +125,15 @@ def _views(record: np.ndarray) -> Fields:
     """Memory of the fields of a record, shape (1,)."""
     fields = {name: record[name] for name in record.dtype.names or ()}
     return {name: value[0] if value.ndim > 1 else value for name, value in fields.items()}
+
+
+def _number_places(kind: np.dtype, start: int = 0) -> list[int]:
+    """Places of the float64 numbers of a record, in words of eight bytes."""
+    places: list[int] = []
+    for field, offset in (value[:2] for value in (kind.fields or {}).values()):
+        begin = start + offset
+        if field.base == np.float64:
+            places += range(begin // 8, (begin + field.itemsize) // 8)
+        elif field.names:
+            places += _number_places(field, begin)
+    return places

@@ -25,12 +25,14 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, all_finite, all_sized
+from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import Spec, declare_gains, fixed, named_file, read_gains
 from lpv_node.qos import latched, stream
 from lpv_node.stamps import to_nanoseconds
+from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_uio.messages import OutputMessages
+from lpv_uio.open_alarms import OpenAlarms, alarm_file
 
 _TUNABLE: tuple[tuple[Any, ...], ...] = (
     ('threshold_factor', 'threshold over guaranteed bound [1]', 0.1, 10.0),
@@ -111,10 +113,15 @@ class UioNode(ManagedNode):
     Topics: subscribes ``joint_states`` (and ``torque_command`` if torques come from there);
     publishes ``state_estimate``, ``fault_estimate``, ``joint_states_corrected``, ``fault_alarm``
     (latched) and ``/diagnostics``.  Service: ``~/reset``.
+
+    In real time, where several nodes publish measurements, one of them is believed; and an observer
+    that is started again after it died is not trustworthy until it has found the faults again that
+    were confirmed before, or ``~/reset`` is called.
     """
 
     def __init__(self) -> None:
         super().__init__('uio', SPECS)
+        self._alarms: OpenAlarms | None = None
         self._unset_gains = declare_gains(self)
         self._inputs: list[Subscription] = []
         self._watch: Timer | None = None
@@ -138,7 +145,10 @@ class UioNode(ManagedNode):
         self._answered: int | None = None  # stamp of the last answer [ns]
         self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
         self._stale = False
-        self._refusals = Refusals(self)
+        self._refusals, self._sender = Refusals(self), OneSender(self._arm)
+        self._alarms = None if self.lockstep else OpenAlarms(alarm_file(self))
+        if self._alarms is not None and self._alarms.before:
+            self.get_logger().error(self._untrusted_text())
         self._recent: deque[int] = deque(maxlen=_RECENT)
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
@@ -146,6 +156,7 @@ class UioNode(ManagedNode):
         self._corrected_out = self.create_publisher(JointState, 'joint_states_corrected', qos)
         self._alarm_out = self.create_publisher(FaultAlarm, 'fault_alarm', latched())
         self._diagnostics_out = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._status = StatusReporter(self, 'measurements', self._arm.name)
         self.create_service(Trigger, '~/reset', self._on_reset)
 
     def _make_monitor(self) -> Monitor:
@@ -196,6 +207,11 @@ class UioNode(ManagedNode):
             self.destroy_timer(self._watch)
             self._watch = None
 
+    def stopping(self) -> None:
+        """Told to stop: who starts it again knows what for."""
+        if self._alarms is not None:
+            self._alarms.forget()
+
     def _on_command(self, message: TorqueCommand) -> None:
         if not all_sized(len(self._arm.joint_names), message.torque):
             self._refusals.add('command with another number of joints than the arm')
@@ -215,6 +231,8 @@ class UioNode(ManagedNode):
             # Nothing overtakes here: the simulator was restarted, however short its run was.
             self.get_logger().warning('lockstep was restarted: observer and alarms restart')
             self._monitor.reset()
+        elif not self.lockstep and not self._is_of_one_sender(message, stamp):
+            return
         self._recent.append(stamp)
         try:
             answer = self._monitor.take(
@@ -227,6 +245,21 @@ class UioNode(ManagedNode):
         if answer is not None:
             self._publish(answer)
 
+    def _is_of_one_sender(self, message: JointState, stamp: int) -> bool:
+        """Whether a measurement continues the others, where several nodes publish some."""
+        several = self._inputs[0].get_publisher_count() > 1 if self._inputs else False
+        if self._sender.accept(stamp, message.name, message.position, several):
+            return True
+        self._refusals.add('measurement of a second publisher of joint_states')
+        return False
+
+    def _untrusted_text(self) -> str:
+        known = '; '.join(self._alarms.before.values()) if self._alarms else ''
+        return (
+            'not trustworthy: the observer was started again while faults were confirmed; until '
+            f'they are found again, or ~/reset is called: {known}'
+        )
+
     def _publish(self, answer: Answer) -> None:
         if self._answered is None or self._stale:
             self.get_logger().info('measurements flow')
@@ -235,7 +268,10 @@ class UioNode(ManagedNode):
         messages = self._messages
         if answer.restarted:
             self.get_logger().warning('time went backwards: observer and alarms restart')
-        messages.fill(answer.record)
+        if not messages.fill(answer.record):
+            self._refusals.add('estimate with values that are not finite')
+        if self._alarms is not None and self._alarms.before:
+            messages.record['state']['trustworthy'] = False
         self._publish_estimates(stamp)
         for fields in answer.alarms:
             self._alarm_out.publish(messages.alarm(stamp, fields))
@@ -259,9 +295,17 @@ class UioNode(ManagedNode):
             self.get_logger().error(describe(event))
         else:
             self.get_logger().info(describe(event))
+        if self._alarms is not None:
+            try:
+                self._alarms.note(event)
+            except OSError as error:
+                self.get_logger().warning(
+                    f'alarms would not outlive this process: {error}', once=True
+                )
 
     def _check_silence(self) -> None:
         now = self.get_clock().now().nanoseconds
+        self._report(now)
         if self._is_new:
             self._received, self._silent_since, self._is_new = now, None, False
         if self._received is None or self._stale:
@@ -278,7 +322,21 @@ class UioNode(ManagedNode):
                 record = self._messages.record['fault']
                 for name in record.dtype.names or ():
                     record[name] = fault[name]
+                self._messages.degrade()
                 self._fault_out.publish(self._messages.fault.at(now))
+
+    def _report(self, now: int) -> None:
+        """Say on /diagnostics who publishes measurements, and what was known before this start."""
+        senders = self.get_publishers_info_by_topic('joint_states')
+        level, text = OK, 'one publisher' if senders else 'no publisher'
+        if self._alarms is not None and self._alarms.before:
+            level, text = ERROR, self._untrusted_text()
+        elif len(senders) > 1:
+            names = sorted(f'{s.node_namespace.rstrip("/")}/{s.node_name}' for s in senders)
+            level, text = WARN, f'{len(senders)} publishers of joint_states: {", ".join(names)}'
+        elif self._refusals.is_recent:
+            level, text = WARN, 'messages are refused'
+        self._status.report(now, level, text, lambda: self._refusals.counts)
 
     def _warn_of_silence(self, now: int) -> None:
         """Say every few seconds that no measurement comes, and whether anybody publishes any."""
@@ -295,6 +353,8 @@ class UioNode(ManagedNode):
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._monitor.reset()
+        if self._alarms is not None:
+            self._alarms.forget()
         response.success, response.message = True, 'observer and alarms restart'
         return response
 

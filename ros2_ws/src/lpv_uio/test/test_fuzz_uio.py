@@ -1,5 +1,8 @@
 """Hostile measurements, parameters and requests for the observer: its outputs stay finite."""
 
+from copy import deepcopy
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from places import BRINGUP
@@ -11,11 +14,13 @@ from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from lpv_core.decision.diagnosis import Alarm, AlarmEvent  # noqa: E402
 from lpv_core.observer.sampled_observer import Mode  # noqa: E402
 from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
 from lpv_core.simulation.scenario import load_scenario  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
+from lpv_uio.open_alarms import OpenAlarms  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 STEP = 2_000_000
@@ -116,3 +121,52 @@ def test_given_hostile_parameters_when_set_then_outputs_stay_finite(arm):
     arm.node._on_reset(Trigger.Request(), Trigger.Response())
     assert arm.recover() <= RECOVERY
     assert np.isfinite(arm.node.get_parameter('diagnosis.dwell').value)
+
+
+def alarm(event=AlarmEvent.RAISED, sensor='link2_angle'):
+    return Alarm(event, 1, sensor, 0, 0, 0.3, 0.01, 'bias', 0.99)
+
+
+def test_given_an_observer_that_died_with_an_alarm_when_started_again_then_it_is_not_trustworthy(
+    arm, tmp_path
+):
+    path = tmp_path / 'new' / 'alarms.json'
+    died = OpenAlarms(path)
+    for sensor in ('link1_angle', 'link2_angle'):
+        died.note(alarm(sensor=sensor))
+    died.note(alarm(AlarmEvent.CLEARED, 'link1_angle'))
+    arm.node._alarms = OpenAlarms(path)
+    arm.recover()
+    assert not arm.state.last.trustworthy
+    assert 'link2_angle: error +0.300 rad' in arm.node._untrusted_text()
+    arm.node._log(alarm())  # found again
+    arm.recover()
+    assert arm.state.last.trustworthy
+    assert list(OpenAlarms(path).before) == ['link2_angle']
+    arm.node.stopping()
+    assert OpenAlarms(path).before == {}
+
+
+@pytest.mark.parametrize('content', ['', '[1]', '{', '[' * 100000, '\0', '{"a": 1}'])
+def test_given_a_file_of_alarms_that_is_none_when_read_then_it_does_no_harm(tmp_path, content):
+    path = tmp_path / 'alarms.json'
+    path.write_text(content)
+    assert set(OpenAlarms(path).before) <= {'a'}
+    OpenAlarms(path).note(alarm())
+    assert 'link2_angle' in OpenAlarms(path).before
+
+
+def test_given_a_second_publisher_when_its_readings_are_mixed_in_then_they_are_refused(arm):
+    arm.recover()
+    arm.node._sender._wait = np.inf  # a busy machine is slow
+    arm.node._inputs = [SimpleNamespace(get_publisher_count=lambda: 2)]
+    for _ in range(30):
+        message = arm.good()
+        foreign = deepcopy(message)
+        foreign.position[0] += 0.5
+        with pytest.raises(Refused):
+            arm.send(foreign)
+        arm.send(message)
+    assert arm.node._refusals.counts == {'measurement of a second publisher of joint_states': 30}
+    assert arm.others[1].last is None, 'no alarm'
+    arm.node._inputs = []

@@ -42,6 +42,28 @@ def test_given_an_alarm_when_put_into_a_message_then_times_and_fields_are_in_it(
     assert (message.sensor, message.sensor_index, message.kind) == ('link2_angle', 1, 'bias')
 
 
+def test_given_numbers_that_are_nan_when_filled_then_the_last_ones_are_sent_and_not_trusted():
+    messages, record = messages_of(3), np.zeros(1, answer_type(3))
+    state, fault = record['state'][0], record['fault'][0]
+    state['position'], state['trustworthy'], fault['bound'] = 1.0, True, [0.1, 0.2, np.inf]
+    assert messages.fill(record[0]) and messages.record == record
+    fault['bound'][1] = fault['threshold'][1] = np.nan
+    assert not messages.fill(record[0])
+    sent = messages.record['fault'][0]
+    assert sent['bound'].tolist() == [0.1, 0.2, np.inf] and sent['threshold'].tolist() == [0.0] * 3
+    assert sent['state'].tolist() == [0, FaultEstimate.STALE, 0]
+    assert messages.record['state']['mode'] == 0 and not messages.record['state']['trustworthy']
+    state['position'][0] = np.inf
+    assert not messages.fill(record[0])
+    sent = deserialize_message(messages.state.at(STAMP), StateEstimate)
+    assert (list(sent.position), sent.mode) == ([1.0] * 3, StateEstimate.STALE)
+
+
+def test_given_an_alarm_without_numbers_when_put_into_a_message_then_nothing_is_known():
+    message = messages_of(2).alarm(STAMP, {**ALARM, 'size': np.nan, 'bound': np.nan})
+    assert (message.size, message.bound) == (0.0, np.inf)
+
+
 def test_given_two_alarms_when_put_into_messages_then_each_is_its_own():
     messages = messages_of(2)
     first = messages.alarm(STAMP, ALARM)

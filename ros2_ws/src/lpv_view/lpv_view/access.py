@@ -21,88 +21,56 @@ class Access:
     Parameters
     ----------
     address : str
-        Where the server listens.
+        Where the server listens; ConfigError if it is no address.
     token : str, optional
         Asked for before commands; empty: none on the loopback address, a random one elsewhere.
-    hosts : iterable of str, optional
-        Names beside addresses, ``localhost`` and this machine's, under which it may be called.
-    origins : iterable of str, optional
-        Origins beside the page's own that may connect, e.g. ``https://app.foxglove.dev``.
-
-    Attributes
-    ----------
-    token : str
-        The token that commands need; empty if they need none.
-    loopback : bool
-        Whether only this machine can connect.
-
-    Raises
-    ------
-    ConfigError
-        If the address is none, or the token is too short.
+    hosts, origins : iterable of str, optional
+        Names beside addresses, ``localhost`` and this machine's, under which it may be called;
+        origins beside the page's own that may connect, e.g. ``https://app.foxglove.dev``.
     """
 
     def __init__(
         self, address: str, token: str = '', hosts: Iterable[str] = (), origins: Iterable[str] = ()
     ) -> None:
-        self.loopback = is_loopback(address)
+        loopback = address == 'localhost'
+        try:
+            loopback = loopback or ipaddress.ip_address(address).is_loopback
+        except ValueError:
+            raise ConfigError(
+                'address',
+                f'{address!r} must be localhost or an IP address; 0.0.0.0 '
+                'stands for all of this machine',
+            ) from None
         if token and len(token) < _SHORTEST_TOKEN:
             raise ConfigError('token', f'must have at least {_SHORTEST_TOKEN} characters')
-        self.token = token or ('' if self.loopback else secrets.token_urlsafe(18))
+        self.token = token or ('' if loopback else secrets.token_urlsafe(18))
         self._hosts = {'localhost', *(h.lower() for h in hosts if h)}
-        if not self.loopback:
+        if not loopback:
             name = socket.gethostname().lower()
             self._hosts |= {name, f'{name}.local'}
         self._origins = {o.lower().rstrip('/') for o in origins if o}
 
     def refusal(self, headers: Mapping[str, str]) -> str:
         """Why a request with these headers is refused; empty if it is not."""
-        host = headers.get('Host', '')
-        name = _host_name(host)
+        host = headers.get('Host', '').lower()
+        name = host[1:].split(']', 1)[0] if host.startswith('[') else host
+        if host.count(':') == 1:
+            name = host.rsplit(':', 1)[0]
         if not (_is_address(name) or name in self._hosts):
             return f'Host {name[:100]!r} is not a name of this server'
         origin = headers.get('Origin', '').lower().rstrip('/')
-        own = (f'http://{host.lower()}', f'https://{host.lower()}')
-        if origin and origin not in own and origin not in self._origins:
+        if origin and origin not in {f'http://{host}', f'https://{host}', *self._origins}:
             return f"Origin {origin[:100]!r} is not this server's"
         # A link from elsewhere may open the page; nothing else may be fetched from elsewhere.
-        if (
-            not origin
-            and headers.get('Sec-Fetch-Site', 'none') in ('cross-site', 'same-site')
-            and headers.get('Sec-Fetch-Mode') != 'navigate'
-        ):
+        elsewhere = headers.get('Sec-Fetch-Site', 'none') in ('cross-site', 'same-site')
+        if not origin and elsewhere and headers.get('Sec-Fetch-Mode') != 'navigate':
             return 'a request from another site'
         return ''
 
     def accepts(self, token: str) -> bool:
         """Whether a client's token is right, or none is needed; in the same time for all."""
-        return not self.token or hmac.compare_digest(
-            token.encode('utf-8', 'backslashreplace'), self.token.encode()
-        )
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this machine can reach an IP address or ``localhost``.
-
-    Raises ConfigError if it is neither.
-    """
-    if address == 'localhost':
-        return True
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        raise ConfigError(
-            'address',
-            f'{address!r} must be localhost or an IP address; 0.0.0.0 '
-            'stands for all of this machine',
-        ) from None
-
-
-def _host_name(host: str) -> str:
-    """Name of a Host header, without its port and brackets."""
-    if host.startswith('['):
-        return host[1:].split(']', 1)[0].lower()
-    return host.rsplit(':', 1)[0].lower() if host.count(':') == 1 else host.lower()
+        given = token.encode('utf-8', 'backslashreplace')
+        return not self.token or hmac.compare_digest(given, self.token.encode())
 
 
 def _is_address(name: str) -> bool:

@@ -18,10 +18,7 @@ def seconds(nanoseconds: int) -> float:
 class AlarmList:
     """Rows of the alarm list; the newest `_MOST_ROWS` are kept.
 
-    Attributes
-    ----------
-    changed : bool
-        Whether rows changed since this flag was last lowered.
+    ``changed`` says whether rows changed since this flag was last lowered.
     """
 
     def __init__(self) -> None:
@@ -33,11 +30,8 @@ class AlarmList:
     def rows(self) -> list[Row]:
         """The alarms, oldest first.
 
-        Returns
-        -------
-        list of dict
-            ``id``, ``sensor``, ``kind``, ``onset``, ``detected``, ``ended`` [s] (None while it
-            lasts), ``size``, ``bound`` [rad], ``confidence``.
+        Their fields are ``id``, ``sensor``, ``kind``, ``onset``, ``detected``, ``ended`` [s] (None
+        while it lasts), ``size`` and ``bound`` as of the event, ``confidence``.
         """
         return [dict(row) for row in self._rows]
 
@@ -68,10 +62,7 @@ class AlarmList:
         return last
 
     def follow(self, faults: Any) -> None:
-        """End alarms that the diagnosis no longer reports, e.g. after it was reset.
-
-        ``faults`` has the fields of lpv_msgs/FaultEstimate.
-        """
+        """End alarms that a lpv_msgs/FaultEstimate no longer has, e.g. after a reset."""
         stamp = _time(faults.header.stamp)
         for sensor, alarm in zip(faults.sensor_names, faults.alarm):
             row = self._open.get(sensor)

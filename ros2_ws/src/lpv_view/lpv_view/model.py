@@ -1,5 +1,6 @@
 """What the live view knows of the running graph, as plain values that JSON can carry."""
 
+import contextlib
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -33,6 +34,15 @@ _ARRAYS = {
     'reference': (),
 }
 """Fields that are shown and have one element for each joint, by source."""
+_CHARTS = {
+    'estimate': ('fault_estimate', 'estimate'),
+    'bound': ('fault_estimate', 'bound'),
+    'threshold': ('fault_estimate', 'threshold'),
+    'fault': ('ground_truth', 'fault'),
+    'torque': ('torque_command', 'torque'),
+    'tip': ('reference', 'tip_position'),
+}
+"""Source and field of what a sample of the charts has."""
 
 
 class LiveModel:
@@ -68,24 +78,17 @@ class LiveModel:
         self._received: dict[str, float] = {}  # steady times [s]
         self._history: deque[dict[str, Any]] = deque(maxlen=_MOST_SAMPLES)
         self._statuses: dict[str, dict[str, str]] = {}
+        self._stops: dict[str, Any] = {'count': 0, 'last': ''}  # safe stops of the tracker
+        self._stopped = -math.inf  # steady time of the last one [s]
         self._stamp: int | None = None
 
     def take(self, source: str, message: Any, now: float) -> None:
-        """Take one message.
-
-        Parameters
-        ----------
-        source : str
-            Topic name as in the documentation, e.g. ``state_estimate``.
-        message : Any
-            With the fields of the topic's message.
-        now : float
-            Steady time of reception [s].
-        """
+        """Take one message of a topic, as ``state_estimate``, received at a steady time [s]."""
         if source == 'fault_alarm':
             self.alarms.add(message)
         elif source == 'diagnostics':
-            self._take_statuses(message)
+            for status in message.status:
+                self._take_status(status, now)
         elif not self._fits(source, message):
             self.misfits += 1
         else:
@@ -99,19 +102,21 @@ class LiveModel:
             return False
         return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
-    def _take_statuses(self, message: Any) -> None:
-        for status in message.status:
-            level = _index(status.level)
-            if (
-                status.name not in self._statuses
-                and len(self._statuses) >= _MOST_STATUSES + self._joints
-            ):
-                continue
-            self._statuses[status.name[:_MOST_TEXT]] = {
-                'name': status.name[:_MOST_TEXT],
-                'level': _name(LEVELS, level),
-                'message': status.message[:_MOST_TEXT],
-            }
+    def _take_status(self, status: Any, now: float) -> None:
+        name, known = status.name[:_MOST_TEXT], self._statuses
+        if name not in known and len(known) >= _MOST_STATUSES + self._joints:
+            return
+        # A byte, which Python sees as bytes.
+        level = status.level[0] if isinstance(status.level, bytes) and status.level else 0
+        text = status.message[:_MOST_TEXT]
+        known[name] = {'name': name, 'level': _name(LEVELS, level), 'message': text}
+        values = {pair.key: pair.value for pair in status.values[:_MOST_STATUSES]}
+        count = values.get('safe stops', '')
+        if not (count.isascii() and count.isdigit() and len(count) < 10):
+            return
+        if int(count) > self._stops['count']:
+            self._stopped = now
+        self._stops = {'count': int(count), 'last': values.get('last safe stop', '')[:_MOST_TEXT]}
 
     def hello(self) -> dict[str, Any]:
         """First message to a client: constants of the arm, history and alarms."""
@@ -148,29 +153,29 @@ class LiveModel:
         Values are None where they are not known or not finite.
         """
         state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
+        fault, newest = (
+            self._latest.get('fault_estimate'),
+            max(self._received.values(), default=now),
+        )
         corners = {
             name: None if q is None else [_numbers(c, 4) for c in self._skeleton.corners(q)]
             for name, q in self.arms(now).items()
         }
-        result: dict[str, Any] = {
+        states = [None] * self._joints if fault is None else [_name(STATES, s) for s in fault.state]
+        return {
             'type': 'frame',
             'live': self._live(now),
             'services': dict(self.services),
-            'age': self._age(now),
+            'age': round(max(0.0, now - newest), 1) if self._received else None,
             'sample': self._sample(now),
             'arms': corners,
             'diagnostics': list(self._statuses.values()),
+            'mode': None if state is None else _name(MODES, state.mode),
+            'trustworthy': None if state is None else bool(state.trustworthy),
+            'safe_stop': None if command is None else bool(command.safe_stop),
+            'stops': {**self._stops, 'recent': now - self._stopped < WINDOW},
+            'states': states,
         }
-        result['mode'] = _name(MODES, state.mode) if state is not None else None
-        result['trustworthy'] = bool(state.trustworthy) if state is not None else None
-        result['safe_stop'] = bool(command.safe_stop) if command is not None else None
-        fault = self._latest.get('fault_estimate')
-        result['states'] = (
-            [_name(STATES, int(s)) for s in fault.state]
-            if fault is not None
-            else [None] * self._joints
-        )
-        return result
 
     def arms(self, now: float) -> dict[str, Any]:
         """Joint positions [rad], or None, of the arms to draw at a steady time [s].
@@ -181,11 +186,14 @@ class LiveModel:
         found = {
             'true': self._field('ground_truth', 'position', live),
             'estimated': self._field('state_estimate', 'position', live),
-            'measured': self._measured(live),
+            'measured': None,
         }
         state = self._latest.get('state_estimate')
         if state is not None and _name(MODES, state.mode) == 'NO_ESTIMATE':
             found['estimated'] = None
+        if live['joint_states']:
+            with contextlib.suppress(SampleError):
+                found['measured'] = _numbers(self._order.pick(self._latest['joint_states'])[0])
         return {name: q if q is not None and None not in q else None for name, q in found.items()}
 
     def stamp(self) -> int | None:
@@ -205,42 +213,17 @@ class LiveModel:
             name: name in self._received and now - self._received[name] < QUIET for name in _ARRAYS
         }
 
-    def _age(self, now: float) -> float | None:
-        newest = max(self._received.values(), default=None)
-        return None if newest is None else round(max(0.0, now - newest), 1)
-
     def _field(self, source: str, field: str, live: dict[str, bool]) -> Numbers | None:
         message = self._latest.get(source) if live[source] else None
         return None if message is None else _numbers(getattr(message, field))
-
-    def _measured(self, live: dict[str, bool]) -> Numbers | None:
-        message = self._latest.get('joint_states') if live['joint_states'] else None
-        if message is None:
-            return None
-        try:
-            return _numbers(self._order.pick(message)[0])
-        except SampleError:
-            return None
 
     def _sample(self, now: float) -> dict[str, Any]:
         """One point of the charts; enters the history when time has gone on."""
         live = self._live(now)
         stamp = self.stamp()
-        fields = (
-            ('estimate', 'fault_estimate', 'estimate'),
-            ('bound', 'fault_estimate', 'bound'),
-            ('threshold', 'fault_estimate', 'threshold'),
-            ('fault', 'ground_truth', 'fault'),
-            ('torque', 'torque_command', 'torque'),
-            ('tip', 'reference', 'tip_position'),
-        )
-        sample: dict[str, Any] = {'t': seconds(stamp) if stamp is not None else None}
-        sample.update(
-            {
-                name: self._field(source, field, live) or [None] * self._joints
-                for name, source, field in fields
-            }
-        )
+        sample: dict[str, Any] = {'t': None if stamp is None else seconds(stamp)}
+        for name, (source, field) in _CHARTS.items():
+            sample[name] = self._field(source, field, live) or [None] * self._joints
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
                 self._history.clear()  # time restarted
@@ -253,16 +236,8 @@ class LiveModel:
 
 def _stamp(message: Any) -> int:
     # Within what a stamp can hold, whatever a sender wrote.
-    return min(_LAST_STAMP, max(0, _sent(message)))
-
-
-def _sent(message: Any) -> int:
-    return message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
-
-
-def _index(level: bytes | int) -> int:
-    """diagnostic_msgs/DiagnosticStatus.level is a byte, which Python sees as bytes."""
-    return level[0] if isinstance(level, (bytes, bytearray)) and level else int(level or 0)
+    sent = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+    return min(_LAST_STAMP, max(0, sent))
 
 
 def _name(names: Sequence[str], index: int) -> str:

@@ -17,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
 from lpv_core.export.urdf import arm_urdf
+from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import load_scenario
@@ -25,9 +26,9 @@ from lpv_core.support.timestamps import NANOSECONDS
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
 from lpv_node.parameters import fixed, named_file
+from lpv_node.status import OK, WARN, StatusReporter
 from lpv_view.access import Access
-from lpv_view.foxglove_bridge import BAND, FoxgloveBridge, sdk_is_installed
-from lpv_view.foxglove_gate import gate
+from lpv_view.foxglove_bridge import BAND, FoxgloveBridge, gate, sdk_is_installed
 from lpv_view.model import LiveModel
 from lpv_view.requests import Requests
 from lpv_view.scene import MARKERS, TRANSFORMS, Scene
@@ -71,9 +72,9 @@ class ViewNode(ManagedNode):
 
     Topics: subscribes all that the graph publishes, the ground truth included, but only looks;
     publishes ``arm_markers`` (visualization_msgs/MarkerArray), ``robot_description`` and
-    ``true_robot_description`` (std_msgs/String, latched) and, where tf2_msgs is installed, ``/tf``
-    with the frames ``true/...`` and ``estimated/...``.  Calls ``arm_sim/inject_fault``,
-    ``arm_sim/clear_faults`` and ``uio/reset`` when a button is pressed.
+    ``true_robot_description`` (std_msgs/String, latched), ``/diagnostics`` and, where tf2_msgs
+    is installed, ``/tf`` with the frames ``true/...`` and ``estimated/...``.  Calls
+    ``arm_sim/inject_fault``, ``arm_sim/clear_faults`` and ``uio/reset`` for the buttons.
     """
 
     # What a start that fails leaves behind; the parameters are checked before anything is made.
@@ -102,20 +103,15 @@ class ViewNode(ManagedNode):
         self._ticks, self._alarms_due = 0, 0.0
         self._stamp: int | None = None
         self._requests, self._refusals = Requests(self), Refusals(self)
+        self._status = StatusReporter(self, 'page', arm.name)
         self._create_publishers()
         self._open(arm, self._requests)
         self._describe(arm)
         bridge = self._foxglove
         period = 1.0 / self.get_parameter('foxglove_rate').value
-        self._inboxes = [
-            Inbox(
-                topic,
-                self._forwarder(bridge, topic) if bridge else None,
-                period,
-                self._refusals.add,
-            )
-            for topic in TOPICS
-        ]
+        forward = [self._forwarder(bridge, topic) if bridge else None for topic in TOPICS]
+        refuse = self._refusals.add
+        self._inboxes = [Inbox(*pair, period, refuse) for pair in zip(TOPICS, forward)]
         self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
 
     def _create_publishers(self) -> None:
@@ -124,17 +120,14 @@ class ViewNode(ManagedNode):
             name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
             for name in _DESCRIPTIONS
         }
-        self._outputs['arm_markers'] = (
-            self.create_publisher(MarkerArray, 'arm_markers', 1),
-            MARKERS,
-        )
+        self._outputs['arm_markers'] = self.create_publisher(MarkerArray, 'arm_markers', 1), MARKERS
+        self._outputs['/tf'] = None, TRANSFORMS
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             self.get_logger().info('tf2_msgs is not installed: /tf goes to Foxglove only')
-            self._outputs['/tf'] = (None, TRANSFORMS)
         else:
-            self._outputs['/tf'] = (self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS)
+            self._outputs['/tf'] = self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS
 
     def _open(self, arm: Arm, requests: Requests) -> None:
         """Open the ports; says once where they are."""
@@ -150,13 +143,8 @@ class ViewNode(ManagedNode):
                 f'lpv {self.get_namespace()}', self._forwarded(), self.resolve_topic_name(BAND)
             )
             origins = Access(address, '', value['hosts'], value['foxglove_origins'])
-            sites.append(
-                (
-                    gate(origins, self._foxglove.address, self._foxglove.port),
-                    address,
-                    value['foxglove_port'],
-                )
-            )
+            door = gate(origins, self._foxglove.address, self._foxglove.port)
+            sites.append((door, address, value['foxglove_port']))
         ports = self._server.start(sites)
         shown = socket.gethostname() if address in ('0.0.0.0', '::') else address
         shown = f'[{shown}]' if ':' in shown else shown
@@ -198,29 +186,25 @@ class ViewNode(ManagedNode):
         return forward
 
     def _describe(self, arm: Arm) -> None:
-        descriptions = []
-        if isinstance(arm, SerialArm):
-            self._describe_serial(arm)
-            return
-        for colours in ((), (_GREEN,)):
-            try:
-                descriptions.append(arm_urdf(arm, True, *colours))
-            except ConfigError as error:
-                self.get_logger().warning(f'robot description without inertias: {error}')
-                descriptions.append(arm_urdf(arm, False, *colours))
+        """Robot descriptions: of the arm file, or the URDF that it names, if there is one."""
+        try:
+            if isinstance(arm, SerialArm):
+                text = urdf_text(arm, self._arm_file)
+                descriptions = [text] * len(_DESCRIPTIONS)
+            else:
+                descriptions = [self._urdf(arm), self._urdf(arm, _GREEN)]
+        except ConfigError as error:
+            self.get_logger().info(f'no robot description is published: {error}')
+            descriptions = []
         self._described = [self._scene.text(text) for text in descriptions]
         self._describe_again()
 
-    def _describe_serial(self, arm: SerialArm) -> None:
-        """The URDF of the arm file, for both descriptions; none where there is no such file."""
+    def _urdf(self, arm: ArmParameters, *colours: tuple[str, ...]) -> str:
         try:
-            text = urdf_text(arm, self._arm_file)
+            return arm_urdf(arm, True, *colours)
         except ConfigError as error:
-            self.get_logger().info(f'no robot description is published: {error}')
-            self._described = []
-            return
-        self._described = [self._scene.text(text)] * len(_DESCRIPTIONS)
-        self._describe_again()
+            self.get_logger().warning(f'robot description without inertias: {error}')
+            return arm_urdf(arm, False, *colours)
 
     def _describe_again(self) -> None:
         for name, data in zip(_DESCRIPTIONS, self._described):
@@ -274,11 +258,7 @@ class ViewNode(ManagedNode):
         if every_second:
             self._model.services = self._requests.available()
         frame = self._model.frame(now)
-        if self._refusals.is_recent:
-            count = sum(self._refusals.counts.values())
-            frame['diagnostics'].append(
-                {'name': self.get_name(), 'level': 'WARN', 'message': f'{count} messages refused'}
-            )
+        self._report()
         # In a storm of alarms, no client is to drown in lists.
         if self._model.alarms.changed and now >= self._alarms_due:
             self._model.alarms.changed, self._alarms_due = False, now + _ALARM_INTERVAL
@@ -287,6 +267,14 @@ class ViewNode(ManagedNode):
             self._server.welcome(self._model.hello())
         self._server.frame(frame)
         self._publish_arms(self._model.arms(now), frame['sample'], every_second)
+
+    def _report(self) -> None:
+        """The node's own status, once a second of the graph's time, which may be simulated."""
+        clients = len(self._server.clients) if self._server is not None else 0
+        count, refused = sum(self._refusals.counts.values()), self._refusals.is_recent
+        status = (WARN, f'{count} messages refused') if refused else (OK, 'page is served')
+        values = {'pages': clients, **self._refusals.counts}
+        self._status.report(self._model.stamp() or 0, *status, lambda: values)
 
     def _publish_arms(self, arms: dict[str, Any], sample: dict[str, Any], with_path: bool) -> None:
         stamp = self._model.stamp()

@@ -18,13 +18,7 @@ _MOST = 8
 
 
 class Requests:
-    """Calls the services of simulator and observer on behalf of the page.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owns the clients.
-    """
+    """Calls the services of simulator and observer on behalf of the page, by a node's clients."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -55,9 +49,9 @@ class Requests:
         waiting = []
         for client, future, reply, deadline in self._pending:
             if future.done():
-                answer, error = future.result(), future.exception()
+                answer = future.result()
                 if answer is None:
-                    reply(False, str(error))
+                    reply(False, str(future.exception()))
                 else:
                     reply(answer.success, answer.message)
             elif time.monotonic() > deadline:

@@ -2,23 +2,27 @@
 
 import asyncio
 import contextlib
+import json
+import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from importlib import resources
 from typing import Any
 
 from aiohttp import WSMsgType, web
+from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler, Middleware
 
 from lpv_core.support.errors import ConfigError
 from lpv_view.access import Access
 from lpv_view.commands import Command, CommandError, Reply, parse_command
-from lpv_view.hub import Client, Hub, encode
-from lpv_view.request_log import request_logger
 
 LARGEST_MESSAGE = 4096
 """Largest message of a client [byte]."""
+HEARTBEAT = 6.0
+"""Interval of pings; a client that answers none for half of it loses its place [s]."""
 _MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
 _MOST_RATE, _BURST = 10.0, 30.0
 """Messages of one client [1/s], and how many at once."""
@@ -31,6 +35,10 @@ _FILES = {
         for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')
     },
 }
+_MOST_WAITING = 64
+"""A client with more messages waiting than this is dropped; frames do not count."""
+_LONGEST_SEND = 10.0
+"""A client that takes no data for this long is dropped [s]."""
 HEADERS = {
     'Content-Security-Policy': "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -43,6 +51,67 @@ HEADERS = {
     'Cross-Origin-Resource-Policy': 'same-origin',
     'Server': 'lpv_view',
 }
+
+
+def encode(message: dict[str, Any]) -> str:
+    """One message as JSON; refuses NaN, which JSON does not have."""
+    return json.dumps(message, separators=(',', ':'), allow_nan=False)
+
+
+class Client:
+    """One open WebSocket.
+
+    Frames replace each other while the client is slow; other messages wait in a bounded queue.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse) -> None:
+        self._socket = socket
+        self._waiting: deque[str] = deque()
+        self._frame: str | None = None
+        self._wake = asyncio.Event()
+        self.granted = self.welcomed = self.lost = self._ending = False
+        self.wrong_tokens = 0
+
+    def put(self, text: str) -> None:
+        """Queue a message that must arrive, or give the client up."""
+        if len(self._waiting) >= _MOST_WAITING:
+            self.close()
+        self._waiting.append(text)
+        self._wake.set()
+
+    def put_frame(self, text: str) -> None:
+        """Put the newest frame in place of one that was not sent yet."""
+        if self.welcomed:
+            self._frame = text
+            self._wake.set()
+
+    def close(self) -> None:
+        """Give the client up."""
+        self.lost = True
+        self._wake.set()
+
+    def finish(self) -> None:
+        """Send what must arrive, then no more."""
+        self._ending, self._frame = True, None
+        self._wake.set()
+
+    async def write(self) -> None:
+        """Send what is queued until the client is lost or all is said."""
+        while not self.lost and not self._socket.closed:
+            if self._ending and not self._waiting:
+                return
+            await self._wake.wait()
+            self._wake.clear()
+            while not self.lost and (self._waiting or self._frame):
+                if self._waiting:
+                    text = self._waiting.popleft()
+                else:
+                    text, self._frame = self._frame or '', None
+                try:
+                    await asyncio.wait_for(self._socket.send_str(text), _LONGEST_SEND)
+                # Python 3.10 has two kinds of time-out.
+                except (asyncio.TimeoutError, ConnectionError, RuntimeError):  # noqa: UP041
+                    self.lost = True
 
 
 class ViewServer:
@@ -59,8 +128,8 @@ class ViewServer:
     submit : callable
         Called in the server's thread with a `Command` and a function ``reply(ok, text)`` that may
         be called once, from any thread; returns False if it can take no more commands now.
-    max_clients : int, optional
-        More are refused.
+    max_clients, heartbeat : int, float, optional
+        More are refused; see `HEARTBEAT`.
     """
 
     def __init__(
@@ -69,32 +138,23 @@ class ViewServer:
         sensors: Sequence[str],
         submit: Callable[[Command, Reply], bool],
         max_clients: int = 16,
+        heartbeat: float = HEARTBEAT,
     ) -> None:
         self._access, self._sensors, self._submit = access, tuple(sensors), submit
-        self._max_clients = max_clients
-        self._hub = Hub()
-        self._pages = _load_pages()
+        self._max_clients, self._heartbeat = max_clients, heartbeat
+        self.clients: set[Client] = set()  # changed in the server's thread
+        folder = resources.files('lpv_view') / 'static'
+        self._pages = {
+            path: ((folder / name).read_bytes(), t) for path, (name, t) in _FILES.items()
+        }
         self._loop = asyncio.new_event_loop()
         self._runners: list[web.AppRunner] = []
         self._thread: threading.Thread | None = None
 
     def start(self, sites: Sequence[tuple[Any, ...]]) -> list[int]:
-        """Open the ports and start serving.
+        """Open ports, ``(application, address, port)``, and serve; port 0 takes a free one.
 
-        Parameters
-        ----------
-        sites : sequence of tuple
-            ``(application, address, port)``; port 0 takes a free one.
-
-        Returns
-        -------
-        list of int
-            The ports.
-
-        Raises
-        ------
-        ConfigError
-            If a port cannot be had.
+        Returns the ports; ConfigError if one cannot be had.
         """
         try:
             ports = [self._loop.run_until_complete(self._open(*site)) for site in sites]
@@ -107,25 +167,17 @@ class ViewServer:
         return ports
 
     async def _open(self, application: web.Application, address: str, port: int) -> int:
-        runner = web.AppRunner(
-            application,
-            access_log=None,
-            logger=request_logger(),
-            handle_signals=False,
-            shutdown_timeout=1.0,
-        )
+        options: dict[str, Any] = {'access_log': None, 'handle_signals': False}
+        runner = web.AppRunner(application, logger=_logger(), shutdown_timeout=1.0, **options)
         await runner.setup()
         self._runners.append(runner)
         try:
-            await web.TCPSite(
-                runner, '127.0.0.1' if address == 'localhost' else address, port
-            ).start()
+            host = '127.0.0.1' if address == 'localhost' else address
+            await web.TCPSite(runner, host, port).start()
         except (OSError, OverflowError) as error:
-            raise ConfigError(
-                'port',
-                f'cannot listen on {address}, port {port}: '
-                f'{getattr(error, "strerror", None) or error}',
-            ) from error
+            reason = getattr(error, 'strerror', None) or error
+            text = f'cannot listen on {address}, port {port}: {reason}'
+            raise ConfigError('port', text) from error
         return runner.addresses[0][1]
 
     def _run(self) -> None:
@@ -135,7 +187,7 @@ class ViewServer:
         self._loop.close()
 
     async def _close(self) -> None:
-        for client in self._hub.clients:
+        for client in self.clients:
             client.close()
         for runner in self._runners:
             await runner.cleanup()
@@ -158,19 +210,35 @@ class ViewServer:
     @property
     def newcomers(self) -> bool:
         """Whether a client waits for its first message; see `welcome`."""
-        return self._hub.newcomers
+        return any(not client.welcomed for client in tuple(self.clients))
 
     def welcome(self, hello: dict[str, Any]) -> None:
         """Send new clients their first message: they get frames from then on."""
-        self._call(self._hub.welcome, {**hello, 'token_needed': bool(self._access.token)})
+
+        def send(text: str) -> None:
+            for client in self.clients:
+                if not client.welcomed:
+                    client.put(text)
+                    client.welcomed = True
+
+        self._call(send, encode({**hello, 'token_needed': bool(self._access.token)}))
 
     def frame(self, message: dict[str, Any]) -> None:
         """Send a frame to all clients; those that are slow skip some."""
-        self._call(self._hub.frame, message)
+        self._send(Client.put_frame, message)
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message to all clients that none of them may miss."""
-        self._call(self._hub.tell, message)
+        self._send(Client.put, message)
+
+    def _send(self, put: Callable[[Client, str], None], message: dict[str, Any]) -> None:
+        def send(text: str) -> None:
+            for client in self.clients:
+                if client.welcomed:
+                    put(client, text)
+
+        if self.clients:
+            self._call(send, encode(message))
 
     def _call(self, function: Callable[..., None], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # closed meanwhile
@@ -181,21 +249,21 @@ class ViewServer:
         return web.Response(body=body, content_type=kind, charset='utf-8')
 
     async def _on_socket(self, request: web.Request) -> web.WebSocketResponse:
-        if len(self._hub.clients) >= self._max_clients:
+        if len(self.clients) >= self._max_clients:
             raise web.HTTPServiceUnavailable(text='too many clients')
         socket = web.WebSocketResponse(
-            max_msg_size=LARGEST_MESSAGE, heartbeat=20.0, compress=False, timeout=2.0
+            max_msg_size=LARGEST_MESSAGE, heartbeat=self._heartbeat, compress=False, timeout=2.0
         )
         await socket.prepare(request)
         client = Client(socket)
         client.granted = not self._access.token
-        self._hub.clients.add(client)
+        self.clients.add(client)
         writer = asyncio.ensure_future(client.write())
         reader = asyncio.ensure_future(self._read(socket, client))
         try:
             await asyncio.wait((writer, reader), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._hub.clients.discard(client)
+            self.clients.discard(client)
             client.finish()
             await asyncio.wait((writer,), timeout=1.0)
             # Until Python 3.12 a cancelled wait_for may go on: the flag ends it in any case.
@@ -208,48 +276,44 @@ class ViewServer:
         return socket
 
     async def _read(self, socket: web.WebSocketResponse, client: Client) -> None:
-        allowance, last = _BURST, time.monotonic()
+        allowance, last, refusal = _BURST, time.monotonic(), ''
         async for message in socket:
             now = time.monotonic()
             allowance, last = min(_BURST, allowance + (now - last) * _MOST_RATE) - 1.0, now
-            if allowance < 0.0:
-                client.put(encode({'type': 'error', 'message': 'too many messages'}))
-                return
-            if message.type != WSMsgType.TEXT:
-                client.put(encode({'type': 'error', 'message': 'text messages only'}))
-                continue
             try:
+                if allowance < 0.0:
+                    refusal = 'too many messages'
+                    raise CommandError(refusal)
+                if message.type != WSMsgType.TEXT:
+                    raise CommandError('text messages only')
                 command = parse_command(message.data, self._sensors)
             except CommandError as error:
                 client.put(encode({'type': 'error', 'message': str(error)}))
+                if refusal:
+                    return
                 continue
             if not await self._obey(client, command):
                 return
 
     async def _obey(self, client: Client, command: Command) -> bool:
         """Carry a command out; False ends the connection."""
-        if command.name == 'token':
-            return await self._on_token(client, command)
-        if not client.granted:
-            client.put(_reply(command, False, 'the token is needed for this'))
-            return True
+        answer = {'type': 'reply', 'id': command.number, 'command': command.name}
 
         def reply(ok: bool, text: str) -> None:
-            self._call(client.put, _reply(command, ok, text))
+            self._call(client.put, encode({**answer, 'ok': ok, 'message': text}))
 
-        if not self._submit(command, reply):
-            client.put(_reply(command, False, 'busy with earlier commands: try again'))
+        if command.name == 'token':
+            client.granted = self._access.accepts(command.fields['token'])
+            if not client.granted:
+                client.wrong_tokens += 1
+                await asyncio.sleep(_WRONG_TOKEN_DELAY)
+            reply(client.granted, 'token accepted' if client.granted else 'this is not the token')
+            return client.wrong_tokens < _MOST_WRONG_TOKENS
+        if not client.granted:
+            reply(False, 'the token is needed for this')
+        elif not self._submit(command, reply):
+            reply(False, 'busy with earlier commands: try again')
         return True
-
-    async def _on_token(self, client: Client, command: Command) -> bool:
-        client.granted = self._access.accepts(command.fields['token'])
-        if client.granted:
-            client.put(_reply(command, True, 'token accepted'))
-            return True
-        client.wrong_tokens += 1
-        await asyncio.sleep(_WRONG_TOKEN_DELAY)
-        client.put(_reply(command, False, 'this is not the token'))
-        return client.wrong_tokens < _MOST_WRONG_TOKENS
 
 
 def guard(access: Access) -> Middleware:
@@ -272,12 +336,10 @@ def guard(access: Access) -> Middleware:
     return middleware
 
 
-def _reply(command: Command, ok: bool, text: str) -> str:
-    return encode(
-        {'type': 'reply', 'id': command.number, 'command': command.name, 'ok': ok, 'message': text}
-    )
-
-
-def _load_pages() -> dict[str, tuple[bytes, str]]:
-    folder = resources.files('lpv_view') / 'static'
-    return {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}
+def _logger() -> logging.Logger:
+    """A logger without what is sent here that is no HTTP, which aiohttp logs with a traceback."""
+    logger = logging.getLogger('lpv_view.requests')
+    logger.filters = [
+        lambda record: not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
+    ]
+    return logger

@@ -17,18 +17,7 @@ _LARGEST_URDF = 4 << 20
 
 
 class Skeleton:
-    """Corners of an arm: base, joints, tip.
-
-    Parameters
-    ----------
-    arm : ArmParameters or SerialArm
-        The arm.
-
-    Attributes
-    ----------
-    reach : float
-        Length of the stretched arm [m].
-    """
+    """Corners of an arm: base, joints, tip; ``reach`` is the length of the stretched arm [m]."""
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
@@ -40,17 +29,9 @@ class Skeleton:
             self.reach = float(sum(arm.lengths))
 
     def corners(self, q: list[float]) -> np.ndarray:
-        """Positions of base, joints and tip.
+        """Positions of base, joints and tip at joint positions [rad].
 
-        Parameters
-        ----------
-        q : list of float
-            Joint positions [rad].
-
-        Returns
-        -------
-        ndarray, shape (k, 2) or (k, 3)
-            Of a two-link arm in its plane, x and up; of others x, y, z with z up [m].
+        Shape (k, 2) of a two-link arm, in its plane, x and up; (k, 3) of others, z up [m].
         """
         if isinstance(self._arm, ArmParameters):
             return np.vstack([np.zeros((1, 2)), points(self._arm, np.array(q))])

@@ -10,14 +10,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from lpv_msgs.msg import (
-    FaultAlarm,
-    FaultEstimate,
-    GroundTruth,
-    JointReference,
-    StateEstimate,
-    TorqueCommand,
-)
+from lpv_msgs import msg
 from lpv_node.qos import latched
 
 _SHORTEST = 16
@@ -46,12 +39,12 @@ class Topic:
 
 TOPICS = (
     Topic('joint_states', JointState),
-    Topic('state_estimate', StateEstimate),
-    Topic('fault_estimate', FaultEstimate),
-    Topic('torque_command', TorqueCommand),
-    Topic('reference', JointReference),
-    Topic('ground_truth', GroundTruth),
-    Topic('fault_alarm', FaultAlarm, latched(), every=True),
+    Topic('state_estimate', msg.StateEstimate),
+    Topic('fault_estimate', msg.FaultEstimate),
+    Topic('torque_command', msg.TorqueCommand),
+    Topic('reference', msg.JointReference),
+    Topic('ground_truth', msg.GroundTruth),
+    Topic('fault_alarm', msg.FaultAlarm, latched(), every=True),
     Topic('/diagnostics', DiagnosticArray, QoSProfile(depth=10), every=True),
 )
 
@@ -60,17 +53,8 @@ class Inbox:
     """Keeps the latest bytes of a topic, and passes some of them on at once.
 
     Messages of fast topics are not deserialised when they come: most of them are never looked at.
-
-    Parameters
-    ----------
-    topic : Topic
-        The topic.
-    forward : callable or None
-        Called with the bytes of a message.
-    period : float
-        Shortest time between two that are forwarded, unless every one counts [s].
-    refuse : callable
-        Called with the reason for which a message is ignored.
+    ``forward``, if there is one, gets messages at most every ``period`` [s] unless every one
+    counts; ``refuse`` gets the reason for which a message is ignored.
     """
 
     def __init__(
@@ -91,11 +75,7 @@ class Inbox:
         if len(data) < _SHORTEST:
             self._refuse(f'bytes on {self.topic.name} that are no message')
             return
-        if self.topic.every:
-            self._waiting.append((now, data))
-            del self._waiting[:-100]
-        else:
-            self._waiting = [(now, data)]
+        self._waiting = [*(self._waiting[-99:] if self.topic.every else ()), (now, data)]
         if self._forward is not None and (self.topic.every or now >= self._due):
             self._due = max(self._due + self._period, now - self._period)
             self._forward(data)

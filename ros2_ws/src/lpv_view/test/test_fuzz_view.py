@@ -9,12 +9,13 @@ pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one'
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
 pytest.importorskip('lpv_view', reason='the workspace is not built')
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from fuzzing import peak_memory  # noqa: E402
-from hostile import Refused, damaged_bytes, forge, node_of, run_cases, set_parameters, sized  # noqa: E402
+from hostile import Output, Refused, damaged_bytes, forge, node_of, run_cases, set_parameters, sized  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
-from lpv_view.hub import encode  # noqa: E402
 from lpv_view.node import ViewNode  # noqa: E402
+from lpv_view.server import encode  # noqa: E402
 from lpv_view.topics import Inbox  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
@@ -113,3 +114,11 @@ def test_given_damaged_bytes_when_shown_then_they_are_refused_or_shown_and_good_
 def test_given_hostile_parameters_when_set_then_the_view_goes_on(view):
     assert run_cases(100, lambda rng: set_parameters(view.node, rng)).refused
     assert view.is_live()
+
+
+def test_given_a_simulated_time_when_the_view_reports_itself_then_it_is_of_that_time(view):
+    """A status of the wall clock would look as if the graph's time had restarted."""
+    reports = view.node._status.publisher = Output(DiagnosticArray)
+    assert view.is_live()
+    assert 'view: page' in reports.last.status[0].name
+    assert 0 < reports.last.header.stamp.sec < 10

@@ -16,8 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E
 
 from lpv_bag.rosbag.interfaces import make_typestore  # noqa: E402
 from lpv_view.access import Access  # noqa: E402
-from lpv_view.foxglove_bridge import FoxgloveBridge  # noqa: E402
-from lpv_view.foxglove_gate import gate  # noqa: E402
+from lpv_view.foxglove_bridge import FoxgloveBridge, gate  # noqa: E402
 from lpv_view.scene import MARKERS, TRANSFORMS, Scene  # noqa: E402
 from lpv_view.server import ViewServer  # noqa: E402
 

@@ -161,12 +161,30 @@ def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then
 def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(paper_arm):
     model = LiveModel(paper_arm)
     for k in range(100):
-        status = SimpleNamespace(name=f'node {k}' * 100, level=bytes([k % 4]), message='m' * 9999)
+        status = SimpleNamespace(
+            name=f'node {k}' * 100, level=bytes([k % 4]), message='m' * 9999, values=[]
+        )
         model.take('diagnostics', SimpleNamespace(status=[status]), 0.0)
     shown = model.frame(0.0)['diagnostics']
     assert 0 < len(shown) <= 16
     assert all(len(s['message']) <= 300 and len(s['name']) <= 300 for s in shown)
     assert [s['level'] for s in shown[:4]] == ['OK', 'WARN', 'ERROR', 'STALE']
+
+
+def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(paper_arm):
+    def report(model, now, **values):
+        pairs = [SimpleNamespace(key=k.replace('_', ' '), value=v) for k, v in values.items()]
+        status = SimpleNamespace(name='tracking', level=b'\2', message='m', values=pairs)
+        model.take('diagnostics', SimpleNamespace(status=[status]), now)
+        return model.frame(now)['stops']
+
+    model = LiveModel(paper_arm)
+    assert model.frame(0.0)['stops'] == {'count': 0, 'last': '', 'recent': False}
+    stops = report(model, 1.0, safe_stops='22', last_safe_stop='estimates come too late')
+    assert stops == {'count': 22, 'last': 'estimates come too late', 'recent': True}
+    assert not report(model, 2.0 + WINDOW, safe_stops='22', last_safe_stop='x')['recent']
+    for odd in ('-1', '', 'x', '9' * 99, '\u00b2'):
+        assert report(model, 40.0, safe_stops=odd)['count'] == 22
 
 
 def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():

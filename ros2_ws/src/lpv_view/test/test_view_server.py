@@ -281,7 +281,7 @@ def test_given_a_client_that_reads_nothing_when_frames_are_sent_then_nobody_wait
         served.welcome()
         frame = served.model.frame(0.0)
         big = {**frame, 'pad': 'x' * 100_000}
-        (client,) = served.server._hub.clients
+        (client,) = served.server.clients
         waited, stuck = 0.0, 0
         for _ in range(600):
             start = time.monotonic()
@@ -321,3 +321,23 @@ def test_given_a_port_that_is_taken_when_started_then_the_error_names_it(paper_a
         served.server.stop()
         served.server.stop()
         served.server.frame({})
+
+
+def test_given_silent_sockets_in_all_places_when_time_passes_then_others_get_in(paper_arm):
+    handshake = (
+        'GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n'
+        'Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n'
+    )
+    with serve(paper_arm, max_clients=3, heartbeat=0.4) as served:
+        silent = [socket.create_connection(('127.0.0.1', served.port)) for _ in range(3)]
+        for one in silent:
+            one.sendall(handshake.encode())
+            assert b'101' in one.recv(20)
+        with pytest.raises(aiohttp.WSServerHandshakeError):
+            talk(served, [INJECT])
+        deadline = time.monotonic() + 60.0
+        while served.server.clients and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert talk(served, [INJECT])[0]['ok']
+        for one in silent:
+            one.close()

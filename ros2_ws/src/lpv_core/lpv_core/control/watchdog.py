@@ -7,6 +7,7 @@ The nodes and the closed-loop simulation run the same functions.
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,10 @@ class StopReason(IntEnum):
     NOT_TRUSTWORTHY = 3
     UNUSABLE = 4
     NOT_FOLLOWING = 5
-    OVERSPEED = 6  # from here on: latched until reset
+    OVERSPEED = 6  # latched until reset, as the next
     TRACKING_ERROR = 7
+    MOVING = 8
+    CORRECTION_LOST = 9  # latched until reset
 
 
 STOP_TEXT = {
@@ -39,12 +42,16 @@ STOP_TEXT = {
     StopReason.NOT_TRUSTWORTHY: 'the estimate is not trustworthy',
     StopReason.UNUSABLE: 'measurements cannot be used',
     StopReason.NOT_FOLLOWING: 'the arm does not follow: commands do not reach it, or it is braked',
-    StopReason.OVERSPEED: 'a joint is faster than its velocity limit',
-    StopReason.TRACKING_ERROR: 'the arm is further from its reference than the model explains',
+    StopReason.OVERSPEED: 'overspeed: a joint is faster than max_speed allows',
+    StopReason.TRACKING_ERROR: 'deviation: a joint is further from its reference than '
+    'max_tracking_error',
+    StopReason.MOVING: 'the arm is still moving: it starts from rest',
+    StopReason.CORRECTION_LOST: 'a confirmed fault was forgotten while no estimates came',
 }
 _NONE, _SILENCE, _LATENCY, _NOT_TRUSTWORTHY, _UNUSABLE, _NOT_FOLLOWING, _OVERSPEED, _ERROR = (
-    int(reason) for reason in StopReason
+    int(reason) for reason in tuple(StopReason)[:8]
 )
+_MOVING = int(StopReason.MOVING)
 
 
 class BrakeReason(IntEnum):
@@ -116,7 +123,8 @@ class TrackerLimits:
     silence: float = UNKNOWN_LOOP.single  # between estimates [s]
     latency: LatencyLimits = UNKNOWN_LOOP
     unusable: float = 0.05  # without a usable measurement [s]
-    overspeed: float = 0.02  # above the velocity limit [s]
+    overspeed: float = 0.02  # above the allowed speed [s]
+    speed: float = 0.7  # allowed share of the velocity limit
     tracking_error: float = 0.5  # of a joint [rad]
     error_time: float = 0.05  # with a larger one [s]
 
@@ -129,6 +137,8 @@ class DriveLimits:
     overspeed: float = 0.02  # above the velocity limit [s]
 
 
+_REST_SHARE = 0.1
+"""Share of the velocity limit up to which an arm counts as resting."""
 MEAN_TIME = 0.1
 """Time constant of mean latencies [s]."""
 _SHORTEST_STOP = 200_000_000
@@ -150,12 +160,14 @@ def tracker_watchdog_type(joints: int) -> np.dtype:
         ('error_time', 'i8'),
         ('mean_latency', 'f8'),  # [ns]
         ('tracking_error', 'f8'),  # [rad]
-        ('velocity_limit', 'f8', (joints,)),  # of the arm file [rad/s]
+        ('speed_limit', 'f8', (joints,)),  # share of the arm file's velocity limit [rad/s]
+        ('rest', 'f8', (joints,)),  # rate below which a joint rests [rad/s]
         ('share', 'f8'),  # of the newest latency in the mean
         ('mean_age', 'f8'),  # [ns]
         ('late', 'i8'),  # stamp of the last estimate that was late on average, or NEVER
         ('usable', 'i8'),  # stamp of the last usable measurement, or NEVER
-        ('in_speed', 'i8'),  # stamp of the last estimate within the speed limits, or NEVER
+        # stamp at which each joint was last not too fast, backwards and forwards, or NEVER
+        ('in_speed', 'i8', (2, joints)),
         ('in_reach', 'i8'),  # stamp of the last tracking error within its limit, or NEVER
         ('latched', 'i8'),  # reason that lasts until reset
         ('started', '?'),  # whether there was a reference since the last stop
@@ -191,7 +203,8 @@ def tracker_watchdog(arm: Arm, limits: TrackerLimits) -> np.record:
         overspeed=_nanoseconds(limits.overspeed),
         error_time=_nanoseconds(limits.error_time),
         tracking_error=limits.tracking_error,
-        velocity_limit=arm.velocity_limit,
+        speed_limit=limits.speed * np.array(arm.velocity_limit),
+        rest=_REST_SHARE * np.array(arm.velocity_limit),
         share=_share(arm),
         late=NEVER,
         usable=NEVER,
@@ -224,7 +237,13 @@ def _nanoseconds(seconds: float) -> int:
 
 @njit
 def check_estimate(
-    dog: np.record, stamp: int, latency: int, mode: int, trustworthy: bool, velocity: np.ndarray
+    dog: np.record,
+    stamp: int,
+    latency: int,
+    mode: int,
+    trustworthy: bool,
+    velocity: np.ndarray,
+    measured_velocity: np.ndarray,
 ) -> int:
     """Judge an estimate before it is answered; returns a `StopReason`.
 
@@ -234,22 +253,44 @@ def check_estimate(
         Of `tracker_watchdog`.
     stamp, latency : int
         Of the measurement; time from it until now, 0 where it is not known [ns].
-    mode, trustworthy, velocity
+    mode, trustworthy, velocity, measured_velocity
         Fields of lpv_msgs/StateEstimate.
     """
     if mode != _STALE and mode != _NO_ESTIMATE:
         dog.usable = stamp
-        if not _is_too_fast(velocity, dog.velocity_limit):
-            dog.in_speed = stamp
-        elif dog.in_speed == NEVER or stamp - dog.in_speed > dog.overspeed:
-            dog.latched = _OVERSPEED
+        _check_speed(dog, stamp, velocity, measured_velocity)
     if dog.latched != _NONE:
         return dog.latched
     if not trustworthy:
         return _NOT_TRUSTWORTHY
     if dog.usable == NEVER or stamp - dog.usable > dog.unusable:
         return _UNUSABLE
-    return _LATENCY if _is_late(dog, stamp, latency) else _NONE
+    if _is_late(dog, stamp, latency):
+        return _LATENCY
+    for i in range(velocity.shape[0]):
+        if not (dog.started or abs(measured_velocity[i]) <= dog.rest[i]):
+            return _MOVING
+    return _NONE
+
+
+@njit
+def _check_speed(
+    dog: np.record, stamp: int, velocity: np.ndarray, measured_velocity: np.ndarray
+) -> None:
+    """Latch overspeed of a joint, estimated or measured, that lasts in one direction.
+
+    The noise of rates that are derived from a faulty encoder changes its sign all the time.
+    """
+    for i in range(velocity.shape[0]):
+        limit, since = dog.speed_limit[i], dog.in_speed
+        # So that NaN is too fast.
+        if velocity[i] <= limit and measured_velocity[i] <= limit:
+            since[1, i] = stamp
+        if velocity[i] >= -limit and measured_velocity[i] >= -limit:
+            since[0, i] = stamp
+        oldest = min(since[0, i], since[1, i])
+        if oldest == NEVER or stamp - oldest > dog.overspeed:
+            dog.latched = _OVERSPEED
 
 
 @njit
@@ -346,9 +387,15 @@ def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
 
 @njit
 def _check_estimate(
-    dog: np.ndarray, stamp: int, latency: int, mode: int, trustworthy: bool, velocity: np.ndarray
+    dog: np.ndarray,
+    stamp: int,
+    latency: int,
+    mode: int,
+    trustworthy: bool,
+    velocity: np.ndarray,
+    measured_velocity: np.ndarray,
 ) -> int:
-    return check_estimate(dog[0], stamp, latency, mode, trustworthy, velocity)
+    return check_estimate(dog[0], stamp, latency, mode, trustworthy, velocity, measured_velocity)
 
 
 @njit
@@ -397,13 +444,9 @@ class TrackerWatchdog(_Watchdog):
         super().__init__(tracker_watchdog(arm, limits))
         self.silence = _nanoseconds(limits.silence)
 
-    def check_estimate(
-        self, stamp: int, latency: int, mode: int, trustworthy: bool, velocity: np.ndarray
-    ) -> StopReason:
+    def check_estimate(self, *estimate: Any) -> StopReason:
         """As the function `check_estimate`."""
-        return _STOP_REASONS[
-            _check_estimate(self._memory, stamp, latency, mode, trustworthy, velocity)
-        ]
+        return _STOP_REASONS[_check_estimate(self._memory, *estimate)]
 
     def check_motion(self, stamp: int, reference: np.ndarray, position: np.ndarray) -> StopReason:
         """As the function `check_motion`."""

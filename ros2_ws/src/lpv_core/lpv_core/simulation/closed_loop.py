@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.certificate.gains import Gains
+from lpv_core.control.estimate_check import limit_correction, new_correction
 from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.path_references import PathReferences
 from lpv_core.control.tracking import (
@@ -163,6 +164,7 @@ class _Tracker(NamedTuple):
     constants: np.record
     state: np.record
     references: np.ndarray
+    correction: np.record  # of `limit_correction`
     watchdog: np.record
     drives: np.record
 
@@ -253,7 +255,13 @@ def _sense(
         return
     estimate = answer.state
     reason = check_estimate(
-        tracker.watchdog, now, 0, estimate.mode, estimate.trustworthy, estimate.velocity
+        tracker.watchdog,
+        now,
+        0,
+        estimate.mode,
+        estimate.trustworthy,
+        estimate.velocity,
+        estimate.measured_velocity,
     )
     loop.answered = k
     if reason != _NONE:
@@ -267,6 +275,7 @@ def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
     loop.stop, loop.previous, loop.reason = True, NEVER, reason
     tracker.state.integral[:] = 0.0
     tracker.state.torque[:] = 0.0
+    tracker.correction.stamp = NEVER
     note_stop(tracker.watchdog)
 
 
@@ -286,14 +295,16 @@ def _command(loop: np.record, estimate: np.record, tracker: _Tracker, k: int) ->
     if reason != _NONE:
         _stop(loop, tracker, reason)
         return
+    limit_correction(tracker.correction, now, feedback, estimate.velocity)
+    position, rate = tracker.correction.feedback[0], tracker.correction.feedback[1]
     # Eq. (59) literally integrates the faulty measurement; the exact loop does not.
-    integrated = estimate.measured_position if loop.literal else feedback
+    integrated = estimate.measured_position[:] if loop.literal else position
     track(
         tracker.constants,
         tracker.state,
         reference,
-        feedback,
-        estimate.velocity,
+        position,
+        rate,
         integrated,
         (now - round(loop.previous * loop.period * 1e9)) / NANOSECONDS,
     )
@@ -466,6 +477,7 @@ def run_closed_loop(
         tracking_constants(arm, gains),
         new_record(TRACKING_STATE),
         references.motion,
+        new_correction(arm, compensation != 'off'),
         tracker_watchdog(arm, TrackerLimits(latency.single, latency)),
         drive_watchdog(arm, DriveLimits(latency)),
     )

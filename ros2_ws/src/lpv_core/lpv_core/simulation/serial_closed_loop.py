@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController, computed_torque
+from lpv_core.control.estimate_check import limit_correction, new_correction
 from lpv_core.control.path_references import PathReferences
 from lpv_core.control.tracking import COMPENSATION
 from lpv_core.control.watchdog import (
@@ -174,6 +175,7 @@ class _Tracker(NamedTuple):
     state: np.record
     work: FloatArray
     references: FloatArray
+    correction: np.record  # of `limit_correction`
     watchdog: np.record
     drives: np.record
 
@@ -295,7 +297,13 @@ def _estimate(
     for i in range(len(loop.feedback)):
         loop.feedback[i], loop.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
     reason = check_estimate(
-        tracker.watchdog, observer.stamps[k], 0, answers.mode[k], answers.trustworthy[k], loop.rate
+        tracker.watchdog,
+        observer.stamps[k],
+        0,
+        answers.mode[k],
+        answers.trustworthy[k],
+        loop.rate,
+        answers.measured_velocity[k],
     )
     loop.answered = k
     if reason != _NONE:
@@ -309,6 +317,7 @@ def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
     loop.stop, loop.previous, loop.reason, loop.phase = True, NEVER, reason, _ACT
     tracker.state.integral[:] = 0.0
     tracker.state.torque[:] = 0.0
+    tracker.correction.stamp = NEVER
     note_stop(tracker.watchdog)
 
 
@@ -321,9 +330,11 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
     if reason != _NONE:
         _stop(loop, tracker, reason)
         return
+    limit_correction(tracker.correction, now, loop.feedback, loop.rate)
+    feedback, rate = tracker.correction.feedback[0], tracker.correction.feedback[1]
     interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
     computed_torque(
-        tracker.chain, tracker.state, reference, loop.feedback, loop.rate, loop.feedback,
+        tracker.chain, tracker.state, reference, feedback, rate, feedback,
         interval, tracker.work,
     )  # fmt: skip
     loop.stop, loop.previous, loop.reason, loop.phase = False, k, _NONE, _ACT
@@ -466,6 +477,7 @@ def run_serial_loop(
         controller.state,
         workspace(controller.chain),
         references.motion,
+        new_correction(arm, compensation != 'off'),
         tracker_watchdog(arm, TrackerLimits(latency.single, latency)),
         drive_watchdog(arm, DriveLimits(latency)),
     )

@@ -1,8 +1,8 @@
 // Charts that scroll in time: lines with gaps, a band, shaded stretches.
 
-import { colour, surface } from '/theme.js';
+import { line, surface, write } from '/theme.js';
 
-const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 20;
+const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 20, FONT = '11px system-ui, sans-serif';
 
 export class Chart {
   // Series: {values: sample => number or null, colour, dash, width}; band and marks likewise.
@@ -13,20 +13,34 @@ export class Chart {
 
   draw(samples, window) {
     const { context, width, height } = surface(this.canvas);
-    const last = samples.length ? samples[samples.length - 1].t : 0;
+    const first = samples[0]?.t ?? 0, last = samples.at(-1)?.t ?? 0;
     const inner = { width: width - LEFT - RIGHT, height: height - TOP - BOTTOM };
     if (inner.width < 40 || inner.height < 40) return;
     const limit = this.range(samples);
     const x = (t) => LEFT + inner.width * (1 + (t - last) / window);
     const y = (v) => TOP + inner.height * (0.5 - v / (2 * limit));
-    this.drawAxes(context, x, y, last, window, limit, width, inner.height);
+    this.drawAxes(context, x, y, { last, window, limit, width, height: inner.height });
     context.save();
     context.beginPath();
     context.rect(LEFT, TOP, inner.width, inner.height);
     context.clip();
-    if (this.marks) this.drawMarks(context, samples, x, inner);
-    if (this.band) this.drawBand(context, samples, x, y);
-    for (const one of this.series) this.drawLine(context, samples, one, x, y);
+    for (const [start, end] of this.marks?.() ?? []) {
+      const [from, to] = [x(Math.max(start, first)), x(Math.min(end ?? last, last))];
+      const [low, high] = [TOP + inner.height, TOP];
+      if (to > from) {
+        line(context, [[from, low], [from, high], [to, high], [to, low]],
+          { fill: 'alarm', alpha: 0.14 });
+      }
+    }
+    for (const run of this.band ? runs(samples, this.band) : []) {
+      const side = (k) => run.map(([t, limits]) => [x(t), y(limits[k])]);
+      line(context, [...side(1), ...side(0).reverse()], { fill: 'band' });
+    }
+    for (const { values, colour, dash, width: thick = 2 } of this.series) {
+      for (const run of runs(samples, values)) {
+        line(context, run.map(([t, v]) => [x(t), y(v)]), { stroke: colour, dash, width: thick });
+      }
+    }
     context.restore();
   }
 
@@ -35,95 +49,45 @@ export class Chart {
     let largest = this.smallest;
     for (const sample of samples) {
       for (const { values } of this.series) {
-        const value = values(sample);
-        if (value != null) largest = Math.max(largest, Math.abs(value) * 1.12);
+        largest = Math.max(largest, Math.abs(values(sample) ?? 0) * 1.12);
       }
     }
     this.limit = largest > this.limit ? largest : Math.max(largest, this.limit * 0.97);
     return this.limit;
   }
 
-  drawAxes(context, x, y, last, window, limit, width, height) {
-    context.font = '11px system-ui, sans-serif';
-    context.lineWidth = 1;
+  drawAxes(context, x, y, { last, window, limit, width, height }) {
+    const step = niceStep((limit * 44) / height);
     context.textAlign = 'right';
     context.textBaseline = 'middle';
-    const step = niceStep((limit * 44) / height);
     for (let k = -Math.floor(limit / step); k * step <= limit; k++) {
       const at = Math.round(y(k * step)) + 0.5;
-      context.strokeStyle = colour('line');
-      context.globalAlpha = k === 0 ? 1 : 0.6;
-      context.beginPath();
-      context.moveTo(LEFT, at);
-      context.lineTo(width - RIGHT, at);
-      context.stroke();
-      context.globalAlpha = 1;
-      context.fillStyle = colour('soft');
-      context.fillText(label(k * step, step), LEFT - 6, at);
+      line(context, [[LEFT, at], [width - RIGHT, at]], { stroke: 'line', alpha: k === 0 ? 1 : 0.6 });
+      write(context, label(k * step, step), LEFT - 6, at, FONT);
     }
     context.save();
     context.translate(10, y(0));
     context.rotate(-Math.PI / 2);
     context.textAlign = 'center';
-    context.fillText(this.unit, 0, 0);
+    write(context, this.unit, 0, 0, FONT);
     context.restore();
     context.textBaseline = 'top';
-    const apart = width < 420 ? 10 : 5;
-    for (let ago = 0; ago <= window; ago += apart) {
+    for (let ago = 0; ago <= window; ago += width < 420 ? 10 : 5) {
       context.textAlign = ago === 0 ? 'right' : ago === window ? 'left' : 'center';
-      const at = y(-limit) + 5;
-      context.fillText(ago === 0 ? 'now' : `−${ago} s`, x(last - ago), at);
+      write(context, ago === 0 ? 'now' : `−${ago} s`, x(last - ago), y(-limit) + 5, FONT);
     }
   }
+}
 
-  drawLine(context, samples, { values, colour: name, dash = [], width = 2 }, x, y) {
-    context.strokeStyle = colour(name);
-    context.lineWidth = width;
-    context.lineJoin = 'round';
-    context.setLineDash(dash);
-    context.beginPath();
-    let drawing = false;
-    for (const sample of samples) {
-      const value = values(sample);
-      if (value == null) { drawing = false; continue; }
-      if (drawing) context.lineTo(x(sample.t), y(value));
-      else context.moveTo(x(sample.t), y(value));
-      drawing = true;
-    }
-    context.stroke();
-    context.setLineDash([]);
+// Stretches without gaps, of pairs of time and what `value` gives for a sample.
+function runs(samples, value) {
+  const found = [[]];
+  for (const sample of samples) {
+    const one = value(sample);
+    if (one != null) found.at(-1).push([sample.t, one]);
+    else if (found.at(-1).length) found.push([]);
   }
-
-  drawBand(context, samples, x, y) {
-    context.fillStyle = colour('band');
-    let run = [];
-    const fill = () => {
-      if (run.length > 1) {
-        context.beginPath();
-        run.forEach(([t, , high]) => context.lineTo(x(t), y(high)));
-        run.reverse().forEach(([t, low]) => context.lineTo(x(t), y(low)));
-        context.fill();
-      }
-      run = [];
-    };
-    for (const sample of samples) {
-      const limits = this.band(sample);
-      if (limits) run.push([sample.t, ...limits]);
-      else fill();
-    }
-    fill();
-  }
-
-  drawMarks(context, samples, x, inner) {
-    context.fillStyle = colour('alarm');
-    context.globalAlpha = 0.14;
-    const first = samples.length ? samples[0].t : 0, last = samples.at(-1)?.t ?? 0;
-    for (const [start, end] of this.marks()) {
-      const from = x(Math.max(start, first)), to = x(Math.min(end ?? last, last));
-      if (to > from) context.fillRect(from, TOP, to - from, inner.height);
-    }
-    context.globalAlpha = 1;
-  }
+  return found.filter((run) => run.length > 1);
 }
 
 function niceStep(rough) {

@@ -17,7 +17,7 @@ function apply(theme = chosen ?? (system.matches ? 'dark' : 'light')) {
   changed();
 }
 
-export function colour(name) {
+function colour(name) {
   if (!colours) {
     const style = getComputedStyle(root);
     colours = Object.fromEntries(['text', 'soft', 'line', 'card', 'true', 'estimated', 'measured',
@@ -53,4 +53,37 @@ export function surface(canvas) {
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   return { context, width, height };
+}
+
+function paint(context, { stroke, fill, width = 1, dash = [], alpha = 1, cap = 'butt' }) {
+  context.globalAlpha = alpha;
+  if (fill) {
+    context.fillStyle = colour(fill);
+    context.fill();
+  }
+  if (stroke) {
+    Object.assign(context, { strokeStyle: colour(stroke), lineWidth: width, lineJoin: 'round',
+      lineCap: cap });
+    context.setLineDash(dash);
+    context.stroke();
+  }
+  context.globalAlpha = 1;
+}
+
+export function line(context, points, style) {
+  context.beginPath();
+  points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+  paint(context, style);
+}
+
+export function disc(context, [x, y], radius, style) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  paint(context, style);
+}
+
+export function write(context, text, x, y, font) {
+  context.font = font;
+  context.fillStyle = colour('soft');
+  context.fillText(text, x, y);
 }

@@ -3,10 +3,9 @@
 import { ArmDrawing } from '/arm.js';
 import { Chart } from '/chart.js';
 import { Link } from '/link.js';
-import { showAlarms, showFrame, showLink } from '/panels.js';
+import { byId, make, showAlarms, showFrame, showLink } from '/panels.js';
 import { startTheme } from '/theme.js';
 
-const byId = (id) => document.getElementById(id);
 const FIELDS = {
   bias: { size: 0.3 }, drift: { size: 0.25, rate: 0.08 }, scale: { size: 0.2 }, stuck: {},
   noise: { size: 0.05 }, spike: { size: 0.5, rate: 2 }, dropout: {},
@@ -50,12 +49,8 @@ function layOut({ sensors, joints }) {
   });
   byId('sensors').replaceChildren(...cards);
   byId('sensors').classList.toggle('many', sensors.length > 2);
-  byId('joints').replaceChildren(...joints.map((name, i) => {
-    const item = document.createElement('li'), key = document.createElement('i');
-    key.className = `key torque${i % 2}`;
-    item.append(key, name);
-    return item;
-  }));
+  byId('joints').replaceChildren(...joints.map((name, i) => make('li', '',
+    make('i', `key torque${i % 2}`), name)));
   charts = cards.map((card, i) => sensorChart(card.querySelector('canvas'), i));
   charts.push(torqueChart(joints));
 }

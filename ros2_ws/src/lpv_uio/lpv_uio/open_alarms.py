@@ -1,0 +1,71 @@
+"""Alarms that outlive the process that raised them, so that a respawned observer knows of them."""
+
+import json
+import os
+from pathlib import Path
+
+from rclpy.logging import get_logging_directory
+from rclpy.node import Node
+
+from lpv_core.decision.diagnosis import Alarm, AlarmEvent
+from lpv_core.monitoring.alarm_text import describe
+
+_LARGEST = 1 << 20
+"""Longer files are not read [bytes]."""
+
+
+def alarm_file(node: Node) -> Path:
+    """File of a node's open alarms: of its name and ROS domain, started by the same process."""
+    parts = node.context.get_domain_id(), node.get_fully_qualified_name()[1:], os.getppid()
+    name = '-'.join(map(str, parts)).replace('/', '.')
+    return Path(get_logging_directory()) / 'lpv_open_alarms' / f'{name}.json'
+
+
+class OpenAlarms:
+    """Open alarms on disk; a latched topic ends with the process that published it.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        File; a file that is there was left by an observer that died.
+
+    Attributes
+    ----------
+    before : dict of str to str
+        Alarms of the observer before, by sensor, that have not been raised again.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.before = self._open = _read(path)
+
+    def note(self, event: Alarm) -> None:
+        """Keep what one event changes; OSError if it cannot be written."""
+        known = {**self._open}
+        self.before = {s: t for s, t in self.before.items() if s != event.sensor}
+        known.pop(event.sensor, None)
+        if event.event != AlarmEvent.CLEARED:
+            known[event.sensor] = describe(event)
+        self._open = known
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        new = self._path.with_suffix('.new')
+        new.write_text(json.dumps(known), encoding='utf-8')
+        new.replace(self._path)
+
+    def forget(self) -> None:
+        """Forget all: the observer ends in order, or was reset by an operator."""
+        self.before = self._open = {}
+        self._path.unlink(missing_ok=True)
+
+
+def _read(path: Path) -> dict[str, str]:
+    """Texts of alarms by sensor; empty where there is no file of this kind."""
+    try:
+        if path.stat().st_size > _LARGEST:
+            return {}
+        found = json.loads(path.read_text(encoding='utf-8'))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(found, dict):
+        return {}
+    return {str(sensor): str(text) for sensor, text in found.items()}
