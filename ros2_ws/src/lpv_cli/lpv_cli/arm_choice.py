@@ -19,6 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='JOINT',
         help='joints of the arm; all others of the URDF are locked',
     )
+    parser.add_argument(
+        '--tip',
+        metavar='LINK',
+        help='link at the end of the arm, if the URDF has several branches; joints that do not '
+        'lead to it are locked',
+    )
 
 
 def chosen_arm(
@@ -29,5 +35,5 @@ def chosen_arm(
     from lpv_identify.results.starting_arm import load_any_arm
 
     if arguments.urdf:
-        return read_urdf_chain(arguments.urdf, locked, arguments.joints)
+        return read_urdf_chain(arguments.urdf, locked, arguments.joints, arguments.tip)
     return load_any_arm(arguments.arm)

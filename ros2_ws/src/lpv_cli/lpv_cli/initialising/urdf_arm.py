@@ -109,7 +109,7 @@ def count_joints(path: str | Path) -> int:
 
 
 def _revolute(root: ElementTree.Element) -> list[ElementTree.Element]:
-    return [j for j in root.iter('joint') if j.get('type') in ('revolute', 'continuous')]
+    return [j for j in root.findall('joint') if j.get('type') in ('revolute', 'continuous')]
 
 
 def _parse(path: Path) -> ElementTree.Element:
@@ -126,7 +126,7 @@ def _parse(path: Path) -> ElementTree.Element:
 
 def _chain(root: ElementTree.Element, link: str, source: str) -> list[ElementTree.Element]:
     """Fixed joints from the root of the tree to a link."""
-    above = {_end(j, 'child', source): j for j in root.iter('joint') if j.find('child') is not None}
+    above = {_end(j, 'child', source): j for j in root.findall('joint') if j.find('child') is not None}
     chain: list[ElementTree.Element] = []
     while link in above and len(chain) < len(above):
         chain.insert(0, above[link])
@@ -139,7 +139,7 @@ def _tip(root: ElementTree.Element, joint: ElementTree.Element, source: str) -> 
     link = _end(joint, 'child', source)
     fixed = [
         _origin(j)
-        for j in root.iter('joint')
+        for j in root.findall('joint')
         if j.get('type') == 'fixed' and _end(j, 'parent', source) == link
     ]
     if fixed:
