@@ -34,8 +34,8 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
     for _ in range(_ROUNDS):
         scaled = [replace(one, effort=one.effort * gains) for one in rows]
         fit = fit_parameters(scaled, filters, np.zeros(n, bool), prior, sweeps=3)
-        problem = Problem(scaled, filters)
-        design = join_columns(problem.base, problem.friction(fit.slope, fit.base))
+        problem = Problem(scaled, filters, np.zeros(n, bool))
+        design = join_columns(problem.base, problem.friction(fit.slope, None))
         column = (design @ fit.parameters)[:, :, None] * np.eye(n)
         full = np.concatenate([design, column], axis=2)
         weight = np.broadcast_to(1.0 / fit.scale**2, problem.effort.shape)

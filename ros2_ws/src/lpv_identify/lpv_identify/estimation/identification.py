@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv_core.serial_arm.description import JointSensors, SerialArm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.estimation.assembly import covariance_of_all, fit_of
 from lpv_identify.estimation.determination import Determination, determine
 from lpv_identify.estimation.evaluation import Figures, Prediction, figures, predict
@@ -138,18 +138,10 @@ def _finish(
     residual = np.concatenate([p.measured - p.predicted for p in predictions])
     joints = []
     for j, joint in enumerate(arm.joints):
-        sensors = JointSensors(
-            joint.sensors.name,
-            max(float(sensing.position_noise[j]), 1e-9),
-            float(sensing.quantization[j]),
-            sensing.rates[j],
-            max(float(sensing.velocity_noise[j]), 1e-9),
-            joint.sensors.second_encoder,
-        )
         joints.append(
             replace(
                 joint,
-                sensors=sensors,
+                sensors=sensing.of_joint(j, joint.sensors),
                 effort_delay=float(workshop.effort_delay[j]),
                 torque_tolerance=torque_tolerance(speed[:, j], residual[:, j]),
             )

@@ -7,7 +7,7 @@ import numpy as np
 
 from lpv_core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
 from lpv_identify.errors import IdentificationError
-from lpv_identify.model.rigid_body import build_model, momentum_regressor, motion_regressor
+from lpv_identify.model.rigid_body import build_model, torque_regressor
 from lpv_identify.recordings.filters import derivative, low_pass
 from lpv_identify.recordings.motion import Segment, find_bandwidths, smooth, split
 from lpv_identify.recordings.recording import Recording
@@ -105,13 +105,11 @@ def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
         delay,
     )
     model = build_model(arm)
-    momentum = momentum_regressor(model, motion.position, motion.velocity)
-    regressor = derivative(momentum, motion.step) + motion_regressor(
-        model, motion.position, motion.velocity
-    )
+    acceleration = derivative(motion.velocity, motion.step)
+    regressor = torque_regressor(model, motion.position, motion.velocity, acceleration)
     rigid = regressor @ arm.inertial_parameters()
     rotor = np.array([j.rotor_inertia for j in arm.joints])
-    rigid += derivative(motion.velocity, motion.step) * rotor
+    rigid += acceleration * rotor
     friction = np.stack(
         [j.friction.torque(motion.velocity[:, k], rigid[:, k]) for k, j in enumerate(arm.joints)],
         axis=1,

@@ -31,9 +31,7 @@ from lpv_identify.recordings.motion import (
     split,
 )
 from lpv_identify.recordings.recording import Recording
-from lpv_identify.sensors.noise import noise_deviation, quantization_step
-from lpv_identify.sensors.rates import rate_sources
-from lpv_identify.sensors.sensing import Sensing
+from lpv_identify.sensors.sensing import Sensing, noise_deviation, sense
 
 WEAK = 1e-3
 """Strength of the prior while the model is chosen."""
@@ -48,6 +46,7 @@ class Workshop:
 
     def __init__(self, arm: SerialArm, recordings: Sequence[Recording]):
         self.arm = arm
+        self.recordings = recordings
         self.n = len(arm.joints)
         self.gain = np.array([joint.torque_gain for joint in arm.joints])
         self.segments = [segment for one in recordings for segment in split(one)]
@@ -258,19 +257,7 @@ class Workshop:
 
     def sensing(self) -> Sensing:
         """Noise, quantization, source of rates, delays."""
-        positions = [segment.position for segment in self.segments]
-        rates = [s.velocity for s in self.segments if s.velocity is not None]
-        sources, evidence = rate_sources(self.segments)
-        noise = noise_deviation(rates) if rates else np.full(self.n, 1e-2)
-        return Sensing(
-            noise_deviation(positions),
-            quantization_step(positions),
-            noise,
-            sources,
-            evidence,
-            self.rate_delay,
-            self.joint_delays,
-        )
+        return sense(self.recordings, self.segments, self.rate_delay, self.joint_delays)
 
 
 def _base_prior(arm: SerialArm, base: BaseParameters) -> Prior:
