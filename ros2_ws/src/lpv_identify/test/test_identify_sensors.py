@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lpv_identify.estimation.delays import rate_delays
-from lpv_identify.estimation.tolerance import torque_tolerance
+from lpv_identify.estimation.torque_error import torque_tolerance
 from lpv_identify.recordings.motion import Segment, find_bandwidths
 from lpv_identify.recordings.recording import Recording
 from lpv_identify.sensors.sensing import noise_deviation, quantization_step, sense

@@ -27,6 +27,7 @@ from lpv_core.support.config import Section, read_yaml
 KIND = 'serial_arm'
 """Value of ``kind`` in the arm files of n joints; files of two-link arms have no ``kind``."""
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
+_TORQUE_ERROR = ('torque_error', 'torque_error_speed')
 _HEADER = '# Arm of n revolute joints; docs/arm-file.md describes the fields.\n'
 
 
@@ -105,6 +106,10 @@ def parse_serial_arm(
             varying.number('payload', 0.0, low=0.0),
             varying.number('friction', 0.0, 0.0, 1.0),
             varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
+            *(_per_joint(varying, key, len(joints)) for key in _TORQUE_ERROR),
+            varying.number('torque_error_time', low=0.0, high=1e4)
+            if 'torque_error_time' in varying
+            else None,
         ),
         covariance=_covariance(top, 15 * len(joints)),
         sample_time=top.number('sample_time', 0.002, 1e-5, 1.0),
@@ -155,7 +160,7 @@ def to_mapping(arm: SerialArm) -> dict[str, Any]:
             'tip': list(arm.tip),
             'sample_time': arm.sample_time,
             'effort': {'unit': arm.effort_unit, 'includes_gravity': arm.effort_includes_gravity},
-            'uncertainty': _stated(asdict(arm.uncertainty)),
+            'uncertainty': _lists(_stated(asdict(arm.uncertainty))),
             'joints': [_joint_mapping(joint) for joint in arm.joints],
         }
     )
@@ -211,6 +216,10 @@ def _triple(
 ) -> tuple[float, float, float]:
     x, y, z = section.vector(key, 3, list(default), low, high)
     return x, y, z
+
+
+def _per_joint(section: Section, key: str, count: int) -> tuple[float, ...] | None:
+    return tuple(section.vector(key, count, low=0.0, high=1e9)) if key in section else None
 
 
 def _locked(top: Section) -> tuple[tuple[str, float], ...]:

@@ -1,6 +1,6 @@
 """Recordings of an arm, and the choices on the way to its parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -147,16 +147,20 @@ class Workshop:
         motions = [self._motion(segment) for one in tests for segment in split(one)]
         return [(self._rows(motion), motion) for motion in motions]
 
-    def choose(self, share: float) -> None:
+    def choose(self, share: float, report: Callable[[str], None]) -> None:
         """Rates, bandwidth of the efforts, load, prior, delay: by prediction of training data."""
         weak = Prior(self.prior.mean, WEAK * self.prior.information)
+        report('choosing measured or computed rates')
         if self.has_rates:
             self._choose_rates(share)
+        report('choosing the bandwidth of the efforts')
         rows = self.train_rows(share)
         band = choose_effort_band(rows, self.filters, self.use_load, weak)
         self.filters = replace(self.filters, effort=band)
         self.use_load = np.ones(self.n, bool)
+        report('choosing the weight of the parameters given')
         self._choose_strength(share)
+        report('choosing the delays of the efforts')
         self._choose_delay(share)
 
     def consistent_fit(
