@@ -42,3 +42,21 @@ def counted(
         except KeyboardInterrupt:
             console.print('finished work is kept; run the same command again to resume')
             raise
+
+
+@contextmanager
+def steps(console: Console, name: str, total: int) -> Iterator[Callable[[str], None]]:
+    """Bar of a work of a few steps; yields a function that says what is done next."""
+    columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(name, total=total)
+        begun = False
+
+        def begin(step: str) -> None:
+            nonlocal begun
+            progress.update(task, description=f'{name}: {step}', advance=int(begun))
+            begun = True
+            if not console.is_terminal:
+                console.print(f'{name}: {step}')
+
+        yield begin
