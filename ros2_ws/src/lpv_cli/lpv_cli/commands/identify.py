@@ -147,9 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     tests = [read(path) for path in arguments.test]
     options = Options(
-        arguments.train_share,
-        arguments.refit,
-        arguments.without_gravity or arguments.with_gravity,
+        arguments.train_share, arguments.refit, arguments.without_gravity or arguments.with_gravity
     )
     with steps(console, 'identifying', STEPS) as step:
         result = identify(arm, recordings, options, tests, step)

@@ -126,7 +126,9 @@ def _parse(path: Path) -> ElementTree.Element:
 
 def _chain(root: ElementTree.Element, link: str, source: str) -> list[ElementTree.Element]:
     """Fixed joints from the root of the tree to a link."""
-    above = {_end(j, 'child', source): j for j in root.findall('joint') if j.find('child') is not None}
+    above = {
+        _end(j, 'child', source): j for j in root.findall('joint') if j.find('child') is not None
+    }
     chain: list[ElementTree.Element] = []
     while link in above and len(chain) < len(above):
         chain.insert(0, above[link])

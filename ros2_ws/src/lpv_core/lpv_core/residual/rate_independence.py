@@ -5,8 +5,8 @@ rate go wrong together, and dead reckoning cannot contradict the reading: drifts
 standstill of an encoder are not found, jumps only as long as the rate's spike is seen.
 
 What the arm does is smooth; noise and quantisation are not.  The high-frequency part of a rate that
-is derived is a filtered version of that of the differences of positions: a recursion of second order
-on both, whatever the filter's cutoff and delay.  That of an independent sensor is not.
+is derived is a filtered version of that of the differences of positions: a recursion of second
+order on both, whatever the filter's cutoff and delay.  That of an independent sensor is not.
 
 Independence must be proved.  Where rates have no noise but their rounding, where the differences
 have none, or where what they have grows with the speed (stamps that jitter put noise into

@@ -19,7 +19,6 @@ from lpv_identify.recordings.motion import Bandwidths
 from lpv_identify.recordings.recording import Recording
 from lpv_identify.sensors.sensing import Sensing
 
-
 STEPS = 8
 """Steps of an identification that are reported."""
 

@@ -157,7 +157,9 @@ class _Judge:
         effort = np.concatenate([s.effort for s in setup.segments])
         rates = np.concatenate([s.velocity for s in setup.segments])
         count, n, size = columns.shape
-        friction = friction_columns(rates, np.full(n, _SLOPE), np.zeros_like(rates))[:, :, [0, 1, 3]]
+        friction = friction_columns(rates, np.full(n, _SLOPE), np.zeros_like(rates))[
+            :, :, [0, 1, 3]
+        ]
         spread = np.zeros((count, n, n, 3))
         spread[:, np.arange(n), np.arange(n)] = friction
         design = np.concatenate([columns, spread.reshape(count, n, 3 * n)], axis=2)
@@ -216,8 +218,8 @@ class _Judge:
             x, y, z = -found.gravity / size
             rpy = np.arctan2(y, z), np.arcsin(np.clip(-x, -1.0, 1.0))
             yield (
-                f'gravity points elsewhere than the file says: {_turn(cross, angle)}; the base is mounted with --base-rpy '
-                f'{rpy[0]:.3f} {rpy[1]:.3f} 0',
+                f'gravity points elsewhere than the file says: {_turn(cross, angle)}; the '
+                f'base is mounted with --base-rpy {rpy[0]:.3f} {rpy[1]:.3f} 0',
                 found,
             )
 

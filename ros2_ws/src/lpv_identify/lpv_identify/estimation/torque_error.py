@@ -78,7 +78,9 @@ def torque_error(
         variance = np.full(len(target), 1.0)
         for _ in range(3):
             design = np.column_stack([np.ones(len(target)), speed[:, j]]) / variance[:, None]
-            (constant, slope), _ = nnls(design, target / variance)
+            rows = np.column_stack([design, target / variance])
+            upper = np.asarray(np.linalg.qr(rows, mode='r'))
+            (constant, slope), _ = nnls(upper[:, :2], upper[:, 2])
             variance = np.maximum(constant + slope * speed[:, j], least)
             variance = variance / variance.mean()
         rest.append(np.sqrt(max(constant, least)))

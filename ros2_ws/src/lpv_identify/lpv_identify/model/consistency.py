@@ -118,7 +118,6 @@ def _triangle(matrix: np.ndarray) -> np.ndarray:
 
 
 _PSEUDO = np.stack(
-    [_triangle(LinkInertia.from_vector(row).pseudo_inertia()) for row in np.eye(N_INERTIAL)],
-    axis=1,
+    [_triangle(LinkInertia.from_vector(row).pseudo_inertia()) for row in np.eye(N_INERTIAL)], axis=1
 )
 _UNIT = _triangle(np.eye(4))
