@@ -47,7 +47,7 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
 
         return load_any_arm(arguments.arm)
     root = _read(arguments.urdf)
-    moving = {str(j.get('name')): j for j in root.iter('joint') if j.get('type') in _MOVING}
+    moving = {str(j.get('name')): j for j in root.findall('joint') if j.get('type') in _MOVING}
     locked = dict(_locked(text) for text in arguments.lock)
     joints = [name for text in arguments.joints or () for name in text.split(',') if name]
     tip = arguments.tip
@@ -94,7 +94,7 @@ def _locked(text: str) -> tuple[str, float]:
 
 def _way_to(root: ElementTree.Element, tip: str) -> list[str]:
     """Names of the joints from the base to a link."""
-    above = {_end(j, 'child'): j for j in root.iter('joint')}
+    above = {_end(j, 'child'): j for j in root.findall('joint')}
     links = [str(link.get('name')) for link in root.iter('link')]
     if tip not in links:
         raise ConfigError('--tip', f'{tip!r} is no link of the URDF: {", ".join(links)}')

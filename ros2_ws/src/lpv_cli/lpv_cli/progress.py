@@ -154,3 +154,23 @@ def fitted(text: str, width: int) -> str:
         parts = textwrap.wrap(line, width, subsequent_indent=indent) if len(line) > width else []
         lines.append('\n'.join(parts) + '\n' if parts else line)
     return ''.join(lines)
+
+
+@contextmanager
+def steps(console: 'Console', name: str, total: int) -> Iterator[Callable[[str], None]]:
+    """Bar of a work of a few steps; yields a function that says what is done next."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(name, total=total)
+        begun = False
+
+        def begin(step: str) -> None:
+            nonlocal begun
+            progress.update(task, description=f'{name}: {step}', advance=int(begun))
+            begun = True
+            if not console.is_terminal:
+                console.print(f'{name}: {step}')
+
+        yield begin

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from places import DATA
+from scipy.signal import butter, lfilter
 
 from lpv_core.model.arm import arm_from_json, parse_arm
 from lpv_core.residual.rate_independence import RATE_SOURCES, contradicts, rate_source
@@ -55,6 +56,32 @@ def test_given_filtered_differences_when_tested_then_rates_are_derived(dt, noise
     rate = low_pass(np.diff(position, prepend=position[0]) / dt, share)
     found = rate_source(stamps, position, rate)
     assert (found.source, found.explained > 0.5) == ('derived', True)
+
+
+@pytest.mark.parametrize('dt', [0.001, 0.008, 0.01])
+@pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
+@pytest.mark.parametrize('cutoff', [5.0, 20.0])
+@pytest.mark.parametrize('delay', [0, 3])
+def test_given_filters_of_second_order_and_delays_when_tested_then_no_rates_are_independent(
+    dt, noise, bits, cutoff, delay
+):
+    stamps, position, _ = reading(dt, noise, bits)
+    speed = np.diff(position, prepend=position[0]) / dt
+    rate = np.concatenate([np.zeros(delay), lfilter(*butter(2, 2.0 * dt * cutoff), speed)])[:COUNT]
+    found = rate_source(stamps, position, rate).source
+    seen = cutoff > 10.0 and bits != 17  # noise is left behind the filter
+    assert found == 'derived' if seen else found != 'independent'
+    rounded = 1e-3 * np.round(rate / 1e-3)  # hides what is filtered
+    assert rate_source(stamps, position, rounded).source != 'independent'
+
+
+def test_given_stamps_that_jitter_when_tested_then_independence_is_not_proved():
+    dt, rng = 0.033, np.random.default_rng(4)
+    time = np.cumsum(dt * (1.0 + 0.1 * rng.standard_normal(COUNT)))
+    position = np.sin(time) + 1e-5 * rng.standard_normal(COUNT)
+    rate = np.cos(time) + 5e-3 * rng.standard_normal(COUNT)  # is not what the differences show
+    stamps = (1e9 * dt * np.arange(COUNT)).astype(int)
+    assert rate_source(stamps, position, rate).source == 'undecided'
 
 
 @pytest.mark.parametrize('rate', [np.zeros(COUNT), np.full(COUNT, np.nan)])

@@ -88,7 +88,7 @@ def test_given_a_urdf_when_read_then_fixed_and_locked_links_are_merged(urdf):
 
 
 def test_given_a_gripper_that_is_not_locked_when_read_then_the_error_says_what_to_do(urdf):
-    with pytest.raises(ConfigError, match="'slide' is not revolute; lock it"):
+    with pytest.raises(ConfigError, match="'slide' is prismatic, not revolute; lock it"):
         read_urdf_chain(urdf)
 
 

@@ -49,5 +49,5 @@ def test_given_a_two_link_arm_when_identified_then_it_is_no_worse_than_published
     result = identify(arm, [one], tests=[other])
     assert np.all(result.figures.rms <= 1.01 * result.prior_figures.rms)
     assert {joint.sensors.rates for joint in result.arm.joints} == {'derived'}
-    save_like('real_arm', result, tmp_path / 'arm.yaml')
+    save_like('real_arm', result.arm, tmp_path / 'arm.yaml')
     assert load_any_arm(str(tmp_path / 'arm.yaml')).name == 'real_arm'

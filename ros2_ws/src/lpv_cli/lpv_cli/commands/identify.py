@@ -1,16 +1,19 @@
 """``lpv identify``: from recordings to an arm file."""
 
 import argparse
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpv_cli import arm_choice
+from lpv_cli.progress import steps
 from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from lpv_core.serial_arm.description import SerialArm
+    from lpv_identify.estimation.identification import Identification
     from lpv_identify.recordings.recording import Recording
 
 
@@ -45,7 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='BAG|CSV',
         help='recording to test on, instead of the part held back',
     )
-    parser.add_argument(
+    task = parser.add_mutually_exclusive_group()
+    task.add_argument(
+        '--calibrate',
+        action='store_true',
+        help='the arm of --arm is known: find noise, steps and rates of its sensors and the torque '
+        'that its model misses, from some 10 s of any healthy motion; parameters stay',
+    )
+    task.add_argument(
         '--payload',
         action='store_true',
         help='the arm of --arm is known: find mass and centre of its tool only',
@@ -106,11 +116,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
     if not 0.2 <= arguments.train_share <= 0.9:
         raise ConfigError('--train-share', 'must lie within [0.2, 0.9]')
-    pairs = dict(_pair(text) for text in arguments.second_encoder)
+    # Threads of linear algebra on matrices as small as these wait for each other.
+    for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
+        os.environ.setdefault(name, '1')
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    files = [*arguments.recordings, *arguments.test]
+    console.print(f'reading {len(files)} recording{"s" if len(files) > 1 else ""}: {files[0]} ...')
     from lpv_core.support.resources import bringup_file
-    from lpv_identify.estimation.identification import Options, identify
     from lpv_identify.recordings.recording import read_recording
-    from lpv_identify.results.summary import table
 
     arm, columns = _arm(arguments), None
     if arguments.columns:
@@ -124,31 +139,39 @@ def run(arguments: argparse.Namespace) -> int:
     recordings = [read(path) for path in arguments.recordings]
     if arguments.payload:
         return _payload(arguments, arm, recordings)
-    stated = arguments.without_gravity or arguments.with_gravity
-    options = Options(arguments.train_share, arguments.refit, stated)
-    result = identify(arm, recordings, options, [read(path) for path in arguments.test])
-    print(table(result))
-    for text in result.warnings:
-        print(f'warning: {text}', file=sys.stderr)
-    if pairs:
-        from lpv_identify.sensors import second_encoder
+    if arguments.calibrate:
+        return _calibrate(arguments, arm, recordings)
+    from lpv_identify.estimation.identification import STEPS, Options, identify
 
-        found = second_encoder.find_second_encoders(
-            arguments.recordings[0], pairs, arguments.topic, columns
-        )
-        for reading in found:
-            print(second_encoder.describe(reading))
-        result = replace(result, arm=second_encoder.with_second_encoders(result.arm, found))
-    if arguments.out:
-        from lpv_identify.results.starting_arm import save_like
-
-        save_like(arguments.arm, result, Path(arguments.out))
-        print(f'arm file: {arguments.out}')
-    if arguments.report:
-        from lpv_identify.results.report import write_report
-
-        print(f'report: {write_report(result, Path(arguments.report))}')
+    tests = [read(path) for path in arguments.test]
+    options = Options(
+        arguments.train_share, arguments.refit, arguments.without_gravity or arguments.with_gravity
+    )
+    with steps(console, 'identifying', STEPS) as step:
+        result = identify(arm, recordings, options, tests, step)
+    _print(result)
+    result = _with_second_encoders(arguments, result, columns)
+    _write(arguments, result)
     return 0
+
+
+def _with_second_encoders(
+    arguments: argparse.Namespace, result: 'Identification', columns: Any
+) -> 'Identification':
+    """The result with the second encoders that were named; says what they are."""
+    from lpv_identify.sensors.second_encoder import (
+        describe,
+        find_second_encoders,
+        with_second_encoders,
+    )
+
+    pairs = dict(_pair(text) for text in arguments.second_encoder)
+    if not pairs:
+        return result
+    found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
+    for reading in found:
+        print(describe(reading))
+    return replace(result, arm=with_second_encoders(result.arm, found))
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -204,3 +227,41 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
         save_serial_arm(result, arguments.out)
         print(f'{what} written to {arguments.out}')
     return 0
+
+
+def _calibrate(
+    arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']
+) -> int:
+    from lpv_identify.estimation.mistakes import find_mistakes
+    from lpv_identify.estimation.torque_error import calibrate
+    from lpv_identify.results.starting_arm import save_like
+    from lpv_identify.results.summary import calibration_table
+
+    found = calibrate(arm, recordings)
+    print(calibration_table(found))
+    for text in (*found.warnings, *(m.text for m in find_mistakes(arm, recordings))):
+        print(f'warning: {text}', file=sys.stderr)
+    if arguments.out:
+        save_like(arguments.arm, found.arm, Path(arguments.out))
+        print(f'arm file: {arguments.out}')
+    return 0
+
+
+def _print(result: 'Identification') -> None:
+    from lpv_identify.results.summary import table
+
+    print(table(result))
+    for text in result.warnings:
+        print(f'warning: {text}', file=sys.stderr)
+
+
+def _write(arguments: argparse.Namespace, result: 'Identification') -> None:
+    if arguments.out:
+        from lpv_identify.results.starting_arm import save_like
+
+        save_like(arguments.arm, result.arm, Path(arguments.out))
+        print(f'arm file: {arguments.out}')
+    if arguments.report:
+        from lpv_identify.results.report import write_report
+
+        print(f'report: {write_report(result, Path(arguments.report))}')

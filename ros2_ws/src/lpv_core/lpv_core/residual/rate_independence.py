@@ -5,8 +5,12 @@ rate go wrong together, and dead reckoning cannot contradict the reading: drifts
 standstill of an encoder are not found, jumps only as long as the rate's spike is seen.
 
 What the arm does is smooth; noise and quantisation are not.  The high-frequency part of a rate that
-is derived is a linear combination of that of the differences of positions at neighbouring samples;
-that of an independent sensor is not.
+is derived is a filtered version of that of the differences of positions: a recursion of second
+order on both, whatever the filter's cutoff and delay.  That of an independent sensor is not.
+
+Independence must be proved.  Where rates have no noise but their rounding, where the differences
+have none, or where what they have grows with the speed (stamps that jitter put noise into
+differences that derived rates do not have), the answer is ``undecided``.
 """
 
 import math
@@ -23,8 +27,9 @@ INDEPENDENT, DERIVED, NO_RATES, UNDECIDED = range(4)
 RATE_SOURCES = ('independent', 'derived', 'none', 'undecided')
 """Their names; the first three are what an arm file may state."""
 
-_LEAD, _LAGS = 2, 8
-"""Differences from so many samples ahead of the rate, and so many in all, may have made it."""
+_LEAD, _LAGS, _PAST = 2, 8, 2
+"""Differences from so many samples ahead of the rate, so many in all, and so many rates before it
+may have made it: filters of second order, and delays."""
 _SAMPLES = 200
 """Fewest samples for a decision."""
 _DERIVED, _INDEPENDENT = 0.5, 0.2
@@ -33,6 +38,14 @@ _ROUGH = 0.1
 """Fourth over second differences of a rate with noise [1]; white noise has 3.4."""
 _MOVED = 1e-3
 """Rates that are zero all the time are none if the position moves by more [rad]."""
+_SLOW = 0.3
+"""Share of the samples, the slowest, in which jitter of stamps hardly shows."""
+_STEADY = 0.5
+"""Noise of the differences in the slow samples over that in all: less is jitter, or motion."""
+_ROUNDED = 3.0
+"""Power of the noise of a rate over that of its rounding, beyond which it has noise of its own."""
+_GAIN = 70.0
+"""Power of white noise through fourth differences."""
 
 
 @dataclass(frozen=True)
@@ -58,26 +71,68 @@ def rate_source_of(stamps: np.ndarray, position: np.ndarray, rate: np.ndarray) -
     for k in range(1, count):
         speed[k] = (position[k] - position[k - 1]) * NANOSECONDS / max(stamps[k] - stamps[k - 1], 1)
     rough_speed, rough_rate = _fourth_differences(speed[1:]), _fourth_differences(rate[1:])
-    gram, cross, power = np.zeros((_LAGS, _LAGS)), np.zeros(_LAGS), 0.0
-    for k in range(_LAGS, len(rough_rate) - _LEAD):
-        power += rough_rate[k] * rough_rate[k]
-        for i in range(_LAGS):
-            one = rough_speed[k + _LEAD - i]
-            cross[i] += one * rough_rate[k]
-            for j in range(_LAGS):
-                gram[i, j] += one * rough_speed[k + _LEAD - j]
-    trace = 0.0
-    for i in range(_LAGS):
-        trace += gram[i, i]
     second = rate[2:] - 2.0 * rate[1:-1] + rate[:-2]
-    if trace == 0.0 or power <= _ROUGH * _ROUGH * np.sum(second * second):
+    power, speed_power = np.mean(rough_rate**2), np.mean(rough_speed**2)
+    if speed_power == 0.0 or power <= _ROUGH * _ROUGH * np.mean(second * second):
         return UNDECIDED, math.nan  # rest, or a motion without any noise
-    for i in range(_LAGS):
-        gram[i, i] += 1e-9 * trace
-    explained = float(np.dot(cross, np.linalg.solve(gram, cross))) / power
+    size = np.abs(rate[3:-2])
+    slow = size <= np.quantile(size, _SLOW)
+    explained = max(
+        _explained(rough_rate, rough_speed, np.ones(len(size), np.bool_)),
+        _explained(rough_rate, rough_speed, slow),
+    )
     if explained > _DERIVED:
         return DERIVED, explained
-    return (INDEPENDENT if explained < _INDEPENDENT else UNDECIDED), explained
+    own_noise = power > _ROUNDED * _GAIN * _rounding(rate) ** 2 / 12.0
+    steady = np.mean(rough_speed[slow] ** 2) > _STEADY * _STEADY * speed_power
+    proved = explained < _INDEPENDENT and own_noise and steady
+    return (INDEPENDENT if proved else UNDECIDED), explained
+
+
+@njit
+def _explained(rate: np.ndarray, speed: np.ndarray, kept: np.ndarray) -> float:
+    """Share of the variance that rates before leave, and that the speeds around explain."""
+    size = _PAST + _LAGS
+    gram, cross, power, count = np.zeros((size, size)), np.zeros(size), 0.0, 0
+    row = np.zeros(size)
+    for k in range(_LAGS, len(rate) - _LEAD):
+        if not kept[k]:
+            continue
+        for i in range(_PAST):
+            row[i] = rate[k - 1 - i]
+        for i in range(_LAGS):
+            row[_PAST + i] = speed[k + _LEAD - i]
+        count += 1
+        power += rate[k] * rate[k]
+        for i in range(size):
+            cross[i] += row[i] * rate[k]
+            for j in range(size):
+                gram[i, j] += row[i] * row[j]
+    scale = np.sqrt(np.diag(gram)) + 1e-300
+    for i in range(size):
+        cross[i] /= scale[i]
+        for j in range(size):
+            gram[i, j] /= scale[i] * scale[j]
+        gram[i, i] += 1e-9
+    if power == 0.0 or count < 3 * size:
+        return 0.0
+    past = np.linalg.solve(gram[:_PAST, :_PAST].copy(), cross[:_PAST])
+    before = (power - np.dot(cross[:_PAST], past)) / (count - _PAST)
+    after = (power - np.dot(cross, np.linalg.solve(gram, cross))) / (count - size)
+    return 1.0 - max(after, 0.0) / before if before > 0.0 else 1.0
+
+
+@njit
+def _rounding(values: np.ndarray) -> float:
+    """Step that nearly all differences of values are multiples of; 0 if there is none."""
+    changes = np.abs(np.diff(values))
+    changes = changes[changes > 1e-12 * np.max(np.abs(values))]
+    if len(changes) == 0:
+        return 0.0
+    step = np.min(changes)
+    multiples = changes / step
+    whole = np.mean(np.abs(multiples - np.round(multiples)) < 0.05)
+    return float(step) if whole > 0.95 else 0.0
 
 
 @njit

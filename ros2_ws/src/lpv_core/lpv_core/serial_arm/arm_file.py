@@ -29,6 +29,7 @@ KIND = 'serial_arm'
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
 _FAR = 100.0
 """Largest coordinate of a frame, and largest angle of its orientation [m], [rad]."""
+_TORQUE_ERROR = ('torque_error', 'torque_error_speed')
 _HEADER = '# Arm of n revolute joints; docs/arm-file.md describes the fields.\n'
 
 
@@ -108,6 +109,10 @@ def parse_serial_arm(
             varying.number('payload', 0.0, 0.0, 1e4),
             varying.number('friction', 0.0, 0.0, 1.0),
             varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
+            *(_per_joint(varying, key, len(joints)) for key in _TORQUE_ERROR),
+            varying.number('torque_error_time', low=0.0, high=1e4)
+            if 'torque_error_time' in varying
+            else None,
         ),
         covariance=_covariance(top, 15 * len(joints)),
         sample_time=top.number('sample_time', 0.002, 1e-5, 1.0),
@@ -158,7 +163,7 @@ def to_mapping(arm: SerialArm) -> dict[str, Any]:
             'tip': list(arm.tip),
             'sample_time': arm.sample_time,
             'effort': {'unit': arm.effort_unit, 'includes_gravity': arm.effort_includes_gravity},
-            'uncertainty': _stated(asdict(arm.uncertainty)),
+            'uncertainty': _lists(_stated(asdict(arm.uncertainty))),
             'joints': [_joint_mapping(joint) for joint in arm.joints],
         }
     )
@@ -214,6 +219,10 @@ def _triple(
 ) -> tuple[float, float, float]:
     x, y, z = section.vector(key, 3, list(default), low, high)
     return x, y, z
+
+
+def _per_joint(section: Section, key: str, count: int) -> tuple[float, ...] | None:
+    return tuple(section.vector(key, count, low=0.0, high=1e9)) if key in section else None
 
 
 def _locked(top: Section) -> tuple[tuple[str, float], ...]:

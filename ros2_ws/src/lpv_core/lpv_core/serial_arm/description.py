@@ -185,6 +185,11 @@ class Uncertainty:
     payload: float = 0.0  # largest unknown mass at the tip [kg]
     friction: float = 0.0  # relative change of all friction, as with temperature [-]
     model_error: float | None = None  # of masses, places of masses, inertias [-]; None: not stated
+    # torque that the model misses, a standard deviation for each joint; None: not measured.
+    # sigma(v)^2 = torque_error^2 + (torque_error_speed*v)^2 at joint rate v
+    torque_error: tuple[float, ...] | None = None  # at rest and in slow motion [N m]
+    torque_error_speed: tuple[float, ...] | None = None  # growth with the joint's rate [N m s/rad]
+    torque_error_time: float | None = None  # in which its correlation falls to 1/e [s]
 
 
 @dataclass(frozen=True)
@@ -255,7 +260,12 @@ class SerialArm:
 
     def sha256(self) -> str:
         """Hash of every parameter: what is designed for this arm carries it."""
-        return sha256_of(asdict(self))
+        content = asdict(self)
+        # Files without these fields keep their hash.
+        for name in ('torque_error', 'torque_error_speed', 'torque_error_time'):
+            if content['uncertainty'][name] is None:
+                del content['uncertainty'][name]
+        return sha256_of(content)
 
 
 def rotation_from_rpy(angles: tuple[float, float, float]) -> np.ndarray:

@@ -17,7 +17,7 @@ from lpv_core.serial_arm.description import (
     SerialArm,
     SerialJoint,
 )
-from lpv_core.serial_arm.urdf_text import ENDLESS, read_urdf_text
+from lpv_core.serial_arm.urdf_text import ENDLESS, Urdf, read_urdf_text
 from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -28,7 +28,10 @@ MAX_JOINTS = 32
 
 
 def read_urdf_chain(
-    path: str | Path, locked: Mapping[str, float] | None = None, joints: Sequence[str] | None = None
+    path: str | Path,
+    locked: Mapping[str, float] | None = None,
+    joints: Sequence[str] | None = None,
+    tip: str | None = None,
 ) -> SerialArm:
     """Kinematics, inertias and limits of an arm from its URDF.
 
@@ -42,6 +45,9 @@ def read_urdf_chain(
         Joints that are held, and their angles [rad] (or positions [m]).
     joints : sequence of str, optional
         The joints of the arm; all others are locked at 0 if they are not in ``locked``.
+    tip : str, optional
+        Link at the arm's end, of several branches; joints that do not lead to it are locked at 0
+        if they are not in ``locked``.
 
     Returns
     -------
@@ -53,51 +59,70 @@ def read_urdf_chain(
     ConfigError
         If the file cannot be read, or the joints that move are no chain of revolute ones.
     """
-    model, held = read_urdf_model(path, locked, joints)
+    urdf = read_urdf_text(Path(path))
+    model, held = _read_model(urdf, str(path), locked, joints, tip)
     if not 1 <= model.njoints - 1 <= MAX_JOINTS:
         raise ConfigError(
             'urdf',
             f'must have 1 to {MAX_JOINTS} joints that move, has {model.njoints - 1}',
             str(path),
         )
-    described = tuple(_joint(model, i, str(path)) for i in range(1, model.njoints))
+    described = tuple(_joint(model, i, urdf, str(path)) for i in range(1, model.njoints))
     return SerialArm(
         name=model.name or 'arm',
         joints=described,
-        tip=_tip(model),
+        tip=_tip(model, tip),
         urdf=str(path),
         locked=tuple(sorted(held.items())),
     )
 
 
-def read_urdf_model(
-    path: str | Path, locked: Mapping[str, float] | None = None, joints: Sequence[str] | None = None
+def _read_model(
+    urdf: Urdf,
+    source: str,
+    locked: Mapping[str, float] | None,
+    joints: Sequence[str] | None,
+    tip: str | None,
 ) -> 'tuple[pinocchio.Model, dict[str, float]]':
     """Pinocchio's model of a URDF, with joints locked, and the angles of the locked ones."""
     import pinocchio
 
     held = dict(locked or {})
-    text = read_urdf_text(Path(path))
     try:
         with _quiet():
-            model = pinocchio.buildModelFromXML(text)
+            model = pinocchio.buildModelFromXML(urdf.text)
     except (ValueError, RuntimeError, IndexError) as error:
         reason = ' '.join(str(error).split())[:300]
-        raise ConfigError('urdf', f'is not a model ({reason})', str(path)) from error
+        raise ConfigError('urdf', f'is not a model ({reason})', source) from error
     names = list(model.names)[1:]
     for name in (*held, *(joints or ())):
         if name not in names:
             raise ConfigError(
                 'urdf',
                 f'has no moving joint {name!r}; it has ' + (', '.join(names) or 'none'),
-                str(path),
+                source,
             )
-    if joints is not None:
-        held.update({name: 0.0 for name in names if name not in joints and name not in held})
+    moving = set(names if joints is None else joints)
+    if tip is not None:
+        if not model.existFrame(tip, pinocchio.FrameType.BODY):
+            raise ConfigError('tip', f'the URDF has no link {tip!r}', source)
+        end = model.frames[model.getFrameId(tip, pinocchio.FrameType.BODY)].parentJoint
+        moving &= {model.names[i] for i in model.supports[end]}
+    free = moving - set(held)
+    # A joint that follows a locked one is where that one puts it.
+    for name, mimic in urdf.mimics.items():
+        if name in names and name not in held and mimic.joint in names and mimic.joint not in free:
+            free.discard(name)
+            held[name] = mimic.multiplier * held.get(mimic.joint, 0.0) + mimic.offset
+    held.update({name: 0.0 for name in names if name not in free and name not in held})
     if held:
         reference = pinocchio.neutral(model)
         for name, angle in held.items():
-            reference[model.joints[model.getJointId(name)].idx_q] = angle
+            joint = model.joints[model.getJointId(name)]
+            if joint.nq == 1:
+                reference[joint.idx_q] = angle
+            elif angle != 0.0:
+                raise ConfigError('locked', f'{urdf.kinds[name]} joint {name!r} must be at 0')
         model = pinocchio.buildReducedModel(
             model, [model.getJointId(name) for name in held], reference
         )
@@ -117,20 +142,23 @@ def _quiet() -> Iterator[None]:
             os.close(kept)
 
 
-def _joint(model: 'pinocchio.Model', index: int, source: str) -> SerialJoint:
+def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> SerialJoint:
     import pinocchio
 
     name = model.names[index]
     joint = model.joints[index]
-    if joint.nq != 1 or not joint.shortname().startswith('JointModelR'):
-        raise ConfigError(
-            'urdf', f'joint {name!r} is not revolute; lock it or name the joints of the arm', source
-        )
-    if model.parents[index] != index - 1:
+    refused = ''
+    if name in urdf.mimics:
+        refused = f'follows {urdf.mimics[name].joint!r} (mimic)'
+    elif joint.nq != 1 or not joint.shortname().startswith('JointModelR'):
+        refused = f'is {urdf.kinds[name]}, not revolute'
+    elif model.parents[index] != index - 1:
+        refused = f'branches off {model.names[model.parents[index]]!r}: the arm is not a chain'
+    if refused:
         raise ConfigError(
             'urdf',
-            f'joint {name!r} branches off {model.names[model.parents[index]]!r}: '
-            'the arm is not a chain; lock joints or name those of the arm',
+            f'joint {name!r} {refused}; lock it, name the joints of the arm, or name the link at '
+            'its tip',
             source,
         )
     placement = model.jointPlacements[index]
@@ -166,11 +194,12 @@ def _positive(value: Any, default: float) -> float:
     return float(value) if 0.0 < value < math.inf else default
 
 
-def _tip(model: 'pinocchio.Model') -> tuple[float, float, float]:
-    """The frame that is farthest down the chain of fixed frames behind the last joint."""
+def _tip(model: 'pinocchio.Model', name: str | None) -> tuple[float, float, float]:
+    """Named link, or the frame farthest down the chain of fixed frames behind the last joint."""
     last = model.njoints - 1
     frames = [frame for frame in model.frames if frame.parentJoint == last]
-    return _triple(frames[-1].placement.translation) if frames else (0.0, 0.0, 0.0)
+    named = [frame for frame in frames if frame.name == name]
+    return _triple((named or frames)[-1].placement.translation) if frames else (0.0, 0.0, 0.0)
 
 
 def _triple(values: Any) -> tuple[float, float, float]:

@@ -6,6 +6,7 @@ where nesting exhausts the stack.
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from lpv_core.support.errors import ConfigError
@@ -22,6 +23,22 @@ ENDLESS = 1e6
 """Limits of continuous joints, which the parser wants [rad]."""
 _NUMBERS = ('xyz', 'rpy', 'value', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 _LIMITS = ('lower', 'upper', 'effort', 'velocity')
+
+
+class Mimic(NamedTuple):
+    """A joint that follows another one: its position is multiplier * position + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+class Urdf(NamedTuple):
+    """What of a URDF describes the bodies and joints of a robot."""
+
+    text: str  # without shapes, drives and controllers; continuous joints are revolute ones
+    kinds: dict[str, str]  # type of each joint
+    mimics: dict[str, Mimic]  # joints that follow others
 
 
 class _Builder(ElementTree.TreeBuilder):
@@ -48,8 +65,11 @@ class _Builder(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
-def read_urdf_text(path: Path) -> str:
-    """Text of a URDF whose continuous joints are revolute ones without limits, without shapes.
+def read_urdf_text(path: Path) -> Urdf:
+    """Links and joints of a URDF, checked.
+
+    Only children of ``robot`` are links and joints: ``transmission`` and ``ros2_control`` have
+    elements of the same names.
 
     Raises
     ------
@@ -58,15 +78,20 @@ def read_urdf_text(path: Path) -> str:
         finite.
     """
     root = _parse(path)
-    joints = list(root.iter('joint'))
+    for element in list(root):
+        if element.tag not in ('link', 'joint'):
+            root.remove(element)
+    joints, links = root.findall('joint'), root.findall('link')
+    mimics = {}
     for joint in joints:
+        name = joint.get('name', '')
         if joint.get('type') == 'continuous':
             _make_revolute(joint)
         if joint.get('type') in ('revolute', 'prismatic') and joint.find('limit') is None:
-            raise _error(path, f'joint {joint.get("name")!r} has no limit')
+            raise _error(path, f'joint {name!r} has no limit')
         for mimic in joint.findall('mimic'):
+            mimics[name] = _mimic(mimic, name, path)
             joint.remove(mimic)
-    links = list(root.iter('link'))
     if len(links) > MAX_LINKS:
         raise _error(path, f'has {len(links)} links, more than {MAX_LINKS}')
     for link in links:
@@ -76,7 +101,18 @@ def read_urdf_text(path: Path) -> str:
     _check_tree(joints, path)
     for element in (*links, *joints):
         _check_numbers(element, path)
-    return ElementTree.tostring(root, encoding='unicode')
+    kinds = {joint.get('name', ''): joint.get('type', '') for joint in joints}
+    return Urdf(ElementTree.tostring(root, encoding='unicode'), kinds, mimics)
+
+
+def _mimic(element: ElementTree.Element, name: str, path: Path) -> Mimic:
+    try:
+        factor, offset = float(element.get('multiplier', 1.0)), float(element.get('offset', 0.0))
+    except ValueError:
+        factor = offset = math.nan
+    if not max(abs(factor), abs(offset)) <= LARGEST:
+        raise _error(path, f'joint {name[:100]!r}: multiplier and offset of mimic must be numbers')
+    return Mimic(element.get('joint', ''), factor, offset)
 
 
 def _parse(path: Path) -> ElementTree.Element:

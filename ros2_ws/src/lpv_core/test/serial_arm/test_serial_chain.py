@@ -70,6 +70,87 @@ def test_base_on_the_wall_turns_gravity(tmp_path):
     np.testing.assert_allclose(chain.gravity, [9.81, 0.0, 0.0], atol=1e-12)
 
 
+DRIVES = """<ros2_control name="driver" type="system">
+  <hardware><plugin>ur_robot_driver/URPositionHardwareInterface</plugin></hardware>
+  <joint name="a"><command_interface name="position"><param name="min">{-6.28}</param>
+    </command_interface><state_interface name="position"/></joint>
+  <joint name="b"><state_interface name="effort"/></joint><link name="gpio" value="nan"/>
+</ros2_control>
+<transmission name="a_trans"><type>transmission_interface/SimpleTransmission</type>
+  <joint name="a"><hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface>
+  </joint><actuator name="motor"><mechanicalReduction>101</mechanicalReduction></actuator>
+</transmission><gazebo reference="one"><material>Grey</material></gazebo>
+<material name="grey"><color rgba="1 1 1 1"/></material></robot>"""
+
+
+def test_drives_and_controllers_of_a_urdf_are_no_joints(tmp_path):
+    (tmp_path / 'plain.urdf').write_text(URDF)
+    (tmp_path / 'driven.urdf').write_text(URDF.replace('</robot>', DRIVES))
+    plain, driven = (
+        read_urdf_chain(tmp_path / f'{name}.urdf', {'finger': 0.0}) for name in ('plain', 'driven')
+    )
+    assert replace(driven, urdf=plain.urdf) == plain
+
+
+BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01" ixy="0" ixz="0"
+  iyy="0.01" iyz="0" izz="0.01"/></inertial></link><link name="right"/>
+<joint name="pan" type="continuous"><parent link="one"/><child link="camera"/>
+  <origin xyz="0 0.3 0"/><axis xyz="0 0 1"/></joint>
+<joint name="other" type="prismatic"><parent link="tool"/><child link="right"/>
+  <axis xyz="0 -1 0"/><mimic joint="finger" multiplier="-2" offset="0.01"/>
+  <limit lower="-1" upper="1" velocity="1" effort="5"/></joint></robot>"""
+
+
+def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(tmp_path):
+    path = tmp_path / 'branches.urdf'
+    path.write_text(URDF.replace('</robot>', BRANCH))
+    with pytest.raises(ConfigError, match="'pan' .* name the link at"):
+        read_urdf_chain(path, {'finger': 0.02})
+    found = read_urdf_chain(path, {'finger': 0.02}, tip='tool')
+    assert found.joint_names == ('a', 'b')
+    assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
+    full = pinocchio.buildModelFromXML(path.read_text())
+    reference = pinocchio.neutral(full)
+    for name, angle in found.locked:
+        if name != 'pan':  # has cosine and sine
+            reference[full.joints[full.getJointId(name)].idx_q] = angle
+    held = [full.getJointId(name) for name, _ in found.locked]
+    assert_same_torques(pinocchio.buildReducedModel(full, held, reference), compile_chain(found))
+    assert read_urdf_chain(path, tip='camera').joint_names == ('a', 'pan')
+    with pytest.raises(ConfigError, match="no link 'hand'"):
+        read_urdf_chain(path, tip='hand')
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'reason'),
+    [
+        ('</joint>\n<joint name="mount"', '<mimic joint="a"/></joint>\n<joint name="mount"',
+         "'b' follows 'a'"),
+        ('<joint name="b" type="revolute">', '<joint name="b" type="floating">', "'b' is floating"),
+        ('<joint name="b" type="revolute">', '<joint name="b" type="prismatic">',
+         "'b' is prismatic"),
+        ('</joint>\n<joint name="mount"', '<mimic joint="a" offset="1e99"/></joint>\n<joint name='
+         '"mount"', "'b': multiplier"),
+    ],
+)  # fmt: skip
+def test_joints_that_no_arm_has_are_refused_by_name(tmp_path, old, new, reason):
+    assert old in URDF
+    (tmp_path / 'odd.urdf').write_text(URDF.replace(old, new))
+    with pytest.raises(ConfigError, match=reason):
+        read_urdf_chain(tmp_path / 'odd.urdf', {'finger': 0.0})
+
+
+def test_base_link_turned_by_a_fixed_joint_turns_the_arm(tmp_path):
+    world = """<link name="world"/><joint name="bolted" type="fixed"><parent link="world"/>
+    <child link="base"/><origin xyz="1 2 3" rpy="0.7 -2.0 1.1"/></joint></robot>"""
+    text = URDF.replace('</robot>', world)
+    (tmp_path / 'turned.urdf').write_text(text)
+    found = read_urdf_chain(tmp_path / 'turned.urdf', {'finger': 0.0})
+    full = pinocchio.buildModelFromXML(text)
+    model = pinocchio.buildReducedModel(full, [full.getJointId('finger')], np.zeros(3))
+    assert_same_torques(model, compile_chain(found))
+
+
 @pytest.mark.parametrize('path', ['ur10/ur10.urdf', 'panda/fer.urdf'])
 def test_arm_of_a_manufacturer_equals_pinocchio(path):
     if not (DATA / path).exists():

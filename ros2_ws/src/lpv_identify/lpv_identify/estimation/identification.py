@@ -1,22 +1,26 @@
 """From recordings to an identified arm."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv_core.serial_arm.description import JointSensors, SerialArm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.estimation.assembly import covariance_of_all, fit_of
 from lpv_identify.estimation.determination import Determination, determine
 from lpv_identify.estimation.evaluation import Figures, Prediction, figures, predict
+from lpv_identify.estimation.mistakes import Mistake, find_mistakes
 from lpv_identify.estimation.regression import Filters, Fit
-from lpv_identify.estimation.tolerance import torque_tolerance
+from lpv_identify.estimation.torque_error import torque_error, torque_tolerance
 from lpv_identify.estimation.weight import WeightEvidence
 from lpv_identify.estimation.workshop import Workshop
 from lpv_identify.model.base_parameters import BaseParameters
 from lpv_identify.recordings.motion import Bandwidths
 from lpv_identify.recordings.recording import Recording
 from lpv_identify.sensors.sensing import Sensing
+
+STEPS = 8
+"""Steps of an identification that are reported."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,7 @@ class Identification:
     strength: float  # of the prior
     used_rates: bool  # measured rates were used
     weight: WeightEvidence  # whether the efforts contain the arm's weight
+    mistakes: tuple[Mistake, ...]  # what is likely wrong in the set-up; part of the warnings, too
     warnings: tuple[str, ...]
 
 
@@ -53,6 +58,7 @@ def identify(
     recordings: Sequence[Recording],
     options: Options | None = None,
     tests: Sequence[Recording] = (),
+    report: Callable[[str], None] = lambda step: None,
 ) -> Identification:
     """Identify an arm from recordings.
 
@@ -66,6 +72,8 @@ def identify(
         Choices of the user.
     tests : sequence of Recording, optional
         Other recordings, to test on.
+    report : callable, optional
+        Is called at each of `STEPS` steps with what is done next.
 
     Returns
     -------
@@ -78,12 +86,18 @@ def identify(
         If the recordings cannot identify the arm.
     """
     options = options or Options()
+    report('preparing the motion')
     workshop = Workshop(arm, recordings)
     share = 1.0 if tests else options.train_share
     workshop.estimate_gains(share)
-    weight = workshop.check_weight(share, not options.weight_is_known)
+    report('looking for mistakes of the set-up')
+    mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'weight']
+    workshop.warnings += [m.text for m in mistakes]
+    # With gravity from elsewhere, or other joints' efforts, the weight cannot be judged.
+    weight = workshop.check_weight(share, not (options.weight_is_known or mistakes))
     arm = workshop.arm
-    workshop.choose(share)
+    workshop.choose(share, report)
+    report('fitting the parameters')
     fit, strength = workshop.fit(share)
     found = workshop.arm_of(fit, strength)
     held_back = workshop.test_rows(share, tests)
@@ -102,6 +116,7 @@ def identify(
     if options.refit:
         fit, _ = workshop.fit(1.0)
         found = workshop.arm_of(fit, strength)
+    report('measuring what is uncertain')
     free = workshop.free_fit(1.0 if options.refit else share, fit.slope)
     determination = determine(workshop.base, free, arm)
     sensing = workshop.sensing()
@@ -121,6 +136,7 @@ def identify(
         strength,
         workshop.use_rates,
         weight,
+        tuple(mistakes),
         tuple(workshop.warnings),
     )
 
@@ -138,18 +154,10 @@ def _finish(
     residual = np.concatenate([p.measured - p.predicted for p in predictions])
     joints = []
     for j, joint in enumerate(arm.joints):
-        sensors = JointSensors(
-            joint.sensors.name,
-            max(float(sensing.position_noise[j]), 1e-9),
-            float(sensing.quantization[j]),
-            sensing.rates[j],
-            max(float(sensing.velocity_noise[j]), 1e-9),
-            joint.sensors.second_encoder,
-        )
         joints.append(
             replace(
                 joint,
-                sensors=sensors,
+                sensors=sensing.of_joint(j, joint.sensors),
                 effort_delay=float(workshop.effort_delay[j]),
                 torque_tolerance=torque_tolerance(speed[:, j], residual[:, j]),
             )
@@ -157,8 +165,10 @@ def _finish(
     covariance = covariance_of_all(
         workshop.arm, workshop.base, fit, int(determination.determined.sum())
     )
+    stretches = [p.measured - p.predicted for p in predictions]
+    error = torque_error([p.velocity for p in predictions], stretches, workshop.step)
     return replace(
-        arm,
+        error.on(arm),
         joints=tuple(joints),
         covariance=covariance,
         sample_time=workshop.step,

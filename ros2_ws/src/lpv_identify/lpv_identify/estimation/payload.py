@@ -7,9 +7,10 @@ import numpy as np
 
 from lpv_core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
 from lpv_identify.errors import IdentificationError
-from lpv_identify.model.rigid_body import build_model, momentum_regressor, motion_regressor
+from lpv_identify.estimation.torque_error import model_residual
+from lpv_identify.model.rigid_body import build_model, torque_regressor
 from lpv_identify.recordings.filters import derivative, low_pass
-from lpv_identify.recordings.motion import Segment, find_bandwidths, smooth, split
+from lpv_identify.recordings.motion import Segment, find_bandwidths, split
 from lpv_identify.recordings.recording import Recording
 
 _HUBER = 2.0
@@ -94,44 +95,18 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
 def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
     """Regressor of the tool and the offsets, and the torque that the arm leaves unexplained."""
     n = len(arm.joints)
-    bands = find_bandwidths([segment])
-    gain = np.array([joint.torque_gain for joint in arm.joints])
-    delay = np.array([joint.effort_delay for joint in arm.joints])
-    motion = smooth(
-        replace(segment, effort=segment.effort * gain),
-        bands,
-        segment.velocity is not None,
-        np.zeros(n),
-        delay,
-    )
-    model = build_model(arm)
-    momentum = momentum_regressor(model, motion.position, motion.velocity)
-    regressor = derivative(momentum, motion.step) + motion_regressor(
-        model, motion.position, motion.velocity
-    )
-    rigid = regressor @ arm.inertial_parameters()
-    rotor = np.array([j.rotor_inertia for j in arm.joints])
-    rigid += derivative(motion.velocity, motion.step) * rotor
-    friction = np.stack(
-        [j.friction.torque(motion.velocity[:, k], rigid[:, k]) for k, j in enumerate(arm.joints)],
-        axis=1,
-    )
-    first = N_INERTIAL * (n - 1)
-    tool = regressor[:, :, first : first + N_INERTIAL]
-    offsets = np.broadcast_to(np.eye(n), (len(rigid), n, n))
-    thin = max(1, int(1.0 / (8.0 * bands.analysis * motion.step)))
-    cut = slice(len(rigid) // 20, len(rigid) - len(rigid) // 20, thin)
-
-    def through(signal: np.ndarray) -> np.ndarray:
-        return low_pass(signal, bands.analysis, motion.step)[cut]
-
-    model_torque = low_pass(rigid + friction, arm.effort_bandwidth, motion.step)
+    motion, residual = model_residual(arm, segment)
+    acceleration = derivative(motion.velocity, motion.step)
+    regressor = torque_regressor(build_model(arm), motion.position, motion.velocity, acceleration)
+    tool = regressor[:, :, N_INERTIAL * (n - 1) :]
+    cutoff = find_bandwidths([segment]).analysis
+    thin = max(1, int(1.0 / (8.0 * cutoff * motion.step)))
+    cut = slice(len(tool) // 20, len(tool) - len(tool) // 20, thin)
+    filtered = low_pass(tool, arm.effort_bandwidth, motion.step, cutoff)[cut]
+    offsets = np.broadcast_to(np.eye(n), (len(filtered), n, n))
     return (
-        np.concatenate(
-            [through(low_pass(tool, arm.effort_bandwidth, motion.step)), offsets[cut]], axis=2
-        ),
-        through(motion.effort - model_torque),
-    )
+        np.concatenate([filtered, offsets], axis=2), low_pass(residual, cutoff, motion.step)[cut]
+    )  # fmt: skip
 
 
 def _solve(

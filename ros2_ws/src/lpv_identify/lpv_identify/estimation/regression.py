@@ -1,7 +1,7 @@
 """Robust weighted regression of torques on base parameters and friction.
 
-Rows are filtered torques: both sides of the momentum balance tau = d/dt p + S phi + friction go
-through the same zero-phase low-pass filter, so no acceleration is measured or differenced twice.
+Rows are filtered torques: both sides of tau = Y(q, v, a) phi + friction go through the same
+zero-phase low-pass filter, so accelerations are derivatives of smoothed rates and need no sensor.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from lpv_identify.estimation.autocorrelation import residual_autocovariances, score_covariance
 from lpv_identify.model.base_parameters import BaseParameters
 from lpv_identify.model.friction import SLOPES, TERMS, direction, direction_slope, friction_columns
-from lpv_identify.model.rigid_body import momentum_regressor, motion_regressor
+from lpv_identify.model.rigid_body import torque_regressor
 from lpv_identify.recordings.filters import derivative, low_pass
 from lpv_identify.recordings.motion import Motion
 
@@ -115,25 +115,22 @@ def make_rows(
     speed_limit: np.ndarray,
     with_gravity: bool = True,
 ) -> Rows:
-    """Regressor of the momentum balance along a smoothed motion with efforts [N m].
+    """Regressor of the torques along a smoothed motion with efforts [N m].
 
     Friction must not drive a joint up to the ``speed_limit``, shape (n,) [rad/s]; ``with_gravity``
     says whether the efforts contain gravity torques.
     """
-    position, velocity = motion.position, motion.velocity
-    n = model.nv
-    momentum = np.concatenate(
-        [momentum_regressor(model, position, velocity), velocity[:, :, None] * np.eye(n)], axis=2
-    )[:, :, base.columns]
-    rest = motion_regressor(model, position, velocity)
+    position, velocity, acceleration = (
+        motion.position, motion.velocity, derivative(motion.velocity, motion.step)
+    )  # fmt: skip
     if not with_gravity:
-        from lpv_identify.model.rigid_body import torque_regressor
-
-        rest -= torque_regressor(model, position, np.zeros(n), np.zeros(n))
-    rest = np.concatenate([rest, np.zeros((len(position), n, n))], axis=2)[:, :, base.columns]
-    return Rows(
-        motion.step, derivative(momentum, motion.step) + rest, velocity, motion.effort, speed_limit
-    )
+        model = model.copy()
+        model.gravity.linear = np.zeros(3)
+    n = model.nv
+    rotors = acceleration[:, :, None] * np.eye(n)
+    rigid = torque_regressor(model, position, velocity, acceleration)
+    columns = np.concatenate([rigid, rotors], axis=2)[:, :, base.columns]
+    return Rows(motion.step, columns, velocity, motion.effort, speed_limit)
 
 
 def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
@@ -143,11 +140,15 @@ def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
     return rigid + np.einsum('ijk,jk->ij', columns, fit.friction)
 
 
+Loads = Sequence[np.ndarray | None]
+"""Magnitudes of rigid-body torques, a segment each; None if no friction depends on them."""
+
+
 class Problem:
     """Filtered rows of all segments; the columns of friction change with slopes and load."""
 
-    def __init__(self, rows: Sequence[Rows], filters: Filters):
-        self._rows, self._filters = rows, filters
+    def __init__(self, rows: Sequence[Rows], filters: Filters, use_load: np.ndarray):
+        self._rows, self._filters, self.use_load = rows, filters, use_load
         self.n = rows[0].effort.shape[1]
         self.base = np.concatenate([self._keep(r.filtered_base(filters), r) for r in rows])
         self.effort = np.concatenate(
@@ -166,25 +167,28 @@ class Problem:
         filters = self._filters
         return self._keep(low_pass(signal, filters.effort, rows.step, filters.analysis), rows)
 
-    def friction(self, slope: np.ndarray, beta: np.ndarray | None) -> np.ndarray:
-        """Filtered friction columns of each joint, shape (rows, n, 4)."""
-        ways, loads = [], []
-        for rows in self._rows:
-            way = direction(rows.velocity, slope)
-            ways.append(self._reduce(way, rows))
-            loads.append(
-                np.zeros_like(ways[-1])
-                if beta is None
-                else self._reduce(np.abs(rows.base @ beta) * way, rows)
-            )
-        way = np.concatenate(ways)
-        return np.stack([self._rates, way, np.concatenate(loads), np.ones_like(way)], axis=2)
+    def loads(self, beta: np.ndarray) -> Loads:
+        """Magnitude of the rigid-body torque of each joint, for each segment."""
+        if not self.use_load.any():
+            return [None] * len(self._rows)
+        return [np.abs(rows.base @ beta) for rows in self._rows]
 
-    def slope_column(self, slope: np.ndarray, beta: np.ndarray, friction: np.ndarray) -> np.ndarray:
+    def friction(self, slope: np.ndarray, loads: Loads | None) -> np.ndarray:
+        """Filtered friction columns of each joint, shape (rows, n, 4)."""
+        columns = []
+        for rows, load in zip(self._rows, loads or [None] * len(self._rows)):
+            way = direction(rows.velocity, slope)
+            parts = way if load is None else np.hstack([way, load * way])
+            reduced = self._reduce(parts, rows)
+            columns.append(np.hstack([reduced, np.zeros_like(reduced)])[:, : 2 * self.n])
+        way, loaded = np.hsplit(np.concatenate(columns), 2)
+        return np.stack([self._rates, way, loaded, np.ones_like(way)], axis=2)
+
+    def slope_column(self, slope: np.ndarray, loads: Loads, friction: np.ndarray) -> np.ndarray:
         """Derivative of the torque with respect to log(k), shape (rows, n)."""
         parts = []
-        for rows in self._rows:
-            amplitude = friction[:, 1] + friction[:, 2] * np.abs(rows.base @ beta)
+        for rows, load in zip(self._rows, loads):
+            amplitude = friction[:, 1] + friction[:, 2] * (0.0 if load is None else load)
             column = amplitude * direction_slope(rows.velocity, slope)
             parts.append(self._reduce(column, rows))
         return np.concatenate(parts)
@@ -226,7 +230,7 @@ def fit_parameters(
     Fit
         Huber's estimate with one scale for each joint.
     """
-    problem = Problem(rows, filters)
+    problem = Problem(rows, filters, use_load)
     n, size = problem.n, problem.base.shape[2]
     allowed = _active_columns(size, use_load)
     passive = _passive_map(size, rows[0].speed_limit)
@@ -237,12 +241,12 @@ def fit_parameters(
     scale = np.ones(n)
     weight = np.ones_like(problem.effort)
     for sweep in range(sweeps):
-        beta = parameters[:size] if sweep else None
+        loads = problem.loads(parameters[:size]) if sweep else None
         if search and sweep:
             slope = _search_slopes(
-                problem, parameters, slope, weight, use_load, sweep, rows[0].speed_limit
+                problem, parameters, loads, slope, weight, sweep, rows[0].speed_limit
             )
-        design = join_columns(problem.base, problem.friction(slope, beta))
+        design = join_columns(problem.base, problem.friction(slope, loads))
         for _ in range(2):
             equations = _normal_equations(design, problem.effort, weight / scale**2, prior)
             parameters, active = _solve(*equations, allowed, passive, signed)
@@ -256,11 +260,12 @@ def fit_parameters(
                 )
                 scale = _scale(residual)
                 weight = _huber(residual / scale)
-            design = join_columns(problem.base, problem.friction(slope, parameters[:size]))
+            loads = problem.loads(parameters[:size])
+            design = join_columns(problem.base, problem.friction(slope, loads))
     covariance, freedom = np.zeros((len(parameters), len(parameters))), 1.0
     if with_covariance:
         column = problem.slope_column(
-            slope, parameters[:size], parameters[size:].reshape(n, len(TERMS))
+            slope, problem.loads(parameters[:size]), parameters[size:].reshape(n, len(TERMS))
         )
         weights = weight / scale**2
         covariance, freedom = _uncertainty(
@@ -281,8 +286,9 @@ def _refine(
     """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
     size, n = problem.base.shape[2], problem.n
     friction = parameters[size:].reshape(n, len(TERMS))
-    design = join_columns(problem.base, problem.friction(slope, parameters[:size]))
-    column = problem.slope_column(slope, parameters[:size], friction)
+    loads = problem.loads(parameters[:size])
+    design = join_columns(problem.base, problem.friction(slope, loads))
+    column = problem.slope_column(slope, loads, friction)
     full = np.concatenate([design, column[:, :, None] * np.eye(n)], axis=2)
     matrix = normal_matrix(full, weight)
     right = np.einsum('ijk,ij->k', full, weight * problem.effort)
@@ -390,9 +396,9 @@ def invert_normal(matrix: np.ndarray) -> np.ndarray:
 def _search_slopes(
     problem: Problem,
     parameters: np.ndarray,
+    loads: Loads | None,
     slope: np.ndarray,
     weight: np.ndarray,
-    use_load: np.ndarray,
     sweep: int,
     speed_limit: np.ndarray,
 ) -> np.ndarray:
@@ -406,12 +412,12 @@ def _search_slopes(
         else [slope * f for f in (0.5, 0.71, 1.0, 1.41, 2.0)]
     )
     for candidate in candidates:
-        columns = problem.friction(candidate, parameters[:size])
+        columns = problem.friction(candidate, loads)
         columns[:, :, 1] -= columns[:, :, 0] / speed_limit
         tried.append(
             [
                 _cost(
-                    columns[:, j][:, [True, True, bool(use_load[j]), True]],
+                    columns[:, j][:, [True, True, bool(problem.use_load[j]), True]],
                     rest[:, j],
                     weight[:, j],
                 )

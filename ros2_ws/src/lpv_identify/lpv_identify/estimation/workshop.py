@@ -1,6 +1,6 @@
 """Recordings of an arm, and the choices on the way to its parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,9 +31,7 @@ from lpv_identify.recordings.motion import (
     split,
 )
 from lpv_identify.recordings.recording import Recording
-from lpv_identify.sensors.noise import noise_deviation, quantization_step
-from lpv_identify.sensors.rates import rate_sources
-from lpv_identify.sensors.sensing import Sensing
+from lpv_identify.sensors.sensing import Sensing, noise_deviation, sense
 
 WEAK = 1e-3
 """Strength of the prior while the model is chosen."""
@@ -48,6 +46,7 @@ class Workshop:
 
     def __init__(self, arm: SerialArm, recordings: Sequence[Recording]):
         self.arm = arm
+        self.recordings = recordings
         self.n = len(arm.joints)
         self.gain = np.array([joint.torque_gain for joint in arm.joints])
         self.segments = [segment for one in recordings for segment in split(one)]
@@ -148,16 +147,20 @@ class Workshop:
         motions = [self._motion(segment) for one in tests for segment in split(one)]
         return [(self._rows(motion), motion) for motion in motions]
 
-    def choose(self, share: float) -> None:
+    def choose(self, share: float, report: Callable[[str], None]) -> None:
         """Rates, bandwidth of the efforts, load, prior, delay: by prediction of training data."""
         weak = Prior(self.prior.mean, WEAK * self.prior.information)
+        report('choosing measured or computed rates')
         if self.has_rates:
             self._choose_rates(share)
+        report('choosing the bandwidth of the efforts')
         rows = self.train_rows(share)
         band = choose_effort_band(rows, self.filters, self.use_load, weak)
         self.filters = replace(self.filters, effort=band)
         self.use_load = np.ones(self.n, bool)
+        report('choosing the weight of the parameters given')
         self._choose_strength(share)
+        report('choosing the delays of the efforts')
         self._choose_delay(share)
 
     def consistent_fit(
@@ -258,19 +261,7 @@ class Workshop:
 
     def sensing(self) -> Sensing:
         """Noise, quantization, source of rates, delays."""
-        positions = [segment.position for segment in self.segments]
-        rates = [s.velocity for s in self.segments if s.velocity is not None]
-        sources, evidence = rate_sources(self.segments)
-        noise = noise_deviation(rates) if rates else np.full(self.n, 1e-2)
-        return Sensing(
-            noise_deviation(positions),
-            quantization_step(positions),
-            noise,
-            sources,
-            evidence,
-            self.rate_delay,
-            self.joint_delays,
-        )
+        return sense(self.recordings, self.segments, self.rate_delay, self.joint_delays)
 
 
 def _base_prior(arm: SerialArm, base: BaseParameters) -> Prior:

@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 
-import cvxpy as cp
+import clarabel
 import numpy as np
+from scipy import sparse
 
 from lpv_core.serial_arm.description import N_INERTIAL, LinkInertia
 from lpv_identify.errors import IdentificationError
 
 _MARGIN = 1e-7  # smallest eigenvalue of a pseudo-inertia, relative to the link's scale
-_SOLVED = (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
 
 
 @dataclass(frozen=True)
@@ -64,49 +64,60 @@ def nearest_consistent(
         If the solver finds no such parameters.
     """
     root, target = data.root()
-    scaled = cp.Variable(len(mean))
-    residual = (root * sigma) @ scaled - (target - root @ mean)
-    # Clarabel likes costs of moderate size.
-    size = max(1.0, float(np.linalg.norm(root * sigma)))
-    cost = cp.sum_squares(residual / size) + cp.sum_squares(scaled) / size**2
+    size = max(1.0, float(np.linalg.norm(root * sigma)))  # solvers like costs of moderate size
+    rows, count = root.shape[0], len(mean)
+    # Variables are x in units of the prior, and the residuals of the data.
+    cost = sparse.diags(np.concatenate([np.full(count, 2.0 / size**2), np.full(rows, 2.0)]))
+    fit = np.hstack([root * sigma / size, -np.eye(rows)])
     lower, upper = ((b - mean) / sigma for b in bounds)
-    above, below = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
-    constraints = [scaled[above] >= lower[above]] if len(above) else []
-    constraints += [scaled[below] <= upper[below]] if len(below) else []
+    above, below = np.isfinite(lower), np.isfinite(upper)
+    eye = np.eye(count)
+    matrices, rights = [-eye[above], eye[below]], [-lower[above], upper[below]]
     for i in range(joints):
         part = slice(N_INERTIAL * i, N_INERTIAL * (i + 1))
-        constraints.append(
-            _pseudo_inertia(scaled[part], mean[part], sigma[part]) >> _MARGIN * np.eye(4)
-        )
-    problem = cp.Problem(cp.Minimize(cost), constraints)
-    try:
-        problem.solve(solver=cp.CLARABEL)
-    except cp.SolverError as error:
+        matrix, right = _pseudo_inertia(mean[part], sigma[part])
+        matrices.append(-matrix @ eye[part])
+        rights.append(right)
+    bounded = np.vstack(matrices)
+    left = np.vstack([fit, np.hstack([bounded, np.zeros((len(bounded), rows))])])
+    cones = [
+        clarabel.ZeroConeT(rows),
+        clarabel.NonnegativeConeT(int(above.sum() + below.sum())),
+        *(clarabel.PSDTriangleConeT(4) for _ in range(joints)),
+    ]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    right = np.concatenate([(target - root @ mean) / size, *rights])
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix(cost), np.zeros(count + rows), sparse.csc_matrix(left), right, cones,
+        settings,
+    )  # fmt: skip
+    solution = solver.solve()
+    if str(solution.status) not in ('Solved', 'AlmostSolved'):
         raise IdentificationError(
-            f'no physically consistent inertias were found ({error})'
-        ) from error
-    if problem.status not in _SOLVED or scaled.value is None:
-        raise IdentificationError(
-            f'no physically consistent inertias were found ({problem.status})'
+            f'no physically consistent inertias were found ({solution.status})'
         )
-    return np.clip(mean + sigma * scaled.value, *bounds)
+    return np.clip(mean + sigma * np.array(solution.x[:count]), *bounds)
 
 
-def _pseudo_inertia(scaled: cp.Expression, mean: np.ndarray, sigma: np.ndarray) -> cp.Expression:
-    """Pseudo-inertia in units of mass and length that bring its entries near 1."""
-    mass_unit = sigma[0]
+def _pseudo_inertia(mean: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pseudo-inertia M x + b of a link, less a margin, in the solver's form of a symmetric matrix.
+
+    In units of mass and length that bring its entries near 1.
+    """
     length_unit = sigma[1] / sigma[0]
-    unit = mass_unit * np.array([1.0] + [length_unit] * 3 + [length_unit**2] * 6)
-    matrix = _PSEUDO @ np.diag(sigma / unit)
-    return cp.reshape(matrix @ scaled + _PSEUDO @ (mean / unit), (4, 4), order='C')
+    unit = sigma[0] * np.array([1.0] + [length_unit] * 3 + [length_unit**2] * 6)
+    return _PSEUDO @ np.diag(sigma / unit), _PSEUDO @ (mean / unit) - _MARGIN * _UNIT
 
 
-def _pseudo_map() -> np.ndarray:
-    """Matrix from the inertial parameters of a link to the entries of its pseudo-inertia."""
-    return np.stack(
-        [LinkInertia.from_vector(row).pseudo_inertia().ravel() for row in np.eye(N_INERTIAL)],
-        axis=1,
+def _triangle(matrix: np.ndarray) -> np.ndarray:
+    """Upper triangle by columns, entries off the diagonal times sqrt(2): norms stay."""
+    return np.array(
+        [matrix[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)]
     )
 
 
-_PSEUDO = _pseudo_map()
+_PSEUDO = np.stack(
+    [_triangle(LinkInertia.from_vector(row).pseudo_inertia()) for row in np.eye(N_INERTIAL)], axis=1
+)
+_UNIT = _triangle(np.eye(4))

@@ -5,8 +5,6 @@ import pinocchio
 
 from lpv_core.serial_arm.description import N_INERTIAL, SerialArm, rotation_from_rpy
 
-_STEP = 1e-5  # of the central difference along the motion [s]
-
 
 def build_model(arm: SerialArm) -> pinocchio.Model:
     """Pinocchio's model of an arm, with the joint frames and link frames of the arm."""
@@ -20,43 +18,6 @@ def build_model(arm: SerialArm) -> pinocchio.Model:
         inertia = pinocchio.Inertia.FromDynamicParameters(joint.link.to_vector())
         model.appendBodyToJoint(parent, inertia, pinocchio.SE3.Identity())
     return model
-
-
-def momentum_regressor(
-    model: pinocchio.Model, position: np.ndarray, velocity: np.ndarray
-) -> np.ndarray:
-    """Regressor P of the momentum, p = M(q) v = P phi.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Of the arm, with n joints.
-    position, velocity : ndarray, shape (samples, n)
-        [rad], [rad/s].
-
-    Returns
-    -------
-    ndarray, shape (samples, n, 10 n)
-        phi holds the standard inertial parameters of all links.
-    """
-    still = np.zeros(model.nv)
-    return torque_regressor(model, position, still, velocity) - torque_regressor(
-        model, position, still, still
-    )
-
-
-def motion_regressor(
-    model: pinocchio.Model, position: np.ndarray, velocity: np.ndarray
-) -> np.ndarray:
-    """Regressor S of the momentum balance tau = d/dt p + S phi: S phi = g(q) - C(q, v)^T v.
-
-    From the property dM/dt = C + C^T: S = Y(q, v, 0) - (dM/dt) v, the latter by a central
-    difference along the motion.  Shapes as those of `momentum_regressor`.
-    """
-    ahead = momentum_regressor(model, position + _STEP * velocity, velocity)
-    behind = momentum_regressor(model, position - _STEP * velocity, velocity)
-    still = np.zeros(model.nv)
-    return torque_regressor(model, position, velocity, still) - (ahead - behind) / (2.0 * _STEP)
 
 
 def torque_regressor(

@@ -3,8 +3,9 @@
 import functools
 
 import numpy as np
+from scipy import fft
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfilt, sosfiltfilt
+from scipy.signal import butter, sosfilt
 
 _ORDER = 2  # forwards and backwards, hence 4 in all
 NYQUIST_SHARE = 0.9
@@ -16,30 +17,39 @@ def low_pass(
 ) -> np.ndarray:
     """Low-pass filter without delay along the first axis of a uniformly sampled signal.
 
-    ``cutoff``, and ``second`` of another filter after it, are where amplitudes are halved [Hz], inf
-    for none; ``step`` is the sample time [s].  A high ``order``, that of each filter in each
-    direction, leaves what is below the cutoff as it is.
+    That of Butterworth, forwards and backwards.  ``cutoff``, and ``second`` of another filter after
+    it, are where amplitudes are halved [Hz], inf for none; ``step`` is the sample time [s].  A high
+    ``order``, that of each filter in each direction, leaves what is below the cutoff as it is.
     """
-    cutoffs = [c for c in (cutoff, second) if c < NYQUIST_SHARE * 0.5 / step]
+    cutoffs = tuple(c * step for c in (cutoff, second) if c < NYQUIST_SHARE * 0.5 / step)
     if not cutoffs:
         return signal
-    sections = np.concatenate([_sections(order, c * step) for c in cutoffs])
-    pad = min(len(signal) - 1, int(np.ceil(1.5 / (min(cutoffs) * step))))
-    return sosfiltfilt(sections, signal, axis=0, padlen=pad)
+    count = len(signal)
+    pad = min(count - 1, int(np.ceil(1.5 / min(cutoffs))))
+    # Turned about its ends, the signal goes on without a step.
+    before = 2.0 * signal[:1] - signal[pad:0:-1]
+    after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
+    padded = np.concatenate([before, signal, after]).reshape(count + 2 * pad, -1).T
+    size = fft.next_fast_len(padded.shape[1], real=True)
+    filtered = fft.irfft(fft.rfft(padded, size) * _gains(order, cutoffs, size), size)
+    return filtered[:, pad : pad + count].T.reshape(signal.shape)
+
+
+@functools.lru_cache(maxsize=64)
+def _gains(order: int, cutoffs: tuple[float, ...], size: int) -> np.ndarray:
+    """Squared gain of Butterworth filters at the frequencies of a Fourier transform."""
+    frequency = np.tan(np.pi * np.minimum(fft.rfftfreq(size), 0.5 - 1e-9))
+    return np.prod(
+        [1.0 / (1.0 + (frequency / np.tan(np.pi * c)) ** (2 * order)) for c in cutoffs], axis=0
+    )
 
 
 def causal_low_pass(signal: np.ndarray, cutoff: float, step: float) -> np.ndarray:
     """Low-pass filter that uses the past only, along the first axis; as `low_pass`."""
     if not cutoff < NYQUIST_SHARE * 0.5 / step:
         return signal
-    sections = _sections(_ORDER, cutoff * step)
+    sections = butter(_ORDER, cutoff, fs=1.0 / step, output='sos')
     return sosfilt(sections, signal - signal[0], axis=0) + signal[0]
-
-
-@functools.lru_cache(maxsize=64)
-def _sections(order: int, cutoff: float) -> np.ndarray:
-    """Butterworth's filter; cutoff in cycles per sample."""
-    return butter(order, cutoff, fs=1.0, output='sos')
 
 
 def derivative(signal: np.ndarray, step: float) -> np.ndarray:

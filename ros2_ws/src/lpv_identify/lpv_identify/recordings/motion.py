@@ -186,9 +186,8 @@ def _content(rates: np.ndarray, step: float) -> float:
     frequency, power = _spectrum(rates, step)
     share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
     moving = power.sum(axis=0) > 1e-4 * power.sum(axis=0).max()
-    return float(
-        max(frequency[np.argmax(share[:, j] > 0.99)] for j in range(share.shape[1]) if moving[j])
-    )
+    tops = [frequency[np.argmax(share[:, j] > 0.99)] for j in range(share.shape[1]) if moving[j]]
+    return float(max(tops, default=0.0))
 
 
 def smooth(

@@ -149,7 +149,7 @@ def _tables(result: Identification) -> dict[str, Any]:
             'step rad',
             'rate noise rad/s',
             'rates',
-            'correlation',
+            'explained',
             'rate delay ms',
         ],
         'sensors': _named(arm.joint_names, sensors),

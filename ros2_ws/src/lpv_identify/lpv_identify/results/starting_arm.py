@@ -7,7 +7,6 @@ from lpv_core.serial_arm.arm_file import is_serial_arm, parse_serial_arm, save_s
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.config import read_yaml
 from lpv_core.support.resources import bringup_file
-from lpv_identify.estimation.identification import Identification
 from lpv_identify.results.planar import serial_from_planar, write_planar
 
 
@@ -36,21 +35,21 @@ def load_any_arm(path: str) -> SerialArm:
     return serial_from_planar(parse_arm(data, str(file)))
 
 
-def save_like(start: str | None, result: Identification, path: Path) -> None:
+def save_like(start: str | None, arm: SerialArm, path: Path) -> None:
     """Write the arm in the format of the file that it was started from.
 
     Parameters
     ----------
     start : str or None
         Arm file, or None for a URDF.
-    result : Identification
-        With the identified arm.
+    arm : SerialArm
+        What to write.
     path : pathlib.Path
         File to write.
     """
     if start is not None:
         data = read_yaml(bringup_file('arms', start))
         if not is_serial_arm(data):
-            write_planar(data, result.arm, path)
+            write_planar(data, arm, path)
             return
-    save_serial_arm(result.arm, path)
+    save_serial_arm(arm, path)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from lpv_identify.estimation.identification import Identification
+from lpv_identify.estimation.torque_error import Calibration
 
 
 def table(result: Identification) -> str:
@@ -32,6 +33,28 @@ def table(result: Identification) -> str:
             f'{1e3 * sensing.effort_delay[j]:6.1f}'
         )
     lines += ['', *remarks(result)]
+    return '\n'.join(lines)
+
+
+def calibration_table(result: Calibration) -> str:
+    """What a calibration found of each joint, for a terminal."""
+    names, sensing, error = result.arm.joint_names, result.sensing, result.error
+    width = max(8, *(len(name) for name in names))
+    lines = [
+        f'{"joint":{width}}  RMS N m  at rest  N m s/rad  noise rad  step rad  rate noise  rates'
+    ]
+    for j, name in enumerate(names):
+        lines.append(
+            f'{name:{width}} {result.rms[j]:8.3f} {error.rest[j]:8.3f} {error.growth[j]:10.3f} '
+            f'{sensing.position_noise[j]:10.2g} {sensing.quantization[j]:9.2g} '
+            f'{sensing.velocity_noise[j]:11.2g}  {sensing.rates[j]}'
+        )
+    lines += [
+        '',
+        f'"RMS": efforts minus the torques of the model; "at rest" and per rad/s: what of that the '
+        f'model misses, for {error.time:.2g} s at a time; stamps jitter by '
+        f'{1e3 * sensing.jitter:.2g} ms.',
+    ]
     return '\n'.join(lines)
 
 

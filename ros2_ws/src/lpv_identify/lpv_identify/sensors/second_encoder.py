@@ -11,7 +11,7 @@ from lpv_core.serial_arm.description import SecondEncoder, SerialArm
 from lpv_core.support.errors import ConfigError
 from lpv_identify.errors import IdentificationError
 from lpv_identify.recordings.recording import LARGEST, read_pairs
-from lpv_identify.sensors.noise import noise_deviation, quantization_step
+from lpv_identify.sensors.sensing import noise_deviation, quantization_step
 
 _LEAST_MOTION = 0.02  # way below which the scale of a second encoder is not judged [rad]
 _SAME_SCALE = 0.1  # deviation of the scale from 1 beyond which it measures something else

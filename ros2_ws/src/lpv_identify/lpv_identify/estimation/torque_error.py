@@ -1,0 +1,200 @@
+"""Torque that the model misses: its size, its growth with speed, how long it lasts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from lpv_core.serial_arm.description import SerialArm, TorqueTolerance
+from lpv_identify.errors import IdentificationError
+from lpv_identify.motions.simulation import joint_torques
+from lpv_identify.recordings.filters import derivative, low_pass
+from lpv_identify.recordings.motion import Motion, Segment, find_bandwidths, smooth, split
+from lpv_identify.recordings.recording import Recording
+from lpv_identify.sensors.sensing import Sensing, noise_deviation, sense
+
+_QUANTILE = 0.99
+_BINS = 8
+_LEAST = 30  # samples of a bin
+_MOVES = 0.05  # largest rate of a joint from which errors at speed are seen [rad/s]
+
+
+@dataclass(frozen=True)
+class TorqueError:
+    """What a model misses, sigma(v)^2 = rest^2 + (growth v)^2, without the efforts' white noise."""
+
+    rest: np.ndarray  # at rest and in slow motion, shape (n,) [N m]
+    growth: np.ndarray  # with the joint's rate, shape (n,) [N m s/rad]
+    time: float  # in which its correlation falls to 1/e, median of the joints [s]
+    noise: np.ndarray  # white, of the efforts, shape (n,) [N m]
+
+    def on(self, arm: SerialArm) -> SerialArm:
+        """The arm with this uncertainty."""
+        stated = replace(
+            arm.uncertainty,
+            torque_error=tuple(float(f'{v:.4g}') for v in self.rest),
+            torque_error_speed=tuple(float(f'{v:.4g}') for v in self.growth),
+            torque_error_time=float(f'{self.time:.4g}'),
+        )
+        return replace(arm, uncertainty=stated)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A given arm with what a recording says of its sensors and of its model's errors."""
+
+    arm: SerialArm  # parameters are those given
+    sensing: Sensing
+    error: TorqueError
+    rms: np.ndarray  # of efforts minus the model's torques, shape (n,) [N m]
+    warnings: tuple[str, ...]
+
+
+def torque_error(
+    rates: Sequence[np.ndarray], residuals: Sequence[np.ndarray], step: float
+) -> TorqueError:
+    """Fit the size of what a model misses.
+
+    Parameters
+    ----------
+    rates, residuals : sequence of ndarray, shape (samples, n)
+        Joint rates [rad/s], and efforts minus the model's torques [N m], of stretches that did not
+        serve to identify the model.
+    step : float
+        Sample time [s].
+
+    Returns
+    -------
+    TorqueError
+        Rest and growth by least squares of the squares, twice weighted by what they say.
+    """
+    noise = noise_deviation(residuals)
+    speed, size = np.concatenate(rates) ** 2, np.concatenate(residuals) ** 2
+    rest, growth, times = [], [], []
+    for j in range(size.shape[1]):
+        least = max(1e-4 * float(np.mean(size[:, j])), 1e-18)
+        target = np.maximum(size[:, j] - noise[j] ** 2, 0.0)
+        variance = np.full(len(target), 1.0)
+        for _ in range(3):
+            design = np.column_stack([np.ones(len(target)), speed[:, j]]) / variance[:, None]
+            rows = np.column_stack([design, target / variance])
+            upper = np.asarray(np.linalg.qr(rows, mode='r'))
+            (constant, slope), _ = nnls(upper[:, :2], upper[:, 2])
+            variance = np.maximum(constant + slope * speed[:, j], least)
+            variance = variance / variance.mean()
+        rest.append(np.sqrt(max(constant, least)))
+        growth.append(np.sqrt(slope))
+        times.append(_correlation_time([r[:, j] for r in residuals], float(noise[j]), step))
+    return TorqueError(np.array(rest), np.array(growth), float(np.median(times)), noise)
+
+
+def _correlation_time(residuals: Sequence[np.ndarray], noise: float, step: float) -> float:
+    """Time in which the correlation of what is not white falls to 1/e."""
+    count = sum(len(r) for r in residuals)
+    power = sum(float(r @ r) for r in residuals) / count - noise**2
+    longest = max(2, max(len(r) for r in residuals) // 4)
+    last = 1.0
+    for lag in range(1, longest):
+        pairs = [r[lag:] @ r[:-lag] for r in residuals if len(r) > lag]
+        value = float(sum(pairs)) / max(count - lag * len(pairs), 1) / max(power, 1e-18)
+        if value < np.exp(-1.0):
+            return step * (lag - 1 + (last - np.exp(-1.0)) / max(last - value, 1e-9))
+        last = value
+    return step * longest
+
+
+def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray]:
+    """Motion of a segment, and its efforts minus the torques of an arm's model [N m]."""
+    gain = np.array([joint.torque_gain for joint in arm.joints])
+    delay = np.array([joint.effort_delay for joint in arm.joints])
+    scaled = replace(segment, effort=segment.effort * gain)
+    motion = smooth(scaled, find_bandwidths([segment]), False, 0.0 * delay, delay)
+    if not arm.effort_includes_gravity:
+        arm = replace(arm, gravity=0.0)
+    acceleration = derivative(motion.velocity, motion.step)
+    torque = joint_torques(arm, motion.position, motion.velocity, acceleration)
+    return motion, motion.effort - low_pass(torque, arm.effort_bandwidth, motion.step)
+
+
+def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
+    """Measure sensors and errors of a given model from healthy motion; parameters stay.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        As its file describes it.
+    recordings : sequence of Recording
+        Some 10 s of any healthy motion, that of the arm's work best; no excitation is needed.
+
+    Returns
+    -------
+    Calibration
+        The arm with noise, steps and source of rates of its sensors, and the torque that its model
+        misses.
+
+    Raises
+    ------
+    IdentificationError
+        If the recordings are too short.
+    """
+    segments = [segment for one in recordings for segment in split(one)]
+    parts = [model_residual(arm, segment) for segment in segments]
+    # The ends, where filters have no motion to both sides, do not count.
+    cuts = [slice(len(r) // 20, len(r) - len(r) // 20) for _, r in parts]
+    rates = [motion.velocity[cut] for (motion, _), cut in zip(parts, cuts)]
+    residuals = [r[cut] for (_, r), cut in zip(parts, cuts)]
+    if not all(np.isfinite(r).all() for r in residuals):
+        raise IdentificationError('torques of the model are not finite')
+    step = max(segment.step for segment in segments)
+    delay = np.array([joint.effort_delay for joint in arm.joints])
+    sensing = sense(recordings, segments, 0.0 * delay, delay)
+    error = torque_error(rates, residuals, step)
+    warnings = [text for one in recordings for text in one.warnings]
+    fastest = np.max(np.abs(np.concatenate(rates)), axis=0)
+    warnings += [
+        f'{name} hardly moves: how errors of the model grow with its speed is not seen'
+        for name, speed in zip(arm.joint_names, fastest)
+        if speed < _MOVES
+    ]
+    joints = tuple(
+        replace(joint, sensors=sensing.of_joint(j, joint.sensors))
+        for j, joint in enumerate(arm.joints)
+    )
+    rms = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
+    changed = error.on(replace(arm, joints=joints, sample_time=step))
+    return Calibration(changed, sensing, error, rms, tuple(warnings))
+
+
+def torque_tolerance(speed: np.ndarray, residual: np.ndarray) -> TorqueTolerance:
+    """Envelope of a joint's residuals over its speed.
+
+    Parameters
+    ----------
+    speed : ndarray, shape (samples,)
+        Rates of the joint [rad/s].
+    residual : ndarray, shape (samples,)
+        Torque minus prediction of data that were held back [N m].
+
+    Returns
+    -------
+    TorqueTolerance
+        99 % of the residuals' magnitudes in bins of speed: finer near standstill, where friction
+        reverses.
+    """
+    speed, size = np.abs(speed), np.abs(residual)
+    edges = np.quantile(speed, np.linspace(0.0, 1.0, _BINS + 1) ** 1.5)
+    knots: list[float] = []
+    torques: list[float] = []
+    for low, high in zip(edges[:-1], edges[1:]):
+        inside = (speed >= low) & (speed <= high)
+        if inside.sum() < _LEAST:
+            continue
+        middle = float(np.median(speed[inside]))
+        if knots and middle <= knots[-1] + 1e-9:
+            continue
+        knots.append(round(middle, 6))
+        torques.append(float(np.quantile(size[inside], _QUANTILE)))
+    if not knots:
+        return TorqueTolerance((0.0,), (float(np.max(size, initial=0.0)),))
+    return TorqueTolerance(tuple(knots), tuple(torques))
