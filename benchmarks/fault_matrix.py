@@ -1,0 +1,246 @@
+"""What the diagnosis finds: kind of fault x rates x arm x engine, recorded and simulated.
+
+    python benchmarks/fault_matrix.py --engine serial --arm real_arm --recorded \\
+        --kinds drift,stuck --count 8 --json out.json
+
+Every line is one cell: faults of one kind, of random joint, sign and time, `--count` of them; half
+of them end and are followed by a second one, in the other half a second one comes while the first
+acts.  `first` = the first alarm names the faulty sensor, `in time` = within the limit of the line,
+`kind` = the last kind named while the fault acts is right, `size` = estimate within 0.1 rad 2 s
+after the onset, `trusted` = estimates beyond that which were said to be trustworthy, `other` = runs
+that blame a healthy sensor, `cleared` = no alarm 3 s after the end, of what was ever alarmed,
+`second` and `both` = the second fault found in time, after the end of the first one and beside it,
+`crash` = runs in which the monitor raised an exception.
+
+Constants of the diagnosis may be chosen on the tuned part of the recordings.  The untouched part is
+run with `--untouched` alone, to report, not to choose.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from multiprocessing import Pool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fault_injection import ARMS, CLOSE, ENGINES, KINDS, Cell, Kind, Verdict, cells, run
+from rich.console import Console
+from rich.table import Table
+
+Row = dict[str, Any]
+KEY = ('part', 'arm', 'rates', 'kind')
+SHARES = (
+    'first',
+    'in_time',
+    'kind_right',
+    'size',
+    'trusted',
+    'other',
+    'cleared',
+    'second',
+    'both',
+    'crash',
+)
+
+
+def _share(values: Iterable[bool | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(100.0 * float(np.mean(known)), 1) if known else None
+
+
+def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
+    """One row of the matrix; shares in per cent."""
+    row: Row = {
+        'part': cell.part,
+        'arm': cell.arm,
+        'rates': cell.rates,
+        'kind': cell.kind.name,
+        'engine': cell.engine,
+        'count': len(verdicts),
+        'other': _share(v.other for v in verdicts),
+        'crash': _share(bool(v.crash) for v in verdicts),
+        'events': round(float(np.mean([v.events for v in verdicts])), 2),
+        'seconds': round(sum(v.seconds for v in verdicts), 1),
+    }
+    if cell.kind.healthy:
+        return row
+    delays = [v.delay for v in verdicts if v.delay is not None]
+    errors = [v.error for v in verdicts if v.error is not None]
+    wrong = [v.error > CLOSE and v.trusted for v in verdicts if v.error is not None]
+    named: dict[str, int] = {}
+    for verdict in verdicts:
+        named[verdict.kind or '-'] = named.get(verdict.kind or '-', 0) + 1
+    return row | {
+        'first': _share(v.delay is not None for v in verdicts),
+        'in_time': _share(v.in_time for v in verdicts),
+        'kind_right': _share(v.kind_right for v in verdicts),
+        'delay': round(float(np.median(delays)), 4) if delays else None,
+        'size': _share(error <= CLOSE for error in errors),
+        'error': round(min(float(np.median(errors)), 1e3), 4) if errors else None,
+        'trusted': _share(wrong),
+        'cleared': _share(v.cleared for v in verdicts),
+        'second': _share(v.second for v in verdicts),
+        'both': _share(v.both for v in verdicts),
+        'named': named,
+    }
+
+
+def better(one: Row, other: Row) -> bool:
+    """Whether one engine's row is better than the other's."""
+    if 'in_time' not in one:
+        keys = ('crash', 'other', 'events')
+        return [one[key] for key in keys] < [other[key] for key in keys]
+
+    def value(row: Row) -> tuple[float, ...]:
+        return (
+            row['in_time'] - row['other'] - row['crash'],
+            row['first'],
+            row['kind_right'],
+            -row['events'],
+        )
+
+    return value(one) > value(other)
+
+
+def bar(rows: Iterable[Row]) -> list[Row]:
+    """The better of the engines' rows in every cell."""
+    best: dict[tuple[str, ...], Row] = {}
+    for row in rows:
+        key = tuple(row[name] for name in KEY)
+        if key not in best or better(row, best[key]):
+            best[key] = row
+    return list(best.values())
+
+
+HEADINGS = {
+    'kind': 'kind', 'engine': 'engine', 'count': 'n', 'first': 'first', 'in_time': 'in time',
+    'kind_right': 'kind', 'delay': 'delay [s]', 'size': 'size', 'error': 'error [rad]',
+    'trusted': 'trusted', 'other': 'other', 'events': 'events', 'cleared': 'cleared',
+    'second': 'second', 'both': 'both', 'crash': 'crash',
+}  # fmt: skip
+
+
+def _text(name: str, value: Any) -> str:
+    if value is None:
+        return '-'
+    return f'{value:.0f}' if name in SHARES else f'{value:g}' if name != 'kind' and isinstance(
+        value, float) else str(value)  # fmt: skip
+
+
+def tables(rows: Sequence[Row]) -> list[Table]:
+    """One table for each arm, part and source of rates."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row['part'], row['arm'], row['rates']), []).append(row)
+    result = []
+    for (part, arm, rates), members in groups.items():
+        table = Table(title=f'{arm}, {part}, rates {rates}', title_justify='left')
+        for heading in HEADINGS.values():
+            table.add_column(heading)
+        for row in members:
+            table.add_row(*(_text(name, row.get(name)) for name in HEADINGS))
+        result.append(table)
+    return result
+
+
+def _kinds(text: str) -> list[Kind]:
+    """Kinds whose names begin with one of the words; all without any."""
+    words = [word.strip() for word in text.split(',') if word.strip()]
+    chosen = [
+        kind for kind in KINDS
+        if not words or any(kind.name.startswith(word) or kind.kind == word for word in words)
+    ]  # fmt: skip
+    if not chosen:
+        raise SystemExit('--kinds: none of ' + ', '.join(kind.name for kind in KINDS))
+    return chosen
+
+
+def measure(
+    chosen: Sequence[Cell], count: int, seed: int, say: Any, jobs: int = 1
+) -> Iterable[Row]:
+    """Rows of cells, one by one."""
+    pool = Pool(jobs, initializer=_share_cells, initargs=(chosen, seed)) if jobs > 1 else None
+    for number, cell in enumerate(chosen):
+        begin = time.process_time()
+        if pool is None:
+            verdicts = [run(cell, k, seed) for k in range(count)]
+        else:
+            verdicts = pool.starmap(_run_cell, [(number, k) for k in range(count)])
+        row = summary(cell, verdicts)
+        say(' '.join(f'{name}={_text(name, row[name])}' for name in dict.fromkeys((*KEY, *HEADINGS))
+                     if name in row and row[name] is not None)
+            + f' {row.get("named", "")} cpu {time.process_time() - begin:.1f} s')  # fmt: skip
+        yield row
+
+
+_SHARED: dict[str, Any] = {}
+
+
+def _share_cells(chosen: Sequence[Cell], seed: int) -> None:
+    _SHARED.update(cells=chosen, seed=seed)
+
+
+def _run_cell(number: int, k: int) -> Verdict:
+    return run(_SHARED['cells'][number], k, _SHARED['seed'])
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument('--engine', action='append', choices=ENGINES, help='all if not given')
+    parser.add_argument('--arm', action='append', choices=ARMS, help='all if not given')
+    parser.add_argument('--recorded', action='store_true', help='recordings alone')
+    parser.add_argument('--simulated', action='store_true', help='simulations alone')
+    parser.add_argument('--untouched', action='store_true', help='the part not tuned to')
+    parser.add_argument('--rates', action='append', choices=('independent', 'derived'))
+    parser.add_argument('--kinds', default='', help='beginnings of names, with commas between')
+    parser.add_argument('--count', type=int, default=8, help='runs of a cell')
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--jobs', type=int, default=1, help='processes')
+    parser.add_argument('--json', type=Path, help='file for rows')
+    parser.add_argument('--resume', action='store_true', help='leave out cells that the file has')
+    parser.add_argument('--bar', action='store_true', help='keep the better engine of each cell')
+    parser.add_argument('--alarms', action='store_true', help='print every alarm event')
+    options = parser.parse_args()
+    recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
+    if options.untouched:
+        recorded = [True]
+    chosen = list(cells(
+        options.arm or ARMS, recorded, options.rates or ('independent', 'derived'),
+        options.engine or ENGINES, _kinds(options.kinds), options.untouched))  # fmt: skip
+    if not chosen:
+        raise SystemExit('there are no such cells (recordings: see $LPV_RECORDINGS)')
+    rows: list[Row] = []
+    if options.resume and options.json and options.json.is_file():
+        rows = json.loads(options.json.read_text())
+        done = {tuple(row[name] for name in (*KEY, 'engine')) for row in rows}
+        chosen = [c for c in chosen
+                  if (c.part, c.arm, c.rates, c.kind.name, c.engine) not in done]  # fmt: skip
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    if options.alarms:
+        for cell in chosen:
+            for k in range(options.count):
+                verdict = asdict(run(cell, k, options.seed))
+                say(f'{cell.arm} {cell.kind.name} {cell.engine} {k}: {verdict}')
+        return
+    for row in measure(chosen, options.count, options.seed, say, options.jobs):
+        rows.append(row)
+        if options.json:
+            found = bar(rows) if options.bar else rows
+            options.json.write_text('[\n' + ',\n'.join(map(json.dumps, found)) + '\n]\n')
+    console = Console(width=170)
+    for table in tables(bar(rows) if options.bar else rows):
+        console.print(table)
+
+
+if __name__ == '__main__':
+    main()
