@@ -141,6 +141,7 @@ class _Windows(NamedTuple):
 
     lengths: IntArray  # (W,) of the windows [balances]
     begin: FloatArray  # (W,) [s]
+    pose: FloatArray  # (W, n) readings at the begin, as corrected [rad]
     score: FloatArray  # (W, n, 7)
     information: FloatArray  # (W, n, 7, 7)
     onset: FloatArray  # (W,) log Bayes factor of free torques at the onset
@@ -176,14 +177,15 @@ class Bank:
         self._derived = estimator.balance.derived == 1.0
         self._kinematics = KinematicRows(arm, plan)
         self._waited = 0
-        self._jumped: list[tuple[float, float, float, float] | None] = [None] * n
+        self._jumped: list[tuple[float, float, float] | None] = [None] * n
         self._mass = np.zeros((plan.capacity, n, n))
         self._hypotheses()
 
     def _hypotheses(self) -> None:
         """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
 
-        A column of a drift counts from the start of its window, which `_columns` adds.
+        Columns of drifts and scale errors are zero at the start of their windows, which `_linear`
+        adds: by what a reading jumped is taken out already.
         """
         n, derived, everywhere = (
             self.estimator.joints,
@@ -201,8 +203,8 @@ class Bank:
             ('drift', {DRIFT: 1.0, RATE: 1.0}, ~derived),
             ('drift', {DRIFT: 1.0, JUMP: 1.0}, derived),
         ]
-        # What a scale error jumped by is taken out already; a drift may be older than its window.
-        double = [('scale', {SCALE: 1.0}, everywhere), ('drift', {DRIFT: 1.0}, derived)]
+        # It may be older than its window.
+        double = [('drift', {DRIFT: 1.0}, derived)]
         self._kinds = tuple(kind for kind, *_ in (*single, *double))
         self._applies = np.array([where for *_, where in (*single, *double)])
         self._basis = np.zeros((len(self._kinds), _GROUPS + 1))
@@ -250,9 +252,8 @@ class Bank:
         """
         self._kinematics.note_jump(joint, size[1] ** 2)
         jumped = abs(size[0]) < LARGEST_SCALE * abs(reading)
-        self._jumped[joint] = (
-            (time, size[0] / reading, size[1] / abs(reading), reading) if (jumped) else None
-        )
+        found = time, size[0] / reading, size[1] / abs(reading)
+        self._jumped[joint] = found if jumped else None
 
     def _scales_that_jumped(self, windows: _Windows) -> list[Hypothesis]:
         """Scale errors of the sizes that jumps of the readings had."""
@@ -260,28 +261,28 @@ class Bank:
         for i, jump in enumerate(self._jumped):
             if jump is None:
                 continue
-            time, share, sigma, reading = jump
-            after = np.nonzero(windows.begin >= time - 2.0 * self.estimator.plan.interval)[0]
-            if len(after) == 0:
-                continue
-            w = int(after[-1])
-            column = np.zeros(_GROUPS + 1)
-            column[SCALE], column[OFFSET] = 1.0, -reading
-            information = float(column @ windows.information[w, i] @ column)
-            power, pull = information + sigma**-2, column @ windows.score[w, i] + share / sigma**2
-            gain = pull**2 / power - (share / sigma) ** 2 - np.log(power * sigma**2)
-            found.append(Hypothesis('scale', i, 0.5 * float(gain), float(pull / power),
-                                    power**-0.5, float(windows.begin[w])))  # fmt: skip
+            time, share, sigma = jump
+            # It goes on as it began: a change in proportion to the way, by a share that is known.
+            for w in np.nonzero(windows.begin >= time - 2.0 * self.estimator.plan.interval)[0]:
+                column = np.zeros(_GROUPS + 1)
+                column[SCALE], column[OFFSET] = 1.0, -windows.pose[w, i]
+                power = float(column @ windows.information[w, i] @ column) + sigma**-2
+                pull = column @ windows.score[w, i] + share / sigma**2
+                gain = pull**2 / power - (share / sigma) ** 2 - np.log(power * sigma**2)
+                found.append(Hypothesis(
+                    'scale', i, 0.5 * float(gain), float(pull / power), power**-0.5,
+                    float(windows.begin[w]), float(self._starts[w])))  # fmt: skip
         return found
 
-    def rate_agrees(self, joint: int) -> bool:
-        """Whether rate and encoder of a joint have agreed of late."""
-        return self._kinematics.agrees(joint)
+    def rate_agrees(self, joint: int, taken_out: float) -> bool:
+        """Whether rate and encoder of a joint have agreed of late, but for what is taken out."""
+        return self._kinematics.agrees(joint, taken_out)
 
     def evaluate(
         self,
         blocks: Callable[[int], FloatArray],
         rest: tuple[FloatArray, FloatArray],
+        unseen: FloatArray,
         threshold: float,
     ) -> list[Hypothesis]:
         """Compare all hypotheses; `statistic` is written.
@@ -293,6 +294,8 @@ class Bank:
         rest : tuple of ndarray, shape (n,)
             For how long each reading has not changed at all [s], 0 where it is not conspicuous;
             and its speed before [rad/s].
+        unseen : ndarray, shape (n,)
+            Largest jump of each reading that may not have been seen [rad].
         threshold : float
             Of the statistic: hypotheses that take more time are left out well below.
 
@@ -313,7 +316,7 @@ class Bank:
         if windows is None:
             self.statistic = -np.inf
             return []
-        gains, sizes, sigmas = self._linear(windows)
+        gains, sizes, sigmas = self._linear(windows, unseen)
         starts = np.log(self._starts[: len(windows.lengths)])
         every = np.logaddexp.reduce((gains + starts).reshape(-1))
         contact = np.logaddexp.reduce(windows.contact + starts)
@@ -393,7 +396,9 @@ class Bank:
         for w, length in enumerate(lengths):
             onset[w] = rough_contact(self._outside, null, len(self._lengths), int(length))
             contact[w] = rough_contact(self._outside, null, index[int(length)], int(length) - 1)
-        return _Windows(lengths, begin, score, gram, onset, contact)
+        pose = window.poses[[slot(window, int(k) - 1) for k in lengths]]
+        pose = pose + estimator.balance.reference
+        return _Windows(lengths, begin, pose, score, gram, onset, contact)
 
     def _jumps(
         self, oldest: IntArray, residual: FloatArray, weights: FloatArray, unknowns: FloatArray
@@ -407,7 +412,8 @@ class Bank:
         pairs = np.minimum(oldest[:, None] + np.arange(ONSET), last - 1)
         weight = (oldest + ONSET <= last)[:, None] / (1.0 / weights[pairs]).sum(1)
         left, known = residual[pairs].sum(1), unknowns[pairs].sum(1)
-        mass = self._mass[[slot(window, last - 1 - int(k)) for k in oldest]]
+        # Without the error of its rate, the momentum is less by M e_i.
+        mass = -self._mass[[slot(window, last - 1 - int(k)) for k in oldest]]
         weighted = weight[:, :, None] * mass
         score = -(weighted * left[:, :, None]).sum(1)
         information = (weighted * mass).sum(1)
@@ -419,28 +425,35 @@ class Bank:
         window = self.estimator.window
         return window.weights[[slot(window, back) for back in range(last - 1, -1, -1)]]
 
-    def _linear(self, windows: _Windows) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _linear(
+        self, windows: _Windows, unseen: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Gains, sizes and deviations of all kinds, shape (kinds, n, W)."""
-        epoch = self.estimator.balance.clock[EPOCH]
-        # (W, 7, kinds) columns, of which drifts count from the start of their windows
-        columns = np.repeat(self._basis.T[None], len(windows.lengths), axis=0)
-        columns[:, OFFSET] -= (windows.begin - epoch)[:, None] * self._basis[:, DRIFT]
-        score = windows.score @ columns  # (W, n, kinds)
-        moved = windows.information @ columns[:, None]  # (W, n, 7, kinds)
-        own = np.einsum('wgk,wngk->wnk', columns, moved)
-        prior = np.broadcast_to(self._prior.T, own.shape)
+        epoch, count = self.estimator.balance.clock[EPOCH], len(windows.lengths)
+        # (W, n, 7, kinds) columns; drifts and scale errors are zero at the start of their windows
+        columns = np.broadcast_to(self._basis.T, (count, len(self._mass[0]), *self._basis.T.shape))
+        columns = columns.copy()
+        elapsed = (windows.begin - epoch)[:, None, None] * self._basis[:, DRIFT]
+        columns[:, :, OFFSET] -= elapsed + windows.pose[..., None] * self._basis[:, SCALE]
+        score = (windows.score[..., None] * columns).sum(2)  # (W, n, kinds)
+        moved = windows.information @ columns  # (W, n, 7, kinds)
+        own = (columns * moved).sum(2)
+        prior = np.broadcast_to(self._prior.T, own.shape).copy()
+        # A larger scale error would have shown as a jump, when it came.
+        largest = unseen / np.maximum(np.abs(windows.pose), 1e-6)
+        for k in np.nonzero(self._basis[:, SCALE])[0]:
+            prior[..., k] = np.minimum(prior[..., k], largest)
         one = self._singles
-        parts = [log_bayes_factor(
-            score[..., :one, None], own[..., :one, None, None], prior[..., :one, None])]  # fmt: skip
+        alone = score[..., :one, None], own[..., :one, None, None], prior[..., :one, None]
+        parts = [log_bayes_factor(*alone)]
         information = np.empty((*own[..., one:].shape, 2, 2))
         information[..., 0, 0] = own[..., one:]
         information[..., 0, 1] = information[..., 1, 0] = moved[:, :, OFFSET, one:]
         information[..., 1, 1] = windows.information[:, :, OFFSET, OFFSET, None]
-        both = np.stack(
-            np.broadcast_arrays(score[..., one:], windows.score[:, :, OFFSET, None]), -1
-        )
-        slip = np.stack(np.broadcast_arrays(prior[..., one:], SIZE['slip']), axis=-1)
-        parts.append(log_bayes_factor(both, information, slip))
+        scores = np.broadcast_arrays(score[..., one:], windows.score[:, :, OFFSET, None])
+        priors = np.broadcast_arrays(prior[..., one:], SIZE['slip'])
+        parts.append(log_bayes_factor(
+            np.stack(scores, axis=-1), information, np.stack(priors, axis=-1)))  # fmt: skip
         gain, size, sigma = (
             np.concatenate([first, second], axis=-1).transpose(2, 1, 0)
             for first, second in zip(*parts)
@@ -653,12 +666,16 @@ class KinematicRows:
         large = 0.5 * sums**2 > evidence * np.maximum(variance, _BEFORE)
         return bool((large & self._independent & self.trusted).any())
 
-    def agrees(self, joint: int) -> bool:
-        """Whether the rows of the last half second are those of healthy sensors."""
+    def agrees(self, joint: int, taken_out: float) -> bool:
+        """Whether the rows of the last half second are those of healthy sensors.
+
+        What is taken out of the rate [rad/s] is not in the rows.
+        """
         rows = self._rows[-round(0.5 / self._interval) :, joint]
         span = len(rows) * self._interval
         variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
-        return bool(rows.sum() ** 2 < 9.0 * self._inflation[joint] * variance)
+        left = rows.sum() - taken_out * span
+        return bool(left**2 < 9.0 * self._inflation[joint] * variance)
 
     def learn(self, healthy: bool) -> None:
         """Learn how much rows scatter; constant errors of rates do not count as scatter."""

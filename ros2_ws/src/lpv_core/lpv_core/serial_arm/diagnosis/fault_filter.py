@@ -21,6 +21,8 @@ STEADY = 0.1
 """Change of the rate of a drift in a second, standard deviation [rad/s]."""
 SCALE_STEADY = 0.01
 """The same of a scale error [-]."""
+STUCK_RATE = 1.0
+"""By which the position of a joint whose reading rests becomes uncertain [rad/s]."""
 LOST = 0.5
 """Standard deviation of a fault that is not followed any more [rad]."""
 LARGEST_SCALE = 0.9
@@ -68,12 +70,11 @@ class FaultFilter:
             variance = float(direction @ self.covariance @ direction)
             return fault, 0.0, float(np.sqrt(max(variance, 0.0)))
         direction = np.array([1.0, now - self.updated])
-        variance = direction @ self.covariance @ direction
-        return float(direction @ self.mean), float(self.mean[1]), float(np.sqrt(max(variance, 0.0)))
-
-    def sigma_now(self) -> float:
-        """Standard deviation of the first part of the state."""
-        return float(np.sqrt(max(self.covariance[0, 0], 0.0)))
+        variance = float(direction @ self.covariance @ direction)
+        # Where nothing but the dynamics tells where the joint is, their errors add up.
+        least = STUCK_RATE * (now - self.begin) if self.kind == 'stuck' else 0.0
+        sigma = max(float(np.sqrt(max(variance, 0.0))), least)
+        return float(direction @ self.mean), float(self.mean[1]), sigma
 
     def predict(self, interval: float) -> None:
         """Let the state go on by a time [s]."""
@@ -99,7 +100,7 @@ class FaultFilter:
 
 
 def begin_filter(
-    joint: int, kind: str, begin: float, now: float, size: float, sigma: float
+    joint: int, kind: str, span: tuple[float, float], size: float, sigma: float, origin: float
 ) -> FaultFilter:
     """Filter of a fault that has just been named.
 
@@ -109,26 +110,30 @@ def begin_filter(
         Of the faulty sensor.
     kind : str
         Of the fault.
-    begin, now : float
+    span : tuple of float
         When it began to change, and present time [s].
     size, sigma : float
         In the unit of the kind, with its standard deviation.
+    origin : float
+        Reading when it began to change, as corrected so far [rad].
 
     Returns
     -------
     FaultFilter
         At the present time.
     """
-    span = max(now - begin, 1e-3)
+    begin, now = span
+    past = max(now - begin, 1e-3)
     one = FaultFilter(joint, kind, begin, updated=now)
     if kind == 'drift':
-        one.mean = size * np.array([span, 1.0])
-        one.covariance = sigma**2 * np.array([[span**2, span], [span, 1.0]])
+        one.mean = size * np.array([past, 1.0])
+        one.covariance = sigma**2 * np.array([[past**2, past], [past, 1.0]])
     elif kind == 'scale':
-        one.mean, one.covariance = np.array([size, 0.0]), np.diag([sigma**2, OFFSET_SIGMA**2])
+        one.mean = np.array([size, -size * origin])
+        one.covariance = np.diag([sigma**2, OFFSET_SIGMA**2])
     elif kind == 'stuck':  # the reading is behind the joint: its fault is minus the way
-        one.mean = -size * np.array([1.0, 1.0 / span])
-        one.covariance = np.diag([sigma**2, (2.0 * sigma / span) ** 2])
+        one.mean = -size * np.array([1.0, 1.0 / past])
+        one.covariance = np.diag([sigma**2, (2.0 * sigma / past) ** 2])
     else:
         one.mean, one.covariance = np.array([size, 0.0]), np.diag([sigma**2, STEADY**2])
     return one
@@ -146,7 +151,7 @@ def correct_since(one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler
         after = time > one.begin
         if one.is_scale:
             velocity[after] -= sampler.derived[i] * share * velocity[after]
-            reading[after] -= share * reading[after]
+            reading[after] -= share * reading[after] + one.mean[1] / (1.0 + one.mean[0])
         else:
             velocity[after] -= sampler.derived[i] * rate
             reading[after] -= (fault + rate * (time - now))[after]
@@ -182,11 +187,11 @@ def follow(
         D of the last interval, of readings as corrected, and its variance [rad], [rad2], where the
         rate has a sensor of its own.
     """
-    window, null, n, i = estimator.window, estimator.posterior, estimator.joints, one.joint
+    window, null = estimator.window, estimator.posterior
     now = float(sampler.time[-1])
     one.predict(now - one.updated)
     one.updated = now
-    if one.sigma_now() > LOST:
+    if one.fault(float(sampler.raw[one.joint]), now)[2] > LOST:
         one.mean[1] = 0.0  # the balances, linearised at the estimate, say nothing any more
         _note(one, sampler)
         return

@@ -31,6 +31,7 @@ from lpv_core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv_core.serial_arm.diagnosis.sampling import (
     BLOCKS,
+    JUMP_SCALE,
     NOISY,
     SPIKE,
     STEP,
@@ -47,7 +48,7 @@ BoolArray = npt.NDArray[np.bool_]
 NANOSECONDS = 1_000_000_000
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
-CONTACT_TIME = 0.4
+CONTACT_TIME = 1.0
 """For which torques from outside must be the cause before they are reported [s]: a fault that
 begins shows as free torques first, until its time profile is seen."""
 CONTACT_PAUSE = 1.0
@@ -408,7 +409,8 @@ class SerialMonitor:
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
         if self.estimator.window.counters[NEXT] % GUARANTEE_EVERY == 0:
             self._evaluate_guarantee()
-        found = self.bank.evaluate(self._blocks, self._rest(), self._threshold)
+        unseen = np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
+        found = self.bank.evaluate(self._blocks, self._rest(), unseen, self._threshold)
         frozen = self._frozen(found)
         if frozen is not None:
             self._blame(frozen, 1.0 - math.exp(-frozen.gain), now)
@@ -524,7 +526,9 @@ class SerialMonitor:
         else:
             size, sigma = one.size, one.sigma
         last = float(self.sampler.time[-1])
-        self._filters[i] = begin_filter(i, kind, one.begin, last, size, sigma)
+        blocks = self._blocks(len(self.estimator) + 1)
+        origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, i]))
+        self._filters[i] = begin_filter(i, kind, (one.begin, last), size, sigma, origin)
         self.bank.leave_out_rate(i, True)
         correct_since(self._filters[i], self.estimator, self.sampler)
         self.healthy = self.guarantee = None  # readings are changed
@@ -540,6 +544,7 @@ class SerialMonitor:
             return
         record.confirm('rate_bias', one.begin, abs(one.size))
         self.bank.leave_out_rate(one.joint, True)
+        self.sampler.rate_error[one.joint] = one.size
         self._event(one.joint, 'rate_bias', one.begin, 'raised', one.size, one.sigma,
                     confidence=share)  # fmt: skip
 
@@ -597,10 +602,12 @@ class SerialMonitor:
                 self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
                 sensor.clear()
         for i, record in enumerate(self.rates):
+            taken_out = float(self.sampler.rate_error[i])
             if record.active and record.watch_end(
-                self.bank.rate_agrees(i), now, self.settings.clear_dwell, 0.0
+                self.bank.rate_agrees(i, taken_out), now, self.settings.clear_dwell, 0.0
             ):
                 self.bank.leave_out_rate(i, False)
+                self.sampler.rate_error[i] = 0.0
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
 

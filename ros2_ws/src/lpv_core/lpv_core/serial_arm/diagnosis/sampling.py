@@ -57,6 +57,7 @@ class Sampler(NamedTuple):
     followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
     drift: FloatArray  # (n,) its rate [rad/s]
     share: FloatArray  # (n,) of the reading that is removed as a scale error [-]
+    rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
     sums: FloatArray  # of the current block, shape (3, n)
     blocks: FloatArray  # (capacity, 3 n + 3) ring: q, v, tau of blocks; time, length, place
@@ -97,9 +98,8 @@ def new_sampler(
     counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
-        smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), derived.copy(),
-        np.zeros((3, n)),
-        np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64), np.zeros(n),
+        smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
+        derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64), np.zeros(n),
         np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
         np.zeros(4))  # fmt: skip
@@ -148,6 +148,7 @@ def push_sample(
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
+        rate -= sampler.rate_error[i]
         sampler.samples[HISTORY - 1, 1, i] = rate
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
     sampler.counters[COUNT] += 1
@@ -187,8 +188,10 @@ def _set_jumps(sampler: Sampler) -> None:
         if not _is_beyond(sampler, i, k):
             continue
         # Readings that jump together have a common cause, if their motion explains it.
-        span = max(gap, period if together > 1 else 0.0)
-        if abs(sampler.jumps[k, i]) < _LATE * span * _largest_rate(sampler, i):
+        explained = _LATE * gap * _largest_rate(sampler, i, HISTORY)
+        if together > 1:
+            explained = max(explained, _LATE * period * _largest_rate(sampler, i, k))
+        if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 2
             sampler.clock[STAMPS] = 1.0
         elif _may_be_stamp(sampler, i, period):
@@ -209,10 +212,10 @@ def _gap(sampler: Sampler) -> float:
 
 
 @njit
-def _largest_rate(sampler: Sampler, i: int) -> float:
-    """Largest rate of a joint around the last sample but one [rad/s]."""
+def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
+    """Largest rate of a joint in the last samples before one [rad/s]."""
     largest = 0.0
-    for j in range(HISTORY - 6, HISTORY):
+    for j in range(HISTORY - 6, end):
         largest = max(largest, abs(sampler.samples[j, 1, i]))
     return largest
 
