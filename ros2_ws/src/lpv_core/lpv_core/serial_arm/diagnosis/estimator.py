@@ -370,7 +370,7 @@ class OffsetEstimator:
         )
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
         noise = _expected_noise(arm, missed, plan)
-        systematic = _systematic_error(arm, missed, plan)
+        systematic = _systematic_error(arm, UNSTATED * missed, plan)
         # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
         rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
         self.posterior = _prior_posterior(self.prior, noise, rest, 0.0 * noise, plan.capacity)

@@ -556,9 +556,11 @@ class SerialMonitor:
         self._known += np.where(shown, self.plan.interval, 0.0)
         prior = self.estimator.prior[: self.joints]
         gain = 0.5 * (offsets / sigma) ** 2 - np.log(prior / sigma)
-        # An offset may have been there before the first sample; later ones come at any time.
+        # An offset may have been there before the first sample; later ones come at any time, and
+        # every horizon is another chance of a false alarm.
         at_start = math.log(1.0 / settings.fault_at_start)
-        needed = np.where(self._known < settings.horizon, at_start, self._threshold)
+        later = settings.threshold(settings.horizon)
+        needed = np.where(self._known < settings.horizon, at_start, later)
         beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level)
         for i in np.nonzero(beyond)[0]:
             sensor = self.sensors[i]
