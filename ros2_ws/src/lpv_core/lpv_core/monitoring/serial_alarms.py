@@ -1,7 +1,5 @@
 """Alarms of a serial arm in the form of the messages."""
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -9,15 +7,13 @@ from lpv_core.decision.diagnosis import GUARANTEED, STATISTICAL, Alarm, AlarmEve
 from lpv_core.monitoring.stepped_monitor import Snapshot
 from lpv_core.serial_arm.chain import IntArray
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialAlarm
+from lpv_core.serial_arm.diagnosis.monitor import SerialAlarm
 
 BoolArray = npt.NDArray[np.bool_]
 
 _STATISTICAL = 1.0 - 1e-9
 """Largest confidence that is not a guarantee."""
-_SPIKE, _BIAS, _DRIFT, _DROPOUT = 'spike', 'bias', 'drift', 'dropout'
-_OWN_SIZE = (_SPIKE, _BIAS, 'rate_bias', 'torque_offset', 'torque_gain')
-"""Kinds whose alarms hold the fault's size, not a position error that grows."""
+_DROPOUT, _RATE_BIAS = 'dropout', 'rate_bias'
 
 
 class AlarmConverter:
@@ -51,28 +47,19 @@ class AlarmConverter:
         Returns
         -------
         list of Alarm
-            In the order in which they were found; a spike is raised and cleared at once.
+            In the order in which they were found.
         """
         events = []
         for alarm, begin in zip(known.alarms, onset):
             if not alarm.sensor:
                 continue
-            i = self._names.index(alarm.sensor)
-            event = AlarmEvent.UPDATED if self._raised[i] else AlarmEvent.RAISED
-            size, sigma = _fault_at(alarm, known, i)
-            fields = (
-                i, alarm.sensor, begin, stamp, size, sigmas * sigma, alarm.kind,
-                confidence(alarm),
-            )  # fmt: skip
             basis = GUARANTEED if alarm.guaranteed else STATISTICAL
-            if alarm.kind == _SPIKE:
-                if not self._raised[i]:
-                    events += [
-                        Alarm(one, *fields, basis=basis) for one in (event, AlarmEvent.CLEARED)
-                    ]
-                continue
-            self._raised[i] = True
-            events.append(Alarm(event, *fields, basis=basis))
+            i = self._names.index(alarm.sensor)
+            events.append(Alarm(
+                AlarmEvent[alarm.event.upper()], i, alarm.sensor, begin, stamp, alarm.size,
+                sigmas * alarm.sigma, alarm.kind, confidence(alarm), basis=basis))  # fmt: skip
+            if alarm.kind != _RATE_BIAS:
+                self._raised[i] = alarm.event != 'cleared'
         return events
 
     def dropouts(self, missing: BoolArray, since: IntArray, stamp: int) -> list[Alarm]:
@@ -104,24 +91,6 @@ class AlarmConverter:
         return events
 
 
-def _fault_at(alarm: SerialAlarm, known: Snapshot, i: int) -> tuple[float, float]:
-    """Size of a fault and its standard deviation when it is named, in the unit of its kind."""
-    if alarm.kind in _OWN_SIZE:
-        return alarm.size, alarm.sigma
-    size, sigma = float(known.fault[i]), float(known.sigma[i])
-    grown = known.time - alarm.onset
-    if alarm.kind == _DRIFT:  # its size is a rate
-        return size + alarm.size * grown, math.hypot(sigma, alarm.sigma * grown)
-    return size, sigma
-
-
 def confidence(alarm: SerialAlarm) -> float:
-    """One minus the probability of an alarm like this on a healthy arm, as far as sigmas hold.
-
-    One, exactly, where no healthy arm inside its file shows it.
-    """
-    if alarm.guaranteed:
-        return 1.0
-    if alarm.kind == _BIAS and alarm.sigma > 0.0:
-        return min(math.erf(abs(alarm.size) / alarm.sigma / math.sqrt(2.0)), _STATISTICAL)
-    return 1.0 - math.exp(-MonitorSettings().evidence)
+    """Probability that a named fault is the cause; one, exactly, where it is guaranteed."""
+    return 1.0 if alarm.guaranteed else min(alarm.confidence, _STATISTICAL)

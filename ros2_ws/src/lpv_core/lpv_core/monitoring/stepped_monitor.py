@@ -18,7 +18,9 @@ _STATES = {
     'error': int(SensorState.ERROR),
     'not_diagnosable': int(SensorState.NOT_DIAGNOSABLE),
 }
-_WARN, _ERROR = _STATES['warn'], _STATES['error']
+_ERROR = _STATES['error']
+LEVEL_SIGMAS = 4.0
+"""Standard deviations of an offset beyond which it is stated as a fault's, if one is named."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,7 @@ class SteppedMonitor(SerialMonitor):
         self._first = None
         self.alarms = []
         self._balances, self._row, self._snapshots = 0, 0, list[Snapshot]()
-        self._is_level = np.zeros(self.joints, bool)
-        self._removed, self._removed_variance = np.zeros(self.joints), np.zeros(self.joints)
+        self._removed_variance = np.zeros(self.joints)
 
     def tune(self, smallest_level: float) -> None:
         """Offsets below ``smallest_level`` [rad] are no faults."""
@@ -117,53 +118,30 @@ class SteppedMonitor(SerialMonitor):
 
     def snapshot(self, row: int = 0) -> Snapshot:
         """What is known now."""
-        now, settings, moving = self._last(), self.settings, self._moving
-        estimate = self.estimate(0)
+        settings, estimate = self.settings, self.estimate(0)
         state = np.array([_STATES[one.value] for one in estimate.state], np.uint8)
-        suspected = [
-            any(one.startswith(f'{name}:') for one in estimate.suspects)
-            for name in self.arm.sensor_names
-        ]
-        state[np.array(suspected) & (state != _ERROR)] = _WARN
-        removed, rate = self.sampler.correction.copy(), self.sampler.drift.copy()
-        threshold = np.maximum(settings.level_sigmas * estimate.sigma, settings.smallest_level)
-        beyond = np.abs(estimate.fault - removed) > threshold
-        self._is_level |= beyond & (estimate.sigma < settings.widest_level)
-        self._is_level &= state == _ERROR
-        sigma = estimate.sigma.copy()
-        if moving is not None:
-            if moving.sigma == 0.0:  # named just now, and not followed yet
-                sigma[moving.joint] = self.estimator.level.sigma[moving.joint]
-            rate[moving.joint] += moving.course[1]
-            self._is_level[moving.joint] = True
-        alarms = tuple(self.alarms)
-        self.alarms = []
-        jump = np.zeros(self.joints)
-        for alarm in alarms:
-            if alarm.kind == 'bias' and alarm.sensor:
-                i = self.arm.sensor_names.index(alarm.sensor)
-                change = removed[i] - self._removed[i]
-                # An offset from the start was not removed at once.
-                if abs(change - alarm.size) < 0.5 * abs(alarm.size):
-                    jump[i] = alarm.size
-                    self._removed_variance[i] += alarm.sigma**2
-        self._removed = removed
-        return Snapshot(
+        changing = self.changing_sigma()
+        alarms, self.alarms = tuple(self.alarms), []
+        self._removed_variance += self.jump_variance
+        self._removed_variance[state != _ERROR] = 0.0
+        snapshot = Snapshot(
             row,
-            now,
+            self._last(),
             estimate.fault.copy(),
-            rate,
-            sigma,
-            removed,
-            np.sqrt(self._removed_variance),
-            jump,
-            threshold,
+            self.sampler.drift.copy(),
+            estimate.sigma.copy(),
+            self.taken_out(),
+            np.sqrt(self._removed_variance + changing**2),
+            self.jump.copy(),
+            np.maximum(LEVEL_SIGMAS * estimate.sigma, settings.smallest_level),
             np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest),
             state,
-            self._is_level.copy(),
+            np.array([one.level and one.active for one in self.sensors]),
             estimate.suspects,
-            self._contact_until > now,
+            self.in_contact,
             self._balances,
             alarms,
             self.guarantee,
         )
+        self.jump[:] = self.jump_variance[:] = 0.0
+        return snapshot

@@ -185,7 +185,8 @@ def test_spike_is_no_lasting_fault():
     run.samples[1000, 0, 1] += 0.3
     monitor = SerialMonitor(arm)
     monitor.update_many(run.stamps, run.samples)
-    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'spike')]
+    events = [(alarm.sensor, alarm.kind, alarm.event) for alarm in monitor.alarms]
+    assert events == [('encoder2', 'spike', 'raised'), ('encoder2', 'spike', 'cleared')]
     assert abs(monitor.estimate(0).fault[1]) < 0.1
 
 

@@ -2,16 +2,13 @@
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import FloatArray, compile_chain
+from lpv_core.serial_arm.chain import FloatArray
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.dynamics.model import SerialModel
-from lpv_core.support.errors import SampleError
 
 SIGMAS = 8.0
 """Standard deviations of noise: exceeded by one sample in 1e15."""
 NET_TORQUE = 2.0
 """Net torque of a joint over its limit, at most: drives, weight, Coriolis torques and pushes."""
-_POSES = 100
 
 
 def jump_bound(arm: SerialArm) -> FloatArray:
@@ -23,12 +20,12 @@ def jump_bound(arm: SerialArm) -> FloatArray:
     Parameters
     ----------
     arm : SerialArm
-        Its torque limits, sensors and inertias count; accelerations are those at 100 random poses.
+        Its torque limits, sensors and rotor inertias count.
 
     Returns
     -------
     ndarray, shape (n,)
-        [rad]; infinite where the mass matrix is not positive definite.
+        [rad]; infinite where the file states no inertia of the rotors.
     """
     sensors, period = [joint.sensors for joint in arm.joints], arm.sample_time
     position = np.array([one.position_noise for one in sensors])
@@ -43,16 +40,13 @@ def jump_bound(arm: SerialArm) -> FloatArray:
 
 
 def _acceleration(arm: SerialArm) -> FloatArray:
-    """Largest accelerations of the joints [rad/s2]."""
-    model, rng = SerialModel(compile_chain(arm)), np.random.default_rng(0)
-    limit = NET_TORQUE * np.array(arm.torque_limit)
-    largest = np.zeros(len(limit))
-    for q in rng.uniform(-np.pi, np.pi, (_POSES, len(limit))):
-        try:
-            inverse = np.linalg.inv(model.mass_matrix(q))
-        except (np.linalg.LinAlgError, SampleError):
-            return np.full(len(limit), np.inf)
-        if np.diag(inverse).min() <= 0.0:
-            return np.full(len(limit), np.inf)
-        largest = np.maximum(largest, np.abs(inverse) @ limit)
-    return largest
+    """Largest accelerations of the joints in every configuration [rad/s2].
+
+    M >= diag(c) with the rotors' inertias c, as the links' part is positive semidefinite: from
+    a^T M a = a^T tau follows sum c a^2 <= sum tau^2 / c.
+    """
+    rotor = np.array([joint.rotor_inertia for joint in arm.joints])
+    if rotor.min() <= 0.0 or not all(joint.link.is_physical() for joint in arm.joints):
+        return np.full(len(rotor), np.inf)
+    net = NET_TORQUE * np.array(arm.torque_limit)
+    return np.asarray(np.sqrt((net**2 / rotor).sum() / rotor))

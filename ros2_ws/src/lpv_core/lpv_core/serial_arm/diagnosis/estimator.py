@@ -41,11 +41,21 @@ from lpv_core.serial_arm.diagnosis.information import (
     sum_slot,
     whiten,
 )
-from lpv_core.serial_arm.diagnosis.parameter_error import parameter_directions, parameter_factor
+from lpv_core.serial_arm.diagnosis.parameter_error import (
+    model_error,
+    parameter_directions,
+    parameter_factor,
+    typical_torque,
+)
 from lpv_core.support.jit import njit
 
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
+UNSTATED = 0.3
+"""Relative change of friction that a file does not speak of, and share of the torque that the model
+misses which is friction or a constant torque."""
+_FAST = 3.0
+"""Usual rate of a joint whose limit is higher [rad/s]."""
 _LINEAR_WITHIN = 0.05
 """Change of an offset after which the horizon is linearised again [rad]."""
 _SURE = 3.0
@@ -142,7 +152,7 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
         for i in range(null.noise.shape[0]):
             size = usual_size(window, null, back, i)
             ratio = null.residual[back, i] / (3.0 * size)
-            variance = size * size * null.inflation[i]
+            variance = size * size * null.inflation[i] + window.extra[slot(window, back), i]
             null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
         add_products(window, back, null.weights[back])
 
@@ -238,6 +248,7 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
         window.rows[at, :, 1:] = source.rows[at, :, first:]
         window.rest[at] = source.rest[at]
         window.trust[at] = source.trust[at]
+        window.extra[at] = source.extra[at]
 
 
 @njit
@@ -349,13 +360,17 @@ class OffsetEstimator:
         self.plan = plan
         chain = compile_chain(arm)
         self.joints = n = len(arm.joints)
-        speed = np.array([min(joint.limits.velocity, 3.0) for joint in arm.joints])
+        speed = np.array([min(joint.limits.velocity, _FAST) for joint in arm.joints])
+        missed = model_error(arm) * typical_torque(chain)
         directions, frictions = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
         self.balance: Balance = new_balance(chain, directions, derived, frictions)
-        self.prior = np.concatenate([*_priors(arm, chain.friction), np.ones(len(directions))])
+        self.prior = np.concatenate(
+            [*_priors(arm, chain.friction, missed), np.ones(len(directions))]
+        )
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
-        noise, systematic = _expected_noise(arm, plan), _systematic_error(arm, plan)
+        noise = _expected_noise(arm, missed, plan)
+        systematic = _systematic_error(arm, UNSTATED * missed, plan)
         # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
         rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
         self.posterior = _prior_posterior(self.prior, noise, rest, 0.0 * noise, plan.capacity)
@@ -385,6 +400,10 @@ class OffsetEstimator:
             Whether noise is learned, and what leaves the horizon remembered.
         """
         self.take(time, learn)
+        self.estimate(learn)
+
+    def estimate(self, learn: bool) -> None:
+        """Estimate anew, after `take`."""
         self._since_linearised += 1
         known = self.window.counters[NEXT] * self.plan.interval > NOISE_KNOWN_AFTER
         if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
@@ -399,6 +418,10 @@ class OffsetEstimator:
         if self._slow is not None:
             join(self._slow, time, self._slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
             self._weigh_slow(1)
+
+    def weigh_again(self, last: int) -> None:
+        """Sum up the last balances again, after a change of their variance."""
+        self._weigh(last)
 
     def _solve(self) -> None:
         solve(self.window, self.posterior)
@@ -442,6 +465,26 @@ class OffsetEstimator:
         self._solve()
         self._since_linearised = 0
 
+    def move_reference(self, joint: int, by: float) -> None:
+        """Let the offset of a sensor grow, as its readings do by what is no longer taken out.
+
+        Parameters
+        ----------
+        joint : int
+            Of the sensor.
+        by : float
+            [rad].
+        """
+        self.balance.reference[joint] += by
+        for window, unknown in ((self.window, 1 + OFFSET * self.joints), (self._slow, 1)):
+            if window is not None:
+                column = unknown + joint
+                window.rows[:, :, 0] -= by * window.rows[:, :, column]
+                window.past[0] -= by * window.past[1 + joint]
+                window.past[:, 0] -= by * window.past[:, column]
+        self._weigh(len(self))
+        self._solve()
+
     def restart(self) -> None:
         """Begin a new horizon after a gap; what the old one said of arm and offsets is kept."""
         last = len(self)
@@ -484,29 +527,25 @@ def _prior_posterior(
         np.zeros(capacity))  # fmt: skip
 
 
-def _priors(arm: SerialArm, friction: FloatArray) -> list[FloatArray]:
+def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:
     """Standard deviations of offsets, torque offsets, viscous and Coulomb friction."""
-    n = len(arm.joints)
-    limit = np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
-    share = max(arm.uncertainty.friction, 0.3)
+    share, absent = max(arm.uncertainty.friction, UNSTATED), UNSTATED * missed
     return [
-        np.full(n, OFFSET_PRIOR),
-        0.005 * limit,
-        share * np.abs(friction[:, WET]) + 5e-4 * limit,
-        share * friction[:, DRY] + 3e-3 * limit,
+        np.full(len(arm.joints), OFFSET_PRIOR),
+        absent,
+        share * np.abs(friction[:, WET]) + absent / _FAST,
+        share * friction[:, DRY] + absent,
     ]
 
 
-def _expected_noise(arm: SerialArm, plan: HorizonPlan) -> FloatArray:
+def _expected_noise(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
     """Standard deviation of a balance that is expected before any was seen [N m s]."""
-    limit = np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
     tolerance = np.array([max(joint.torque_tolerance.torque) for joint in arm.joints])
-    return plan.interval * np.maximum(0.25 * tolerance, 0.01 * limit)
+    return plan.interval * np.maximum(0.25 * tolerance, missed)
 
 
-def _systematic_error(arm: SerialArm, plan: HorizonPlan) -> FloatArray:
-    """What the model of an identified arm missed on data held back, while a pose lasts."""
-    if arm.covariance is None:
-        return np.zeros(len(arm.joints))
-    missed = np.array([np.median(joint.torque_tolerance.torque) for joint in arm.joints]) / 3.0
+def _systematic_error(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
+    """What the model misses while a pose lasts; of an identified arm, that on data held back."""
+    if arm.covariance is not None:
+        missed = np.array([np.median(joint.torque_tolerance.torque) for joint in arm.joints]) / 3.0
     return (missed * plan.interval) ** 2 * _POSE_TIME / plan.interval

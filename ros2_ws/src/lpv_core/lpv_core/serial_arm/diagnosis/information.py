@@ -29,6 +29,8 @@ class Window(NamedTuple):
     weights: FloatArray  # (capacity, n) with which each counts, trust included
     poses: FloatArray  # (capacity, n) positions in its middle [rad]
     rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
+    # (capacity, n) variance by errors of readings whose faults are followed [N2 m2 s2]
+    extra: FloatArray
     # (capacity + 1, 1 + m, 1 + h + m) sum of A^T W A before each balance, rows of the constant part
     # and of the unknowns
     sums: FloatArray
@@ -44,6 +46,7 @@ def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
+        np.zeros((capacity, joints)),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
         np.zeros((1 + unknowns, size)),
         np.zeros(2, np.int64))  # fmt: skip
@@ -90,6 +93,7 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     window.rows[at] = rows
     window.times[at] = time
     window.trust[at] = 1.0
+    window.extra[at] = 0.0
 
 
 @njit

@@ -1,36 +1,38 @@
 """Diagnosis of the sensors of a serial arm: one object, one call a sample.
 
-Jumps of readings are found sample by sample; everything else by momentum balances, every 50 ms.
+Jumps, noise and frozen readings are found sample by sample; everything else by the bank of
+hypotheses, at every balance.  A sensor is OK, SUSPECT (what is seen may be its fault), FAULT, or
+RECOVERING: a fault ends as it begins, by evidence.  A fault that has been named is followed as an
+unknown, and its sensor's readings are corrected by it, so that the next fault is looked for beside
+it.
 """
 
-from collections import deque
+import math
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
 
 from lpv_core.serial_arm.certificate.jump_bound import jump_bound
-from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.chain import FloatArray
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
 from lpv_core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
-from lpv_core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
-from lpv_core.serial_arm.diagnosis.hypotheses import (
-    CONTACT,
-    Explanation,
-    all_windows,
-    excludes_contact,
-    explanations,
-    new_search,
-    offset_against_contact,
+from lpv_core.serial_arm.diagnosis.fault_filter import (
+    FaultFilter,
+    begin_filter,
+    correct_since,
+    follow,
 )
-from lpv_core.serial_arm.diagnosis.information import NEXT
+from lpv_core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
+from lpv_core.serial_arm.diagnosis.information import NEXT, slot
 from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
-from lpv_core.serial_arm.diagnosis.moving_fault import MovingFault, begin_moving_fault, follow
+from lpv_core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
-from lpv_core.serial_arm.diagnosis.rate_check import RateCheck
 from lpv_core.serial_arm.diagnosis.sampling import (
     BLOCKS,
+    JUMP_SCALE,
+    NOISY,
     SPIKE,
     STEP,
     Sampler,
@@ -38,6 +40,7 @@ from lpv_core.serial_arm.diagnosis.sampling import (
     restart,
     take_samples,
 )
+from lpv_core.serial_arm.diagnosis.sensor_state import SensorRecord, SensorState
 from lpv_core.support.errors import SampleError
 
 BoolArray = npt.NDArray[np.bool_]
@@ -45,67 +48,53 @@ BoolArray = npt.NDArray[np.bool_]
 NANOSECONDS = 1_000_000_000
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
-NAMED_AFTER = {'stuck': 0.0, 'drift': 0.0, 'scale': 0.6, 'slip': 1.7}
-"""Shortest windows that tell a fault from a torque from outside [s]; a slip, which changes the
-torques of gravity only, takes longest."""
-MARGINS = {'stuck': 4.0, 'drift': 4.0, 'scale': 10.0, 'slip': 12.0}
-"""By which a fault's evidence must exceed that of all that is not this sensor's."""
-CONTACT_MARGIN = 9.0
-"""The same for torques from outside, which are commoner than faults of encoders."""
+CONTACT_TIME = 1.0
+"""For which torques from outside must be the cause before they are reported [s]: a fault that
+begins shows as free torques first, until its time profile is seen."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
+PUSH = 2.0
+"""Largest plausible torque from outside, over that which moves the arm."""
 RARE = 0.3
 """Share of repeated readings below which a reading that rests is frozen."""
 GUARANTEE_EVERY = 20
 """Balances after which guaranteed thresholds are evaluated anew."""
-FROZEN_DWELL = 2
-"""Balances for which a frozen reading must be to blame: joints that turn round rest shortly."""
-FROZEN_EVIDENCE = 2.0
-"""What balances must say for a frozen reading to be stuck; that it froze is evidence of its own."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
 
-class SensorState(str, Enum):  # noqa: UP042 - Python 3.10 has no StrEnum
-    """State of a position sensor."""
-
-    OK = 'ok'
-    WARN = 'warn'
-    """A fault that may be this sensor's, or something else's."""
-    ERROR = 'error'
-    """A fault of this sensor."""
-    NOT_DIAGNOSABLE = 'not_diagnosable'
-    """Gravity and motion do not tell its offset; changes are still seen."""
-
-
 @dataclass(frozen=True)
 class MonitorSettings:
-    """Thresholds of the decisions."""
+    """What a user asks of the decisions."""
 
-    evidence: float = 8.0  # logarithm of the ratio of marginal likelihoods of a fault
-    margin: float = 4.0  # by which the best explanation must beat those it excludes
-    level_sigmas: float = 4.0  # offset over its standard deviation
+    hours_between_false_alarms: float = 1000.0  # mean, of a healthy arm [h]
+    probability_of_wrong_name: float = 0.01  # that a named cause is another one
+    fault_at_start: float = 1e-3  # probability of an offset at the first sample
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
-    dwell: int = 1  # balances in a row for which a decision must hold
-    contact_dwell: int = 8  # the same for torques from outside
-    level_dwell: int = 20  # the same for the level
+    clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
     horizon: float = 10.0  # [s]
+
+    def threshold(self, interval: float) -> float:
+        """Logarithm of A: decisions between false alarms, one every interval [s]."""
+        return math.log(self.hours_between_false_alarms * 3600.0 / interval)
 
 
 @dataclass(frozen=True)
 class SerialAlarm:
-    """A fault that was found."""
+    """A change of what is known of a fault."""
 
     sensor: str  # name; '' where none is named
-    kind: str  # bias, drift, scale, slip, stuck, spike, contact, torque_offset, ...
+    kind: str  # bias, drift, scale, stuck, noise, spike, rate_bias, contact
     onset: float  # [s]
     detected: float  # [s]
-    size: float  # [rad], or [rad/s] of a drift
+    size: float  # of the fault now [rad]; [rad/s] of a rate sensor's
     sigma: float  # standard deviation of size
     suspects: tuple[str, ...]  # what explains the data about as well
     guaranteed: bool = False  # whether no healthy arm inside its file shows this; else statistical
+    event: str = 'raised'  # raised, updated or cleared
+    confidence: float = 1.0  # probability that the name is right
 
 
 @dataclass(frozen=True)
@@ -119,6 +108,14 @@ class SerialEstimate:
     suspects: tuple[str, ...]  # what explains a contradiction, best first; empty if there is none
 
 
+@dataclass
+class _Contact:
+    """Torques from outside."""
+
+    since: float = math.inf  # when they began to be the cause [s]
+    until: float = -math.inf  # nothing is learned before [s]
+
+
 class SerialMonitor:
     """Monitor of one arm; where efforts leave out gravity, only jumps of readings are found.
 
@@ -127,7 +124,14 @@ class SerialMonitor:
     arm : SerialArm
         Arm and sensors.
     settings : MonitorSettings, optional
-        Thresholds.
+        What is asked of the decisions.
+
+    Attributes
+    ----------
+    alarms : list of SerialAlarm
+        Events so far; the caller may empty it.
+    statistic : float
+        Logarithm of the statistic of detection at the last balance.
     """
 
     def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
@@ -136,15 +140,14 @@ class SerialMonitor:
         self.joints = len(arm.joints)
         self.alarms: list[SerialAlarm] = []
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
-        self._push = 0.3 * np.array([min(joint.limits.torque, 1e3) for joint in arm.joints])
         self._jump_bound = jump_bound(arm)
         self._first: int | None = None
         self.reset()
 
     def reset(self) -> None:
         """Forget samples, estimates and faults."""
-        n, arm = self.joints, self.arm
-        self.plan = HorizonPlan.of(arm.sample_time, horizon=self.settings.horizon)
+        n, arm, settings = self.joints, self.arm, self.settings
+        self.plan = HorizonPlan.of(arm.sample_time, horizon=settings.horizon)
         self.estimator = OffsetEstimator(arm, self.plan)
         noise = np.array([
             np.hypot(joint.sensors.position_noise, joint.sensors.quantization)
@@ -153,21 +156,27 @@ class SerialMonitor:
         self._capacity = self.plan.blocks * (self.plan.capacity + 1)
         self.healthy = HealthySet(arm, self.estimator) if is_stated(arm) else None
         self.guarantee: Guarantee | None = None
-        self._unproved: set[int] = set()  # sensors with level alarms that are statistical so far
-        self.search = new_search(self.estimator, self._push)
-        smallest = np.full(n, self.settings.smallest_step)
+        self._push = PUSH * typical_torque(self.estimator.balance.chain)
+        self.bank = Bank(arm, self.estimator, self._push)
+        self._threshold = settings.threshold(self.plan.interval)
+        smallest = np.full(n, settings.smallest_step)
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, np.maximum(2.0 * noise, 0.2 * smallest), smallest,
             self._capacity)  # fmt: skip
-        self.rate_check = RateCheck(arm, self.plan)
-        self._rate_faults: set[int] = set()
-        self._state = [SensorState.OK] * n
-        self._held: deque[tuple[str, int]] = deque(maxlen=self.settings.contact_dwell)
-        self._level_held = np.zeros(n, int)
-        self._moving: MovingFault | None = None
+        self.sensors = [SensorRecord() for _ in range(n)]
+        self.rates = [SensorRecord() for _ in range(n)]
+        self._filters: dict[int, FaultFilter] = {}
+        self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
+        self._contact = _Contact()
+        self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
+        self._correction = np.zeros(n)
         self._suspects: tuple[str, ...] = ()
         self._last_time = -np.inf
-        self._contact_until = -np.inf
+
+    @property
+    def statistic(self) -> float:
+        """Logarithm of the statistic of detection at the last balance."""
+        return self.bank.statistic
 
     def update(
         self, stamp: int, q: npt.ArrayLike, v: npt.ArrayLike, torque: npt.ArrayLike
@@ -195,21 +204,7 @@ class SerialMonitor:
             values = np.array([[q, v, torque]], dtype=float)
         except ValueError as error:
             raise SampleError('positions, rates and efforts differ in number') from error
-        if values.shape != (1, 3, self.joints):
-            raise SampleError(f'samples must have shape (3, {self.joints}), got {values.shape[1:]}')
-        if not np.isfinite(values).all():
-            raise SampleError('samples must be finite')
-        if self._first is None:
-            self._first = int(stamp)
-        times = np.array([(int(stamp) - self._first) / NANOSECONDS])
-        step = float(times[0]) - self._last_time
-        if not step > 0.0:
-            raise SampleError('stamps must increase')
-        values[:, 2] *= self._efforts
-        if step > LONGEST_STEP * self.arm.sample_time:
-            self.begin_again()
-        self._take(times, values)
-        self._last_time = float(times[0])
+        self.update_many(np.array([stamp]), values)
         return self.estimate(stamp)
 
     def update_many(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
@@ -257,6 +252,7 @@ class SerialMonitor:
         if self.healthy is not None:
             self.healthy.restart()
         self.estimator.restart()
+        self.bank.restart()
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
         """Take samples without a gap between them."""
@@ -286,52 +282,108 @@ class SerialMonitor:
         complete : bool
             Whether a balance is complete.
         """
-        self._report_jumps(now)
-        if complete and self.uses_balances:
-            self._decide(now)
+        if self.sampler.found.any():
+            self._report_samples(now)
+        if complete:
+            if self.uses_balances:
+                self._decide(now)
+            self._end_faults(now)
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
-        posterior = self.estimator.level
-        offsets, sigma = posterior.mean[: self.joints], posterior.sigma
+        fault, sigma = self.faults()
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
-            if one is SensorState.OK and sigma[i] > self.settings.widest_level
-            else one
-            for i, one in enumerate(self._state)
+            if one.state is SensorState.OK and sigma[i] > self.settings.widest_level
+            else one.state
+            for i, one in enumerate(self.sensors)
         )
-        fault, sigma = self.sampler.correction + offsets, sigma.copy()
-        if self._moving is not None:
-            i = self._moving.joint
-            fault[i] = self.sampler.correction[i] + self._moving.fault(self._last())
-            sigma[i] = self._moving.sigma
         return SerialEstimate(stamp, fault, sigma, state, self._suspects)
+
+    def faults(self) -> tuple[FloatArray, FloatArray]:
+        """Faults f of the position sensors and their standard deviations, shape (n,) [rad]."""
+        level = self.estimator.level
+        fault = self.taken_out() + level.mean[: self.joints]
+        return fault, np.hypot(level.sigma, self.changing_sigma())
+
+    def taken_out(self) -> FloatArray:
+        """What is taken out of the readings now, shape (n,) [rad]."""
+        sampler = self.sampler
+        return sampler.correction + sampler.followed + sampler.share * sampler.raw
+
+    def changing_sigma(self) -> FloatArray:
+        """Standard deviations of the faults that are followed, shape (n,) [rad]."""
+        sigma, now = np.zeros(self.joints), self._last()
+        for i, one in self._filters.items():
+            sigma[i] = one.fault(float(self.sampler.raw[i]), now)[2]
+        for i in np.nonzero(self.sampler.noisy)[0]:
+            sigma[i] = math.hypot(sigma[i], self._noise(int(i)))
+        return sigma
 
     def learned(self) -> Learned:
         """What has been learned of the arm: payload, friction, torque offsets, noise."""
         return learned_of(self.arm, self.estimator)
 
-    def _report_jumps(self, now: float) -> None:
-        """Alarms of steps and spikes."""
-        for i in range(self.joints):
-            if self.sampler.found[i] == STEP:
-                sigma = float(self.sampler.scale[i])
-                size = float(self.sampler.size[i])
-                self._raise(i, 'bias', now, size, sigma, abs(size) > self._jump_bound[i])
-            elif self.sampler.found[i] == SPIKE:
-                self.alarms.append(SerialAlarm(self._sensor(i), 'spike', now, now, 0.0, 0.0, ()))
-            self.sampler.found[i] = 0
+    def _noise(self, i: int) -> float:
+        """Standard deviation of a noisy reading [rad]."""
+        # e is made of two readings, of four where the rates are derived from them.
+        parts = 3.5 if self.sampler.derived[i] else 2.0
+        return float(np.sqrt(self.sampler.noise[1, i] / parts))
 
-    def _sensor(self, i: int) -> str:
-        return self.arm.sensor_names[i] if i >= 0 else ''
+    def _report_samples(self, now: float) -> None:
+        """Events of what was found at a sample."""
+        change = self.sampler.correction - self._correction
+        self.jump += change
+        self.jump_variance += np.where(change != 0.0, self.sampler.scale**2, 0.0)
+        for i in range(self.joints):
+            found, self.sampler.found[i] = self.sampler.found[i], 0
+            if found == STEP:
+                self._jumped(i, float(self.sampler.size[i]), now)
+            elif found == SPIKE and self.sensors[i].state is not SensorState.ERROR:
+                self._event(i, 'spike', now, 'raised', 0.0, 0.0)
+                self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
+            elif found == NOISY:
+                if i in self._filters:
+                    self._forget(i)
+                self.bank.leave_out_rate(i, True)
+                self._raise(i, 'noise', now, self._noise(i), 0.0)
+        self._correction = self.sampler.correction.copy()
+
+    def _jumped(self, i: int, size: float, now: float) -> None:
+        """A reading jumped; what remains of its fault is over, or another fault."""
+        sensor, sigma = self.sensors[i], float(self.sampler.scale[i])
+        fault = float(self.taken_out()[i] + self.estimator.level.mean[i] * sensor.level)
+        back = self._filters.get(i)
+        if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
+            fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
+        if sensor.state is SensorState.ERROR and abs(fault) < max(
+            0.3 * abs(size), self.settings.smallest_step
+        ):
+            self._forget(i)
+            sensor.recover(now)
+            return
+        self.bank.note_jump(i, now, (size, sigma), float(self.sampler.samples[-1, 0, i]))
+        kind = sensor.kind if back is not None else 'bias'
+        value = fault if sensor.state is SensorState.ERROR else size
+        self._raise(i, kind, now, value, sigma, abs(size) > self._jump_bound[i])
 
     def _raise(
-        self, i: int, kind: str, onset: float, size: float, sigma: float, guaranteed: bool = False
-    ) -> None:
-        """A fault of sensor i is confirmed."""
-        self._state[i] = SensorState.ERROR
+        self, i: int, kind: str, onset: float, size: float, sigma: float,
+        guaranteed: bool = False, confidence: float = 1.0
+    ) -> None:  # fmt: skip
+        """A fault of sensor i is confirmed, or changed."""
+        sensor = self.sensors[i]
+        event = 'updated' if sensor.active else 'raised'
+        sensor.confirm(kind, onset, abs(size))
+        self._event(i, kind, onset, event, size, sigma, guaranteed, confidence)
+
+    def _event(
+        self, i: int, kind: str, onset: float, event: str, size: float, sigma: float,
+        guaranteed: bool = False, confidence: float = 1.0
+    ) -> None:  # fmt: skip
         self.alarms.append(SerialAlarm(
-            self._sensor(i), kind, onset, self._last(), size, sigma, (), guaranteed))  # fmt: skip
+            self.arm.sensor_names[i] if i >= 0 else '', kind, onset, self._last(), size, sigma, (),
+            guaranteed, event, confidence))  # fmt: skip
 
     def _last(self) -> float:
         return float(self.sampler.time[-1])
@@ -343,110 +395,93 @@ class SerialMonitor:
         return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
 
     def _decide(self, now: float) -> None:
-        """A balance is complete: estimate, compare explanations, decide."""
-        if self._moving is not None:
-            self.estimator.take(now, False)
-            follow(self._moving, self.estimator, self.sampler, now)
-            return
+        """A balance is complete: estimate, compare hypotheses, name a cause."""
+        learn = not (self._suspects or self._filters or self.sampler.noisy.any())
         if self.healthy is not None:
             self.healthy.take(self._blocks(2), not self._suspects)
-        self.estimator.add(now, not self._suspects)
+        self.estimator.take(now, learn)
+        self.bank.take(self._blocks(2))
+        for i, one in self._filters.items():
+            follow(one, self.estimator, self.sampler, self.bank.rate_row(i))
+        self._add_noise()
+        self.estimator.estimate(learn)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
         if self.estimator.window.counters[NEXT] % GUARANTEE_EVERY == 0:
             self._evaluate_guarantee()
-        self.rate_check.take(self._blocks(self.rate_check.intervals))
-        if self._decide_rates():
-            return
-        found = explanations(
-            self.search, self.estimator, self._rest(), np.nonzero(self._is_frozen())[0],
-            0.5 * self.settings.evidence, self._blocks)  # fmt: skip
-        found = [one for one in found if not self.rate_check.excludes(one, now)]
-        if self._frozen(found) is None and (not found or found[0].gain < self.settings.evidence):
-            self._suspects = ()
-            self._held.clear()
-            self._decide_level()
-            return
-        margin = found[0].gain - self.settings.margin
-        rivals = [one for one in found if one.gain > margin]
-        self._suspects = tuple(dict.fromkeys(self._label(one) for one in rivals))
-        verdict = self._verdict(found)
-        if verdict is None:
-            self._held.append(('', -1))
-            return
-        kind = CONTACT if verdict.kind == CONTACT else 'encoder'
-        self._held.append((kind, verdict.joint))
-        if verdict.kind == CONTACT:
-            learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
-            if learned and self._has_held(verdict, self.settings.contact_dwell):
-                self._report_contact(now)
-            return
-        dwell = FROZEN_DWELL if self._is_frozen()[verdict.joint] else self.settings.dwell
-        if self._has_held(verdict, dwell) and now > self._contact_until:
-            self._blame(verdict)
-
-    def _decide_rates(self) -> bool:
-        """Encoders that contradict their independent rates; whether one does."""
-        joints = [i for i in self.rate_check.joints if i not in self._rate_faults]
-        if not joints:
-            return False
-        begins = all_windows(self.search, self.estimator)
-        for i in joints:
-            rivals = self.rate_check.explanations(self.search, int(i), begins)
-            self._suspects = tuple(self._label(one) for one in rivals)
-            if len(rivals) < 2 or rivals[0].gain < rivals[1].gain + self.settings.margin:
-                continue
-            if rivals[0].kind == 'drift':
-                self._blame(rivals[0])
-                return True
-            kind, begin, size, sigma = (
-                getattr(rivals[0], name) for name in ('kind', 'begin', 'size', 'sigma')
-            )
-            self.alarms.append(
-                SerialAlarm(self._sensor(int(i)), kind, begin, self._last(), size, sigma, ())
-            )
-            self._rate_faults.add(int(i))
-        return True
-
-    def _has_held(self, verdict: Explanation, balances: int) -> bool:
-        """Whether the same has been to blame for the last balances."""
-        held = list(self._held)[-balances:]
-        kind = CONTACT if verdict.kind == CONTACT else 'encoder'
-        return held == [(kind, verdict.joint)] * balances
-
-    def _verdict(self, found: list[Explanation]) -> Explanation | None:
-        """The explanation that is beyond doubt for now, if there is one.
-
-        A reading that froze is evidence of its own.  Else an encoder is named only where its fault
-        explains clearly more than faults of other sensors, and than torques from outside of any
-        course do; those that are smooth are evaluated only here, for they cost most.
-        """
+        unseen = np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
+        found = self.bank.evaluate(self._blocks, self._rest(), unseen, self._threshold)
         frozen = self._frozen(found)
         if frozen is not None:
-            return frozen
-        contact = max(one.gain for one in found if one.kind == CONTACT)
-        encoder = [one for one in found if one.is_encoder]
-        if contact > max(3.0 * self.settings.evidence, *(2.0 * one.gain for one in encoder)):
-            return next(one for one in found if one.kind == CONTACT)
-        late = [one for one in encoder if self._last() - one.begin > NAMED_AFTER[one.kind]]
-        if not late or late[0].gain < self.settings.evidence:
-            return None
-        joint = late[0].joint
-        rival = max(one.gain for one in found if one.joint != joint or not one.is_encoder)
-        own = [one for one in late if one.joint == joint and one.gain > contact + CONTACT_MARGIN]
-        best = next((one for one in own if one.gain > rival + MARGINS[one.kind]), None)
-        if best and not excludes_contact(self.search, self.estimator, best, CONTACT_MARGIN):
-            self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
-            return None
-        return best
+            self._blame(frozen, 1.0 - math.exp(-frozen.gain), now)
+        elif self.bank.statistic < self._threshold:
+            self._suspects = ()
+            self._contact.since = math.inf
+            self._decide_levels(now)
+        else:
+            self._name(found, now)
+        self._mark_suspects()
 
-    def _frozen(self, found: list[Explanation]) -> Explanation | None:
-        """What explains a reading that froze, if balances say that the joint moves."""
-        for i in np.nonzero(self._is_frozen())[0]:
-            own = [one for one in found if one.joint == i and one.is_encoder]
-            if own and own[0].gain > FROZEN_EVIDENCE:
-                return own[0]
-        return None
+    def _add_noise(self) -> None:
+        """Balances of noisy readings say less."""
+        window, n = self.estimator.window, self.joints
+        noisy = np.nonzero(self.sampler.noisy)[0]
+        if len(noisy) == 0:
+            return
+        at, count = slot(window, 0), self.plan.per_block
+        for i in noisy:
+            variance, derived = self._noise(int(i)) ** 2, self.sampler.derived[i]
+            rate = 2.0 * derived * variance / (count * self.arm.sample_time) ** 2
+            # A balance holds the means of two intervals' blocks.
+            blocks = self.plan.blocks
+            position = variance / (count * blocks)
+            window.extra[at] += position * window.rows[at, :, 1 + 4 * n + i] ** 2
+            window.extra[at] += rate / blocks * window.rows[at, :, 1 + 2 * n + i] ** 2
+        self.estimator.weigh_again(1)
+
+    def _frozen(self, found: list[Hypothesis]) -> Hypothesis | None:
+        """What explains a reading that froze, if balances say that the joint moves.
+
+        That it froze, out of motion or without its noise, is evidence of its own against pushes.
+        """
+        wrong = self.settings.probability_of_wrong_name
+        stuck = (one for one in found if one.kind == 'stuck' and one.joint not in self._filters)
+        best = next(stuck, None)
+        return best if best is not None and best.gain > -math.log(wrong) else None
+
+    def _margin(self, kind: str) -> float:
+        """By how much a fault must be more likely than torques from outside."""
+        ratio = OCCURRENCE[CONTACT] * self.joints / OCCURRENCE[kind]
+        return math.log(ratio / self.settings.probability_of_wrong_name)
+
+    def _name(self, found: list[Hypothesis], now: float) -> None:
+        """What explains the balances is beyond doubt, or several causes are suspected."""
+        known = {*self._filters, *np.nonzero(self.sampler.noisy)[0]}
+        found = [one for one in found if one.joint not in known]
+        if not found:
+            self._suspects = ()
+            return
+        shares = self.bank.shares(found)
+        wrong = self.settings.probability_of_wrong_name
+        named = {one: share for one, share in shares.items() if share > wrong}
+        best = {cause: next(one for one in found if one.cause == cause) for cause in named}
+        self._suspects = tuple(self._label(one) for one in best.values())
+        cause, share = next(iter(shares.items()))
+        self._contact.since = min(self._contact.since, now) if cause[0] == CONTACT else math.inf
+        if share < 1.0 - wrong:
+            return
+        one = best[cause]
+        if one.kind == CONTACT:
+            learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
+            if learned and now - self._contact.since >= CONTACT_TIME:
+                self._report_contact(now)
+        elif one.is_encoder:
+            if self.bank.excludes_contact(one, self._margin(one.kind)):
+                self._blame(one, share, now)
+            else:
+                self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
+        elif one.kind == 'rate_bias':
+            self._blame_rate(one, share)
 
     def _is_frozen(self) -> BoolArray:
         """Whether a reading stopped dead while it moved, or has lost its noise."""
@@ -454,57 +489,149 @@ class SerialMonitor:
         stopped = self.sampler.stop * STILL_TIME > self.settings.smallest_step
         return still & (stopped | (self.sampler.repeats < RARE))
 
-    def _rest(self) -> tuple[IntArray, FloatArray]:
-        """For how many balances each reading rests, and its speed before [rad/s]."""
+    def _rest(self) -> tuple[FloatArray, FloatArray]:
+        """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
         time = self.sampler.still * self.arm.sample_time
-        resting = np.where(time > STILL_TIME, np.ceil(time / self.plan.interval) + 1, 0)
-        return resting.astype(np.int64), np.maximum(self.sampler.stop, 0.1)
+        followed = np.zeros(self.joints, bool)
+        followed[list(self._filters)] = True
+        return np.where(self._is_frozen() & ~followed, time, 0.0), np.maximum(
+            self.sampler.stop, 0.1
+        )
 
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
-        if now > self._contact_until:
-            self.alarms.append(SerialAlarm('', CONTACT, now, now, 0.0, 0.0, ()))
-        self._contact_until = now + CONTACT_PAUSE
+        if now > self._contact.until:
+            self._event(-1, CONTACT, now, 'raised', 0.0, 0.0)
+        self._contact.until = now + CONTACT_PAUSE
         self.healthy = self.guarantee = None  # the load may be another one from now on
         self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
 
-    def _label(self, one: Explanation) -> str:
-        """Name of an explanation for people."""
-        return one.kind if one.kind == CONTACT else f'{self._sensor(one.joint)}:{one.kind}'
+    @property
+    def in_contact(self) -> bool:
+        """Whether torques act from outside."""
+        return self._contact.until > self._last()
 
-    def _blame(self, best: Explanation) -> None:
+    def _label(self, one: Hypothesis) -> str:
+        """Name of a hypothesis for people."""
+        return one.kind if one.joint < 0 else f'{self.arm.sensor_names[one.joint]}:{one.kind}'
+
+    def _blame(self, one: Hypothesis, share: float, now: float) -> None:
         """A position sensor explains what nothing else does: its fault is followed from now on."""
-        i = best.joint
-        kind = 'stuck' if self.sampler.still[i] * self.arm.sample_time > STILL_TIME else best.kind
-        self._raise(i, kind, best.begin, best.size, best.sigma)
-        self.healthy = self.guarantee = None  # readings will be changed
-        self._moving = begin_moving_fault(self.estimator, i, kind, best.begin)
+        i = one.joint
+        rests = self.sampler.still[i] * self.arm.sample_time > STILL_TIME
+        kind = 'stuck' if rests else one.kind
+        if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
+            rate = -one.size if one.kind == 'drift' else 0.0
+            size, sigma = rate * (now - one.begin), max(0.1, one.sigma * (now - one.begin))
+        else:
+            size, sigma = one.size, one.sigma
+        last = float(self.sampler.time[-1])
+        blocks = self._blocks(len(self.estimator) + 1)
+        origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, i]))
+        self._filters[i] = begin_filter(i, kind, (one.begin, last), size, sigma, origin)
+        self.bank.leave_out_rate(i, True)
+        correct_since(self._filters[i], self.estimator, self.sampler)
+        self.healthy = self.guarantee = None  # readings are changed
+        fault, deviation = self.faults()
+        name = {'slip': 'bias'}.get(kind, kind)
+        self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
         self._suspects = ()
 
-    def _decide_level(self) -> None:
-        """Offsets that gravity and motion show."""
-        posterior = self.estimator.level
-        offsets, sigma = posterior.mean[: self.joints], posterior.sigma
-        beyond = np.abs(offsets) > np.maximum(
-            self.settings.level_sigmas * sigma, self.settings.smallest_level
-        )
-        beyond &= sigma < self.settings.widest_level
-        self._level_held = np.where(beyond, self._level_held + 1, 0)
-        for i in np.nonzero(self._level_held >= self.settings.level_dwell)[0]:
-            if self._state[i] is SensorState.ERROR:
-                continue
-            if offset_against_contact(self.search, self.estimator, int(i)) < self.settings.margin:
-                self._suspects = (f'{self._sensor(int(i))}:bias', CONTACT)
-                continue
-            self._raise_level(int(i), float(offsets[i]), float(sigma[i]))
+    def _blame_rate(self, one: Hypothesis, share: float) -> None:
+        """A rate sensor contradicts its encoder, and balances say that it is the one to blame."""
+        record = self.rates[one.joint]
+        if record.active:
+            return
+        record.confirm('rate_bias', one.begin, abs(one.size))
+        self.bank.leave_out_rate(one.joint, True)
+        self.sampler.rate_error[one.joint] = one.size
+        self._event(one.joint, 'rate_bias', one.begin, 'raised', one.size, one.sigma,
+                    confidence=share)  # fmt: skip
 
-    def _raise_level(self, i: int, offset: float, sigma: float) -> None:
-        """The offset of a sensor is confirmed."""
-        self._evaluate_guarantee()
-        guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
-        self._raise(i, 'bias', 0.0, offset, sigma, guaranteed)
-        if not guaranteed:
-            self._unproved.add(i)
+    def _decide_levels(self, now: float) -> None:
+        """Offsets that gravity and motion show."""
+        level, settings = self.estimator.level, self.settings
+        offsets, sigma = level.mean[: self.joints], level.sigma
+        shown = sigma < settings.widest_level
+        self._known += np.where(shown, self.plan.interval, 0.0)
+        prior = self.estimator.prior[: self.joints]
+        gain = 0.5 * (offsets / sigma) ** 2 - np.log(prior / sigma)
+        # An offset may have been there before the first sample; later ones come at any time, and
+        # every horizon is another chance of a false alarm.
+        at_start = math.log(1.0 / settings.fault_at_start)
+        later = settings.threshold(settings.horizon)
+        needed = np.where(self._known < settings.horizon, at_start, later)
+        beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level)
+        for i in np.nonzero(beyond)[0]:
+            sensor = self.sensors[i]
+            if sensor.active or self.sampler.noisy[i]:
+                continue
+            margin = math.log(1.0 / settings.probability_of_wrong_name)
+            if self.bank.offset_against_contact(int(i)) < margin:
+                self._suspects = (f'{self.arm.sensor_names[i]}:bias', CONTACT)
+                continue
+            self._evaluate_guarantee()
+            guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
+            sensor.level = True
+            sensor.unproved = not guaranteed
+            fault, deviation = self.faults()
+            share = 1.0 - math.exp(-min(float(gain[i]), 50.0))
+            self._raise(int(i), 'bias', 0.0, float(fault[i]), float(deviation[i]), guaranteed,
+                        share)  # fmt: skip
+
+    def _end_faults(self, now: float) -> None:
+        """Faults that are over are cleared once they have been over for long enough."""
+        if not any(one.active for one in (*self.sensors, *self.rates)):
+            return
+        sigma, level = self.faults()[1], self.estimator.level
+        for i, sensor in enumerate(self.sensors):
+            if not sensor.active:
+                continue
+            # Gravity's word counts where it was confirmed, or is sure beside the fault.
+            counts = sensor.level or 4.0 * level.sigma[i] < sensor.peak
+            left = float(self.taken_out()[i] + counts * level.mean[i])
+            if sensor.kind == 'noise':
+                over = self.sampler.noisy[i] == 0
+            elif sensor.kind == 'stuck':
+                over = self.sampler.still[i] * self.arm.sample_time < STILL_TIME
+                if over and i in self._filters:
+                    self._forget(i)
+            else:
+                limit = 0.7 * max(self.settings.smallest_level, 4.0 * sigma[i])
+                over = abs(left) < min(0.3 * sensor.peak, limit)
+            if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
+                self._forget(i)
+                self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
+                sensor.clear()
+        for i, record in enumerate(self.rates):
+            taken_out = float(self.sampler.rate_error[i])
+            if record.active and record.watch_end(
+                self.bank.rate_agrees(i, taken_out), now, self.settings.clear_dwell, 0.0
+            ):
+                self.bank.leave_out_rate(i, False)
+                self.sampler.rate_error[i] = 0.0
+                self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
+                record.clear()
+
+    def _forget(self, i: int) -> None:
+        """Take nothing out of the readings of sensor i any more; what is estimated stays true."""
+        sampler = self.sampler
+        out = float(self.taken_out()[i])
+        if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
+            self.bank.leave_out_rate(i, self.rates[i].active)
+        sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
+        self._correction[i] = 0.0
+        if out == 0.0:
+            return
+        sampler.samples[:, 0, i] += out
+        sampler.blocks[:, i] += out
+        sampler.sums[0, i] += out * sampler.counters[1]
+        self.estimator.move_reference(i, out)
+
+    def _mark_suspects(self) -> None:
+        """Sensors whose fault may explain a contradiction."""
+        for name, sensor in zip(self.arm.sensor_names, self.sensors):
+            sensor.suspect(any(one.startswith(f'{name}:') for one in self._suspects))
 
     def _evaluate_guarantee(self) -> None:
         """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""
@@ -512,7 +639,8 @@ class SerialMonitor:
             return
         self.guarantee = self.healthy.evaluate()
         sigma = self.estimator.level.sigma
-        for i in [one for one in self._unproved if self.guarantee.exceeded[one]]:
-            size = float(self.guarantee.estimate[i])
-            self._raise(i, 'bias', 0.0, size, float(sigma[i]), True)
-            self._unproved.discard(i)
+        for i, sensor in enumerate(self.sensors):
+            if sensor.active and sensor.unproved and self.guarantee.exceeded[i]:
+                size = float(self.guarantee.estimate[i])
+                sensor.unproved = False
+                self._raise(i, 'bias', sensor.onset, size, float(sigma[i]), True)

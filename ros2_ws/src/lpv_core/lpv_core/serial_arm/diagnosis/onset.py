@@ -17,13 +17,15 @@ from lpv_core.serial_arm.diagnosis.balance import (
     COULOMB,
     COULOMB_PART,
     DRIFT,
+    EPOCH,
     OFFSET,
     VISCOUS,
     VISCOUS_PART,
     Balance,
     residuals,
 )
-from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals
+from lpv_core.serial_arm.diagnosis.contact import Contact, rough_contact, weigh_residuals
+from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
 from lpv_core.serial_arm.diagnosis.information import Window, slot, whiten
 from lpv_core.serial_arm.dynamics.momentum import momentum_balance
 from lpv_core.support.jit import njit
@@ -52,6 +54,70 @@ class _Sums(NamedTuple):
     score: FloatArray  # A^T W r, shape (2,)
     squares: FloatArray  # A^T W A, shape (2, 2)
     cross: FloatArray  # A^T W J, shape (2, m)
+
+
+def explained_at_onsets(
+    outside: Contact, estimator: OffsetEstimator, onset: int, last: int
+) -> FloatArray:
+    """What torques from outside at an onset alone explain, by the older balance that holds it.
+
+    Parameters
+    ----------
+    outside : Contact
+        Torques from outside.
+    estimator : OffsetEstimator
+        Its posterior is the null hypothesis; its residuals are written.
+    onset : int
+        Index of the onset's length in ``outside``.
+    last : int
+        Balances that are looked at.
+
+    Returns
+    -------
+    ndarray, shape (last,)
+        Logarithms of Bayes factors.
+    """
+    null, free = estimator.posterior, np.zeros(last)
+    set_residuals(estimator.window, null, last)
+    weigh_residuals(estimator.window, null, last)
+    for back in range(1, last - 1):
+        free[back] = rough_contact(outside, null, onset, back + 1)
+    return free
+
+
+def sudden_drift_of(
+    estimator: OffsetEstimator, joint: int, prior: float, free: FloatArray, blocks: FloatArray
+) -> Onset:
+    """The best onset of a drift of one encoder whose rate is derived from it.
+
+    Parameters
+    ----------
+    estimator : OffsetEstimator
+        Its posterior is the null hypothesis.
+    joint : int
+        Of the encoder.
+    prior : float
+        Standard deviation of drifts [rad/s].
+    free : ndarray, shape (last,)
+        Of `explained_at_onsets`; it is taken off.
+    blocks : ndarray, shape (N, 3 n + 3)
+        Those of the balances at hand and of the interval before, oldest first.
+
+    Returns
+    -------
+    Onset
+        Its gain is -inf while there are too few balances.
+    """
+    window, null, balance = estimator.window, estimator.posterior, estimator.balance
+    newest, n, plan = blocks[-1], estimator.joints, estimator.plan
+    end = newest[3 * n] + 0.5 * newest[3 * n + 1]
+    times = balance.clock[EPOCH], end, plan.interval, prior
+    best = sudden_drift(window, null, balance, joint, times, free)
+    needed = (best.back + 2) * plan.blocks
+    if best.gain == -np.inf or needed > len(blocks):
+        return best
+    effect = joint, prior, free[best.back]
+    return with_true_effect(best, window, null, balance, effect, blocks[-needed:], plan.blocks)
 
 
 @njit
@@ -100,7 +166,7 @@ def sudden_drift(
         if back < SHORTEST:
             continue
         at, after = slot(window, back), slot(window, back - 1)
-        _mass_column(balance, window.poses[at], joint, mass)
+        mass_column(balance, window.poses[at], joint, mass)
         older = _straddle(window, null, mass, back, far)
         newer = _straddle(window, null, mass, back - 1, near)
         overlap = np.zeros(2)
@@ -169,7 +235,7 @@ def _straddle(
 
 
 @njit
-def _mass_column(balance: Balance, pose: FloatArray, joint: int, mass: FloatArray) -> None:
+def mass_column(balance: Balance, pose: FloatArray, joint: int, mass: FloatArray) -> None:
     """Write M(q) e_i, the momentum by a unit rate of one joint."""
     rate, force = balance.vectors[7], balance.vectors[8]
     rate[:] = 0.0

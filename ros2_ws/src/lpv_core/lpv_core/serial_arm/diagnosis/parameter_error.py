@@ -8,13 +8,18 @@ effect first.  An identification knows masses and friction better together than 
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import MASS, MX, SLOPE, Chain, FloatArray, joint_count
+from lpv_core.serial_arm.chain import COULOMB as DRY
+from lpv_core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.model import SerialModel
-from lpv_core.serial_arm.dynamics.payload import payload_parameters
+from lpv_core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
 
 MODEL_ERROR = 0.05
 """Relative standard deviation of masses and inertias that were not identified."""
+USUAL_ACCELERATION = 2.0
+"""Of a joint in the motions of an arm [rad/s2]."""
+USUAL_RATE = 1.0
+"""The same [rad/s]."""
 _SAMPLES = 100
 _NEGLIGIBLE = 0.005
 """Directions with a smaller effect on the torques of all joints, relative to them, are left out."""
@@ -34,24 +39,51 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
     -------
     ndarray, shape (rows, 14 n)
         Columns: 10 inertial parameters of each link; viscous, Coulomb and load-dependent friction
-        and offsets of all joints.  The last four rows are the unknown payload: mass, and its place
-        by 0.1 m.
+        and offsets of all joints.  The last four rows are the unknown payload: mass, and its
+        place by `PAYLOAD_PLACE`.
     """
     n = joint_count(chain)
     if arm.covariance is not None:
         factor = np.array(arm.covariance.factor)
         rows = [np.delete(factor, np.arange(10 * n, 11 * n), 1)]  # all but the rotors
     else:
-        rows = [_without_friction(relative_factor(chain, MODEL_ERROR))]
+        rows = [_without_friction(relative_factor(chain, model_error(arm)))]
     mass = arm.uncertainty.payload
     if mass > 0.0:
         load = np.zeros((4, n, 10))
         at_tip = payload_parameters(chain, mass)
         load[0, -1] = at_tip
         for k in range(3):
-            load[1 + k, -1, MX + k] = 0.1 * mass
+            load[1 + k, -1, MX + k] = PAYLOAD_PLACE * mass
         rows.append(_without_friction(load.reshape(4, -1)))
     return np.vstack(rows)
+
+
+def model_error(arm: SerialArm) -> float:
+    """Relative standard deviation of masses and inertias; that of the file, if it states one."""
+    return arm.uncertainty.model_error or MODEL_ERROR
+
+
+def typical_torque(chain: Chain) -> FloatArray:
+    """Torques that move the arm, whatever its drives could give.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Root mean square over poses of gravity's torque, with that of an usual acceleration of the
+        joint and its friction [N m].
+    """
+    n = joint_count(chain)
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), n)
+    gravity = np.mean([model.gravity(q) ** 2 for q in poses], axis=0)
+    inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
+    friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE + np.abs(chain.friction[:, DRY])
+    return np.sqrt(gravity + (USUAL_ACCELERATION * inertia) ** 2 + friction**2)
 
 
 def _without_friction(factor: FloatArray) -> FloatArray:

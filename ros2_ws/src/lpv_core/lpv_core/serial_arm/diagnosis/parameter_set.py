@@ -20,10 +20,8 @@ from lpv_core.serial_arm.chain import (
 )
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.parameter_error import relative_factor
-from lpv_core.serial_arm.dynamics.payload import payload_parameters
+from lpv_core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
 
-PAYLOAD_PLACE = 0.05
-"""Largest distance of the payload's centre from the tip, along each axis [m]."""
 PAYLOAD_PARTS = 10
 """Generators of a payload: its mass at the tip, 3 first moments, 6 inertias."""
 

@@ -5,8 +5,9 @@ A reading that jumps shows in
     e_k = y_k - y_(k-1) - T (v_(k-1) + v_(k+1)) / 2,
 
 which leaves out v_k: where rates are differences of the same reading, v_k jumps with it.  Rates
-that are independent may leave out another one.  What all joints but one have in common, e = v dt,
-is a wrong stamp or a repeated sample, not an encoder.
+that are independent may leave out another one.  A wrong stamp shows as e = v dt in all joints: a
+repeated sample is late by a period.  Where only one joint moves, a step is told from a wrong stamp
+by the samples that follow.  A reading that jumps again and again is noisy.
 """
 
 from typing import NamedTuple
@@ -20,17 +21,28 @@ from lpv_core.support.jit import njit
 HISTORY = 8
 """Samples that are kept for the test of jumps; a sample enters the balance ``DELAY`` later."""
 DELAY = 5
-NONE, STEP, SPIKE = range(3)
-"""What was found at a reading."""
+NONE, STEP, SPIKE, NOISY, QUIET = range(5)
+"""What was found at a reading; the last two say that it began, or ceased, to be noisy."""
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
-TIME, INTERVAL_START, BLOCK_START = range(3)
-"""Entries of `Sampler.clock` [s]."""
+TIME, INTERVAL_START, BLOCK_START, STAMPS = range(4)
+"""Entries of `Sampler.clock` [s]; the last one is 1 once a stamp has been wrong."""
 JUMP_SCALE = 10.0
 """A jump is larger than so many times the usual size of e."""
 _SLOW = 0.05
 """Rates that do not tell whether a stamp is wrong [rad/s]."""
+_LATE = 1.5
+"""Largest error of a stamp, over the time since the sample before."""
+_USUAL = 5.0
+"""Sizes of e, over the usual one, that are nothing special."""
+NOISE_MEMORY = 32.0
+"""Samples over which jumps of a reading are counted."""
+_NOISE_COUNT = 4.5
+"""Jumps among those that are noise: a spike in a reading and in the rate that is derived from it
+makes four."""
+_QUIET_COUNT = 0.5
+"""... and from which on the noise is over."""
 
 
 class Sampler(NamedTuple):
@@ -41,8 +53,11 @@ class Sampler(NamedTuple):
     jumps: FloatArray  # e of each, shape (HISTORY, n)
     scale: FloatArray  # usual size of e, shape (n,) [rad]
     smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
-    correction: FloatArray  # (n,) fault that is removed from the reading [rad]
+    correction: FloatArray  # (n,) jumps that are removed from the reading [rad]
+    followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
     drift: FloatArray  # (n,) its rate [rad/s]
+    share: FloatArray  # (n,) of the reading that is removed as a scale error [-]
+    rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
     sums: FloatArray  # of the current block, shape (3, n)
     blocks: FloatArray  # (capacity, 3 n + 3) ring: q, v, tau of blocks; time, length, place
@@ -52,8 +67,11 @@ class Sampler(NamedTuple):
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
     repeats: FloatArray  # (n,) share of readings that equal the one before (quantised, slow)
     stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
+    noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
+    noisy: IntArray  # (n,) 1 while a reading is noisy
+    doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
     counters: IntArray  # (5,)
-    clock: FloatArray  # moments, shape (3,) [s]
+    clock: FloatArray  # moments, shape (4,) [s]
 
 
 def new_sampler(
@@ -80,10 +98,12 @@ def new_sampler(
     counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
-        smallest.copy(), np.zeros(n), np.zeros(n), derived.copy(), np.zeros((3, n)),
-        np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64), np.zeros(n),
-        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), counters,
-        np.zeros(3))  # fmt: skip
+        smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
+        derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
+        np.zeros(n),
+        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), np.zeros((3, n)),
+        np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
+        np.zeros(4))  # fmt: skip
 
 
 @njit
@@ -107,14 +127,15 @@ def push_sample(
         sampler.time[k] = sampler.time[k + 1]
         for i in range(n):
             sampler.jumps[k, i] = sampler.jumps[k + 1, i]
+            sampler.doubtful[k, i] = sampler.doubtful[k + 1, i]
             for part in range(3):
                 sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
     sampler.time[HISTORY - 1] = time
     for i in range(n):
         sampler.found[i] = NONE
         if sampler.counters[COUNT] > 0:
-            sampler.correction[i] += sampler.drift[i] * period
-        reading = y[i] - sampler.correction[i]
+            sampler.followed[i] += sampler.drift[i] * period
+        reading = y[i] - removed(sampler, i, y[i])
         if y[i] != sampler.raw[i]:
             sampler.still[i] = 0
             sampler.repeats[i] -= sampler.repeats[i] / 256.0
@@ -127,12 +148,20 @@ def push_sample(
                 sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[HISTORY - 5])
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
-        sampler.samples[HISTORY - 1, 1, i] = v[i] - sampler.derived[i] * sampler.drift[i]
+        rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
+        rate -= sampler.rate_error[i]
+        sampler.samples[HISTORY - 1, 1, i] = rate
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
     sampler.counters[COUNT] += 1
     if sampler.counters[COUNT] >= 3:
         _set_jumps(sampler)
         _find_jumps(sampler)
+
+
+@njit
+def removed(sampler: Sampler, i: int, reading: float) -> float:
+    """What is taken out of a reading of sensor i [rad]."""
+    return float(sampler.correction[i] + sampler.followed[i] + sampler.share[i] * reading)
 
 
 @njit
@@ -143,14 +172,59 @@ def _set_jumps(sampler: Sampler) -> None:
     for i in range(n):
         way = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
         sampler.jumps[k, i] = way - period * _mean_rate(sampler.samples, i)
-        beyond = beyond or abs(sampler.jumps[k, i]) > _smallest_jump(
-            sampler.scale[i], sampler.smallest[i]
-        )
+        sampler.doubtful[k, i] = 0
+        beyond = beyond or _is_beyond(sampler, i, k)
     if not beyond:
         return
-    period += _wrong_stamp(sampler)
+    late = _wrong_stamp(sampler, period)
     for i in range(n):
-        sampler.jumps[k, i] = _unexplained(sampler, i, period)
+        sampler.jumps[k, i] = _unexplained(sampler, i, period + late)
+    gap, together = _gap(sampler), 0
+    if late != 0.0:
+        sampler.clock[STAMPS] = 1.0
+    for i in range(n):
+        if _is_beyond(sampler, i, k):
+            together += 1
+    for i in range(n):
+        if not _is_beyond(sampler, i, k):
+            continue
+        # Readings that jump together have a common cause, if their motion explains it.
+        explained = _LATE * gap * _largest_rate(sampler, i, HISTORY)
+        if together > 1:
+            explained = max(explained, _LATE * period * _largest_rate(sampler, i, k))
+        if abs(sampler.jumps[k, i]) < explained:
+            sampler.doubtful[k, i] = 2
+            sampler.clock[STAMPS] = 1.0
+        elif _may_be_stamp(sampler, i, period):
+            sampler.doubtful[k, i] = 1
+
+
+@njit
+def _gap(sampler: Sampler) -> float:
+    """Longest of the last periods, if samples are missing there; stamps around it are wrong [s]."""
+    k, usual, longest = HISTORY - 2, np.inf, 0.0
+    for j in range(2, HISTORY):
+        period = sampler.time[j] - sampler.time[j - 1]
+        if sampler.time[j - 1] > 0.0:
+            usual = min(usual, period)
+    for j in range(k - 2, k + 2):
+        longest = max(longest, sampler.time[j] - sampler.time[j - 1])
+    return longest if longest > _LATE * usual else 0.0
+
+
+@njit
+def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
+    """Largest rate of a joint in the last samples before one [rad/s]."""
+    largest = 0.0
+    for j in range(HISTORY - 6, end):
+        largest = max(largest, abs(sampler.samples[j, 1, i]))
+    return largest
+
+
+@njit
+def _is_beyond(sampler: Sampler, i: int, k: int) -> bool:
+    """Whether a reading jumped at a sample."""
+    return bool(abs(sampler.jumps[k, i]) > _smallest_jump(sampler.scale[i], sampler.smallest[i]))
 
 
 @njit
@@ -176,59 +250,97 @@ def _mean_rate(samples: FloatArray, i: int) -> float:
 
 
 @njit
-def _wrong_stamp(sampler: Sampler) -> float:
+def _wrong_stamp(sampler: Sampler, period: float) -> float:
     """By how much the stamp of the last sample but one is wrong, 0 if that explains nothing [s].
 
-    Three joints or more have to agree, and all but one of those in which it shows: that one may
-    have jumped as well.
+    It has to explain two joints at least, and more than it spoils: a joint may have jumped as well.
     """
-    jumps, n, late, most = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 2
+    jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
-        if abs(_mean_rate(sampler.samples, c)) < _SLOW:
+        rate = _mean_rate(sampler.samples, c)
+        if abs(rate) < _SLOW or abs(jumps[c]) > _LATE * period * abs(rate):
             continue
-        guess = jumps[c] / _mean_rate(sampler.samples, c)
-        agree, differ, common, weight = 0, 0, 0.0, 0.0
+        gained, common, weight = 0, 0.0, 0.0
         for i in range(n):
-            rate = _mean_rate(sampler.samples, i)
-            way = guess * rate
-            if max(abs(way), abs(jumps[i])) <= 5.0 * sampler.scale[i]:
+            own = _mean_rate(sampler.samples, i)
+            way, usual = jumps[c] / rate * own, _USUAL * sampler.scale[i]
+            if max(abs(way), abs(jumps[i])) <= usual:
                 continue
-            if abs(jumps[i] - way) < 0.3 * abs(way):
-                agree, common, weight = agree + 1, common + jumps[i] * rate, weight + rate * rate
+            if abs(jumps[i] - way) < max(0.5 * abs(way), usual):
+                gained, common, weight = gained + 1, common + jumps[i] * own, weight + own * own
             else:
-                differ += 1
-        if agree > most and differ <= 1:
-            most, late = agree, common / weight
+                gained -= abs(jumps[i]) <= usual
+        if gained > best:
+            best, late = gained, common / weight
     return late
+
+
+@njit
+def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
+    """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts."""
+    jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler.samples, i)
+    if abs(jumps[i]) > _LATE * period * abs(rate):
+        return False
+    for j in range(sampler.scale.shape[0]):
+        way = jumps[i] / rate * _mean_rate(sampler.samples, j)
+        if j != i and abs(jumps[j] - way) > max(0.5 * abs(way), _USUAL * sampler.scale[j]):
+            return False
+    return True
 
 
 @njit
 def _find_jumps(sampler: Sampler) -> None:
     """After a large e, name clear steps at once, and what else it is 3 samples later."""
-    n, k = sampler.scale.shape[0], HISTORY - 2
-    if sampler.counters[PENDING] < 0:
-        for i in range(n):
-            size = abs(sampler.jumps[k, i])
-            if size > _smallest_jump(sampler.scale[i], sampler.smallest[i]):
-                sampler.counters[PENDING] = 0
-            else:
-                bounded = min(size, 3.0 * sampler.scale[i])
-                change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
-                sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / 256.0)
-        if sampler.counters[PENDING] < 0:
-            return
-    else:
-        sampler.counters[PENDING] += 1
+    n, k, waits = sampler.scale.shape[0], HISTORY - 2, sampler.counters[PENDING] >= 0
     for i in range(n):
-        if _is_clear_step(sampler, i):
+        beyond = _is_beyond(sampler, i, k)
+        _watch_noise(sampler, i, beyond)
+        if sampler.noisy[i] == 1:
+            continue
+        if beyond:
+            sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
+        elif not waits:
+            bounded = min(abs(sampler.jumps[k, i]), 3.0 * sampler.scale[i])
+            change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
+            sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / 256.0)
+    if waits:
+        sampler.counters[PENDING] += 1
+    elif sampler.counters[PENDING] < 0:
+        return
+    for i in range(n):
+        if sampler.noisy[i] == 0 and _is_clear_step(sampler, i):
             _remove_step(sampler, i, k)
             sampler.jumps[k - 1, i] = 0.0
     if sampler.counters[PENDING] < 3:
         return
     sampler.counters[PENDING] = -1
     for i in range(n):
-        if sampler.found[i] == NONE:
+        if sampler.found[i] == NONE and sampler.noisy[i] == 0:
             _name_jump(sampler, i)
+
+
+@njit
+def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
+    """Count jumps of a reading; many are noise, and no steps."""
+    count, square, before = sampler.noise[:, i]
+    jump = sampler.jumps[HISTORY - 2, i]
+    if sampler.noisy[i] == 0 and count < _QUIET_COUNT:
+        square, before = 0.0, sampler.correction[i]
+    count += 1.0 if beyond and sampler.doubtful[HISTORY - 2, i] == 0 else 0.0
+    count -= count / NOISE_MEMORY
+    if sampler.noisy[i] == 1 or beyond:
+        square += (jump * jump - square) / (8.0 if square < jump * jump else NOISE_MEMORY)
+    if sampler.noisy[i] == 0 and count > _NOISE_COUNT:
+        sampler.noisy[i] = 1
+        sampler.found[i] = NOISY
+        wrong = sampler.correction[i] - before
+        sampler.correction[i] = before
+        for k in range(HISTORY):
+            sampler.samples[k, 0, i] += wrong
+    elif sampler.noisy[i] == 1 and count < _QUIET_COUNT:
+        sampler.noisy[i] = 0
+        sampler.found[i] = QUIET
+    sampler.noise[0, i], sampler.noise[1, i], sampler.noise[2, i] = count, square, before
 
 
 @njit
@@ -242,6 +354,8 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     """Whether the last sample but one jumped and the last one confirms it, whatever the rates."""
     k, samples = HISTORY - 2, sampler.samples
     jump = sampler.jumps[k, i]
+    if sampler.doubtful[k, i] > 0 or sampler.doubtful[k - 1, i] > 0:
+        return False
     if abs(jump) <= max(
         _smallest_jump(sampler.scale[i], sampler.smallest[i]), abs(sampler.jumps[k - 1, i]) / 0.6
     ):
@@ -266,8 +380,11 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
     if abs(size) <= _smallest_jump(sampler.scale[i], sampler.smallest[i]):
         return
+    doubt = sampler.doubtful[peak, i]
     if abs(after + size) < 0.3 * abs(size):
-        sampler.found[i] = SPIKE
+        sampler.found[i] = SPIKE if doubt == 0 else NONE
+        if doubt > 0:
+            sampler.clock[STAMPS] = 1.0
         middle = 0.5 * (sampler.samples[peak - 1, 0, i] + sampler.samples[peak + 1, 0, i])
         sampler.samples[peak, 0, i] = middle
         _smooth_rates(sampler, i, peak, 2)
@@ -277,7 +394,20 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         if abs(again - size) < 0.3 * abs(size):
             _smooth_rates(sampler, i, peak + 1, 1)
             return
-    _remove_step(sampler, i, peak)
+    if doubt == 0 or (doubt == 1 and sampler.clock[STAMPS] == 0.0 and _lasts(sampler, i, peak)):
+        _remove_step(sampler, i, peak)
+
+
+@njit
+def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
+    """Whether a reading has gone on from where a jump that may be a wrong stamp's took it."""
+    before, after = peak - 2, min(peak + 2, HISTORY - 1)
+    rate = 0.5 * (
+        sampler.samples[before, 1, i] + sampler.samples[min(after + 1, HISTORY - 1), 1, i]
+    )
+    way = sampler.samples[after, 0, i] - sampler.samples[before, 0, i]
+    rest, size = way - rate * (sampler.time[after] - sampler.time[before]), sampler.jumps[peak, i]
+    return bool(rest * np.sign(size) > 0.7 * abs(size))
 
 
 @njit
@@ -385,6 +515,7 @@ def restart(sampler: Sampler, balance: Balance) -> None:
     sampler.counters[:] = 0
     sampler.counters[PENDING] = -1
     sampler.still[:] = 0
+    sampler.doubtful[:] = 0
     sampler.sums[:] = 0.0
     drop_interval(balance)
 

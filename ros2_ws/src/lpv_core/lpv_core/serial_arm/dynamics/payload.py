@@ -13,6 +13,9 @@ from lpv_core.serial_arm.chain import (
 )
 from lpv_core.support.errors import ConfigError
 
+PAYLOAD_PLACE = 0.05
+"""Largest distance of an unknown payload's centre from the tip, along each axis [m]."""
+
 
 def payload_parameters(
     chain: Chain,

@@ -1,0 +1,728 @@
+"""Bank of hypotheses: how much better each explains the last balances than a healthy arm does.
+
+A hypothesis (a cause that began l balances ago) adds columns A with sizes of prior covariance S to
+the rows of the balances, whose residuals r under the null hypothesis (estimate x, information
+U^T U) are known.  Its Bayes factor, sizes and arm integrated out, is
+
+    log L = z^T (I + S^-1)^-1 z / 2 - log det(I S + 1) / 2,
+    z = -A^T W r,    I = A^T W A - |U^-T J^T W A|^2.
+
+All columns of one sensor are sums of seven: drift, scale, rate, gain, offset, torque, and a jump
+of the rate.  Where a
+rate has a sensor of its own, the kinematic row D = y(t) - y(t - lT) - int v dt adds to z and I.
+
+The statistic of detection is M = sum_h w_h sum_l d_l L_h,l over all hypotheses and starts, with
+weights that sum to one; a start of the grid stands for the d_l starts up to the next one.  On a
+healthy arm its mean is at most the number of decisions (a Shiryaev-Roberts e-detector: Shin,
+Ramdas, Rinaldo 2022), so that an alarm at M >= A has a mean time between false alarms of at least
+A decisions.  A cause is named by its share of the same sum, weighted by `OCCURRENCE`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv_core.serial_arm.chain import FloatArray, IntArray
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.balance import DRIFT, EPOCH, GAIN, OFFSET, RATE, SCALE, TORQUE
+from lpv_core.serial_arm.diagnosis.contact import (
+    force_levers,
+    joint_levers,
+    new_contact,
+    rough_contact,
+    smooth_contact,
+    watch_noise,
+    weigh_residuals,
+)
+from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, set_residuals
+from lpv_core.serial_arm.diagnosis.information import last_rows, slot
+from lpv_core.serial_arm.diagnosis.onset import explained_at_onsets, sudden_drift_of
+from lpv_core.serial_arm.diagnosis.stuck import stuck_bayes_factor
+from lpv_core.serial_arm.dynamics.momentum import mass_matrix
+
+CONTACT = 'contact'
+"""Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
+STARTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 1.8, 2.5)
+"""Times ago at which a cause may have begun [s]: every one that comes passes each of them."""
+STUCK_FOR = (0.2, 0.4, 1.0)
+"""Times for which a joint may have moved while its reading rests [s]."""
+ONSET = 2
+"""Balances at the start of a window in which a fault may come in any way: they are explained by
+free torques, for encoders as for contacts."""
+OCCURRENCE = {
+    CONTACT: 1.0,
+    'drift': 0.01,
+    'scale': 0.01,
+    'slip': 0.01,
+    'stuck': 0.01,
+    'rate_bias': 0.01,
+    'torque_gain': 0.01,
+    'torque_offset': 0.01,
+}
+"""How often causes come, per hour of motion: a push every hour, one fault of a kind in 100 h.  Only
+ratios count.  Torque sensors fail as often as encoders do."""
+ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
+"""Faults of a position sensor (with the rate that is derived from it)."""
+SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
+"""Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
+RATE_BIAS = 0.1
+"""Bias of a healthy rate sensor, over its noise a sample."""
+JUMP = 6
+"""Seventh column: a rate reading jumps at the start, and the momentum seems to, by M e_i."""
+LARGEST_SCALE = 0.5
+"""Largest scale error that is looked for in jumps [-]."""
+QUIET_EVERY = 4
+"""Balances after which the bank is asked while it has found nothing, and readings agree."""
+_GROUPS = 6
+_BEFORE = 1e-12
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One cause with one start, and how well it explains the balances."""
+
+    kind: str
+    joint: int  # -1 where no joint is named
+    gain: float  # logarithm of the Bayes factor
+    size: float  # of the fault: [rad/s], [rad], [-], [N m]
+    sigma: float  # standard deviation of size
+    begin: float  # [s]
+    starts: float = 1.0  # that it stands for
+
+    @property
+    def is_encoder(self) -> bool:
+        """Whether a position sensor is to blame."""
+        return self.kind in ENCODER_KINDS
+
+    @property
+    def cause(self) -> tuple[str, int]:
+        """What is to blame: kinds of one sensor's faults are one cause."""
+        return ('encoder' if self.is_encoder else self.kind, self.joint)
+
+
+def log_bayes_factor(
+    score: FloatArray, information: FloatArray, prior: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Logarithm of the ratio of marginal likelihoods of one column or two of unknown sizes.
+
+    Parameters
+    ----------
+    score : ndarray, shape (..., k)
+        -A^T W r; k is 1 or 2.
+    information : ndarray, shape (..., k, k)
+        Of the sizes, with the arm's unknowns eliminated.
+    prior : ndarray, shape (..., k)
+        Standard deviations of the sizes before.
+
+    Returns
+    -------
+    tuple of ndarray, shape (...)
+        The logarithm, the first size, and its standard deviation.
+    """
+    right = prior * score
+    scaled = prior[..., :, None] * np.maximum(information, -1e300) * prior[..., None, :]
+    first = np.maximum(scaled[..., 0, 0], 0.0) + 1.0
+    if right.shape[-1] == 1:
+        mean = right[..., 0] / first
+        gain = 0.5 * (right[..., 0] * mean - np.log(first))
+        return gain, prior[..., 0] * mean, prior[..., 0] / np.sqrt(first)
+    second, across = np.maximum(scaled[..., 1, 1], 0.0) + 1.0, scaled[..., 0, 1]
+    determinant = np.maximum(first * second - across**2, 1.0)
+    mean = (second * right[..., 0] - across * right[..., 1]) / determinant
+    other = (first * right[..., 1] - across * right[..., 0]) / determinant
+    gain = 0.5 * (right[..., 0] * mean + right[..., 1] * other - np.log(determinant))
+    return gain, prior[..., 0] * mean, prior[..., 0] * np.sqrt(second / determinant)
+
+
+class _Windows(NamedTuple):
+    """Score and information of the six columns of every sensor, for all starts."""
+
+    lengths: IntArray  # (W,) of the windows [balances]
+    begin: FloatArray  # (W,) [s]
+    pose: FloatArray  # (W, n) readings at the begin, as corrected [rad]
+    score: FloatArray  # (W, n, 7)
+    information: FloatArray  # (W, n, 7, 7)
+    onset: FloatArray  # (W,) log Bayes factor of free torques at the onset
+    contact: FloatArray  # (W,) the same of rough torques in the whole window
+
+
+class Bank:
+    """Bank of one arm.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Its sensors.
+    estimator : OffsetEstimator
+        Of the arm; its posterior is the null hypothesis.
+    push : ndarray, shape (n,)
+        Standard deviation of torques that may act from outside [N m].
+
+    Attributes
+    ----------
+    statistic : float
+        Logarithm of M of the last decision.
+    """
+
+    def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
+        self.estimator, plan, n = estimator, estimator.plan, estimator.joints
+        self._push, self.statistic = push, -np.inf
+        lengths = sorted({max(1, round(one / plan.interval)) for one in STARTS})
+        self._lengths = np.array(lengths)
+        # A start of the grid stands for those up to the next longer one.
+        self._starts = np.diff([*lengths, 2 * lengths[-1] - lengths[-2]]).astype(float)
+        self._outside = new_contact([*lengths, ONSET + 1], push, plan.interval, plan.capacity)
+        self._derived = estimator.balance.derived == 1.0
+        self._kinematics = KinematicRows(arm, plan)
+        self._waited = 0
+        self._jumped: list[tuple[float, float, float] | None] = [None] * n
+        self._mass = np.zeros((plan.capacity, n, n))
+        self._hypotheses()
+
+    def _hypotheses(self) -> None:
+        """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
+
+        Columns of drifts and scale errors are zero at the start of their windows, which `_linear`
+        adds: by what a reading jumped is taken out already.
+        """
+        n, derived, everywhere = (
+            self.estimator.joints,
+            self._derived,
+            np.ones(self._push.shape, bool),
+        )
+        single: list[tuple[str, dict[int, float], np.ndarray]] = [
+            ('drift', {DRIFT: 1.0}, everywhere),
+            ('scale', {SCALE: 1.0}, everywhere),
+            ('slip', {OFFSET: 1.0}, everywhere),
+            ('torque_gain', {GAIN: 1.0}, everywhere),
+            ('torque_offset', {TORQUE: 1.0}, everywhere),
+            ('rate_bias', {RATE: 1.0, JUMP: 1.0}, ~derived),
+            # That a rate is independent is a statement of the file, which may be wrong.
+            ('drift', {DRIFT: 1.0, RATE: 1.0}, ~derived),
+            ('drift', {DRIFT: 1.0, JUMP: 1.0}, derived),
+        ]
+        # It may be older than its window.
+        double = [('drift', {DRIFT: 1.0}, derived)]
+        self._kinds = tuple(kind for kind, *_ in (*single, *double))
+        self._applies = np.array([where for *_, where in (*single, *double)])
+        self._basis = np.zeros((len(self._kinds), _GROUPS + 1))
+        for row, (_, parts, _) in zip(self._basis, (*single, *double)):
+            row[list(parts)] = list(parts.values())
+        self._prior = np.array([
+            self._push if kind == 'torque_offset' else np.full(n, SIZE[kind])
+            for kind in self._kinds
+        ])  # fmt: skip
+        self._singles = len(single)
+        self._log_weight = -np.log(1 + self._applies.sum() + n)
+
+    def take(self, blocks: FloatArray) -> None:
+        """Take the blocks of the last two intervals, rows as of `Sampler.blocks`."""
+        self._kinematics.take(blocks)
+        window, balance = self.estimator.window, self.estimator.balance
+        at = slot(window, 0)
+        mass_matrix(balance.chain, window.poses[at], balance.work, self._mass[at])
+
+    def restart(self) -> None:
+        """Begin again after a gap."""
+        self._kinematics.restart()
+
+    def leave_out_rate(self, joint: int, out: bool) -> None:
+        """Do without the kinematic rows of a joint one of whose sensors has failed, or not."""
+        self._kinematics.leave_out(joint, out)
+
+    def rate_row(self, joint: int) -> tuple[float, float] | None:
+        """Last kinematic row of a joint and its variance [rad], [rad2]; None without one."""
+        return self._kinematics.last(joint)
+
+    def note_jump(self, joint: int, time: float, size: tuple[float, float], reading: float) -> None:
+        """A reading jumped, and the jump was taken out: it may have been a scale error's.
+
+        Parameters
+        ----------
+        joint : int
+            Of the sensor.
+        time : float
+            Of the jump [s].
+        size : tuple of float
+            Of the jump, with its standard deviation [rad].
+        reading : float
+            Without the jump [rad].
+        """
+        self._kinematics.note_jump(joint, size[1] ** 2)
+        jumped = abs(size[0]) < LARGEST_SCALE * abs(reading)
+        found = time, size[0] / reading, size[1] / abs(reading)
+        self._jumped[joint] = found if jumped else None
+
+    def _scales_that_jumped(self, windows: _Windows) -> list[Hypothesis]:
+        """Scale errors of the sizes that jumps of the readings had."""
+        found = []
+        for i, jump in enumerate(self._jumped):
+            if jump is None:
+                continue
+            time, share, sigma = jump
+            # It goes on as it began: a change in proportion to the way, by a share that is known.
+            for w in np.nonzero(windows.begin >= time - 2.0 * self.estimator.plan.interval)[0]:
+                column = np.zeros(_GROUPS + 1)
+                column[SCALE], column[OFFSET] = 1.0, -windows.pose[w, i]
+                power = float(column @ windows.information[w, i] @ column) + sigma**-2
+                pull = column @ windows.score[w, i] + share / sigma**2
+                gain = pull**2 / power - (share / sigma) ** 2 - np.log(power * sigma**2)
+                found.append(Hypothesis(
+                    'scale', i, 0.5 * float(gain), float(pull / power), power**-0.5,
+                    float(windows.begin[w]), float(self._starts[w])))  # fmt: skip
+        return found
+
+    def rate_agrees(self, joint: int, taken_out: float) -> bool:
+        """Whether rate and encoder of a joint have agreed of late, but for what is taken out."""
+        return self._kinematics.agrees(joint, taken_out)
+
+    def evaluate(
+        self,
+        blocks: Callable[[int], FloatArray],
+        rest: tuple[FloatArray, FloatArray],
+        unseen: FloatArray,
+        threshold: float,
+    ) -> list[Hypothesis]:
+        """Compare all hypotheses; `statistic` is written.
+
+        Parameters
+        ----------
+        blocks : callable
+            Blocks of so many last intervals, oldest first.
+        rest : tuple of ndarray, shape (n,)
+            For how long each reading has not changed at all [s], 0 where it is not conspicuous;
+            and its speed before [rad/s].
+        unseen : ndarray, shape (n,)
+            Largest jump of each reading that may not have been seen [rad].
+        threshold : float
+            Of the statistic: hypotheses that take more time are left out well below.
+
+        Returns
+        -------
+        list of Hypothesis
+            The best first.
+        """
+        stuck = self._stuck(*rest)
+        self._waited += 1
+        if (
+            self._waited < QUIET_EVERY
+            and not stuck
+            and not self._kinematics.speaks(0.25 * threshold)
+        ):
+            return []
+        windows = self._windows(blocks)
+        if windows is None:
+            self.statistic = -np.inf
+            return []
+        gains, sizes, sigmas = self._linear(windows, unseen)
+        starts = np.log(self._starts[: len(windows.lengths)])
+        every = np.logaddexp.reduce((gains + starts).reshape(-1))
+        contact = np.logaddexp.reduce(windows.contact + starts)
+        self.statistic = float(np.logaddexp(every, contact) + self._log_weight)
+        self._kinematics.learn(self.statistic < 0.25 * threshold)
+        self._waited = 0 if self.statistic < 0.25 * threshold else QUIET_EVERY
+        if self.statistic < 0.5 * threshold and not stuck:
+            return []
+        found = stuck + self._named(windows, gains, sizes, sigmas)
+        found += self._scales_that_jumped(windows)
+        if self._derived.any():
+            found += self._sudden(blocks, len(windows.lengths))
+        self.statistic = self._sum(found)
+        return sorted(found, key=lambda one: -one.gain)
+
+    def _sum(self, found: list[Hypothesis]) -> float:
+        """Logarithm of the statistic."""
+        gains = np.array([one.gain + np.log(one.starts) for one in found])
+        return float(np.logaddexp.reduce(gains) + self._log_weight) if len(gains) else -np.inf
+
+    def shares(self, found: list[Hypothesis]) -> dict[tuple[str, int], float]:
+        """Probability of each cause, if one of them there is; the most probable one first.
+
+        Parameters
+        ----------
+        found : list of Hypothesis
+            Of `evaluate`.
+        """
+        joints = self.estimator.joints
+        logarithms: dict[tuple[str, int], float] = {}
+        for one in found:
+            rate = OCCURRENCE[one.kind] / (1.0 if one.kind == CONTACT else joints)
+            value = one.gain + np.log(one.starts * rate)
+            logarithms[one.cause] = np.logaddexp(logarithms.get(one.cause, -np.inf), value)
+        total = np.logaddexp.reduce(np.array(list(logarithms.values())))
+        shares = {cause: float(np.exp(value - total)) for cause, value in logarithms.items()}
+        return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+    def _windows(self, blocks: Callable[[int], FloatArray]) -> _Windows | None:
+        """Score and information of all starts that the horizon holds."""
+        estimator, n = self.estimator, self.estimator.joints
+        window, null, m = estimator.window, estimator.posterior, len(estimator.prior)
+        lengths = self._lengths[self._lengths < len(estimator)]
+        if len(lengths) == 0:
+            return None
+        last = int(lengths[-1])
+        set_residuals(window, null, last + 1)
+        rows, weights = last_rows(window, last), self._weights(last)
+        # (last, n, 6 n) columns of the sensors, and (last, n, m) of the unknowns
+        columns, unknowns = rows[..., 1 : 1 + _GROUPS * n], rows[..., rows.shape[2] - m :]
+        weighted = weights[..., None] * columns
+        residual = null.residual[:last][::-1]
+        score = -np.einsum('kic,ki->kc', weighted, residual)
+        one = columns.reshape(last, n, _GROUPS, n)
+        gram = np.einsum('kigj,kihj->kjgh', weighted.reshape(one.shape), one)
+        cross = weighted.transpose(0, 2, 1) @ unknowns
+        at, count = last - lengths + np.minimum(ONSET, lengths), len(lengths)
+        parts = self._jumps(last - lengths, residual, weights, unknowns)
+        score = np.concatenate([_later(score)[at].reshape(count, _GROUPS, n), parts[0]], axis=1)
+        cross = np.concatenate(
+            [_later(cross)[at].reshape(count, _GROUPS, n, m), parts[2]], axis=1
+        ).transpose(0, 2, 1, 3)
+        whitened = cross @ np.linalg.inv(np.triu(null.factor))
+        information = np.zeros((count, n, _GROUPS + 1, _GROUPS + 1))
+        information[:, :, :_GROUPS, :_GROUPS] = _later(gram)[at]
+        information[:, :, JUMP, JUMP] = parts[1]
+        gram = information - whitened @ whitened.transpose(0, 1, 3, 2)
+        score = score.transpose(0, 2, 1).copy()
+        begin = np.array([window.times[slot(window, k - 1)] for k in lengths])
+        begin -= estimator.plan.interval
+        self._kinematics.add(score, gram, lengths, window.times[slot(window, 0)],
+                             estimator.balance.clock[EPOCH], blocks(1)[-1])  # fmt: skip
+        watch_noise(self._outside, null)
+        weigh_residuals(window, null, last + 1)
+        index = {int(length): w for w, length in enumerate(self._lengths)}
+        onset, contact = np.zeros((2, len(lengths)))
+        for w, length in enumerate(lengths):
+            onset[w] = rough_contact(self._outside, null, len(self._lengths), int(length))
+            contact[w] = rough_contact(self._outside, null, index[int(length)], int(length) - 1)
+        pose = window.poses[[slot(window, int(k) - 1) for k in lengths]]
+        pose = pose + estimator.balance.reference
+        return _Windows(lengths, begin, pose, score, gram, onset, contact)
+
+    def _jumps(
+        self, oldest: IntArray, residual: FloatArray, weights: FloatArray, unknowns: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Score, information and cross products of the seventh column, by window and joint.
+
+        A jump inside an interval shows in the two balances that hold it: their sum has all of it.
+        Of the last window, the second one is still to come.
+        """
+        window, last = self.estimator.window, len(residual)
+        pairs = np.minimum(oldest[:, None] + np.arange(ONSET), last - 1)
+        weight = (oldest + ONSET <= last)[:, None] / (1.0 / weights[pairs]).sum(1)
+        left, known = residual[pairs].sum(1), unknowns[pairs].sum(1)
+        # Without the error of its rate, the momentum is less by M e_i.
+        mass = -self._mass[[slot(window, last - 1 - int(k)) for k in oldest]]
+        weighted = weight[:, :, None] * mass
+        score = -(weighted * left[:, :, None]).sum(1)
+        information = (weighted * mass).sum(1)
+        cross = weighted.transpose(0, 2, 1) @ known
+        return score[:, None], information, cross[:, None]
+
+    def _weights(self, last: int) -> FloatArray:
+        """Weights of the last balances, oldest first, shape (last, n)."""
+        window = self.estimator.window
+        return window.weights[[slot(window, back) for back in range(last - 1, -1, -1)]]
+
+    def _linear(
+        self, windows: _Windows, unseen: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Gains, sizes and deviations of all kinds, shape (kinds, n, W)."""
+        epoch, count = self.estimator.balance.clock[EPOCH], len(windows.lengths)
+        # (W, n, 7, kinds) columns; drifts and scale errors are zero at the start of their windows
+        columns = np.broadcast_to(self._basis.T, (count, len(self._mass[0]), *self._basis.T.shape))
+        columns = columns.copy()
+        elapsed = (windows.begin - epoch)[:, None, None] * self._basis[:, DRIFT]
+        columns[:, :, OFFSET] -= elapsed + windows.pose[..., None] * self._basis[:, SCALE]
+        score = (windows.score[..., None] * columns).sum(2)  # (W, n, kinds)
+        moved = windows.information @ columns  # (W, n, 7, kinds)
+        own = (columns * moved).sum(2)
+        prior = np.broadcast_to(self._prior.T, own.shape).copy()
+        # A larger scale error would have shown as a jump, when it came.
+        largest = unseen / np.maximum(np.abs(windows.pose), 1e-6)
+        for k in np.nonzero(self._basis[:, SCALE])[0]:
+            prior[..., k] = np.minimum(prior[..., k], largest)
+        one = self._singles
+        alone = score[..., :one, None], own[..., :one, None, None], prior[..., :one, None]
+        parts = [log_bayes_factor(*alone)]
+        information = np.empty((*own[..., one:].shape, 2, 2))
+        information[..., 0, 0] = own[..., one:]
+        information[..., 0, 1] = information[..., 1, 0] = moved[:, :, OFFSET, one:]
+        information[..., 1, 1] = windows.information[:, :, OFFSET, OFFSET, None]
+        scores = np.broadcast_arrays(score[..., one:], windows.score[:, :, OFFSET, None])
+        priors = np.broadcast_arrays(prior[..., one:], SIZE['slip'])
+        parts.append(log_bayes_factor(
+            np.stack(scores, axis=-1), information, np.stack(priors, axis=-1)))  # fmt: skip
+        gain, size, sigma = (
+            np.concatenate([first, second], axis=-1).transpose(2, 1, 0)
+            for first, second in zip(*parts)
+        )
+        return np.where(self._applies[:, :, None], gain, -np.inf), size, sigma
+
+    def _named(
+        self, windows: _Windows, gains: FloatArray, sizes: FloatArray, sigmas: FloatArray
+    ) -> list[Hypothesis]:
+        """Hypotheses of `_linear`, and contact, one by one."""
+        begin, starts = windows.begin, self._starts
+        found = [
+            Hypothesis(self._kinds[k], int(i), float(gains[k, i, w]), float(sizes[k, i, w]),
+                       float(sigmas[k, i, w]), float(begin[w]), float(starts[w]))
+            for k, i, w in zip(*np.nonzero(gains > -np.inf))
+        ]  # fmt: skip
+        found += [
+            Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(begin[w]), float(starts[w]))
+            for w, gain in enumerate(windows.contact)
+        ]
+        return found
+
+    def _stuck(self, resting: FloatArray, speed: FloatArray) -> list[Hypothesis]:
+        """Readings that rest while their joints move."""
+        found, interval = [], self.estimator.plan.interval
+        for i in np.nonzero(resting)[0]:
+            longest = min(int(np.ceil(resting[i] / interval)) + 1, len(self.estimator))
+            for count in sorted({min(round(one / interval), longest) for one in STUCK_FOR}):
+                if count < 2:
+                    continue
+                before = 0.1 if count < longest else float(speed[i])
+                gain, *rest = stuck_bayes_factor(self.estimator, int(i), count, before)
+                gain += self._kinematics.explained(int(i), count)
+                found.append(Hypothesis('stuck', int(i), gain, *rest))
+        return found
+
+    def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
+        """Drifts of encoders with derived rates whose onset itself is evidence."""
+        estimator = self.estimator
+        last = min(int(self._lengths[windows - 1]) + 1, len(estimator))
+        free = explained_at_onsets(self._outside, estimator, len(self._lengths), last)
+        held = blocks(last + 1)
+        found = []
+        for i in np.nonzero(self._derived)[0]:
+            one = sudden_drift_of(estimator, int(i), SIZE['drift'], free, held)
+            if one.gain > -np.inf:
+                found.append(Hypothesis('drift', int(i), one.gain, one.size, one.sigma, one.begin))
+        return found
+
+    def excludes_contact(self, fault: Hypothesis, margin: float) -> bool:
+        """Whether a fault explains more than smooth torques from outside do, in any window.
+
+        Rough torques are a part of the bank; smooth ones cost most, and are evaluated for a fault
+        that would be named.
+
+        Parameters
+        ----------
+        fault : Hypothesis
+            What is to be named.
+        margin : float
+            By which it must explain more.
+        """
+        estimator = self.estimator
+        lengths = self._lengths[(self._lengths < len(estimator)) & (self._lengths > ONSET)]
+        begins = np.array([estimator.times(int(one))[0] for one in lengths])
+        onset = len(self._lengths)
+        for w in np.argsort(np.abs(begins - fault.begin)):
+            length = int(lengths[w])
+            set_residuals(estimator.window, estimator.posterior, length + 1)
+            weigh_residuals(estimator.window, estimator.posterior, length + 1)
+            free = rough_contact(self._outside, estimator.posterior, onset, length)
+            for levers in self._levers(length - ONSET):
+                for courses in self._outside.smooth:
+                    gain = free + smooth_contact(
+                        courses, levers, estimator.window, estimator.posterior, length - ONSET
+                    )
+                    if gain > fault.gain - margin:
+                        return False
+        return True
+
+    def _levers(self, last: int) -> tuple[FloatArray, FloatArray]:
+        """Of torques on single joints, and of a force on the tip."""
+        chain = self.estimator.balance.chain
+        return (
+            joint_levers(self._push, last),
+            force_levers(chain, self._push, self.estimator.window, last),
+        )
+
+    def offset_against_contact(self, joint: int) -> float:
+        """Log Bayes factor of an offset of one encoder to torques over the whole horizon.
+
+        Parameters
+        ----------
+        joint : int
+            Of the encoder.
+
+        Returns
+        -------
+        float
+            Positive where the offset explains more; offsets of other encoders are free.
+        """
+        estimator = self.estimator
+        null, window = estimator.posterior, estimator.window
+        upper = np.triu(null.factor)
+        column = np.linalg.solve(upper.T @ upper, np.eye(len(null.mean))[joint])
+        variance, offset = column[joint], null.mean[joint]
+        held = upper.T @ upper
+        held[joint, joint] += 1e6 / variance
+        without = null._replace(
+            mean=null.mean - column * offset / variance,
+            factor=np.ascontiguousarray(np.linalg.cholesky(held).T),
+        )
+        gain = 0.5 * (offset**2 / variance - np.log(estimator.prior[joint] ** 2 / variance))
+        last, courses = len(estimator), self._outside.horizon
+        return float(gain) - max(
+            smooth_contact(courses, levers, window, without, last) for levers in self._levers(last)
+        )
+
+
+def _later(parts: FloatArray) -> FloatArray:
+    """Sums from each entry of the first axis to the end, the last one of nothing."""
+    sums = np.zeros((len(parts) + 1, *parts.shape[1:]))
+    sums[:-1] = np.cumsum(parts[::-1], axis=0)[::-1]
+    return sums
+
+
+class KinematicRows:
+    """D = y(t) - y(t - T) - int v dt of every interval, for sensors with rates of their own.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Its sensors.
+    plan : HorizonPlan
+        Lengths of blocks and intervals.
+    """
+
+    def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
+        sensors = [joint.sensors for joint in arm.joints]
+        self._interval = plan.interval
+        self._independent = np.array([one.rates == 'independent' for one in sensors])
+        reading = np.array([
+            one.position_noise**2 + one.quantization**2 / 12.0 for one in sensors
+        ])  # fmt: skip
+        rate = np.array([one.velocity_noise for one in sensors])
+        self._ends = 2.0 * reading / plan.per_block
+        self._walk = rate**2 * arm.sample_time  # variance of int v dt per second
+        self._bias = RATE_BIAS * rate
+        self._longest = max(STARTS)
+        self._inflation = np.ones(len(sensors))
+        self.trusted = np.ones(len(sensors), bool)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the rows so far."""
+        self._rows, self._variances = np.zeros((2, 0, len(self._independent)))
+        self._jumps: list[FloatArray] = []
+
+    def note_jump(self, joint: int, variance: float) -> None:
+        """A jump was taken out of readings that are still to come, with some error [rad2]."""
+        jump = np.zeros(len(self._independent))
+        jump[joint] = variance
+        # It may belong to the next row or to the one after.
+        waiting = [*self._jumps, 0.0 * jump, 0.0 * jump][:2]
+        self._jumps = [one + jump for one in waiting]
+
+    def take(self, blocks: FloatArray) -> None:
+        """Add the row of the last interval; rows as of `Sampler.blocks`, of two intervals."""
+        n, half = len(self._independent), len(blocks) // 2
+        if not self._independent.any() or half < 1:
+            return
+        own = blocks[half - 1 :]
+        y, v, time = own[:, :n], own[:, n : 2 * n], own[:, 3 * n]
+        row = y[-1] - y[0] - (0.5 * (v[1:] + v[:-1]) * np.diff(time)[:, None]).sum(0)
+        most = round(self._longest / self._interval) + 1
+        self._rows = np.vstack([self._rows, row])[-most:]
+        jumped = self._jumps.pop(0) if self._jumps else 0.0 * row
+        self._variances = np.vstack([self._variances, jumped])[-most:]
+
+    def leave_out(self, joint: int, out: bool) -> None:
+        """Do without the rows of a joint, or with those to come."""
+        self.trusted[joint] = not out
+        self._rows[:, joint] = 0.0
+
+    def last(self, joint: int) -> tuple[float, float] | None:
+        """Last row of a joint and its variance; None where there is none."""
+        if not self._independent[joint] or len(self._rows) == 0:
+            return None
+        span = self._interval
+        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
+        return float(self._rows[-1, joint]), float(self._inflation[joint] * variance)
+
+    def explained(self, joint: int, count: int) -> float:
+        """What a reading that rests explains of the last rows: all of it."""
+        rows = self._rows[-count:, joint]
+        if not self._independent[joint] or not self.trusted[joint] or len(rows) == 0:
+            return 0.0
+        span = len(rows) * self._interval
+        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
+        return float(0.5 * rows.sum() ** 2 / (self._inflation[joint] * variance))
+
+    def speaks(self, evidence: float) -> bool:
+        """Whether the rows of any window contradict healthy sensors by so much evidence."""
+        if not (self._independent & self.trusted).any() or len(self._rows) == 0:
+            return False
+        sums = np.cumsum(self._rows[::-1], axis=0)
+        span = self._interval * np.arange(1, len(sums) + 1)[:, None]
+        variance = self._inflation * (self._ends + self._walk * span) + (self._bias * span) ** 2
+        variance = variance + np.cumsum(self._variances[::-1], axis=0)
+        large = 0.5 * sums**2 > evidence * np.maximum(variance, _BEFORE)
+        return bool((large & self._independent & self.trusted).any())
+
+    def agrees(self, joint: int, taken_out: float) -> bool:
+        """Whether the rows of the last half second are those of healthy sensors.
+
+        What is taken out of the rate [rad/s] is not in the rows.
+        """
+        rows = self._rows[-round(0.5 / self._interval) :, joint]
+        span = len(rows) * self._interval
+        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
+        left = rows.sum() - taken_out * span
+        return bool(left**2 < 9.0 * self._inflation[joint] * variance)
+
+    def learn(self, healthy: bool) -> None:
+        """Learn how much rows scatter; constant errors of rates do not count as scatter."""
+        if not healthy or len(self._rows) < 2:
+            return
+        expected = 2.0 * (2.0 * self._ends + self._walk * self._interval)
+        ratio = (self._rows[-1] - self._rows[-2]) ** 2 / np.maximum(expected, _BEFORE)
+        bounded = np.minimum(ratio, 9.0 * self._inflation)
+        self._inflation = np.maximum(self._inflation + (bounded - self._inflation) / 64.0, 1.0)
+
+    def add(
+        self,
+        score: FloatArray,
+        information: FloatArray,
+        lengths: IntArray,
+        now: float,
+        epoch: float,
+        block: FloatArray,
+    ) -> None:
+        """Add what the rows say of the six columns of each sensor.
+
+        Parameters
+        ----------
+        score, information : ndarray, shapes (W, n, 7) and (W, n, 7, 7)
+            Changed.
+        lengths : ndarray of int, shape (W,)
+            Balances of the windows.
+        now, epoch : float
+            End of the windows, and moment from which drifts count [s].
+        block : ndarray, shape (3 n + 3,)
+            The last block.
+        """
+        n = len(self._independent)
+        if not self._independent.any():
+            return
+        counts = np.minimum(lengths, len(self._rows))
+        if counts[0] == 0:
+            return
+        span = self._interval * counts[:, None]
+        variance = self._inflation * (self._ends + self._walk * span) + (self._bias * span) ** 2
+        variance = variance + np.cumsum(self._variances[::-1], axis=0)[counts - 1]
+        weight = np.where(
+            self._independent & self.trusted, 1.0 / np.maximum(variance, _BEFORE), 0.0
+        )
+        column = np.zeros((len(counts), n, _GROUPS + 1))
+        column[..., DRIFT], column[..., OFFSET] = now - epoch, 1.0
+        column[..., RATE], column[..., SCALE] = -span, block[:n]
+        found = np.cumsum(self._rows[::-1], axis=0)[counts - 1]
+        score += (weight * found)[..., None] * column
+        information += weight[..., None, None] * column[..., :, None] * column[..., None, :]
