@@ -57,8 +57,7 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
         joints = [name for name in _way_to(root, tip) if name in moving and name not in locked]
     kept = [name for name in moving if name not in locked and (not joints or name in joints)]
     _refuse_others(kept, moving, arguments.urdf)
-    arm = read_urdf_chain(arguments.urdf, locked, joints or None)
-    return arm if tip is None else replace(arm, tip=_place(arguments.urdf, arm, tip))
+    return read_urdf_chain(arguments.urdf, locked, None if tip else joints or None, tip)
 
 
 def with_stated_friction(arm: 'SerialArm', urdf: str) -> 'SerialArm':
@@ -81,7 +80,7 @@ def _read(path: str) -> ElementTree.Element:
 
     from lpv_core.serial_arm.urdf_text import read_urdf_text
 
-    return ElementTree.fromstring(read_urdf_text(Path(path)))
+    return ElementTree.fromstring(read_urdf_text(Path(path)).text)
 
 
 def _locked(text: str) -> tuple[str, float]:
@@ -135,12 +134,3 @@ def _number(element: ElementTree.Element, key: str) -> float:
     if not 0.0 <= value <= 1e6:
         raise ConfigError(f'dynamics.{key}', f'must be a number within [0, 1e6], got {text!r}')
     return value
-
-
-def _place(urdf: str, arm: 'SerialArm', tip: str) -> tuple[float, float, float]:
-    """The origin of a link in the frame of the arm's last joint."""
-    from lpv_core.serial_arm.urdf_chain import read_urdf_model
-
-    model, _ = read_urdf_model(urdf, dict(arm.locked))
-    x, y, z = (float(v) for v in model.frames[model.getFrameId(tip)].placement.translation)
-    return x, y, z

@@ -29,7 +29,6 @@ KIND = 'serial_arm'
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
 _FAR = 100.0
 """Largest coordinate of a frame, and largest angle of its orientation [m], [rad]."""
-_TORQUE_ERROR = ('torque_error', 'torque_error_speed')
 _HEADER = '# Arm of n revolute joints; docs/arm-file.md describes the fields.\n'
 
 
@@ -109,8 +108,9 @@ def parse_serial_arm(
             varying.number('payload', 0.0, 0.0, 1e4),
             varying.number('friction', 0.0, 0.0, 1.0),
             varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
-            *(_per_joint(varying, key, len(joints)) for key in _TORQUE_ERROR),
-            varying.number('torque_error_time', low=0.0, high=1e4)
+            torque_error=_per_joint(varying, 'torque_error', len(joints)),
+            torque_error_speed=_per_joint(varying, 'torque_error_speed', len(joints)),
+            torque_error_time=varying.number('torque_error_time', low=0.0, high=1e4)
             if 'torque_error_time' in varying
             else None,
         ),

@@ -21,7 +21,6 @@ from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.hypotheses import offset_against_contact, sudden_drifts
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.arm_simulator import ArmSimulator
@@ -82,10 +81,7 @@ def serial_parts(arm: SerialArm) -> Iterator[str]:
     stamps = (1e9 * run.time).astype('int64')
     rows = np.stack([run.measured, run.measured_velocity, run.torque], axis=1)
     diagnosis.update_many(stamps, rows)
-    search, estimator = diagnosis.search, diagnosis.estimator
-    offset_against_contact(search, estimator, 0)
-    estimator.balance.derived[:] = 1.0
-    sudden_drifts(search, estimator, diagnosis.sampler.blocks[: 2 * estimator.plan.blocks])
+    diagnosis.warm_up()
     SerialSensorMonitor('precompile', arm).warm_up()
 
 

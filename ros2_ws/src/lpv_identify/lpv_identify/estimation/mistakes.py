@@ -126,6 +126,7 @@ class _Judge:
         n, model = self._model.nv, self._model.copy()
         parts: list[list[np.ndarray]] = [[], [], [], []]
         for one in segments:
+            assert one.velocity is not None  # segments are those of a filtered recording
             q, v, a = one.position, one.velocity, derivative(one.velocity, one.step)
             still = np.zeros(n)
             rotors = a[:, :, None] * np.eye(n)
@@ -270,7 +271,7 @@ class _Judge:
                 replace(
                     s,
                     position=s.position[:, order],
-                    velocity=s.velocity[:, order],
+                    velocity=None if s.velocity is None else s.velocity[:, order],
                     effort=s.effort[:, order],
                 )
                 for s in setup.segments

@@ -542,6 +542,14 @@ class Bank:
             force_levers(chain, self._push, self.estimator.window, last),
         )
 
+    def warm_up(self, blocks: FloatArray) -> None:
+        """Compile what is called for suspected faults only; ``blocks`` are those of the horizon."""
+        estimator = self.estimator
+        last = min(int(self._lengths[-1]) + 1, len(estimator))
+        free = explained_at_onsets(self._outside, estimator, len(self._lengths), last)
+        found = sudden_drift_of(estimator, 0, SIZE['drift'], free, blocks)
+        self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found.begin), 0.0)
+
     def offset_against_contact(self, joint: int) -> float:
         """Log Bayes factor of an offset of one encoder to torques over the whole horizon.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import FloatArray
+from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, SCALE
 from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv_core.serial_arm.diagnosis.information import slot
@@ -265,7 +265,7 @@ def _note(one: FaultFilter, sampler: Sampler) -> None:
 
 def _blocks(
     estimator: OffsetEstimator, sampler: Sampler, intervals: int
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, IntArray]:
     """The last blocks, oldest first, and their places in the ring."""
     capacity, written = len(sampler.blocks), int(sampler.counters[BLOCKS])
     count = min(intervals * estimator.plan.blocks, written, capacity)

@@ -316,13 +316,18 @@ class SerialMonitor:
         sigma, now = np.zeros(self.joints), self._last()
         for i, one in self._filters.items():
             sigma[i] = one.fault(float(self.sampler.raw[i]), now)[2]
-        for i in np.nonzero(self.sampler.noisy)[0]:
-            sigma[i] = math.hypot(sigma[i], self._noise(int(i)))
+        for noisy in np.nonzero(self.sampler.noisy)[0]:
+            sigma[noisy] = math.hypot(sigma[noisy], self._noise(int(noisy)))
         return sigma
 
     def learned(self) -> Learned:
         """What has been learned of the arm: payload, friction, torque offsets, noise."""
         return learned_of(self.arm, self.estimator)
+
+    def warm_up(self) -> None:
+        """Compile what only a fault needs; nothing is decided."""
+        self.bank.offset_against_contact(0)
+        self.bank.warm_up(self._blocks(len(self.estimator) + 1))
 
     def _noise(self, i: int) -> float:
         """Standard deviation of a noisy reading [rad]."""
