@@ -50,7 +50,7 @@ def two_link_parts(arm: ArmParameters) -> Iterator[str]:
     controller = TrackingController(arm, gains)
     controller.answer(np.zeros((3, 2)), still + 0.1, still, still + 0.1, 0.0)
     watchdog = TrackerWatchdog(arm, TrackerLimits())
-    watchdog.check_estimate(1, 0, 0, True, still)
+    watchdog.check_estimate(1, 0, 0, True, still, still)
     watchdog.check_motion(1, still, still)
     DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
     yield 'observer and diagnosis'
