@@ -125,7 +125,7 @@ def _explained(rate: np.ndarray, speed: np.ndarray, kept: np.ndarray) -> float:
 @njit
 def _rounding(values: np.ndarray) -> float:
     """Step that nearly all differences of values are multiples of; 0 if there is none."""
-    changes = np.abs(np.diff(values))
+    changes = np.abs(values[1:] - values[:-1])
     changes = changes[changes > 1e-12 * np.max(np.abs(values))]
     if len(changes) == 0:
         return 0.0
