@@ -5,12 +5,7 @@ import pinocchio
 import pytest
 
 from lpv_identify.model.base_parameters import find_base_parameters
-from lpv_identify.model.rigid_body import (
-    build_model,
-    momentum_regressor,
-    motion_regressor,
-    torque_regressor,
-)
+from lpv_identify.model.rigid_body import build_model, torque_regressor
 
 
 @pytest.fixture(scope='module')
@@ -30,18 +25,6 @@ def test_given_an_arm_when_its_torques_are_computed_then_regressor_and_rnea_agre
     expected = [pinocchio.rnea(model, data, *sample) for sample in zip(*samples)]
     torque = torque_regressor(model, *samples) @ arm.inertial_parameters()
     assert torque == pytest.approx(np.array(expected), abs=1e-12)
-
-
-def test_given_a_motion_when_momentum_is_differenced_then_the_balance_gives_the_torque(
-    arm, model, samples
-):
-    q, v, a = samples
-    phi, h = arm.inertial_parameters(), 1e-5
-    ahead, behind = (
-        momentum_regressor(model, q + s * v + 0.5 * h * h * a, v + s * a) @ phi for s in (h, -h)
-    )
-    balance = (ahead - behind) / (2 * h) + motion_regressor(model, q, v) @ phi
-    assert balance == pytest.approx(torque_regressor(model, q, v, a) @ phi, abs=1e-6)
 
 
 def test_given_any_parameters_when_reduced_to_base_ones_then_torques_stay(model, samples):

@@ -134,6 +134,20 @@ class SerialSensorMonitor:
         self.retune(parameters or DiagnosisParameters())
         self.reset()
 
+    @property
+    def log_statistic(self) -> float | None:
+        """Logarithm of the statistic of detection at the last decision, if there was one."""
+        return self._monitor.statistic if self.decisions else None
+
+    @property
+    def decisions(self) -> int:
+        """Decisions so far."""
+        return int(self._snapshot.balances)
+
+    def restart_statistic(self) -> None:
+        """Let causes begin from now on only; what was learned stays."""
+        self._monitor.bank.restart_statistic()
+
     def retune(self, parameters: DiagnosisParameters) -> None:
         """Change the tuning while running; alarms stay as they are."""
         self._parameters = parameters

@@ -176,7 +176,7 @@ class Bank:
         self._outside = new_contact([*lengths, ONSET + 1], push, plan.interval, plan.capacity)
         self._derived = estimator.balance.derived == 1.0
         self._kinematics = KinematicRows(arm, plan)
-        self._waited = 0
+        self._waited, self._age = 0, 0
         self._jumped: list[tuple[float, float, float] | None] = [None] * n
         self._mass = np.zeros((plan.capacity, n, n))
         self._hypotheses()
@@ -219,6 +219,7 @@ class Bank:
 
     def take(self, blocks: FloatArray) -> None:
         """Take the blocks of the last two intervals, rows as of `Sampler.blocks`."""
+        self._age += 1
         self._kinematics.take(blocks)
         window, balance = self.estimator.window, self.estimator.balance
         at = slot(window, 0)
@@ -227,6 +228,10 @@ class Bank:
     def restart(self) -> None:
         """Begin again after a gap."""
         self._kinematics.restart()
+
+    def restart_statistic(self) -> None:
+        """Let causes begin from now on only, as after an alarm."""
+        self._age = 0
 
     def leave_out_rate(self, joint: int, out: bool) -> None:
         """Do without the kinematic rows of a joint one of whose sensors has failed, or not."""
@@ -359,7 +364,8 @@ class Bank:
         """Score and information of all starts that the horizon holds."""
         estimator, n = self.estimator, self.estimator.joints
         window, null, m = estimator.window, estimator.posterior, len(estimator.prior)
-        lengths = self._lengths[self._lengths < len(estimator)]
+        held = min(len(estimator), self._age + 1)
+        lengths = self._lengths[self._lengths < held]
         if len(lengths) == 0:
             return None
         last = int(lengths[-1])

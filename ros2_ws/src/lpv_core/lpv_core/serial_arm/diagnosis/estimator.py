@@ -545,7 +545,10 @@ def _expected_noise(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> Fl
 
 
 def _systematic_error(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
-    """What the model misses while a pose lasts; of an identified arm, that on data held back."""
-    if arm.covariance is not None:
+    """What the model misses while a pose lasts: as measured, or on data held back, or expected."""
+    lasting = arm.uncertainty.torque_error_time or _POSE_TIME
+    if arm.uncertainty.torque_error is not None:
+        missed = np.array(arm.uncertainty.torque_error)
+    elif arm.covariance is not None:
         missed = np.array([np.median(joint.torque_tolerance.torque) for joint in arm.joints]) / 3.0
-    return (missed * plan.interval) ** 2 * _POSE_TIME / plan.interval
+    return (missed * plan.interval) ** 2 * lasting / plan.interval
