@@ -17,22 +17,10 @@ PACKAGES = sorted((ROOT / 'ros2_ws' / 'src').iterdir())
 # Keys of rosdep that are not python3- and the name (rosdistro, rosdep/python.yaml), and libraries
 # that none stands for: the manifest's comment names what pip installs.
 PIP_KEYS = {'cvxpy', 'filterpy', 'mujoco', 'rosbags'}
-PLAIN_KEYS = [
-    'aiohttp',
-    'argcomplete',
-    'hypothesis',
-    'jinja2',
-    'matplotlib',
-    'numba',
-    'numpy',
-    'packaging',
-    'pytest',
-    'pytest-timeout',
-    'rich',
-    'scipy',
-    'sqlalchemy',
-    'yaml',
-]
+PLAIN_KEYS = {
+    *('aiohttp', 'argcomplete', 'hypothesis', 'jinja2', 'matplotlib', 'numba', 'numpy'),
+    *('packaging', 'pytest', 'pytest-timeout', 'rich', 'scipy', 'sqlalchemy', 'yaml'),
+}
 ROSDEP_KEYS = {f'python3-{n}' for n in PLAIN_KEYS} | {f'python3-{n}-pip' for n in PIP_KEYS}
 PYPI = {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'} | {
     name: name for name in ('cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard')
