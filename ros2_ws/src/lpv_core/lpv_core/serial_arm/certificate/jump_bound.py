@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lpv_core.serial_arm.certificate.link_forms import spatial_inertia
 from lpv_core.serial_arm.chain import FloatArray
 from lpv_core.serial_arm.description import SerialArm
 
@@ -46,7 +47,9 @@ def _acceleration(arm: SerialArm) -> FloatArray:
     a^T M a = a^T tau follows sum c a^2 <= sum tau^2 / c.
     """
     rotor = np.array([joint.rotor_inertia for joint in arm.joints])
-    if rotor.min() <= 0.0 or not all(joint.link.is_physical() for joint in arm.joints):
+    links = [np.linalg.eigvalsh(spatial_inertia(joint.link.to_vector())) for joint in arm.joints]
+    semidefinite = all(one.min() >= -1e-9 * max(one.max(), 1.0) for one in links)
+    if rotor.min() <= 0.0 or not semidefinite:
         return np.full(len(rotor), np.inf)
     net = NET_TORQUE * np.array(arm.torque_limit)
     return np.asarray(np.sqrt((net**2 / rotor).sum() / rotor))
