@@ -23,7 +23,10 @@ PLAIN_KEYS = {
 }
 ROSDEP_KEYS = {f'python3-{n}' for n in PLAIN_KEYS} | {f'python3-{n}-pip' for n in PIP_KEYS}
 PYPI = {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'} | {
-    name: name for name in ('cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard')
+    name: name
+    for name in (
+        *('clarabel', 'cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard'),
+    )
 }
 
 

@@ -163,7 +163,7 @@ def test_given_processes_that_end_when_run_then_lines_and_ends_are_told(processe
     with processes(('echo one; echo two >&2', {}), ('exit 3', {})) as launch:
         code, text = launch.end()
     assert code == 1
-    assert '[p-0] one\n[p-0] two\n' in text
+    assert re.search(r'\[p-0\] one\n(.*\n)*\[p-0\] two\n', text)
     assert re.search(r'\[INFO\] \[p-0\]: process has finished cleanly \[pid \d+\]\n', text)
     assert re.search(r"\[ERROR\] \[p-1\]: process has died \[pid \d+, exit code 3, cmd 'sh", text)
 

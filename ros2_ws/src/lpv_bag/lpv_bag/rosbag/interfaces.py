@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rosbags.highlevel import AnyReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -44,7 +45,7 @@ def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) 
     """A message from its CDR by a typestore's or reader's method, whatever padding follows it."""
     try:
         return deserialize(data, msgtype)
-    except SerdeError as error:
+    except (SerdeError, AnyReaderError) as error:
         if 'size mismatch' not in str(error):
             raise
         return deserialize(data[:-_PADDING], msgtype)

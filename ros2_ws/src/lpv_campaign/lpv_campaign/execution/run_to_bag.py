@@ -142,12 +142,21 @@ def _same(one: Any, two: Any) -> bool:
     return one == two
 
 
+def _reference(plan: RunPlan, run: Any) -> dict[str, np.ndarray]:
+    """Fields of the references; a two-link run keeps those that it followed after a stop, too."""
+    names = ('position', 'velocity', 'acceleration', 'tip_position')
+    if hasattr(run, 'path'):
+        return dict(zip(names, run.path[:, run.place]))
+    way = new_path(plan.arm, plan.scenario)
+    wanted = way.sample(run.place * plan.arm.sample_time)
+    values = run.reference, wanted.velocity, wanted.acceleration, way.tip(run.reference)
+    return dict(zip(names, values))
+
+
 def _write_signals(plan: RunPlan, run: Any, path: Path) -> None:
     effort = np.vstack([np.zeros_like(run.torque[:1]), run.torque[:-1]])
     stop = getattr(run, 'safe_stop', run.stop_reason != 0)
     command = np.where(stop[:, None], 0.0, getattr(run, 'command', run.torque))
-    way = new_path(plan.arm, plan.scenario)
-    wanted = way.sample(run.place * plan.arm.sample_time)
     truth = {
         'position': run.position,
         'velocity': run.velocity,
@@ -155,12 +164,7 @@ def _write_signals(plan: RunPlan, run: Any, path: Path) -> None:
         'fault': run.fault,
         'disturbance': getattr(run, 'disturbance', np.zeros(len(run.time))),
     }
-    reference = {
-        'position': run.reference,
-        'velocity': wanted.velocity,
-        'acceleration': wanted.acceleration,
-        'tip_position': way.tip(run.reference),
-    }
+    reference = _reference(plan, run)
     kept, everywhere = ~_lost(run), np.ones(len(run.time), bool)
     measured = {'position': run.measured, 'velocity': run.measured_velocity, 'effort': effort}
     topics = (

@@ -23,7 +23,7 @@ REQUIREMENTS = (
     'matplotlib>=3.7,<4',
     'jinja2>=3.1,<4',
     'rich>=13,<16',
-    'mcap>=1.2,<2',
+    'mcap>=1.6,<2',
     'rosbags>=0.11.9,<0.12',
 )
 """As in requirements/base.txt, which is not installed."""

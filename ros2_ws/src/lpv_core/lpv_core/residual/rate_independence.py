@@ -62,7 +62,7 @@ class RateSource:
 def rate_source_of(stamps: np.ndarray, position: np.ndarray, rate: np.ndarray) -> tuple[int, float]:
     """Compiled core of `rate_source`: index into `RATE_SOURCES`, and explained share."""
     count = len(stamps)
-    if count < _SAMPLES:
+    if count < _SAMPLES or not (np.isfinite(position).all() and np.isfinite(rate).all()):
         return UNDECIDED, math.nan
     if np.all(rate == 0.0):
         moved = position.max() - position.min() > _MOVED

@@ -52,8 +52,10 @@ from lpv_core.support.jit import njit
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
 UNSTATED = 0.3
-"""Relative change of friction that a file does not speak of, and share of the torque that the model
-misses which is friction or a constant torque."""
+"""Relative change of friction that a file does not speak of; the same share of the torque that the
+model misses lasts as long as a pose."""
+STATIC = 0.6
+"""Share of the torque that the model misses which is friction or a constant torque."""
 _FAST = 3.0
 """Usual rate of a joint whose limit is higher [rad/s]."""
 _LINEAR_WITHIN = 0.05
@@ -529,7 +531,7 @@ def _prior_posterior(
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:
     """Standard deviations of offsets, torque offsets, viscous and Coulomb friction."""
-    share, absent = max(arm.uncertainty.friction, UNSTATED), UNSTATED * missed
+    share, absent = max(arm.uncertainty.friction, UNSTATED), STATIC * missed
     return [
         np.full(len(arm.joints), OFFSET_PRIOR),
         absent,
