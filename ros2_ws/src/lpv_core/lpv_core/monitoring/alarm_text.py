@@ -52,5 +52,5 @@ def describe(event: Alarm) -> str:
     if event.basis == GUARANTEED:
         return f'{head}error {error}, {kind}, guaranteed: no healthy arm inside its file reads this'
     if event.basis == STATISTICAL:
-        sure += f' (statistical, false alarms {1.0 - event.confidence:.0e} a test)'
+        sure += ' (statistical)'
     return f'{head}error {error}, {kind}, confidence {sure}'
