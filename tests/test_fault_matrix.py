@@ -81,9 +81,7 @@ def chosen(table, claims):
                     continue
                 for claim in claims:
                     known = FAILS[engine].get(f'{place} {kind}', '').split()
-                    marks = (
-                        [pytest.mark.xfail(reason=engine)] if claim in known else []
-                    )
+                    marks = [pytest.mark.xfail(reason=engine)] if claim in known else []
                     if recorded and not DATA.is_dir():
                         marks = [pytest.mark.skip(reason='no recordings in ../shared/data')]
                     yield pytest.param(engine, place, kind, claim, marks=marks)
