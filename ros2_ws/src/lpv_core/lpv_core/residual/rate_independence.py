@@ -108,7 +108,10 @@ def _explained(rate: np.ndarray, speed: np.ndarray, kept: np.ndarray) -> float:
             cross[i] += row[i] * rate[k]
             for j in range(size):
                 gram[i, j] += row[i] * row[j]
-    scale = np.sqrt(np.diag(gram)) + 1e-300
+    scale = np.sqrt(np.diag(gram))
+    for i in range(size):
+        if scale[i] == 0.0:  # a reading that rests
+            scale[i] = 1.0
     for i in range(size):
         cross[i] /= scale[i]
         for j in range(size):
