@@ -5,7 +5,7 @@ the rows of the balances, whose residuals r under the null hypothesis (estimate 
 U^T U) are known.  Its Bayes factor, sizes and arm integrated out, is
 
     log L = z^T (I + S^-1)^-1 z / 2 - log det(I S + 1) / 2,
-    z = -A^T W r,    I = A^T W A - |U^-T J^T W A|^2.
+    z = -A^T W r,    I = A^T W A - B^T B,  B = U^-T J^T W A.
 
 All columns of one sensor are sums of seven: drift, scale, rate, gain, offset, torque, and a jump
 of the rate.  Where a
