@@ -334,6 +334,8 @@ class Bank:
         found += self._scales_that_jumped(windows)
         if self._derived.any():
             found += self._sudden(blocks, len(windows.lengths))
+        # Rows that are near zero throughout, as of a constant reading, say nothing.
+        found = [one for one in found if np.isfinite(one.gain)]
         self.statistic = self._sum(found)
         return sorted(found, key=lambda one: -one.gain)
 
@@ -464,7 +466,8 @@ class Bank:
             np.concatenate([first, second], axis=-1).transpose(2, 1, 0)
             for first, second in zip(*parts)
         )
-        return np.where(self._applies[:, :, None], gain, -np.inf), size, sigma
+        counts = self._applies[:, :, None] & np.isfinite(gain)
+        return np.where(counts, gain, -np.inf), size, sigma
 
     def _named(
         self, windows: _Windows, gains: FloatArray, sizes: FloatArray, sigmas: FloatArray

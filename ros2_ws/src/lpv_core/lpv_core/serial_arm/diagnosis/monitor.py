@@ -473,7 +473,7 @@ class SerialMonitor:
         self._suspects = tuple(self._label(one) for one in best.values())
         cause, share = next(iter(shares.items()))
         self._contact.since = min(self._contact.since, now) if cause[0] == CONTACT else math.inf
-        if share < 1.0 - wrong:
+        if not share >= 1.0 - wrong:  # also where no share can be told
             return
         one = best[cause]
         if one.kind == CONTACT:
