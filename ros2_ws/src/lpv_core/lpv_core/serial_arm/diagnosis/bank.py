@@ -672,14 +672,18 @@ class KinematicRows:
         variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
         return float(0.5 * rows.sum() ** 2 / (self._inflation[joint] * variance))
 
+    def _variance_of(self, counts: IntArray) -> FloatArray:
+        """Variances of the sums of so many last rows, shape (W, n) [rad2]."""
+        span = self._interval * counts[:, None]
+        variance = self._inflation * (self._ends + self._walk * span) + (self._bias * span) ** 2
+        return np.asarray(variance + np.cumsum(self._variances[::-1], axis=0)[counts - 1])
+
     def speaks(self, evidence: float) -> bool:
         """Whether the rows of any window contradict healthy sensors by so much evidence."""
         if not (self._independent & self.trusted).any() or len(self._rows) == 0:
             return False
         sums = np.cumsum(self._rows[::-1], axis=0)
-        span = self._interval * np.arange(1, len(sums) + 1)[:, None]
-        variance = self._inflation * (self._ends + self._walk * span) + (self._bias * span) ** 2
-        variance = variance + np.cumsum(self._variances[::-1], axis=0)
+        variance = self._variance_of(np.arange(1, len(sums) + 1))
         large = 0.5 * sums**2 > evidence * np.maximum(variance, _BEFORE)
         return bool((large & self._independent & self.trusted).any())
 
@@ -731,9 +735,7 @@ class KinematicRows:
         counts = np.minimum(lengths, len(self._rows))
         if counts[0] == 0:
             return
-        span = self._interval * counts[:, None]
-        variance = self._inflation * (self._ends + self._walk * span) + (self._bias * span) ** 2
-        variance = variance + np.cumsum(self._variances[::-1], axis=0)[counts - 1]
+        span, variance = self._interval * counts[:, None], self._variance_of(counts)
         weight = np.where(
             self._independent & self.trusted, 1.0 / np.maximum(variance, _BEFORE), 0.0
         )
