@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from lpv_core.serial_arm.description import (
@@ -14,6 +15,7 @@ from lpv_core.serial_arm.description import (
     JointLimits,
     JointSensors,
     LinkInertia,
+    LpvRegion,
     ParameterCovariance,
     SecondEncoder,
     SerialArm,
@@ -29,6 +31,8 @@ KIND = 'serial_arm'
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
 _FAR = 100.0
 """Largest coordinate of a frame, and largest angle of its orientation [m], [rad]."""
+_SMALLEST_DETERMINANT = 1e-6
+"""Of a matrix of sensors that tell the joints' positions."""
 _HEADER = '# Arm of n revolute joints; docs/arm-file.md describes the fields.\n'
 
 
@@ -116,6 +120,8 @@ def parse_serial_arm(
         ),
         covariance=_covariance(top, 15 * len(joints)),
         sample_time=top.number('sample_time', 0.002, 1e-5, 1.0),
+        sensor_matrix=_sensor_matrix(top, len(joints)),
+        lpv=_lpv(top, len(joints)),
     )
     for section in (effort, varying, top):
         section.finish()
@@ -123,6 +129,35 @@ def parse_serial_arm(
         if len(set(names)) < len(names):
             raise top.error(field, 'use a name twice')
     return arm
+
+
+def _sensor_matrix(top: Section, n: int) -> tuple[tuple[float, ...], ...] | None:
+    if 'sensor_matrix' not in top:
+        return None
+    rows = top.rows('sensor_matrix', n, n)
+    if len(rows) != n or abs(np.linalg.det(np.array(rows))) < _SMALLEST_DETERMINANT:
+        raise top.error('sensor_matrix', f'must have {n} rows and an inverse')
+    return tuple(tuple(row) for row in rows)
+
+
+def _lpv(top: Section, n: int) -> LpvRegion | None:
+    if 'lpv' not in top:
+        return None
+    if n != 2:
+        raise top.error('lpv', f'is for planar arms of two joints, this one has {n}')
+    part = top.section('lpv')
+    disturbance = part.section('disturbance', required=False)
+    region = LpvRegion(
+        part.text('orientation', choices=('upright', 'hanging')),
+        part.pair('cos_min', low=0.01, high=0.999),
+        disturbance.pair('direction', 0.0, -1e3, 1e3),
+        disturbance.number('mean', 0.0, -1e4, 1e4),
+        disturbance.number('variance', 0.0, 0.0, 1e8),
+        part.number('velocity_error', 0.0, 0.0, 0.5),
+    )
+    for section in (disturbance, part):
+        section.finish()
+    return region
 
 
 def save_serial_arm(arm: SerialArm, path: str | Path) -> None:
@@ -169,6 +204,18 @@ def to_mapping(arm: SerialArm) -> dict[str, Any]:
     )
     if math.isfinite(arm.effort_bandwidth):
         result['effort']['bandwidth'] = arm.effort_bandwidth
+    if arm.sensor_matrix is not None:
+        result['sensor_matrix'] = _lists(arm.sensor_matrix)
+    if arm.lpv is not None:
+        region = _lists(asdict(arm.lpv))
+        result['lpv'] = {
+            'orientation': region['orientation'],
+            'cos_min': region['cos_min'],
+            'disturbance': {
+                key: region[f'disturbance_{key}'] for key in ('direction', 'mean', 'variance')
+            },
+            'velocity_error': region['velocity_error'],
+        }
     if arm.covariance is not None:
         result['covariance'] = {
             'determined': arm.covariance.determined,

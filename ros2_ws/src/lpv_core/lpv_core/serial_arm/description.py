@@ -193,6 +193,22 @@ class Uncertainty:
 
 
 @dataclass(frozen=True)
+class LpvRegion:
+    """What the LPV design of the paper's observer and controller needs of a planar two-link arm.
+
+    Angles theta are those of the links from the upper vertical (paper, Fig. 1).
+    """
+
+    orientation: str  # of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
+    cos_min: tuple[float, float]  # smallest abs(cos(theta_i)) in which gains are certified
+    # last two rows of Bd, eq. (31): accelerations of theta per unit of the disturbance d
+    disturbance_direction: tuple[float, float] = (0.7, 0.0)
+    disturbance_mean: float = 0.2  # of the white disturbance d that the design must live with
+    disturbance_variance: float = 0.9  # the same
+    velocity_error: float = 0.0  # relative error of the rates (scale, delay)
+
+
+@dataclass(frozen=True)
 class SerialArm:
     """A serial arm of n revolute joints, its sensors and what may vary."""
 
@@ -214,6 +230,9 @@ class SerialArm:
     uncertainty: Uncertainty = Uncertainty()  # what may vary
     covariance: ParameterCovariance | None = None  # of the identified parameters
     sample_time: float = 0.002  # Ts [s]
+    # S of y = S q + f, rows by sensor: None where each joint has its own sensor (S = 1)
+    sensor_matrix: tuple[tuple[float, ...], ...] | None = None
+    lpv: LpvRegion | None = None  # of a planar two-link arm with designed gains
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -234,6 +253,15 @@ class SerialArm:
     def torque_limit(self) -> tuple[float, ...]:
         """Largest joint torques, one for each joint [N m]."""
         return tuple(joint.limits.torque for joint in self.joints)
+
+    def joints_to_sensors(self) -> np.ndarray:
+        """S of y = S q + f: readings of the position sensors by joint positions, shape (n, n)."""
+        n = len(self.joints)
+        return np.eye(n) if self.sensor_matrix is None else np.array(self.sensor_matrix, float)
+
+    def sensors_to_joints(self) -> np.ndarray:
+        """Inverse of S: joint positions by readings without faults, shape (n, n)."""
+        return np.linalg.inv(self.joints_to_sensors())
 
     def gravity_vector(self) -> np.ndarray:
         """Acceleration of gravity in the base's frame, shape (3,) [m/s2]."""
@@ -265,6 +293,9 @@ class SerialArm:
         for name in ('torque_error', 'torque_error_speed', 'torque_error_time'):
             if content['uncertainty'][name] is None:
                 del content['uncertainty'][name]
+        for name in ('sensor_matrix', 'lpv'):
+            if content[name] is None:
+                del content[name]
         return sha256_of(content)
 
 
