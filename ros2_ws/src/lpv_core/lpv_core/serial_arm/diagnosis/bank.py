@@ -659,18 +659,18 @@ class KinematicRows:
         """Last row of a joint and its variance; None where there is none."""
         if not self._independent[joint] or len(self._rows) == 0:
             return None
-        span = self._interval
-        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
-        return float(self._rows[-1, joint]), float(self._inflation[joint] * variance)
+        return float(self._rows[-1, joint]), self._variance_of_last(joint, 1)
 
     def explained(self, joint: int, count: int) -> float:
         """What a reading that rests explains of the last rows: all of it."""
         rows = self._rows[-count:, joint]
         if not self._independent[joint] or not self.trusted[joint] or len(rows) == 0:
             return 0.0
-        span = len(rows) * self._interval
-        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
-        return float(0.5 * rows.sum() ** 2 / (self._inflation[joint] * variance))
+        return float(0.5 * rows.sum() ** 2 / self._variance_of_last(joint, len(rows)))
+
+    def _variance_of_last(self, joint: int, count: int) -> float:
+        """Variance of the sum of so many last rows of a joint [rad2]."""
+        return max(float(self._variance_of(np.array([count]))[0, joint]), _BEFORE)
 
     def _variance_of(self, counts: IntArray) -> FloatArray:
         """Variances of the sums of so many last rows, shape (W, n) [rad2]."""
@@ -688,15 +688,15 @@ class KinematicRows:
         return bool((large & self._independent & self.trusted).any())
 
     def agrees(self, joint: int, taken_out: float) -> bool:
-        """Whether the rows of the last half second are those of healthy sensors.
+        """Whether there are rows of the last half second, and they are those of healthy sensors.
 
         What is taken out of the rate [rad/s] is not in the rows.
         """
         rows = self._rows[-round(0.5 / self._interval) :, joint]
-        span = len(rows) * self._interval
-        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
-        left = rows.sum() - taken_out * span
-        return bool(left**2 < 9.0 * self._inflation[joint] * variance)
+        if len(rows) == 0:
+            return False
+        left = rows.sum() - taken_out * len(rows) * self._interval
+        return bool(left**2 < 9.0 * self._variance_of_last(joint, len(rows)))
 
     def learn(self, healthy: bool) -> None:
         """Learn how much rows scatter; constant errors of rates do not count as scatter."""
