@@ -25,12 +25,13 @@ from lpv_core.control.watchdog import (
     mean_limit,
 )
 from lpv_core.model.arm import ArmParameters
+from lpv_core.monitoring.stamp_gate import StampGate
 from lpv_core.serial_arm.any_arm import load_any_arm
 from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
 from lpv_core.simulation.any_scenario import load_any_scenario, new_path
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized
+from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import (
@@ -182,7 +183,7 @@ class TrackerNode(ManagedNode):
         self._choose_feedback()
         self._compile()
         self._watchdog = TrackerWatchdog(self._arm, self._limits)
-        self._guard, self._refusals, self._stops = StampGuard(), Refusals(self), 0
+        self._stamps, self._refusals, self._stops = StampGate(), Refusals(self), 0
         self._last_stop = ''
         self._last = None
         self._used = np.zeros(joints)  # correction of the last estimate that was trusted [rad]
@@ -321,7 +322,7 @@ class TrackerNode(ManagedNode):
             self._refusals.add(_REFUSALS[ValueFault(wrong)])
         elif stamp < 0:
             self._refusals.add('estimate with a negative stamp')
-        elif not (self.lockstep or self._guard.accept(stamp)):
+        elif not (self.lockstep or self._stamps.accept(stamp)):
             self._refusals.add('estimate whose stamp fits no stream')
         else:
             return True

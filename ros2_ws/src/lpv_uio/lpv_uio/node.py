@@ -267,7 +267,7 @@ class UioNode(ManagedNode):
         self._answered = stamp = answer.stamp
         messages = self._messages
         if answer.restarted:
-            self.get_logger().warning('time went backwards: observer and alarms restart')
+            self.get_logger().warning('the clock of the measurements was set: estimates begin anew')
         if not messages.fill(answer.record):
             self._refusals.add('estimate with values that are not finite')
         if self._alarms is not None and self._alarms.before:

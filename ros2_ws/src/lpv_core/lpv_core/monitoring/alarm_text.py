@@ -23,7 +23,8 @@ _CERTAIN = 0.9995
 COUNTER_TEXT = {
     'duplicates': 'measurements with the stamp of the one before, ignored',
     'out_of_order': 'measurements older than the one before, ignored',
-    'restarts': 'restarts because the clock was set back',
+    'restarts': 'restarts because the clock was set',
+    'refused_stamps': 'measurements whose stamp fits no stream, ignored',
     'not_finite': 'measurements with NaN or infinite values',
     'implausible': 'measurements with values that this arm cannot reach',
     'gaps': 'interruptions longer than max_gap',

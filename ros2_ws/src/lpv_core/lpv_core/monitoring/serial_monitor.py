@@ -26,6 +26,7 @@ from lpv_core.monitoring.compensation import (
     new_compensation,
 )
 from lpv_core.monitoring.serial_alarms import AlarmConverter
+from lpv_core.monitoring.stamp_gate import JUMP, StampGate
 from lpv_core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import FloatArray, IntArray
@@ -57,7 +58,8 @@ class SerialCounters:
 
     duplicates: int = 0  # with the stamp of the one before
     out_of_order: int = 0  # with an older stamp
-    restarts: int = 0  # the clock was set back by more than 1 s
+    restarts: int = 0  # the clock was set, or samples were missing for more than 1 s
+    refused_stamps: int = 0  # that fit no stream
     not_finite: int = 0  # NaN or infinite readings, or rates of a sensor of their own
     implausible: int = 0  # values that no arm has
     gaps: int = 0  # intervals after which the balances restart
@@ -158,6 +160,7 @@ class SerialSensorMonitor:
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
         self._monitor.reset()
+        self._gate = StampGate()
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
@@ -229,6 +232,9 @@ class SerialSensorMonitor:
         while begin < len(stamps):
             count = self._regular(stamps[begin:], samples[begin:])
             row, first = records[begin : begin + 1], samples[begin]
+            if not (count or self._is_of_stream(int(stamps[begin]), row)):
+                begin += 1
+                continue
             usable = count or self._prepare(int(stamps[begin]), first, row)
             self._watch_dropouts(int(stamps[begin]), first, begin, answers)
             if usable:
@@ -244,9 +250,9 @@ class SerialSensorMonitor:
             return 0
         stamps, samples = stamps[:_MOST_AT_ONCE], samples[:_MOST_AT_ONCE]
         before = np.concatenate([[self._stamp], stamps[:-1]])
-        derives = self._derives(samples)
-        good = (stamps > before) & self._plausible(samples)
-        good &= (stamps - before <= self._gap) | ~derives
+        newest = np.concatenate([[self._gate.last], stamps[:-1]])
+        good = (stamps > newest) & (stamps - newest <= JUMP)
+        good &= (stamps - before <= self._gap) & self._plausible(samples)
         good &= np.isfinite(samples[:, 2]).all(1) != self._blind
         return len(good) if good.all() else int(np.argmin(good))
 
@@ -254,6 +260,32 @@ class SerialSensorMonitor:
         """Whether rates have to be made of the readings."""
         missing = ~np.isfinite(samples[:, 1]) | self._without_rates
         return missing.any(1)
+
+    def _is_of_stream(self, stamp: int, row: np.recarray) -> bool:
+        """Whether a stamp is of the stream, which goes on where it was if its clock was set.
+
+        ``row`` receives the answer to one that is not.
+        """
+        if not self._gate.accept(stamp):
+            self.counters.refused_stamps += 1
+            self._answer_stale(stamp, row)
+            return False
+        if self._gate.shift:
+            self.counters.restarts += 1
+            row.restarted[0] = True
+            self._set_clock(self._gate.shift - 2 * self._gap)
+        return True
+
+    def _set_clock(self, shift: int) -> None:
+        """Move all stamps to a clock that is ahead by ``shift`` [ns]; faults may have ended."""
+        for moments in (self._missing_since, self._compensation.stamp):
+            moments[moments != NEVER] += shift
+        self._next_report = NEVER
+        if self._stamp == NEVER:
+            return
+        self._stamp += shift
+        self._monitor.doubt(shift)
+        self._know(self._monitor.snapshot(), self._stamp)
 
     def _plausible(self, samples: FloatArray) -> np.ndarray:
         """Whether readings, and rates of sensors of their own, are finite and of an arm."""
@@ -269,7 +301,7 @@ class SerialSensorMonitor:
 
         ``row`` receives the answer in this case.
         """
-        if not self._is_new(stamp, row):
+        if not self._is_new(stamp):
             return False
         if not self._plausible(sample[None])[0]:
             needed = np.concatenate([sample[0], sample[1, self._independent]])
@@ -312,15 +344,10 @@ class SerialSensorMonitor:
         if events:
             self._next_report = NEVER
 
-    def _is_new(self, stamp: int, row: np.recarray) -> bool:
-        """Whether a stamp is later than the last one, or of a clock that was set back."""
+    def _is_new(self, stamp: int) -> bool:
+        """Whether a stamp is later than that of the last sample."""
         delta = stamp - self._stamp
         if self._stamp == NEVER or delta > 0:
-            return True
-        if delta < -NANOSECONDS:
-            self.counters.restarts += 1
-            self.reset()
-            row.restarted[0] = True
             return True
         self.counters.duplicates += delta == 0
         self.counters.out_of_order += delta < 0
@@ -331,6 +358,7 @@ class SerialSensorMonitor:
         stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
         self._add_rates(stamps, samples)
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
+        self._gate.follow(self._stamp)
         if self._blind:
             samples[:, 2] = 0.0
         first = begin
@@ -350,6 +378,7 @@ class SerialSensorMonitor:
     def went_on(self, stamp: int, reading: FloatArray, record: np.recarray) -> None:
         """Samples up to this one were taken with `parts`; ``record`` is its answer, of one row."""
         self._stamp, self._reading, self._last = stamp, reading.copy(), record.copy()
+        self._gate.follow(stamp)
         self._monitor.went_on(stamp)
 
     def note(self, snapshot: Snapshot, stamp: int) -> list[Alarm]:
@@ -424,7 +453,7 @@ class SerialSensorMonitor:
         known = self._snapshot
         sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
         uncertain = self._parameters.sigmas * sigma > self._parameters.safe_stop_bound
-        return not (known.is_error & uncertain).any()
+        return not (known.is_error & (uncertain | known.unseen)).any()
 
     def _answer_stale(self, stamp: int, row: np.recarray) -> None:
         """Answer an unusable sample with the last estimate; never with silence."""
@@ -433,7 +462,7 @@ class SerialSensorMonitor:
         row.restarted, row.answered = restarted, True
         row.state.mode = Mode.STALE if row.has_fault[0] else Mode.NO_ESTIMATE
         row.fault.state = SensorState.STALE
-        if not row.has_fault[0] or stamp - self._stamp > LONGEST_STALE:
+        if not row.has_fault[0] or abs(stamp - self._stamp) > LONGEST_STALE:
             row.state.trustworthy = False
 
     def _is_due(self, stamp: int) -> bool:

@@ -39,6 +39,7 @@ class Snapshot:
     jump_limit: FloatArray  # change of a reading that may be a jump [rad]
     state: npt.NDArray[np.uint8]  # of `SensorState`
     is_level: npt.NDArray[np.bool_]  # whether all of fault is confirmed, not only what is removed
+    unseen: npt.NDArray[np.bool_]  # confirmed before the clock was set, not seen since
     suspects: tuple[str, ...]  # what explains a contradiction
     contact: bool  # whether torques act from outside
     balances: int  # that were used so far
@@ -97,6 +98,12 @@ class SteppedMonitor(SerialMonitor):
         """Samples up to a stamp [ns] were taken by compiled functions."""
         self._last_time = (stamp - (self._first or 0)) / 1e9
 
+    def doubt(self, shift: int) -> None:
+        """The clock was set ahead by ``shift`` [ns]: faults may have ended since."""
+        self._first = (self._first or 0) + shift
+        for sensor in self.sensors:
+            sensor.doubt()
+
     def stamp_of(self, seconds: float) -> int:
         """Stamp [ns] of a time since the first sample [s]."""
         return (self._first or 0) + round(seconds * 1e9)
@@ -137,6 +144,7 @@ class SteppedMonitor(SerialMonitor):
             np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest),
             state,
             np.array([one.level and one.active for one in self.sensors]),
+            np.array([one.unseen for one in self.sensors]),
             estimate.suspects,
             self.in_contact,
             self._balances,

@@ -248,11 +248,25 @@ class SerialMonitor:
 
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
+        self._take_out_levels()
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
             self.healthy.restart()
         self.estimator.restart()
         self.bank.restart()
+
+    def _take_out_levels(self) -> None:
+        """Take confirmed offsets out of the readings: new balances know of no offset."""
+        for i, sensor in enumerate(self.sensors):
+            if not (sensor.active and sensor.level):
+                continue
+            level = float(self.estimator.level.mean[i])
+            self.jump_variance[i] += self.estimator.level.sigma[i] ** 2
+            self.sampler.correction[i] += level
+            self._correction[i] += level
+            self.estimator.move_reference(i, -level)
+            self.healthy = self.guarantee = None  # readings are changed
+            sensor.level = sensor.unproved = False
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
         """Take samples without a gap between them."""
@@ -604,6 +618,7 @@ class SerialMonitor:
             else:
                 limit = 0.7 * max(self.settings.smallest_level, 4.0 * sigma[i])
                 over = abs(left) < min(0.3 * sensor.peak, limit)
+            sensor.unseen &= over or not self._shows(i)
             if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
                 self._forget(i)
                 self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
@@ -617,6 +632,12 @@ class SerialMonitor:
                 self.sampler.rate_error[i] = 0.0
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
+
+    def _shows(self, i: int) -> bool:
+        """Whether a fault of sensor i would be seen to be over, if it were."""
+        sensor = self.sensors[i]
+        largest = max(sensor.peak, self.settings.smallest_level)
+        return sensor.kind in {'noise', 'stuck'} or 4.0 * self.estimator.level.sigma[i] < largest
 
     def _forget(self, i: int) -> None:
         """Take nothing out of the readings of sensor i any more; what is estimated stays true."""

@@ -27,6 +27,7 @@ class SensorRecord:
     level: bool = False  # whether the estimate of gravity and motion is part of the fault
     unproved: bool = False  # whether its guarantee is still to come
     over_since: float | None = None  # since when the fault seems over [s]
+    unseen: bool = False  # whether it was confirmed before a break, and not seen since
 
     @property
     def active(self) -> bool:
@@ -38,12 +39,17 @@ class SensorRecord:
         if not self.active:
             self.onset, self.peak = onset, 0.0
         self.state, self.kind, self.over_since = SensorState.ERROR, kind, None
+        self.unseen = False
         self.peak = max(self.peak, size)
 
     def suspect(self, is_suspect: bool) -> None:
         """What is seen may be this sensor's fault, or not."""
         if not self.active:
             self.state = SensorState.WARN if is_suspect else SensorState.OK
+
+    def doubt(self) -> None:
+        """Nothing was seen of the sensor for a while, in which its fault may have ended."""
+        self.unseen, self.over_since = self.active, None
 
     def recover(self, now: float) -> None:
         """The fault seems over."""
@@ -71,4 +77,4 @@ class SensorRecord:
     def clear(self) -> None:
         """The fault is over."""
         self.state, self.kind, self.peak = SensorState.OK, '', 0.0
-        self.level, self.unproved, self.over_since = False, False, None
+        self.level, self.unproved, self.unseen, self.over_since = False, False, False, None
