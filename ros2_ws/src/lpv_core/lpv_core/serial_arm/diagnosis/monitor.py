@@ -30,6 +30,7 @@ from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv_core.serial_arm.diagnosis.sampling import (
+    BEFORE_STOP,
     BLOCKS,
     JUMP_SCALE,
     NOISY,
@@ -41,6 +42,7 @@ from lpv_core.serial_arm.diagnosis.sampling import (
     take_samples,
 )
 from lpv_core.serial_arm.diagnosis.sensor_state import SensorRecord, SensorState
+from lpv_core.serial_arm.diagnosis.stuck import ACCELERATION
 from lpv_core.support.errors import SampleError
 
 BoolArray = npt.NDArray[np.bool_]
@@ -55,8 +57,8 @@ CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
 PUSH = 2.0
 """Largest plausible torque from outside, over that which moves the arm."""
-RARE = 0.3
-"""Share of repeated readings below which a reading that rests is frozen."""
+LIVELY = 0.02
+"""Share of changes that go back and forth from which on a reading has noise, and never rests."""
 GUARANTEE_EVERY = 20
 """Balances after which guaranteed thresholds are evaluated anew."""
 STILL_TIME = 0.05
@@ -503,10 +505,16 @@ class SerialMonitor:
             self._blame_rate(one, share)
 
     def _is_frozen(self) -> BoolArray:
-        """Whether a reading stopped dead while it moved, or has lost its noise."""
-        still = self.sampler.still * self.arm.sample_time > STILL_TIME
-        stopped = self.sampler.stop * STILL_TIME > self.settings.smallest_step
-        return still & (stopped | (self.sampler.repeats < RARE))
+        """Whether a reading stopped dead while it moved, or has lost its noise.
+
+        Rounding and usual braking explain a part of the speed before.
+        """
+        sampler = self.sampler
+        still = sampler.still * self.arm.sample_time > STILL_TIME
+        measured = BEFORE_STOP * self.arm.sample_time
+        speed = sampler.stop - sampler.grain / measured - 0.5 * ACCELERATION * measured
+        stopped = speed * STILL_TIME > np.maximum(self.settings.smallest_step, sampler.grain)
+        return still & (stopped | (sampler.lively > LIVELY))
 
     def _rest(self) -> tuple[FloatArray, FloatArray]:
         """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
@@ -537,7 +545,8 @@ class SerialMonitor:
     def _blame(self, one: Hypothesis, share: float, now: float) -> None:
         """A position sensor explains what nothing else does: its fault is followed from now on."""
         i = one.joint
-        rests = self.sampler.still[i] * self.arm.sample_time > STILL_TIME
+        still = self.sampler.still[i] * self.arm.sample_time
+        rests = self._is_frozen()[i] or still > max(STILL_TIME, now - one.begin)
         kind = 'stuck' if rests else one.kind
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate = -one.size if one.kind == 'drift' else 0.0

@@ -36,6 +36,8 @@ _LATE = 1.5
 """Largest error of a stamp, over the time since the sample before."""
 _USUAL = 5.0
 """Sizes of e, over the usual one, that are nothing special."""
+BEFORE_STOP = 3
+"""Periods before a reading comes to rest over which its speed is measured."""
 NOISE_MEMORY = 32.0
 """Samples over which jumps of a reading are counted."""
 _NOISE_COUNT = 4.5
@@ -65,8 +67,9 @@ class Sampler(NamedTuple):
     size: FloatArray  # height of a step that was found, shape (n,) [rad]
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
-    repeats: FloatArray  # (n,) share of readings that equal the one before (quantised, slow)
+    lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
     stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
+    grain: FloatArray  # (n,) smallest change of the reading, its rounding step if it has one [rad]
     noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
     noisy: IntArray  # (n,) 1 while a reading is noisy
     doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
@@ -101,7 +104,8 @@ def new_sampler(
         smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
         np.zeros(n),
-        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), np.zeros((3, n)),
+        np.zeros(n), np.zeros(n, np.int64), np.zeros(n), np.zeros(n), np.full(n, np.inf),
+        np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
         np.zeros(4))  # fmt: skip
 
@@ -121,7 +125,7 @@ def push_sample(
     y, v, torque : ndarray, shape (n,)
         Readings, rates, torques [rad], [rad/s], [N m].
     """
-    n = y.shape[0]
+    n, before = y.shape[0], HISTORY - 2 - BEFORE_STOP
     period = time - sampler.time[HISTORY - 1]
     for k in range(HISTORY - 1):
         sampler.time[k] = sampler.time[k + 1]
@@ -138,14 +142,15 @@ def push_sample(
         reading = y[i] - removed(sampler, i, y[i])
         if y[i] != sampler.raw[i]:
             sampler.still[i] = 0
-            sampler.repeats[i] -= sampler.repeats[i] / 256.0
+            if sampler.counters[COUNT] > 0:
+                _watch_change(sampler, i, y[i] - sampler.raw[i])
         else:
             sampler.still[i] += 1
-            if sampler.still[i] <= 3:
-                sampler.repeats[i] += (1.0 - sampler.repeats[i]) / 256.0
-            if sampler.still[i] == 1:
-                way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 5, 0, i]
-                sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[HISTORY - 5])
+            if sampler.still[i] == 1 and sampler.counters[COUNT] <= BEFORE_STOP:
+                sampler.stop[i] = 0.0
+            elif sampler.still[i] == 1:
+                way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[before, 0, i]
+                sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[before])
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
@@ -156,6 +161,17 @@ def push_sample(
     if sampler.counters[COUNT] >= 3:
         _set_jumps(sampler)
         _find_jumps(sampler)
+
+
+@njit
+def _watch_change(sampler: Sampler, i: int, change: float) -> None:
+    """Learn rounding and noise of a reading from a change of it, before its sample is kept."""
+    last, k = sampler.samples[:, 0, i], HISTORY - 2
+    sampler.grain[i] = min(sampler.grain[i], abs(change))
+    least, before, first = 1.5 * sampler.grain[i], last[k] - last[k - 1], last[k - 1] - last[k - 2]
+    alternates = change * before < 0.0 and before * first < 0.0
+    beyond = min(abs(change), abs(before), abs(first)) > least
+    sampler.lively[i] += ((1.0 if alternates and beyond else 0.0) - sampler.lively[i]) / 256.0
 
 
 @njit
