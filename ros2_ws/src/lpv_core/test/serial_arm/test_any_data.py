@@ -45,8 +45,10 @@ def random_arm(rng, joints, sample_time):
         made.append(SerialJoint(
             f'joint{i}', tuple(rng.uniform(-0.4, 0.4, 3)), tuple(rng.uniform(-3.0, 3.0, 3)),
             (0.0, 0.0, 1.0), link, JointFriction(0.2, rng.choice([0.0, 0.3]), 50.0),
-            rotor_inertia=0.05, limits=JointLimits(-3.0, 3.0, 3.0, 100.0), sensors=sensors))  # fmt: skip
-    return SerialArm('any', tuple(made), uncertainty=Uncertainty(0.5, 0.3), sample_time=sample_time)
+            rotor_inertia=0.05, sensors=sensors,
+            limits=JointLimits(-3.0, 3.0, 3.0, 100.0)))  # fmt: skip
+    known = Uncertainty(0.5, 0.3)
+    return SerialArm('any', tuple(made), uncertainty=known, sample_time=sample_time)
 
 
 def arm_of(rng, joints, sample_time):

@@ -69,7 +69,7 @@ class Sampler(NamedTuple):
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
     lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
     stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
-    grain: FloatArray  # (n,) smallest change of the reading, its rounding step if it has one [rad]
+    grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
     noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
     noisy: IntArray  # (n,) 1 while a reading is noisy
     doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
