@@ -31,6 +31,7 @@ from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv_core.serial_arm.sensor_map import map_rows
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
@@ -128,6 +129,7 @@ class SerialSensorMonitor:
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
         self._is_derived = ~self._independent
+        self._to_sensors, self._to_joints = arm.joints_to_sensors(), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
         self._monitor = SteppedMonitor(arm)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
@@ -210,7 +212,9 @@ class SerialSensorMonitor:
     ) -> Answers:
         """Use many measurements; as `lpv_core.monitoring.monitor.SensorMonitor.take_many`."""
         samples = np.empty((len(stamps), 3, self._joints))
-        samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
+        samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
+        samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
+        samples[:, 2] = effort
         records: Any = np.zeros(len(stamps), self.answer_type)
         rows = answer_rows(records)
         stamps, records = np.ascontiguousarray(stamps, np.int64), records.view(np.recarray)
@@ -390,6 +394,7 @@ class SerialSensorMonitor:
             snapshot.is_error,
             snapshot.is_level,
             self._is_derived,
+            self._to_joints,
         )
         self._flags = Flags(
             stamp,

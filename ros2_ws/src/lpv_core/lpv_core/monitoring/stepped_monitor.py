@@ -88,9 +88,9 @@ class SteppedMonitor(SerialMonitor):
         return super().uses_balances and not self.blind
 
     def run(self, stamps: IntArray, samples: FloatArray) -> list[Snapshot]:
-        """Take samples as `update_many`; what is known from which of them on."""
+        """Take samples as `take_readings`; what is known from which of them on."""
         self._row, self._snapshots = 0, []
-        self.update_many(stamps, samples)
+        self.take_readings(stamps, samples)
         return self._snapshots
 
     def went_on(self, stamp: int) -> None:

@@ -44,6 +44,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.balance import Balance
 from lpv_core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv_core.serial_arm.diagnosis.sampling import Sampler, take_samples
+from lpv_core.serial_arm.sensor_map import map_vector
 from lpv_core.simulation.serial_scenario import SerialScenario
 from lpv_core.simulation.serial_simulator import (
     SerialArmSimulator,
@@ -166,6 +167,7 @@ class _Observer(NamedTuple):
     answers: AnswerRows
     feedback: FloatArray  # those positions of the answers that the loop is closed on
     gains: FloatArray
+    to_sensors: FloatArray  # S of y = S q + f
 
 
 class _Tracker(NamedTuple):
@@ -230,9 +232,10 @@ def _sense(
     state, sample = plant.state, observer.samples[k]
     read_sensors(plant.constants, state, plant.faults, streams.noise, streams.chance)
     missing = False
+    map_vector(observer.to_sensors, state.measured_position, sample[0])
+    map_vector(observer.to_sensors, state.measured_velocity, sample[1])
     for i in range(sample.shape[1]):
         row.effort[i] = state.torque[i] / plant.constants.effort_gain[i]
-        sample[0, i], sample[1, i] = state.measured_position[i], state.measured_velocity[i]
         sample[2, i] = row.effort[i] * observer.gains[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
@@ -501,7 +504,7 @@ def run_serial_loop(
         if simulator.state.failed:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
         if loop.phase == _MONITOR:
-            alarms += _hand_over(monitor, observer, records, loop, rows[k].effort, k)
+            alarms += _hand_over(monitor, observer, records, loop, simulator.state, k)
             observer.times[:] = (observer.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
             observer = observer._replace(known=monitor.parts.known, flags=monitor.parts.flags)
         elif loop.phase == _DECIDE:
@@ -532,7 +535,7 @@ def _hand_over(
     observer: _Observer,
     records: np.ndarray,
     loop: np.record,
-    effort: FloatArray,
+    state: np.record,
     k: int,
 ) -> list[Alarm]:
     """Let the monitor itself take a sample, as the node does; returns alarm events."""
@@ -540,8 +543,8 @@ def _hand_over(
     if before != NEVER:
         last = records[before : before + 1].view(np.recarray)
         monitor.went_on(int(stamps[before]), observer.samples[before, 0], last)
-    measured = *observer.samples[k : k + 1, :2].swapaxes(0, 1), effort[None]
-    answers = monitor.take_many(stamps[k : k + 1], *measured)
+    measured = state.measured_position, state.measured_velocity, state.effort
+    answers = monitor.take_many(stamps[k : k + 1], *(np.array([one]) for one in measured))
     for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
         records[name][k] = getattr(answers, name)[0]
     if not loop.missing:
@@ -568,4 +571,5 @@ def _new_observer(
         answers,
         feedback,
         np.array([joint.torque_gain for joint in arm.joints]),
+        arm.joints_to_sensors(),
     )

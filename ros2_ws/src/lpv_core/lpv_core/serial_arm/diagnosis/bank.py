@@ -41,6 +41,7 @@ from lpv_core.serial_arm.diagnosis.information import last_rows, slot
 from lpv_core.serial_arm.diagnosis.onset import explained_at_onsets, sudden_drift_of
 from lpv_core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
+from lpv_core.serial_arm.sensor_map import map_rows
 
 CONTACT = 'contact'
 """Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
@@ -169,6 +170,7 @@ class Bank:
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
         self._push, self.statistic = push, -np.inf
+        self._to_sensors = arm.joints_to_sensors()
         lengths = sorted({max(1, round(one / plan.interval)) for one in STARTS})
         self._lengths = np.array(lengths)
         # A start of the grid stands for those up to the next longer one.
@@ -224,6 +226,7 @@ class Bank:
         window, balance = self.estimator.window, self.estimator.balance
         at = slot(window, 0)
         mass_matrix(balance.chain, window.poses[at], balance.work, self._mass[at])
+        self._mass[at] = map_rows(balance.to_joints.T, self._mass[at])
 
     def restart(self) -> None:
         """Begin again after a gap."""
@@ -405,7 +408,7 @@ class Bank:
             onset[w] = rough_contact(self._outside, null, len(self._lengths), int(length))
             contact[w] = rough_contact(self._outside, null, index[int(length)], int(length) - 1)
         pose = window.poses[[slot(window, int(k) - 1) for k in lengths]]
-        pose = pose + estimator.balance.reference
+        pose = map_rows(self._to_sensors, pose) + estimator.balance.reference
         return _Windows(lengths, begin, pose, score, gram, onset, contact)
 
     def _jumps(
@@ -420,7 +423,7 @@ class Bank:
         pairs = np.minimum(oldest[:, None] + np.arange(ONSET), last - 1)
         weight = (oldest + ONSET <= last)[:, None] / (1.0 / weights[pairs]).sum(1)
         left, known = residual[pairs].sum(1), unknowns[pairs].sum(1)
-        # Without the error of its rate, the momentum is less by M e_i.
+        # Without the error of its rate, the momentum is less by M S^-1 e_i.
         mass = -self._mass[[slot(window, last - 1 - int(k)) for k in oldest]]
         weighted = weight[:, :, None] * mass
         score = -(weighted * left[:, :, None]).sum(1)

@@ -366,7 +366,9 @@ class OffsetEstimator:
         missed = model_error(arm) * typical_torque(chain)
         directions, frictions = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
-        self.balance: Balance = new_balance(chain, directions, derived, frictions)
+        self.balance: Balance = new_balance(
+            chain, directions, derived, frictions, arm.sensors_to_joints()
+        )
         self.prior = np.concatenate(
             [*_priors(arm, chain.friction, missed), np.ones(len(directions))]
         )

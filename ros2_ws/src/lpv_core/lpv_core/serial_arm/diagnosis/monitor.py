@@ -41,6 +41,7 @@ from lpv_core.serial_arm.diagnosis.sampling import (
     take_samples,
 )
 from lpv_core.serial_arm.diagnosis.sensor_state import SensorRecord, SensorState
+from lpv_core.serial_arm.sensor_map import map_rows
 from lpv_core.support.errors import SampleError
 
 BoolArray = npt.NDArray[np.bool_]
@@ -102,7 +103,7 @@ class SerialEstimate:
     """What is known after a sample."""
 
     stamp: int  # of the sample [ns]
-    fault: FloatArray  # estimated faults f of the position sensors, y = q + f, shape (n,) [rad]
+    fault: FloatArray  # estimated faults f of the sensors, y = S q + f, shape (n,) [rad]
     sigma: FloatArray  # their standard deviations, shape (n,) [rad]
     state: tuple[SensorState, ...]  # of each sensor
     suspects: tuple[str, ...]  # what explains a contradiction, best first; empty if there is none
@@ -141,6 +142,7 @@ class SerialMonitor:
         self.alarms: list[SerialAlarm] = []
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
         self._jump_bound = jump_bound(arm)
+        self._to_sensors = arm.joints_to_sensors()
         self._first: int | None = None
         self.reset()
 
@@ -188,7 +190,7 @@ class SerialMonitor:
         stamp : int
             [ns]; later than that of the sample before.
         q, v, torque : array_like, shape (n,)
-            Readings of the position sensors, rates and efforts [rad], [rad/s].
+            Joint positions and rates by the readings, S^-1 y, and efforts [rad], [rad/s].
 
         Returns
         -------
@@ -215,7 +217,27 @@ class SerialMonitor:
         stamps : array_like of int, shape (N,)
             [ns], increasing.
         samples : array_like, shape (N, 3, n)
-            Readings, rates, efforts.
+            Joint positions by the readings, their rates, efforts.
+
+        Raises
+        ------
+        SampleError
+            As `update`.
+        """
+        values = np.array(samples, dtype=float, order='C')
+        if values.shape[1:] == (3, self.joints):
+            values[:, :2] = map_rows(self._to_sensors, values[:, :2])
+        self.take_readings(stamps, values)
+
+    def take_readings(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
+        """Take samples as `update_many`, but readings y and their rates as they are.
+
+        Parameters
+        ----------
+        stamps : array_like of int, shape (N,)
+            [ns], increasing.
+        samples : array_like, shape (N, 3, n)
+            Readings of the position sensors, their rates, efforts.
 
         Raises
         ------

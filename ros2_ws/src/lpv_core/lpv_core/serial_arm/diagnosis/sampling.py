@@ -28,6 +28,8 @@ COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
 TIME, INTERVAL_START, BLOCK_START, STAMPS = range(4)
 """Entries of `Sampler.clock` [s]; the last one is 1 once a stamp has been wrong."""
+ROUNDING = 1e-12
+"""Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
 """A jump is larger than so many times the usual size of e."""
 _SLOW = 0.05
@@ -60,7 +62,7 @@ class Sampler(NamedTuple):
     rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
     sums: FloatArray  # of the current block, shape (3, n)
-    blocks: FloatArray  # (capacity, 3 n + 3) ring: q, v, tau of blocks; time, length, place
+    blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; time, length, place
     found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
     size: FloatArray  # height of a step that was found, shape (n,) [rad]
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
@@ -136,7 +138,7 @@ def push_sample(
         if sampler.counters[COUNT] > 0:
             sampler.followed[i] += sampler.drift[i] * period
         reading = y[i] - removed(sampler, i, y[i])
-        if y[i] != sampler.raw[i]:
+        if abs(y[i] - sampler.raw[i]) > ROUNDING:
             sampler.still[i] = 0
             sampler.repeats[i] -= sampler.repeats[i] / 256.0
         else:
