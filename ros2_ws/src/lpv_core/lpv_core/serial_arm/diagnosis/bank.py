@@ -20,7 +20,6 @@ A decisions.  A cause is named by its share of the same sum, weighted by `OCCURR
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,11 +32,19 @@ from lpv_core.serial_arm.diagnosis.contact import (
     new_contact,
     rough_contact,
     smooth_contact,
-    watch_noise,
     weigh_residuals,
 )
 from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, set_residuals
-from lpv_core.serial_arm.diagnosis.information import last_rows, slot
+from lpv_core.serial_arm.diagnosis.information import slot
+from lpv_core.serial_arm.diagnosis.linear_bank import (
+    COLUMNS,
+    JUMP,
+    ONSET,
+    Kinds,
+    Rows,
+    gather,
+    new_evidence,
+)
 from lpv_core.serial_arm.diagnosis.onset import explained_at_onsets, sudden_drift_of
 from lpv_core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
@@ -49,9 +56,6 @@ STARTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 1.8, 2.5)
 """Times ago at which a cause may have begun [s]: every one that comes passes each of them."""
 STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
-ONSET = 2
-"""Balances at the start of a window in which a fault may come in any way: they are explained by
-free torques, for encoders as for contacts."""
 OCCURRENCE = {
     CONTACT: 1.0,
     'drift': 0.01,
@@ -70,13 +74,10 @@ SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain'
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 RATE_BIAS = 0.1
 """Bias of a healthy rate sensor, over its noise a sample."""
-JUMP = 6
-"""Seventh column: a rate reading jumps at the start, and the momentum seems to, by M e_i."""
 LARGEST_SCALE = 0.5
 """Largest scale error that is looked for in jumps [-]."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
-_GROUPS = 6
 _BEFORE = 1e-12
 
 
@@ -101,52 +102,6 @@ class Hypothesis:
     def cause(self) -> tuple[str, int]:
         """What is to blame: kinds of one sensor's faults are one cause."""
         return ('encoder' if self.is_encoder else self.kind, self.joint)
-
-
-def log_bayes_factor(
-    score: FloatArray, information: FloatArray, prior: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Logarithm of the ratio of marginal likelihoods of one column or two of unknown sizes.
-
-    Parameters
-    ----------
-    score : ndarray, shape (..., k)
-        -A^T W r; k is 1 or 2.
-    information : ndarray, shape (..., k, k)
-        Of the sizes, with the arm's unknowns eliminated.
-    prior : ndarray, shape (..., k)
-        Standard deviations of the sizes before.
-
-    Returns
-    -------
-    tuple of ndarray, shape (...)
-        The logarithm, the first size, and its standard deviation.
-    """
-    right = prior * score
-    scaled = prior[..., :, None] * np.maximum(information, -1e300) * prior[..., None, :]
-    first = np.maximum(scaled[..., 0, 0], 0.0) + 1.0
-    if right.shape[-1] == 1:
-        mean = right[..., 0] / first
-        gain = 0.5 * (right[..., 0] * mean - np.log(first))
-        return gain, prior[..., 0] * mean, prior[..., 0] / np.sqrt(first)
-    second, across = np.maximum(scaled[..., 1, 1], 0.0) + 1.0, scaled[..., 0, 1]
-    determinant = np.maximum(first * second - across**2, 1.0)
-    mean = (second * right[..., 0] - across * right[..., 1]) / determinant
-    other = (first * right[..., 1] - across * right[..., 0]) / determinant
-    gain = 0.5 * (right[..., 0] * mean + right[..., 1] * other - np.log(determinant))
-    return gain, prior[..., 0] * mean, prior[..., 0] * np.sqrt(second / determinant)
-
-
-class _Windows(NamedTuple):
-    """Score and information of the six columns of every sensor, for all starts."""
-
-    lengths: IntArray  # (W,) of the windows [balances]
-    begin: FloatArray  # (W,) [s]
-    pose: FloatArray  # (W, n) readings at the begin, as corrected [rad]
-    score: FloatArray  # (W, n, 7)
-    information: FloatArray  # (W, n, 7, 7)
-    onset: FloatArray  # (W,) log Bayes factor of free torques at the onset
-    contact: FloatArray  # (W,) the same of rough torques in the whole window
 
 
 class Bank:
@@ -182,11 +137,14 @@ class Bank:
         self._jumped: list[tuple[float, float, float] | None] = [None] * n
         self._mass = np.zeros((plan.capacity, n, n))
         self._hypotheses()
+        self._evidence = new_evidence(
+            self._lengths, self._starts, self._kinds, len(estimator.prior)
+        )
 
     def _hypotheses(self) -> None:
         """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
 
-        Columns of drifts and scale errors are zero at the start of their windows, which `_linear`
+        Columns of drifts and scale errors are zero at the start of their windows, which `gather`
         adds: by what a reading jumped is taken out already.
         """
         n, derived, everywhere = (
@@ -207,17 +165,17 @@ class Bank:
         ]
         # It may be older than its window.
         double = [('drift', {DRIFT: 1.0}, derived)]
-        self._kinds = tuple(kind for kind, *_ in (*single, *double))
-        self._applies = np.array([where for *_, where in (*single, *double)])
-        self._basis = np.zeros((len(self._kinds), _GROUPS + 1))
-        for row, (_, parts, _) in zip(self._basis, (*single, *double)):
+        self._names = tuple(kind for kind, *_ in (*single, *double))
+        applies = np.array([where for *_, where in (*single, *double)], float)
+        basis = np.zeros((len(self._names), COLUMNS))
+        for row, (_, parts, _) in zip(basis, (*single, *double)):
             row[list(parts)] = list(parts.values())
-        self._prior = np.array([
+        prior = np.array([
             self._push if kind == 'torque_offset' else np.full(n, SIZE[kind])
-            for kind in self._kinds
+            for kind in self._names
         ])  # fmt: skip
-        self._singles = len(single)
-        self._log_weight = -np.log(1 + self._applies.sum() + n)
+        self._kinds = Kinds(basis, prior, applies, len(single), SIZE['slip'])
+        self._log_weight = -np.log(1 + applies.sum() + n)
 
     def take(self, blocks: FloatArray) -> None:
         """Take the blocks of the last two intervals, rows as of `Sampler.blocks`."""
@@ -263,16 +221,17 @@ class Bank:
         found = time, size[0] / reading, size[1] / abs(reading)
         self._jumped[joint] = found if jumped else None
 
-    def _scales_that_jumped(self, windows: _Windows) -> list[Hypothesis]:
+    def _scales_that_jumped(self, count: int) -> list[Hypothesis]:
         """Scale errors of the sizes that jumps of the readings had."""
-        found = []
+        found, windows = [], self._evidence
         for i, jump in enumerate(self._jumped):
             if jump is None:
                 continue
             time, share, sigma = jump
             # It goes on as it began: a change in proportion to the way, by a share that is known.
-            for w in np.nonzero(windows.begin >= time - 2.0 * self.estimator.plan.interval)[0]:
-                column = np.zeros(_GROUPS + 1)
+            since = time - 2.0 * self.estimator.plan.interval
+            for w in np.nonzero(windows.begin[:count] >= since)[0]:
+                column = np.zeros(COLUMNS)
                 column[SCALE], column[OFFSET] = 1.0, -windows.pose[w, i]
                 power = float(column @ windows.information[w, i] @ column) + sigma**-2
                 pull = column @ windows.score[w, i] + share / sigma**2
@@ -320,23 +279,19 @@ class Bank:
             and not self._kinematics.speaks(0.25 * threshold)
         ):
             return []
-        windows = self._windows(blocks)
-        if windows is None:
+        count = self._held()
+        if count == 0:
             self.statistic = -np.inf
             return []
-        gains, sizes, sigmas = self._linear(windows, unseen)
-        starts = np.log(self._starts[: len(windows.lengths)])
-        every = np.logaddexp.reduce((gains + starts).reshape(-1))
-        contact = np.logaddexp.reduce(windows.contact + starts)
-        self.statistic = float(np.logaddexp(every, contact) + self._log_weight)
+        every, pushed = self._gather(count, blocks(1)[-1], unseen)
+        self.statistic = float(np.logaddexp(every, pushed) + self._log_weight)
         self._kinematics.learn(self.statistic < 0.25 * threshold)
         self._waited = 0 if self.statistic < 0.25 * threshold else QUIET_EVERY
         if self.statistic < 0.5 * threshold and not stuck:
             return []
-        found = stuck + self._named(windows, gains, sizes, sigmas)
-        found += self._scales_that_jumped(windows)
+        found = stuck + self._named(count) + self._scales_that_jumped(count)
         if self._derived.any():
-            found += self._sudden(blocks, len(windows.lengths))
+            found += self._sudden(blocks, count)
         # Rows that are near zero throughout, as of a constant reading, say nothing.
         found = [one for one in found if np.isfinite(one.gain)]
         self.statistic = self._sum(found)
@@ -365,126 +320,34 @@ class Bank:
         shares = {cause: float(np.exp(value - total)) for cause, value in logarithms.items()}
         return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
-    def _windows(self, blocks: Callable[[int], FloatArray]) -> _Windows | None:
-        """Score and information of all starts that the horizon holds."""
-        estimator, n = self.estimator, self.estimator.joints
-        window, null, m = estimator.window, estimator.posterior, len(estimator.prior)
-        held = min(len(estimator), self._age + 1)
-        lengths = self._lengths[self._lengths < held]
-        if len(lengths) == 0:
-            return None
-        last = int(lengths[-1])
-        set_residuals(window, null, last + 1)
-        rows, weights = last_rows(window, last), self._weights(last)
-        # (last, n, 6 n) columns of the sensors, and (last, n, m) of the unknowns
-        columns, unknowns = rows[..., 1 : 1 + _GROUPS * n], rows[..., rows.shape[2] - m :]
-        weighted = weights[..., None] * columns
-        residual = null.residual[:last][::-1]
-        score = -np.einsum('kic,ki->kc', weighted, residual)
-        one = columns.reshape(last, n, _GROUPS, n)
-        gram = np.einsum('kigj,kihj->kjgh', weighted.reshape(one.shape), one)
-        cross = weighted.transpose(0, 2, 1) @ unknowns
-        at, count = last - lengths + np.minimum(ONSET, lengths), len(lengths)
-        parts = self._jumps(last - lengths, residual, weights, unknowns)
-        score = np.concatenate([_later(score)[at].reshape(count, _GROUPS, n), parts[0]], axis=1)
-        cross = np.concatenate(
-            [_later(cross)[at].reshape(count, _GROUPS, n, m), parts[2]], axis=1
-        ).transpose(0, 2, 1, 3)
-        whitened = cross @ np.linalg.inv(np.triu(null.factor))
-        information = np.zeros((count, n, _GROUPS + 1, _GROUPS + 1))
-        information[:, :, :_GROUPS, :_GROUPS] = _later(gram)[at]
-        information[:, :, JUMP, JUMP] = parts[1]
-        gram = information - whitened @ whitened.transpose(0, 1, 3, 2)
-        score = score.transpose(0, 2, 1).copy()
-        begin = np.array([window.times[slot(window, k - 1)] for k in lengths])
-        begin -= estimator.plan.interval
-        self._kinematics.add(score, gram, lengths, window.times[slot(window, 0)],
-                             estimator.balance.clock[EPOCH], blocks(1)[-1])  # fmt: skip
-        watch_noise(self._outside, null)
-        weigh_residuals(window, null, last + 1)
-        index = {int(length): w for w, length in enumerate(self._lengths)}
-        onset, contact = np.zeros((2, len(lengths)))
-        for w, length in enumerate(lengths):
-            onset[w] = rough_contact(self._outside, null, len(self._lengths), int(length))
-            contact[w] = rough_contact(self._outside, null, index[int(length)], int(length) - 1)
-        pose = window.poses[[slot(window, int(k) - 1) for k in lengths]]
-        pose = map_rows(self._to_sensors, pose) + estimator.balance.reference
-        return _Windows(lengths, begin, pose, score, gram, onset, contact)
+    def _held(self) -> int:
+        """Windows that the horizon holds."""
+        held = min(len(self.estimator), self._age + 1)
+        return int((self._lengths < held).sum())
 
-    def _jumps(
-        self, oldest: IntArray, residual: FloatArray, weights: FloatArray, unknowns: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Score, information and cross products of the seventh column, by window and joint.
+    def _gather(self, count: int, block: FloatArray, unseen: FloatArray) -> tuple[float, float]:
+        """Write the evidence of so many windows; the last block holds the readings."""
+        estimator = self.estimator
+        balance = estimator.balance
+        frame = self._to_sensors, balance.reference
+        times = float(balance.clock[EPOCH]), estimator.plan.interval
+        rows = self._kinematics.sums(self._lengths[:count], block)
+        return gather(
+            self._evidence, self._kinds, estimator.window, estimator.posterior, self._outside,
+            rows, self._mass, frame, times, unseen, count)  # fmt: skip
 
-        A jump inside an interval shows in the two balances that hold it: their sum has all of it.
-        Of the last window, the second one is still to come.
-        """
-        window, last = self.estimator.window, len(residual)
-        pairs = np.minimum(oldest[:, None] + np.arange(ONSET), last - 1)
-        weight = (oldest + ONSET <= last)[:, None] / (1.0 / weights[pairs]).sum(1)
-        left, known = residual[pairs].sum(1), unknowns[pairs].sum(1)
-        # Without the error of its rate, the momentum is less by M S^-1 e_i.
-        mass = -self._mass[[slot(window, last - 1 - int(k)) for k in oldest]]
-        weighted = weight[:, :, None] * mass
-        score = -(weighted * left[:, :, None]).sum(1)
-        information = (weighted * mass).sum(1)
-        cross = weighted.transpose(0, 2, 1) @ known
-        return score[:, None], information, cross[:, None]
-
-    def _weights(self, last: int) -> FloatArray:
-        """Weights of the last balances, oldest first, shape (last, n)."""
-        window = self.estimator.window
-        return window.weights[[slot(window, back) for back in range(last - 1, -1, -1)]]
-
-    def _linear(
-        self, windows: _Windows, unseen: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Gains, sizes and deviations of all kinds, shape (kinds, n, W)."""
-        epoch, count = self.estimator.balance.clock[EPOCH], len(windows.lengths)
-        # (W, n, 7, kinds) columns; drifts and scale errors are zero at the start of their windows
-        columns = np.broadcast_to(self._basis.T, (count, len(self._mass[0]), *self._basis.T.shape))
-        columns = columns.copy()
-        elapsed = (windows.begin - epoch)[:, None, None] * self._basis[:, DRIFT]
-        columns[:, :, OFFSET] -= elapsed + windows.pose[..., None] * self._basis[:, SCALE]
-        score = (windows.score[..., None] * columns).sum(2)  # (W, n, kinds)
-        moved = windows.information @ columns  # (W, n, 7, kinds)
-        own = (columns * moved).sum(2)
-        prior = np.broadcast_to(self._prior.T, own.shape).copy()
-        # A larger scale error would have shown as a jump, when it came.
-        largest = unseen / np.maximum(np.abs(windows.pose), 1e-6)
-        for k in np.nonzero(self._basis[:, SCALE])[0]:
-            prior[..., k] = np.minimum(prior[..., k], largest)
-        one = self._singles
-        alone = score[..., :one, None], own[..., :one, None, None], prior[..., :one, None]
-        parts = [log_bayes_factor(*alone)]
-        information = np.empty((*own[..., one:].shape, 2, 2))
-        information[..., 0, 0] = own[..., one:]
-        information[..., 0, 1] = information[..., 1, 0] = moved[:, :, OFFSET, one:]
-        information[..., 1, 1] = windows.information[:, :, OFFSET, OFFSET, None]
-        scores = np.broadcast_arrays(score[..., one:], windows.score[:, :, OFFSET, None])
-        priors = np.broadcast_arrays(prior[..., one:], SIZE['slip'])
-        parts.append(log_bayes_factor(
-            np.stack(scores, axis=-1), information, np.stack(priors, axis=-1)))  # fmt: skip
-        gain, size, sigma = (
-            np.concatenate([first, second], axis=-1).transpose(2, 1, 0)
-            for first, second in zip(*parts)
-        )
-        counts = self._applies[:, :, None] & np.isfinite(gain)
-        return np.where(counts, gain, -np.inf), size, sigma
-
-    def _named(
-        self, windows: _Windows, gains: FloatArray, sizes: FloatArray, sigmas: FloatArray
-    ) -> list[Hypothesis]:
-        """Hypotheses of `_linear`, and contact, one by one."""
-        begin, starts = windows.begin, self._starts
+    def _named(self, count: int) -> list[Hypothesis]:
+        """Hypotheses of the evidence, and contact, one by one."""
+        one, starts = self._evidence, self._starts
+        gains = one.gain[..., :count]
         found = [
-            Hypothesis(self._kinds[k], int(i), float(gains[k, i, w]), float(sizes[k, i, w]),
-                       float(sigmas[k, i, w]), float(begin[w]), float(starts[w]))
+            Hypothesis(self._names[k], int(i), float(gains[k, i, w]), float(one.size[k, i, w]),
+                       float(one.sigma[k, i, w]), float(one.begin[w]), float(starts[w]))
             for k, i, w in zip(*np.nonzero(gains > -np.inf))
         ]  # fmt: skip
         found += [
-            Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(begin[w]), float(starts[w]))
-            for w, gain in enumerate(windows.contact)
+            Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(one.begin[w]), float(starts[w]))
+            for w, gain in enumerate(one.contact[:count])
         ]
         return found
 
@@ -593,13 +456,6 @@ class Bank:
         )
 
 
-def _later(parts: FloatArray) -> FloatArray:
-    """Sums from each entry of the first axis to the end, the last one of nothing."""
-    sums = np.zeros((len(parts) + 1, *parts.shape[1:]))
-    sums[:-1] = np.cumsum(parts[::-1], axis=0)[::-1]
-    return sums
-
-
 class KinematicRows:
     """D = y(t) - y(t - T) - int v dt of every interval, for sensors with rates of their own.
 
@@ -649,9 +505,9 @@ class KinematicRows:
         y, v, time = own[:, :n], own[:, n : 2 * n], own[:, 3 * n]
         row = y[-1] - y[0] - (0.5 * (v[1:] + v[:-1]) * np.diff(time)[:, None]).sum(0)
         most = round(self._longest / self._interval) + 1
-        self._rows = np.vstack([self._rows, row])[-most:]
         jumped = self._jumps.pop(0) if self._jumps else 0.0 * row
-        self._variances = np.vstack([self._variances, jumped])[-most:]
+        self._rows = np.concatenate([self._rows, row[None]])[-most:]
+        self._variances = np.concatenate([self._variances, jumped[None]])[-most:]
 
     def leave_out(self, joint: int, out: bool) -> None:
         """Do without the rows of a joint, or with those to come."""
@@ -710,41 +566,26 @@ class KinematicRows:
         bounded = np.minimum(ratio, 9.0 * self._inflation)
         self._inflation = np.maximum(self._inflation + (bounded - self._inflation) / 64.0, 1.0)
 
-    def add(
-        self,
-        score: FloatArray,
-        information: FloatArray,
-        lengths: IntArray,
-        now: float,
-        epoch: float,
-        block: FloatArray,
-    ) -> None:
-        """Add what the rows say of the six columns of each sensor.
+    def sums(self, lengths: IntArray, block: FloatArray) -> Rows:
+        """Sums of the rows of windows.
 
         Parameters
         ----------
-        score, information : ndarray, shapes (W, n, 7) and (W, n, 7, 7)
-            Changed.
         lengths : ndarray of int, shape (W,)
             Balances of the windows.
-        now, epoch : float
-            End of the windows, and moment from which drifts count [s].
         block : ndarray, shape (3 n + 3,)
             The last block.
+
+        Returns
+        -------
+        Rows
+            Of no weight where there are no rows.
         """
         n = len(self._independent)
-        if not self._independent.any():
-            return
+        reading, trusted = block[:n].copy(), self._independent & self.trusted
+        if not trusted.any() or len(self._rows) == 0:
+            return Rows(np.zeros(len(lengths)), *np.zeros((2, len(lengths), n)), reading)
         counts = np.minimum(lengths, len(self._rows))
-        if counts[0] == 0:
-            return
-        span, variance = self._interval * counts[:, None], self._variance_of(counts)
-        weight = np.where(
-            self._independent & self.trusted, 1.0 / np.maximum(variance, _BEFORE), 0.0
-        )
-        column = np.zeros((len(counts), n, _GROUPS + 1))
-        column[..., DRIFT], column[..., OFFSET] = now - epoch, 1.0
-        column[..., RATE], column[..., SCALE] = -span, block[:n]
+        weight = np.where(trusted, 1.0 / np.maximum(self._variance_of(counts), _BEFORE), 0.0)
         found = np.cumsum(self._rows[::-1], axis=0)[counts - 1]
-        score += (weight * found)[..., None] * column
-        information += weight[..., None, None] * column[..., :, None] * column[..., None, :]
+        return Rows(self._interval * counts, weight, found, reading)
