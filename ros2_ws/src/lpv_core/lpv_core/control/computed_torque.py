@@ -17,7 +17,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.friction import friction_torque
 from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 
 BANDWIDTH = 10.0

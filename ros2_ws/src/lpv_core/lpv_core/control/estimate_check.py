@@ -12,7 +12,7 @@ import numpy as np
 
 from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.any_arm import Arm
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.sensor_map import map_vector
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 BRIDGED = 6
@@ -94,7 +94,7 @@ def new_compensation(joints: int) -> Compensation:
     return Compensation(applied, position, velocity, change, estimate, bridged, stamp)
 
 
-@njit
+@njit_in_place
 def fill_answers(
     work: Compensation,
     rows: AnswerRows,
@@ -152,7 +152,7 @@ def fill_answers(
         work.stamp[0] = stamps[k]
 
 
-@njit
+@njit_in_place
 def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
     """The answer to a sample again, for one that was lost."""
     for i in range(rows.state.shape[1]):
@@ -170,7 +170,7 @@ def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
     rows.mode[row], rows.trustworthy[row] = rows.mode[last], rows.trustworthy[last]
 
 
-@njit
+@njit_in_place
 def _step(
     work: Compensation, stamp: int, fading: float, sample_time: float
 ) -> tuple[float, bool, float]:
@@ -180,7 +180,7 @@ def _step(
     return interval, follows and interval < _LONGEST_STEP * sample_time, fading
 
 
-@njit
+@njit_in_place
 def _correct(
     work: Compensation,
     i: int,

@@ -7,10 +7,10 @@ matrices lead from rates to rates.
 import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place
 
 
-@njit
+@njit_in_place
 def map_vector(matrix: FloatArray, values: FloatArray, result: FloatArray) -> None:
     """Write the product of a matrix (n, n) and values (n,); ``result`` is another array."""
     for i in range(matrix.shape[0]):

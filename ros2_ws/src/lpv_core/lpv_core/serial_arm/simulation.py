@@ -25,7 +25,7 @@ from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.dynamics.momentum import forward_dynamics
 from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 FAULT_KINDS = ('bias', 'drift', 'scale', 'stuck')
 MAX_SUBSTEPS = 64

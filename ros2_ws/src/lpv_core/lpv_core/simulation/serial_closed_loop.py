@@ -62,7 +62,7 @@ from lpv_core.simulation.transport import (
     Transport,
 )
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
@@ -358,11 +358,13 @@ def _act(
     if loop.stop and loop.started:
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
-    loop.queue[slot] = tracker.state.torque
+    for i in range(n):
+        loop.queue[slot, i] = tracker.state.torque[i]
     loop.stops[slot], loop.stamps[slot] = loop.stop, loop.answered
     arrived = (k - loop.delay) % MAX_DELAY
     if k >= loop.delay and blocked & NO_COMMAND == 0:
-        loop.torque[:] = loop.queue[arrived]
+        for i in range(n):
+            loop.torque[i] = loop.queue[arrived, i]
         loop.braking, loop.acting = loop.stops[arrived] != 0, loop.stamps[arrived]
     row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason

@@ -23,7 +23,7 @@ from lpv_core.simulation.faults import (
 from lpv_core.simulation.mujoco_chain import MujocoChain
 from lpv_core.simulation.serial_scenario import SerialScenario
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import memory, new_record, record_type
 
 

@@ -16,7 +16,7 @@ from lpv_core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, wor
 from lpv_core.serial_arm.dynamics.friction import friction_torque, smooth_sign
 from lpv_core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv_core.serial_arm.sensor_map import map_vector
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit, njit_in_place
 
 GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coulomb')
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
@@ -139,7 +139,7 @@ def _no_rates(n: int) -> FloatArray:
     return rates
 
 
-@njit
+@njit_in_place
 def put(
     balance: Any, column: int, row: int, parts: tuple[float, float], weight: tuple[float, float]
 ) -> None:
@@ -154,7 +154,7 @@ def put(
     balance.falling[1, row, column] += length * (1.0 - place) * force
 
 
-@njit
+@njit_in_place
 def add_residual(
     balance: Balance, y: FloatArray, v: FloatArray, torque: FloatArray, weight: tuple[float, float]
 ) -> None:
@@ -171,7 +171,7 @@ def add_residual(
         put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
 
 
-@njit
+@njit_in_place
 def add_block(
     balance: Balance,
     y: FloatArray,
@@ -228,7 +228,7 @@ def add_block(
             put(balance, column, j, (p_by[j], force_by[j] - lost), weight)
 
 
-@njit
+@njit_in_place
 def _add_fault_columns(
     balance: Balance,
     i: int,
@@ -276,7 +276,7 @@ def _add_fault_columns(
         put(balance, 1 + SCALE * n + i, j, scale, weight)
 
 
-@njit
+@njit_in_place
 def close_interval(balance: Balance, length: float) -> bool:
     """End the current interval; it becomes the previous one.
 
@@ -309,15 +309,17 @@ def close_interval(balance: Balance, length: float) -> bool:
             balance.rising[1, i, c] = 0.0
             balance.falling[1, i, c] = 0.0
     balance.clock[LENGTH] = length
-    balance.poses[0] = balance.poses[1]
-    balance.poses[1] = balance.vectors[0]
-    balance.rates[:2] = balance.rates[1:]
-    balance.rates[2, 0] = np.inf
-    balance.rates[2, 1] = -np.inf
+    for i in range(n):
+        balance.poses[0, i] = balance.poses[1, i]
+        balance.poses[1, i] = balance.vectors[0, i]
+        for side in range(2):
+            balance.rates[0, side, i] = balance.rates[1, side, i]
+            balance.rates[1, side, i] = balance.rates[2, side, i]
+        balance.rates[2, 0, i], balance.rates[2, 1, i] = np.inf, -np.inf
     return complete
 
 
-@njit
+@njit_in_place
 def rests(balance: Balance, joint: int) -> bool:
     """Whether a joint rests or reverses within the last hat."""
     low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
@@ -325,7 +327,7 @@ def rests(balance: Balance, joint: int) -> bool:
     return low < SLOW_RATE and high > -SLOW_RATE
 
 
-@njit
+@njit_in_place
 def move_epoch(balance: Balance, epoch: float) -> None:
     """Let drifts count from another moment; what has been integrated follows."""
     n, shift = balance.reference.shape[0], epoch - balance.clock[EPOCH]

@@ -16,7 +16,7 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place
 
 HISTORY = 8
 """Samples that are kept for the test of jumps; a sample enters the balance ``DELAY`` later."""
@@ -108,7 +108,7 @@ def new_sampler(
         np.zeros(4))  # fmt: skip
 
 
-@njit
+@njit_in_place
 def push_sample(
     sampler: Sampler, time: float, y: FloatArray, v: FloatArray, torque: FloatArray
 ) -> None:
@@ -160,13 +160,13 @@ def push_sample(
         _find_jumps(sampler)
 
 
-@njit
+@njit_in_place
 def removed(sampler: Sampler, i: int, reading: float) -> float:
     """What is taken out of a reading of sensor i [rad]."""
     return float(sampler.correction[i] + sampler.followed[i] + sampler.share[i] * reading)
 
 
-@njit
+@njit_in_place
 def _set_jumps(sampler: Sampler) -> None:
     """Write e of the last sample but one, less what a wrong stamp explains."""
     k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
@@ -201,7 +201,7 @@ def _set_jumps(sampler: Sampler) -> None:
             sampler.doubtful[k, i] = 1
 
 
-@njit
+@njit_in_place
 def _gap(sampler: Sampler) -> float:
     """Longest of the last periods, if samples are missing there; stamps around it are wrong [s]."""
     k, usual, longest = HISTORY - 2, np.inf, 0.0
@@ -214,7 +214,7 @@ def _gap(sampler: Sampler) -> float:
     return longest if longest > _LATE * usual else 0.0
 
 
-@njit
+@njit_in_place
 def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
     """Largest rate of a joint in the last samples before one [rad/s]."""
     largest = 0.0
@@ -223,13 +223,13 @@ def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
     return largest
 
 
-@njit
+@njit_in_place
 def _is_beyond(sampler: Sampler, i: int, k: int) -> bool:
     """Whether a reading jumped at a sample."""
     return bool(abs(sampler.jumps[k, i]) > _smallest_jump(sampler.scale[i], sampler.smallest[i]))
 
 
-@njit
+@njit_in_place
 def _unexplained(sampler: Sampler, i: int, period: float) -> float:
     """What no two of three rates explain of a way, if they are independent [rad].
 
@@ -245,13 +245,13 @@ def _unexplained(sampler: Sampler, i: int, period: float) -> float:
     return least
 
 
-@njit
+@njit_in_place
 def _mean_rate(samples: FloatArray, i: int) -> float:
     """Mean rate of a joint before and after the last sample but one [rad/s]."""
     return float(0.5 * (samples[HISTORY - 3, 1, i] + samples[HISTORY - 1, 1, i]))
 
 
-@njit
+@njit_in_place
 def _wrong_stamp(sampler: Sampler, period: float) -> float:
     """By how much the stamp of the last sample but one is wrong, 0 if that explains nothing [s].
 
@@ -277,7 +277,7 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     return late
 
 
-@njit
+@njit_in_place
 def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts."""
     jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler.samples, i)
@@ -290,7 +290,7 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     return True
 
 
-@njit
+@njit_in_place
 def _find_jumps(sampler: Sampler) -> None:
     """After a large e, name clear steps at once, and what else it is 3 samples later."""
     n, k, waits = sampler.scale.shape[0], HISTORY - 2, sampler.counters[PENDING] >= 0
@@ -321,7 +321,7 @@ def _find_jumps(sampler: Sampler) -> None:
             _name_jump(sampler, i)
 
 
-@njit
+@njit_in_place
 def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     """Count jumps of a reading; many are noise, and no steps."""
     count, square, before = sampler.noise[:, i]
@@ -345,13 +345,13 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     sampler.noise[0, i], sampler.noise[1, i], sampler.noise[2, i] = count, square, before
 
 
-@njit
+@njit_in_place
 def _smallest_jump(scale: float, smallest: float) -> float:
     """Size of e beyond which a reading jumps."""
     return max(JUMP_SCALE * scale, smallest)
 
 
-@njit
+@njit_in_place
 def _is_clear_step(sampler: Sampler, i: int) -> bool:
     """Whether the last sample but one jumped and the last one confirms it, whatever the rates."""
     k, samples = HISTORY - 2, sampler.samples
@@ -369,7 +369,7 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     return largest < 0.3 * abs(jump)
 
 
-@njit
+@njit_in_place
 def _name_jump(sampler: Sampler, i: int) -> None:
     """Tell steps, spikes and wrong rates apart by the pattern of e, and remove them."""
     first, last = HISTORY - 5, HISTORY - 2
@@ -400,7 +400,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         _remove_step(sampler, i, peak)
 
 
-@njit
+@njit_in_place
 def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
     """Whether a reading has gone on from where a jump that may be a wrong stamp's took it."""
     before, after = peak - 2, min(peak + 2, HISTORY - 1)
@@ -412,7 +412,7 @@ def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
     return bool(rest * np.sign(size) > 0.7 * abs(size))
 
 
-@njit
+@njit_in_place
 def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     """Take a step out of all readings since its first one."""
     size = sampler.jumps[peak, i]
@@ -425,7 +425,7 @@ def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     _smooth_rates(sampler, i, peak, 1)
 
 
-@njit
+@njit_in_place
 def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
     """Replace rates that carry a jump by those around them."""
     before, after = sampler.samples[start - 1, 1, i], sampler.samples[start + count, 1, i]
@@ -433,7 +433,7 @@ def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
         sampler.samples[k, 1, i] = 0.5 * (before + after)
 
 
-@njit
+@njit_in_place
 def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: int) -> bool:
     """Let the sample that is ``DELAY`` old enter the balance.
 
@@ -472,7 +472,7 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     return complete
 
 
-@njit
+@njit_in_place
 def _start_interval(sampler: Sampler, now: float) -> None:
     """Begin block and interval."""
     sampler.sums[:] = 0.0
@@ -482,7 +482,7 @@ def _start_interval(sampler: Sampler, now: float) -> None:
     sampler.clock[BLOCK_START] = now
 
 
-@njit
+@njit_in_place
 def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) -> None:
     """Give the means of the block to the balance, and keep them."""
     n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
@@ -522,7 +522,7 @@ def restart(sampler: Sampler, balance: Balance) -> None:
     drop_interval(balance)
 
 
-@njit
+@njit_in_place
 def take_samples(
     sampler: Sampler,
     balance: Balance,

@@ -3,7 +3,7 @@
 import math
 
 from lpv_core.serial_arm.chain import Chain, FloatArray
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 
 @njit

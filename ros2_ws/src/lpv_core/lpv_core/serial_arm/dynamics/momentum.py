@@ -26,7 +26,7 @@ from lpv_core.serial_arm.dynamics.frames import (
     to_parent,
 )
 from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 _LINEAR, _ANGULAR, _RATE, _SPEED, _FALL, _MOMENT, _WEIGHT = 9, 12, 15, 18, 21, 24, 27
 _COMPOSITE, _SOLUTION, _BIAS, _STILL = 9, 36, 37, 39

@@ -18,7 +18,7 @@ from lpv_core.serial_arm.chain import (
     FloatArray,
 )
 from lpv_core.serial_arm.dynamics.frames import add_wrench_to_parent, set_rotations, to_child
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 _FORCE, _MOMENT = 9, 12
 

@@ -7,7 +7,7 @@ row by row.  Rotors and friction, which are linear too, are not part of phi.
 from lpv_core.serial_arm.chain import MX, Chain, FloatArray
 from lpv_core.serial_arm.dynamics.frames import set_rotations, to_child, to_parent
 from lpv_core.serial_arm.dynamics.momentum import set_velocities
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 _RATE, _SPEED, _FALL = 15, 18, 21
 _W, _S, _A = 9, 12, 15
