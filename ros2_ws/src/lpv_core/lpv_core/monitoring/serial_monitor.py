@@ -31,7 +31,7 @@ from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv_core.serial_arm.sensor_map import map_rows
+from lpv_core.serial_arm.sensor_map import map_rows, mixing
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
@@ -129,12 +129,12 @@ class SerialSensorMonitor:
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
         self._is_derived = ~self._independent
-        self._to_sensors, self._to_joints = arm.joints_to_sensors(), arm.sensors_to_joints()
+        self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
         self._monitor = SteppedMonitor(arm)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
         self.retune(parameters or DiagnosisParameters())
-        self.reset()
+        self._begin()
 
     @property
     def log_statistic(self) -> float | None:
@@ -160,6 +160,10 @@ class SerialSensorMonitor:
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
         self._monitor.reset()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Estimates and alarms of a monitor that has just been reset."""
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]

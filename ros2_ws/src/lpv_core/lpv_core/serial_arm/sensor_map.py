@@ -21,22 +21,27 @@ def map_vector(matrix: FloatArray, values: FloatArray, result: FloatArray) -> No
         result[i] = total
 
 
-def map_rows(matrix: FloatArray, values: FloatArray) -> FloatArray:
+def mixing(matrix: FloatArray) -> FloatArray | None:
+    """The matrix, or None where it is 1 and `map_rows` has nothing to do."""
+    return None if np.array_equal(matrix, np.eye(len(matrix))) else matrix
+
+
+def map_rows(matrix: FloatArray | None, values: FloatArray) -> FloatArray:
     """Products of a matrix (n, n) and rows of values.
 
     Parameters
     ----------
-    matrix : ndarray, shape (n, n)
-        S, or its inverse.
+    matrix : ndarray, shape (n, n), optional
+        S, or its inverse; see `mixing`.
     values : ndarray, shape (..., n)
         Positions or rates.
 
     Returns
     -------
     ndarray, shape (..., n)
-        The values themselves where the matrix is 1.
+        The values themselves without a matrix.
     """
-    if np.array_equal(matrix, np.eye(len(matrix))):
+    if matrix is None:
         return values
     result = np.zeros(values.shape)
     for i, row in enumerate(matrix):

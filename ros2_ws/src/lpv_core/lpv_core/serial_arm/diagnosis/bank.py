@@ -22,6 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
@@ -48,8 +49,10 @@ from lpv_core.serial_arm.diagnosis.linear_bank import (
 from lpv_core.serial_arm.diagnosis.onset import explained_at_onsets, sudden_drift_of
 from lpv_core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
-from lpv_core.serial_arm.sensor_map import map_rows
+from lpv_core.serial_arm.sensor_map import map_rows, mixing
+from lpv_core.support.jit import njit_in_place
 
+BoolArray = npt.NDArray[np.bool_]
 CONTACT = 'contact'
 """Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
 STARTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 1.8, 2.5)
@@ -126,6 +129,7 @@ class Bank:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
         self._push, self.statistic = push, -np.inf
         self._to_sensors = arm.joints_to_sensors()
+        self._mixing = mixing(arm.sensors_to_joints().T)
         lengths = sorted({max(1, round(one / plan.interval)) for one in STARTS})
         self._lengths = np.array(lengths)
         # A start of the grid stands for those up to the next longer one.
@@ -184,7 +188,8 @@ class Bank:
         window, balance = self.estimator.window, self.estimator.balance
         at = slot(window, 0)
         mass_matrix(balance.chain, window.poses[at], balance.work, self._mass[at])
-        self._mass[at] = map_rows(balance.to_joints.T, self._mass[at])
+        if self._mixing is not None:
+            self._mass[at] = map_rows(self._mixing, self._mass[at])
 
     def restart(self) -> None:
         """Begin again after a gap."""
@@ -456,6 +461,41 @@ class Bank:
         )
 
 
+@njit_in_place
+def dead_reckoning(blocks: FloatArray, row: FloatArray) -> None:
+    """Write by what the readings of blocks changed, less the integral of their rates."""
+    n, last = row.shape[0], blocks.shape[0] - 1
+    for i in range(n):
+        row[i] = blocks[last, i] - blocks[0, i]
+        for k in range(last):
+            interval = blocks[k + 1, 3 * n] - blocks[k, 3 * n]
+            row[i] -= 0.5 * (blocks[k, n + i] + blocks[k + 1, n + i]) * interval
+
+
+@njit_in_place
+def loudest_rows(
+    rows: FloatArray,
+    variances: FloatArray,
+    noise: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    interval: float,
+    trusted: BoolArray,
+) -> float:
+    """Largest evidence against healthy sensors of the sums of any number of last rows."""
+    inflation, ends, walk, bias = noise
+    largest = 0.0
+    for i in range(rows.shape[1]):
+        if not trusted[i]:
+            continue
+        total, jumps = 0.0, 0.0
+        for k in range(rows.shape[0]):
+            at, span = rows.shape[0] - 1 - k, interval * (k + 1)
+            total += rows[at, i]
+            jumps += variances[at, i]
+            variance = inflation[i] * (ends[i] + walk[i] * span) + (bias[i] * span) ** 2 + jumps
+            largest = max(largest, 0.5 * total * total / max(variance, _BEFORE))
+    return largest
+
+
 class KinematicRows:
     """D = y(t) - y(t - T) - int v dt of every interval, for sensors with rates of their own.
 
@@ -501,9 +541,8 @@ class KinematicRows:
         n, half = len(self._independent), len(blocks) // 2
         if not self._independent.any() or half < 1:
             return
-        own = blocks[half - 1 :]
-        y, v, time = own[:, :n], own[:, n : 2 * n], own[:, 3 * n]
-        row = y[-1] - y[0] - (0.5 * (v[1:] + v[:-1]) * np.diff(time)[:, None]).sum(0)
+        row = np.zeros(n)
+        dead_reckoning(blocks[half - 1 :], row)
         most = round(self._longest / self._interval) + 1
         jumped = self._jumps.pop(0) if self._jumps else 0.0 * row
         self._rows = np.concatenate([self._rows, row[None]])[-most:]
@@ -541,10 +580,11 @@ class KinematicRows:
         """Whether the rows of any window contradict healthy sensors by so much evidence."""
         if not (self._independent & self.trusted).any() or len(self._rows) == 0:
             return False
-        sums = np.cumsum(self._rows[::-1], axis=0)
-        variance = self._variance_of(np.arange(1, len(sums) + 1))
-        large = 0.5 * sums**2 > evidence * np.maximum(variance, _BEFORE)
-        return bool((large & self._independent & self.trusted).any())
+        noise = self._inflation, self._ends, self._walk, self._bias
+        loudest = loudest_rows(
+            self._rows, self._variances, noise, self._interval, self._independent & self.trusted
+        )
+        return bool(loudest > evidence)
 
     def agrees(self, joint: int, taken_out: float) -> bool:
         """Whether the rows of the last half second are those of healthy sensors.

@@ -15,7 +15,7 @@ from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
 from lpv_core.serial_arm.diagnosis.information import Window, factorise, slot, whiten
 from lpv_core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit, njit_in_place
 
 ROUGH_TIME = 0.3
 """Over which rough torques are correlated [s]."""
@@ -98,7 +98,7 @@ def _courses(count: int, interval: float, time: float, modes: int) -> FloatArray
     return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
 
 
-@njit
+@njit_in_place
 def watch_noise(contact: Contact, null: Posterior) -> None:
     """Forget what depends on the noise, where that has changed."""
     for i in range(null.noise.shape[0]):
@@ -108,7 +108,7 @@ def watch_noise(contact: Contact, null: Posterior) -> None:
             contact.known[:] = 0
 
 
-@njit
+@njit_in_place
 def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
     """Scale residuals as the weights of least squares do: joints at rest, outliers (soft L1).
 
@@ -121,7 +121,7 @@ def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
             null.residual[back, i] *= null.noise[i] / (size * (1.0 + ratio * ratio) ** 0.25)
 
 
-@njit
+@njit_in_place
 def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> float:
     """Ratio of marginal likelihoods of rough torques, for all windows in any case.
 
@@ -166,7 +166,7 @@ def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> flo
     return total
 
 
-@njit
+@njit_in_place
 def _set_shares(contact: Contact, w: int) -> None:
     """Write what `rough_contact` needs for a window at the present noise."""
     for i in range(contact.torque.shape[0]):

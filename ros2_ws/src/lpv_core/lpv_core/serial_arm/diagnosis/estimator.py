@@ -47,7 +47,7 @@ from lpv_core.serial_arm.diagnosis.parameter_error import (
     parameter_factor,
     typical_torque,
 )
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit, njit_in_place
 
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
@@ -119,7 +119,7 @@ class Posterior(NamedTuple):
     ordered: FloatArray  # (capacity,) scratch
 
 
-@njit
+@njit_in_place
 def set_residuals(window: Window, null: Posterior, last: int) -> None:
     """Write what the estimate leaves of the last balances, newest first."""
     m = null.mean.shape[0]
@@ -140,13 +140,13 @@ def set_residuals(window: Window, null: Posterior, last: int) -> None:
             null.residual[back, i] = (a + b) + (c + d)
 
 
-@njit
+@njit_in_place
 def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
     """Usual size of what is left of a balance of joint i [N m s]."""
     return null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[slot(window, back), i])
 
 
-@njit
+@njit_in_place
 def weigh(window: Window, null: Posterior, last: int) -> None:
     """Sum up the last balances again, outliers with less weight (soft L1)."""
     set_residuals(window, null, last)
@@ -159,14 +159,17 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
         add_products(window, back, null.weights[back])
 
 
-@njit
+@njit_in_place
 def _recall(window: Window, null: Posterior) -> None:
     """What is remembered of the arm: offsets may have been others then, and are eliminated.
 
     A slow drift of an encoder would be learned, else, as an offset that has always been there.
     """
     m, n, known = null.mean.shape[0], null.sigma.shape[0], null.recalled
-    known[:] = window.past[:, window.past.shape[1] - m :]
+    first = window.past.shape[1] - m
+    for a in range(1 + m):
+        for b in range(m):
+            known[a, b] = window.past[a, first + b]
     for k in range(n):
         row = known[1 + k]
         pivot = row[k] + null.least[k]
@@ -180,7 +183,7 @@ def _recall(window: Window, null: Posterior) -> None:
     known[:, :n] = 0.0
 
 
-@njit
+@njit_in_place
 def solve(window: Window, null: Posterior) -> None:
     """Least squares over horizon, past and prior."""
     m, n = null.mean.shape[0], null.sigma.shape[0]

@@ -19,7 +19,7 @@ from lpv_core.serial_arm.diagnosis.contact import (
 from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals
 from lpv_core.serial_arm.diagnosis.information import Window, slot, sum_slot, whiten
 from lpv_core.serial_arm.sensor_map import map_vector
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place
 
 JUMP = 6
 """Seventh column: a rate reading jumps at the start, and the momentum seems to, by M S^-1 e_i."""
@@ -76,7 +76,7 @@ def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: 
         np.zeros((n, 5)))  # fmt: skip
 
 
-@njit
+@njit_in_place
 def gather(
     evidence: Evidence,
     kinds: Kinds,
@@ -154,7 +154,7 @@ def gather(
     return every, pushed
 
 
-@njit
+@njit_in_place
 def _add_grams(grams: FloatArray, window: Window, back: int) -> None:
     """Add a balance's products of the columns that no cumulative sums are kept of."""
     at, n = slot(window, back), grams.shape[0]
@@ -170,7 +170,7 @@ def _add_grams(grams: FloatArray, window: Window, back: int) -> None:
             grams[j, 4] += weight * drift * rate
 
 
-@njit
+@njit_in_place
 def _sensor_columns(evidence: Evidence, window: Window, null: Posterior, w: int) -> None:
     """Score, information and cross products of the first six columns, from cumulative sums."""
     n, m = evidence.grams.shape[0], null.mean.shape[0]
@@ -201,7 +201,7 @@ def _sensor_columns(evidence: Evidence, window: Window, null: Posterior, w: int)
         own[DRIFT, RATE] = own[RATE, DRIFT] = evidence.grams[i, 4]
 
 
-@njit
+@njit_in_place
 def _jump_columns(
     evidence: Evidence, window: Window, null: Posterior, mass: FloatArray, w: int
 ) -> None:
@@ -234,7 +234,7 @@ def _jump_columns(
                 evidence.columns[a, at + j] += share * known
 
 
-@njit
+@njit_in_place
 def _eliminate(evidence: Evidence, w: int) -> None:
     """Take off the information what the arm's unknowns could explain as well."""
     m, n = evidence.columns.shape[0], evidence.grams.shape[0]
@@ -249,7 +249,7 @@ def _eliminate(evidence: Evidence, w: int) -> None:
                 own[h, g] = own[g, h]
 
 
-@njit
+@njit_in_place
 def _add_rows(evidence: Evidence, rows: Rows, elapsed: float, w: int) -> None:
     """Add what kinematic rows say; time since the epoch of drifts."""
     for i in range(rows.reading.shape[0]):
@@ -264,7 +264,7 @@ def _add_rows(evidence: Evidence, rows: Rows, elapsed: float, w: int) -> None:
                 information[g, h] += weight * column[g] * column[h]
 
 
-@njit
+@njit_in_place
 def _compare(
     evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], elapsed: float, unseen: float
 ) -> None:

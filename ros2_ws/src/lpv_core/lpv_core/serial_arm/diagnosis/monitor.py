@@ -41,7 +41,7 @@ from lpv_core.serial_arm.diagnosis.sampling import (
     take_samples,
 )
 from lpv_core.serial_arm.diagnosis.sensor_state import SensorRecord, SensorState
-from lpv_core.serial_arm.sensor_map import map_rows
+from lpv_core.serial_arm.sensor_map import map_rows, mixing
 from lpv_core.support.errors import SampleError
 
 BoolArray = npt.NDArray[np.bool_]
@@ -58,8 +58,8 @@ PUSH = 2.0
 """Largest plausible torque from outside, over that which moves the arm."""
 RARE = 0.3
 """Share of repeated readings below which a reading that rests is frozen."""
-GUARANTEE_EVERY = 20
-"""Balances after which guaranteed thresholds are evaluated anew."""
+GUARANTEE_SHARE = 4
+"""Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -142,7 +142,7 @@ class SerialMonitor:
         self.alarms: list[SerialAlarm] = []
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
         self._jump_bound = jump_bound(arm)
-        self._to_sensors = arm.joints_to_sensors()
+        self._to_sensors = mixing(arm.joints_to_sensors())
         self._first: int | None = None
         self.reset()
 
@@ -434,7 +434,7 @@ class SerialMonitor:
         self.estimator.estimate(learn)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
-        if self.estimator.window.counters[NEXT] % GUARANTEE_EVERY == 0:
+        if self.estimator.window.counters[NEXT] % (self.plan.capacity // GUARANTEE_SHARE) == 0:
             self._evaluate_guarantee()
         unseen = np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
         found = self.bank.evaluate(self._blocks, self._rest(), unseen, self._threshold)
@@ -519,6 +519,8 @@ class SerialMonitor:
     def _rest(self) -> tuple[FloatArray, FloatArray]:
         """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
         time = self.sampler.still * self.arm.sample_time
+        if time.max() <= STILL_TIME:
+            return np.zeros(self.joints), self.sampler.stop
         followed = np.zeros(self.joints, bool)
         followed[list(self._filters)] = True
         return np.where(self._is_frozen() & ~followed, time, 0.0), np.maximum(
@@ -657,8 +659,9 @@ class SerialMonitor:
 
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""
+        suspected = {one.partition(':')[0] for one in self._suspects}
         for name, sensor in zip(self.arm.sensor_names, self.sensors):
-            sensor.suspect(any(one.startswith(f'{name}:') for one in self._suspects))
+            sensor.suspect(name in suspected)
 
     def _evaluate_guarantee(self) -> None:
         """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""
