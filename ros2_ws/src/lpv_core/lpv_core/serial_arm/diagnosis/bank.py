@@ -77,6 +77,10 @@ SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain'
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 RATE_BIAS = 0.1
 """Bias of a healthy rate sensor, over its noise a sample."""
+LATE = 1.5
+"""Largest error of a stamp, over the sample time."""
+WRONG_STAMPS = 0.01
+"""Share of stamps that are wrong, before any were seen."""
 LARGEST_SCALE = 0.5
 """Largest scale error that is looked for in jumps [-]."""
 QUIET_EVERY = 4
@@ -519,6 +523,8 @@ class KinematicRows:
         self._walk = rate**2 * arm.sample_time  # variance of int v dt per second
         self._bias = RATE_BIAS * rate
         self._longest = max(STARTS)
+        self._latest = (LATE * arm.sample_time) ** 2 / plan.per_block
+        self._stamps = WRONG_STAMPS * self._latest  # variance of a block's time [s2]
         self._inflation = np.ones(len(sensors))
         self.trusted = np.ones(len(sensors), bool)
         self.restart()
@@ -526,6 +532,7 @@ class KinematicRows:
     def restart(self) -> None:
         """Forget the rows so far."""
         self._rows, self._variances = np.zeros((2, 0, len(self._independent)))
+        self._edges = np.zeros((0, len(self._independent)))  # rates where rows begin and end
         self._jumps: list[FloatArray] = []
 
     def note_jump(self, joint: int, variance: float) -> None:
@@ -545,6 +552,9 @@ class KinematicRows:
         dead_reckoning(blocks[half - 1 :], row)
         most = round(self._longest / self._interval) + 1
         jumped = self._jumps.pop(0) if self._jumps else 0.0 * row
+        if len(self._rows) == 0:
+            self._edges = blocks[half - 1 : half, n : 2 * n]
+        self._edges = np.concatenate([self._edges, blocks[-1:, n : 2 * n]])[-most - 1 :]
         self._rows = np.concatenate([self._rows, row[None]])[-most:]
         self._variances = np.concatenate([self._variances, jumped[None]])[-most:]
 
@@ -605,6 +615,21 @@ class KinematicRows:
         ratio = (self._rows[-1] - self._rows[-2]) ** 2 / np.maximum(expected, _BEFORE)
         bounded = np.minimum(ratio, 9.0 * self._inflation)
         self._inflation = np.maximum(self._inflation + (bounded - self._inflation) / 64.0, 1.0)
+        self._learn_stamps(expected)
+
+    def _learn_stamps(self, expected: FloatArray) -> None:
+        """Learn how wrong stamps are: an error d moves the rows of all sensors by their rates.
+
+        The difference of two rows holds d of three blocks, once, twice and once.
+        """
+        rate = np.where(self._independent & self.trusted, self._edges[-2], 0.0)
+        weight = rate / np.maximum(expected, _BEFORE)
+        power = float(weight @ rate)
+        if power * self._latest < 1.0:  # too slow to tell
+            return
+        late = float(weight @ (self._rows[-1] - self._rows[-2])) / power
+        seen = min((late**2 - 1.0 / power) / 6.0, self._latest)
+        self._stamps = max(self._stamps + (seen - self._stamps) / 64.0, 0.0)
 
     def sums(self, lengths: IntArray, block: FloatArray) -> Rows:
         """Sums of the rows of windows.
@@ -626,6 +651,16 @@ class KinematicRows:
         if not trusted.any() or len(self._rows) == 0:
             return Rows(np.zeros(len(lengths)), *np.zeros((2, len(lengths), n)), reading)
         counts = np.minimum(lengths, len(self._rows))
-        weight = np.where(trusted, 1.0 / np.maximum(self._variance_of(counts), _BEFORE), 0.0)
+        variance = np.maximum(self._variance_of(counts), _BEFORE)
         found = np.cumsum(self._rows[::-1], axis=0)[counts - 1]
-        return Rows(self._interval * counts, weight, found, reading)
+        weight = 1.0 / variance
+        if self._stamps > 0.0:
+            # Wrong stamps of both ends are common to all sensors: their covariance is s v v^T.
+            covariance = variance[:, :, None] * np.eye(n)
+            for rate in (self._edges[-1] * np.ones_like(found), self._edges[-1 - counts]):
+                rate = np.where(trusted, rate, 0.0)
+                covariance += self._stamps * rate[:, :, None] * rate[:, None, :]
+            inverse = np.linalg.inv(covariance)
+            weight = inverse[:, np.arange(n), np.arange(n)]
+            found = (inverse @ np.where(trusted, found, 0.0)[:, :, None])[:, :, 0] / weight
+        return Rows(self._interval * counts, np.where(trusted, weight, 0.0), found, reading)

@@ -26,8 +26,9 @@ NONE, STEP, SPIKE, NOISY, QUIET = range(5)
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
-TIME, INTERVAL_START, BLOCK_START, STAMPS = range(4)
-"""Entries of `Sampler.clock` [s]; the last one is 1 once a stamp has been wrong."""
+TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES = range(5)
+"""Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, the last one is
+the sum of the block's stamps."""
 ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
@@ -62,7 +63,7 @@ class Sampler(NamedTuple):
     rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
     sums: FloatArray  # of the current block, shape (3, n)
-    blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; time, length, place
+    blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; mean time, length, place
     found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
     size: FloatArray  # height of a step that was found, shape (n,) [rad]
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
@@ -73,7 +74,7 @@ class Sampler(NamedTuple):
     noisy: IntArray  # (n,) 1 while a reading is noisy
     doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
     counters: IntArray  # (5,)
-    clock: FloatArray  # moments, shape (4,) [s]
+    clock: FloatArray  # moments, shape (5,) [s]
 
 
 def new_sampler(
@@ -105,7 +106,7 @@ def new_sampler(
         np.zeros(n),
         np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
-        np.zeros(4))  # fmt: skip
+        np.zeros(5))  # fmt: skip
 
 
 @njit_in_place
@@ -460,6 +461,7 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     for part in range(3):
         for i in range(n):
             sampler.sums[part, i] += sampler.samples[k, part, i]
+    sampler.clock[TIMES] += now
     sampler.counters[IN_BLOCK] += 1
     if sampler.counters[IN_BLOCK] < per_block:
         return False
@@ -476,6 +478,7 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
 def _start_interval(sampler: Sampler, now: float) -> None:
     """Begin block and interval."""
     sampler.sums[:] = 0.0
+    sampler.clock[TIMES] = 0.0
     sampler.counters[IN_BLOCK] = 0
     sampler.counters[IN_INTERVAL] = 0
     sampler.clock[INTERVAL_START] = now
@@ -494,7 +497,9 @@ def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) ->
             sampler.sums[part, i] = 0.0
     length = now - sampler.clock[BLOCK_START]
     place = (sampler.counters[IN_INTERVAL] + 0.5) / blocks
-    row[3 * n] = 0.5 * (now + sampler.clock[BLOCK_START])
+    # Where samples are missing, the mean of the readings is not that of the middle.
+    row[3 * n] = sampler.clock[TIMES] / count
+    sampler.clock[TIMES] = 0.0
     row[3 * n + 1] = length
     row[3 * n + 2] = place
     add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
