@@ -47,6 +47,7 @@ from lpv_core.serial_arm.diagnosis.linear_bank import (
     new_evidence,
 )
 from lpv_core.serial_arm.diagnosis.onset import explained_at_onsets, sudden_drift_of
+from lpv_core.serial_arm.diagnosis.sampling import LATE
 from lpv_core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
 from lpv_core.serial_arm.sensor_map import map_rows, mixing
@@ -61,13 +62,9 @@ STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
 OCCURRENCE = {
     CONTACT: 1.0,
-    'drift': 0.01,
-    'scale': 0.01,
-    'slip': 0.01,
-    'stuck': 0.01,
-    'rate_bias': 0.01,
-    'torque_gain': 0.01,
-    'torque_offset': 0.01,
+    **dict.fromkeys(
+        ('drift', 'scale', 'slip', 'stuck', 'rate_bias', 'torque_gain', 'torque_offset'), 0.01
+    ),
 }
 """How often causes come, per hour of motion: a push every hour, one fault of a kind in 100 h.  Only
 ratios count.  Torque sensors fail as often as encoders do."""
@@ -77,12 +74,13 @@ SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain'
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 RATE_BIAS = 0.1
 """Bias of a healthy rate sensor, over its noise a sample."""
-LATE = 1.5
-"""Largest error of a stamp, over the sample time."""
 WRONG_STAMPS = 0.01
 """Share of stamps that are wrong, before any were seen."""
 LARGEST_SCALE = 0.5
 """Largest scale error that is looked for in jumps [-]."""
+QUIET, LOUD = 0.25, 0.5
+"""Shares of the evidence that an alarm needs: below the first one the bank has found nothing, from
+the second one on hypotheses that take more time are compared, too."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
 _BEFORE = 1e-12
@@ -285,7 +283,7 @@ class Bank:
         if (
             self._waited < QUIET_EVERY
             and not stuck
-            and not self._kinematics.speaks(0.25 * threshold)
+            and not self._kinematics.speaks(QUIET * threshold)
         ):
             return []
         count = self._held()
@@ -294,9 +292,9 @@ class Bank:
             return []
         every, pushed = self._gather(count, blocks(1)[-1], unseen)
         self.statistic = float(np.logaddexp(every, pushed) + self._log_weight)
-        self._kinematics.learn(self.statistic < 0.25 * threshold)
-        self._waited = 0 if self.statistic < 0.25 * threshold else QUIET_EVERY
-        if self.statistic < 0.5 * threshold and not stuck:
+        self._kinematics.learn(self.statistic < QUIET * threshold)
+        self._waited = 0 if self.statistic < QUIET * threshold else QUIET_EVERY
+        if self.statistic < LOUD * threshold and not stuck:
             return []
         found = stuck + self._named(count) + self._scales_that_jumped(count)
         if self._derived.any():

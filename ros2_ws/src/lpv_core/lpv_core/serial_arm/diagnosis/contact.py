@@ -7,13 +7,14 @@ of the kernel are columns like those of a fault, so that what the arm's unknowns
 well is taken off.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
-from lpv_core.serial_arm.diagnosis.information import Window, factorise, slot, whiten
+from lpv_core.serial_arm.diagnosis.information import ROBUST, Window, factorise, slot, whiten
 from lpv_core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv_core.support.jit import njit, njit_in_place
 
@@ -21,12 +22,12 @@ ROUGH_TIME = 0.3
 """Over which rough torques are correlated [s]."""
 AMPLITUDES = (1.0, 0.3, 0.1, 0.03)
 """Amplitudes of torques from outside that are tried, in the largest plausible one."""
-ROUGH_PENALTY = 1.4
-"""Logarithm of the number of amplitudes."""
-SMOOTH_PENALTY = 2.5
-"""Logarithm of the number of amplitudes and courses."""
 SMOOTH_TIMES = (1e3, 1.0, 0.5)
 """Correlation times of the smooth courses [s]; the first one is constant."""
+ROUGH_PENALTY = math.log(len(AMPLITUDES))
+"""What it costs to choose the amplitude that explains most."""
+SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
+"""The same for amplitude and course."""
 HORIZON_TIME = 2.0
 """The same for a torque over the whole horizon [s]."""
 _MODES = 8
@@ -117,7 +118,7 @@ def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
     for back in range(last):
         for i in range(null.noise.shape[0]):
             size = usual_size(window, null, back, i)
-            ratio = null.residual[back, i] / (3.0 * size)
+            ratio = null.residual[back, i] / (ROBUST * size)
             null.residual[back, i] *= null.noise[i] / (size * (1.0 + ratio * ratio) ** 0.25)
 
 

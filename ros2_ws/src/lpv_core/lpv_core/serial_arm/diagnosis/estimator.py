@@ -28,6 +28,7 @@ from lpv_core.serial_arm.diagnosis.balance import (
 from lpv_core.serial_arm.diagnosis.information import (
     COUNT,
     NEXT,
+    ROBUST,
     Window,
     add_products,
     factorise,
@@ -153,7 +154,7 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
     for back in range(last - 1, -1, -1):
         for i in range(null.noise.shape[0]):
             size = usual_size(window, null, back, i)
-            ratio = null.residual[back, i] / (3.0 * size)
+            ratio = null.residual[back, i] / (ROBUST * size)
             variance = size * size * null.inflation[i] + window.extra[slot(window, back), i]
             null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
         add_products(window, back, null.weights[back])
@@ -327,10 +328,10 @@ def _learned_size(window: Window, null: Posterior, i: int, rest: float, expected
 
 @njit
 def _correlation(values: FloatArray) -> float:
-    """Sum of the positive autocorrelations of values that are clipped at 3."""
+    """Sum of the positive autocorrelations of values that are clipped where outliers begin."""
     count, total, power = values.shape[0], 0.0, 0.0
     for k in range(count):
-        values[k] = min(max(values[k], -3.0), 3.0)
+        values[k] = min(max(values[k], -ROBUST), ROBUST)
         power += values[k] * values[k] / count
     if power == 0.0:
         return 0.0

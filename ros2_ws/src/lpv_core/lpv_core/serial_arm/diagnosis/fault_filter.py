@@ -13,7 +13,7 @@ import numpy as np
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, SCALE
 from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv_core.serial_arm.diagnosis.information import slot
+from lpv_core.serial_arm.diagnosis.information import ROBUST, slot
 from lpv_core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
 from lpv_core.serial_arm.diagnosis.stuck import ACCELERATION
 
@@ -29,8 +29,6 @@ LARGEST_SCALE = 0.9
 """Largest scale error that is corrected [-]."""
 OFFSET_SIGMA = 0.05
 """Standard deviation of the offset beside a scale error that has just been named [rad]."""
-_ROBUST = 3.0
-"""Innovations beyond so many standard deviations count less."""
 
 
 @dataclass
@@ -205,7 +203,7 @@ def follow(
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
     residual = rows[:, 0] + unknowns @ null.mean
     innovation = columns @ one.covariance @ columns.T + variance
-    ratio = np.abs(residual) / (_ROBUST * np.sqrt(np.diag(innovation)))
+    ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(innovation)))
     factor = np.sqrt(np.maximum(ratio, 1.0))
     innovation = innovation * factor[:, None] * factor
     gain = one.covariance @ columns.T @ np.linalg.inv(innovation)

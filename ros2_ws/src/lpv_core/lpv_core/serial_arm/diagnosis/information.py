@@ -13,6 +13,8 @@ import numpy as np
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.support.jit import njit, njit_in_place
 
+ROBUST = 3.0
+"""Residuals beyond so many standard deviations are outliers: one in 370 of normal ones."""
 NEXT, COUNT = range(2)
 """Entries of `Window.counters`: balances that ever joined the window, balances in it."""
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
+from lpv_core.serial_arm.diagnosis.information import ROBUST
 from lpv_core.support.jit import njit_in_place
 
 HISTORY = 8
@@ -35,10 +36,12 @@ JUMP_SCALE = 10.0
 """A jump is larger than so many times the usual size of e."""
 _SLOW = 0.05
 """Rates that do not tell whether a stamp is wrong [rad/s]."""
-_LATE = 1.5
+LATE = 1.5
 """Largest error of a stamp, over the time since the sample before."""
 _USUAL = 5.0
 """Sizes of e, over the usual one, that are nothing special."""
+SCALE_MEMORY = 256.0
+"""Samples over which the usual size of e, and the share of repeated readings, are learned."""
 NOISE_MEMORY = 32.0
 """Samples over which jumps of a reading are counted."""
 _NOISE_COUNT = 4.5
@@ -141,11 +144,11 @@ def push_sample(
         reading = y[i] - removed(sampler, i, y[i])
         if abs(y[i] - sampler.raw[i]) > ROUNDING:
             sampler.still[i] = 0
-            sampler.repeats[i] -= sampler.repeats[i] / 256.0
+            sampler.repeats[i] -= sampler.repeats[i] / SCALE_MEMORY
         else:
             sampler.still[i] += 1
             if sampler.still[i] <= 3:
-                sampler.repeats[i] += (1.0 - sampler.repeats[i]) / 256.0
+                sampler.repeats[i] += (1.0 - sampler.repeats[i]) / SCALE_MEMORY
             if sampler.still[i] == 1:
                 way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 5, 0, i]
                 sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[HISTORY - 5])
@@ -192,9 +195,9 @@ def _set_jumps(sampler: Sampler) -> None:
         if not _is_beyond(sampler, i, k):
             continue
         # Readings that jump together have a common cause, if their motion explains it.
-        explained = _LATE * gap * _largest_rate(sampler, i, HISTORY)
+        explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
         if together > 1:
-            explained = max(explained, _LATE * period * _largest_rate(sampler, i, k))
+            explained = max(explained, LATE * period * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 2
             sampler.clock[STAMPS] = 1.0
@@ -212,7 +215,7 @@ def _gap(sampler: Sampler) -> float:
             usual = min(usual, period)
     for j in range(k - 2, k + 2):
         longest = max(longest, sampler.time[j] - sampler.time[j - 1])
-    return longest if longest > _LATE * usual else 0.0
+    return longest if longest > LATE * usual else 0.0
 
 
 @njit_in_place
@@ -261,7 +264,7 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
         rate = _mean_rate(sampler.samples, c)
-        if abs(rate) < _SLOW or abs(jumps[c]) > _LATE * period * abs(rate):
+        if abs(rate) < _SLOW or abs(jumps[c]) > LATE * period * abs(rate):
             continue
         gained, common, weight = 0, 0.0, 0.0
         for i in range(n):
@@ -282,7 +285,7 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
 def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts."""
     jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler.samples, i)
-    if abs(jumps[i]) > _LATE * period * abs(rate):
+    if abs(jumps[i]) > LATE * period * abs(rate):
         return False
     for j in range(sampler.scale.shape[0]):
         way = jumps[i] / rate * _mean_rate(sampler.samples, j)
@@ -303,9 +306,9 @@ def _find_jumps(sampler: Sampler) -> None:
         if beyond:
             sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
         elif not waits:
-            bounded = min(abs(sampler.jumps[k, i]), 3.0 * sampler.scale[i])
+            bounded = min(abs(sampler.jumps[k, i]), ROBUST * sampler.scale[i])
             change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
-            sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / 256.0)
+            sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / SCALE_MEMORY)
     if waits:
         sampler.counters[PENDING] += 1
     elif sampler.counters[PENDING] < 0:

@@ -5,7 +5,7 @@ import numpy as np
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
-from lpv_core.serial_arm.diagnosis.information import last_rows, slot, whiten
+from lpv_core.serial_arm.diagnosis.information import ROBUST, last_rows, slot, whiten
 
 ACCELERATION = 10.0
 """Usual acceleration of a joint whose reading rests [rad/s2]."""
@@ -65,7 +65,7 @@ def stuck_bayes_factor(
 def _weights(residual: FloatArray, size: FloatArray, null: Posterior) -> FloatArray:
     """Inverse variances of balances, outliers with less weight; shape (last, n)."""
     variance = size**2 * null.inflation
-    return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (3.0 * size)) ** 2)))
+    return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)))
 
 
 def _rest_instead(
@@ -76,7 +76,7 @@ def _rest_instead(
     Its friction explains more then than in motion; at most what was counted against it.
     """
     resting = 1.0 / (size**2 * null.inflation[joints])
-    resting /= np.sqrt(1.0 + (residual / (3.0 * size)) ** 2)
+    resting /= np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)
     change = (
         0.5 * (residual**2 * (resting - weights)).sum() + np.log(size / null.noise[joints]).sum()
     )
