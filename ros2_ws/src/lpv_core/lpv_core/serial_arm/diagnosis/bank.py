@@ -36,7 +36,7 @@ from lpv_core.serial_arm.diagnosis.contact import (
     weigh_residuals,
 )
 from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, set_residuals
-from lpv_core.serial_arm.diagnosis.information import slot
+from lpv_core.serial_arm.diagnosis.information import ROBUST, slot
 from lpv_core.serial_arm.diagnosis.linear_bank import (
     COLUMNS,
     JUMP,
@@ -521,6 +521,9 @@ class KinematicRows:
         self._walk = rate**2 * arm.sample_time  # variance of int v dt per second
         self._bias = RATE_BIAS * rate
         self._longest = max(STARTS)
+        # Rates lag behind readings, as differences and filtered ones do [s].
+        self._lag = np.zeros(len(sensors))
+        self._lag_known = np.full(len(sensors), 1.0 / arm.sample_time**2)
         self._latest = (LATE * arm.sample_time) ** 2 / plan.per_block
         self._stamps = WRONG_STAMPS * self._latest  # variance of a block's time [s2]
         self._inflation = np.ones(len(sensors))
@@ -555,6 +558,8 @@ class KinematicRows:
         self._edges = np.concatenate([self._edges, blocks[-1:, n : 2 * n]])[-most - 1 :]
         self._rows = np.concatenate([self._rows, row[None]])[-most:]
         self._variances = np.concatenate([self._variances, jumped[None]])[-most:]
+        self._rows[-1] -= self._lag * (self._edges[-1] - self._edges[-2])
+        self._learn_lag()
 
     def leave_out(self, joint: int, out: bool) -> None:
         """Do without the rows of a joint, or with those to come."""
@@ -615,6 +620,22 @@ class KinematicRows:
         self._inflation = np.maximum(self._inflation + (bounded - self._inflation) / 64.0, 1.0)
         self._learn_stamps(expected)
 
+    def _learn_lag(self) -> None:
+        """Learn by how much rates lag behind their readings, and take it out of all rows.
+
+        A lag d moves a row by d times the change of its rate, which no fault does: it is learned
+        from all rows, outliers bounded.
+        """
+        variance = self._ends + self._walk * self._interval
+        variance = np.maximum(self._inflation * variance + self._variances[-1], _BEFORE)
+        change = self._edges[-1] - self._edges[-2]
+        weight = np.where(self._independent & self.trusted, change / variance, 0.0)
+        self._lag_known += weight * change
+        most = ROBUST * np.sqrt(variance)
+        step = weight * np.clip(self._rows[-1], -most, most) / self._lag_known
+        self._lag += step
+        self._rows -= step * np.diff(self._edges, axis=0)
+
     def _learn_stamps(self, expected: FloatArray) -> None:
         """Learn how wrong stamps are: an error d moves the rows of all sensors by their rates.
 
@@ -651,6 +672,8 @@ class KinematicRows:
         counts = np.minimum(lengths, len(self._rows))
         variance = np.maximum(self._variance_of(counts), _BEFORE)
         found = np.cumsum(self._rows[::-1], axis=0)[counts - 1]
+        turned = self._edges[-1] - self._edges[-1 - counts]
+        variance = variance + turned**2 / self._lag_known
         weight = 1.0 / variance
         if self._stamps > 0.0:
             # Wrong stamps of both ends are common to all sensors: their covariance is s v v^T.
