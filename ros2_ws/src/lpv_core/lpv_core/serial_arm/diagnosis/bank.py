@@ -668,7 +668,8 @@ class KinematicRows:
         n = len(self._independent)
         reading, trusted = block[:n].copy(), self._independent & self.trusted
         if not trusted.any() or len(self._rows) == 0:
-            return Rows(np.zeros(len(lengths)), *np.zeros((2, len(lengths), n)), reading)
+            none = np.zeros((len(lengths), n))
+            return Rows(none[:, 0], none, none, reading)
         counts = np.minimum(lengths, len(self._rows))
         variance = np.maximum(self._variance_of(counts), _BEFORE)
         found = np.cumsum(self._rows[::-1], axis=0)[counts - 1]

@@ -69,10 +69,11 @@ class Rows(NamedTuple):
 def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: int) -> Evidence:
     """Room for the evidence of windows, each of which stands for so many starts."""
     count, (number, n) = len(lengths), kinds.prior.shape
+    gain, size, sigma = np.zeros((3, number, n, count))
     return Evidence(
         lengths, np.log(starts), np.zeros(count), np.zeros((count, n)),
         np.zeros((count, n, COLUMNS)), np.zeros((count, n, COLUMNS, COLUMNS)),
-        *np.zeros((3, number, n, count)), np.zeros(count), np.zeros((unknowns, COLUMNS * n)),
+        gain, size, sigma, np.zeros(count), np.zeros((unknowns, COLUMNS * n)),
         np.zeros((n, 5)))  # fmt: skip
 
 
