@@ -204,7 +204,8 @@ class FullDisk:
 def write_until_full(path, room):
     """Write until the disk is full; what the bag says was missing at its end."""
     writer = BagWriter(path, chunk_time=10 * MS)
-    writer._output._file = FullDisk(writer._output._file, room)
+    output = writer._file.output
+    output.file = FullDisk(output.file, room)
     messages = BagMessages(writer.typestore, 'arm')
     writer.add_topic(JOINTS, JOINT_STATE)
     with pytest.raises(OSError, match='No space left'):

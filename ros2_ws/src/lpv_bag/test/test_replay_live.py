@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_bag.replay.replay import Replay  # noqa: E402
 from lpv_bag.rosbag.interfaces import make_typestore  # noqa: E402
-from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.rosbag.metadata import qos_profile
 from lpv_bag.rosbag.writing import BagWriter  # noqa: E402
 from lpv_core.certificate.gains import save_gains  # noqa: E402
 from lpv_core.control.tracking import TrackingController  # noqa: E402

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 
 from lpv_bag.blocks.message_blocks import ahead
 from lpv_bag.replay.writer import DIAGNOSTICS, OUTPUTS
-from lpv_bag.rosbag.offered_qos import offered_qos
+from lpv_bag.rosbag.metadata import offered_qos
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import BagError, find_topic, open_bag

@@ -23,6 +23,7 @@ from lpv_bag.errors import BagError, DamageError
 MAX_CHUNK = 1 << 27
 """Largest chunk that is read, decompressed [bytes]."""
 _MAX_RECORD = 1 << 28
+_KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 
 
 class Place(NamedTuple):
@@ -78,16 +79,10 @@ class McapFile:
         for index in summary.chunk_indexes:
             if not index.message_start_time <= index.message_end_time < 2**63 - 1:
                 raise DamageError('the times of a chunk are wrong')
-            offsets = index.message_index_offsets
-            self.places.append(
-                Place(
-                    index.message_start_time,
-                    index.message_end_time,
-                    index.chunk_start_offset,
-                    tuple(offsets),
-                    max(0, index.message_index_length - 15 * len(offsets)) // 16,
-                )
-            )
+            channels = tuple(index.message_index_offsets)
+            messages = max(0, index.message_index_length - 15 * len(channels)) // 16
+            times = index.message_start_time, index.message_end_time
+            self.places.append(Place(*times, index.chunk_start_offset, channels, messages))
         if not {*self.counts, *(c for p in self.places for c in p.channels)} <= {*summary.channels}:
             raise DamageError('its summary counts messages of unknown topics')
         self.schemas, self.channels = summary.schemas, summary.channels
@@ -122,22 +117,27 @@ class McapFile:
             pass
         except Exception as error:  # of many kinds
             self.damages.append(error_text(error))
-        if self.complete:
-            for place in self.places:
-                try:
-                    yield self.read(place)
-                except DamageError as error:
-                    self.damages.append(str(error))
-            return
-        self.counts, at, loose = {}, 8, b''
+        indexed = self.complete
+        if not indexed:
+            self.counts = {}
+            yield from self._scan()
+        for place in self.places if indexed else ():
+            try:
+                block = self.read(place)
+            except DamageError as error:
+                self.damages.append(str(error))
+            else:
+                yield block
+
+    def _scan(self) -> Iterator[Block]:
+        """Messages of the file, record by record."""
+        at, loose = 8, b''
         self._data.seek(0)
         reader = StreamReader(self._data, emit_chunks=True, record_size_limit=_MAX_RECORD)
         try:
             for found in reader.records:
                 if isinstance(found, Chunk):
-                    block = self._scanned(found, at)
-                    if block is not None:
-                        yield block
+                    yield from self._scanned(found, at)
                 elif isinstance(found, Message):
                     loose += record(found.channel_id, found.log_time, found.data)
                 elif isinstance(found, (Schema, Channel)):
@@ -149,24 +149,20 @@ class McapFile:
                     loose = b''
         except Exception as error:  # of many kinds
             if not self.complete:
-                rest = len(self._data) - at
-                self.damages.append(
-                    f'{rest} bytes from byte {at} on are lost ({error_text(error)})'
-                )
-        if loose:
-            yield split(np.frombuffer(loose, np.uint8))[0]
+                rest, why = len(self._data) - at, error_text(error)
+                self.damages.append(f'{rest} bytes from byte {at} on are lost ({why})')
+        yield split(np.frombuffer(loose, np.uint8))[0]
 
-    def _scanned(self, chunk: Chunk, at: int) -> Block | None:
+    def _scanned(self, chunk: Chunk, at: int) -> list[Block]:
         try:
             block, others = split(_content(chunk))
             for other in others:
-                kind: Any = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(other[0])  # type: ignore[call-overload]
-                if kind is not None:
-                    self._define(kind.read(ReadDataStream(io.BytesIO(other[9:]))))
-            return block
+                if other[0] in _KINDS:
+                    self._define(_KINDS[other[0]].read(ReadDataStream(io.BytesIO(other[9:]))))
+            return [block]
         except Exception as error:  # of many kinds
             self.damages.append(f'the chunk at byte {at} is damaged ({error_text(error)})')
-            return None
+            return []
 
     def _define(self, found: Schema | Channel) -> None:
         known: dict[int, Any] = self.channels if isinstance(found, Channel) else self.schemas

@@ -156,18 +156,15 @@ def _copy(
     """Copy the messages of a file, and count them; what the file itself says that there are."""
     unknown, table = 0, np.zeros(65536, np.int64)
     for block in file.salvage():
-        for number in np.unique(block.connection).tolist():
-            if writer is not None and number in file.channels and not table[number]:
-                connection = _connection(file, number, metadata)
-                writer.copy_topic(connection)
-                table[number] = writer.channel(connection.topic)
-        counts = np.bincount(block.connection, minlength=1)
-        for number in np.flatnonzero(counts).tolist():
+        for number, count in zip(*np.unique(block.connection, return_counts=True)):
             channel = file.channels.get(number)
             if channel is None:
-                unknown += int(counts[number])
-            else:
-                found[channel.topic] += int(counts[number])
+                unknown += int(count)
+                continue
+            found[channel.topic] += int(count)
+            if writer is not None and not table[number]:
+                writer.copy_topic(_connection(file, number, metadata))
+                table[number] = writer.channel(channel.topic)
         if len(block):
             result.end = max(result.end, int(block.time.max()))
         if writer is not None:
@@ -187,25 +184,18 @@ def _copy(
 def _connection(file: McapFile, number: int, metadata: BagMetadata | None) -> Connection:
     """Topic of a channel, as rosbags has it."""
     channel = file.channels[number]
-    schema, text = file.schemas.get(channel.schema_id), ''
-    if schema is not None and schema.encoding in _FORMATS:
-        text = schema.data.decode(errors='replace')
+    schema = file.schemas.get(channel.schema_id)
+    name, kind, text = '', MessageDefinitionFormat.NONE, ''
+    if schema is not None:
+        name, kind = schema.name, _FORMATS.get(schema.encoding, kind)
+        text = schema.data.decode(errors='replace') if schema.encoding in _FORMATS else ''
     try:
         profiles = parse_qos(channel.metadata.get('offered_qos_profiles', ''))
     except Exception:  # many kinds; no result depends on it
         profiles = []
-    name = schema.name if schema is not None else ''
-    kind = (
-        _FORMATS[schema.encoding] if schema is not None and text else MessageDefinitionFormat.NONE
+    digest = channel.metadata.get('topic_type_hash') or (
+        metadata.hashes.get(name, '') if metadata else ''
     )
-    hashes = metadata.hashes if metadata else {}
-    return Connection(
-        number,
-        channel.topic,
-        name,
-        MessageDefinition(kind, text),
-        channel.metadata.get('topic_type_hash') or hashes.get(name, ''),
-        0,
-        ConnectionExtRosbag2(channel.message_encoding, profiles),
-        None,
-    )
+    ext = ConnectionExtRosbag2(channel.message_encoding, profiles)
+    definition = MessageDefinition(kind, text)
+    return Connection(number, channel.topic, name, definition, digest, 0, ext, None)
