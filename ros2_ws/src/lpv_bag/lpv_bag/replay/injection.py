@@ -57,15 +57,15 @@ class BlockInjector:
         # A rate that is a difference of positions shows the end of a fault, too.
         written = after if self._derived.any() else active
         changed = {}
-        for row in map(int, np.flatnonzero(after)):
-            if row in measured.odd:
-                if self._odd(measured.odd[row], times[row]):
-                    changed[row] = measured.odd[row]
-            else:
-                position, velocity = measured.position[row], measured.velocity[row]
-                faulty = self._faulty(position, velocity, times[row])
-                if written[row]:
-                    position[:], velocity[:] = faulty
+        for row in np.flatnonzero(after).tolist():
+            if row in measured.unusable:
+                continue
+            position, velocity = measured.position[row], measured.velocity[row]
+            faulty = self._faulty(position, velocity, times[row])
+            if written[row]:
+                position[:], velocity[:] = faulty
+                if row in measured.single:
+                    changed[row] = self._rewritten(measured.single[row], faulty)
         self._write(block, measured, places, written)
         return changed
 
@@ -108,17 +108,12 @@ class BlockInjector:
             interval, last = self._arm.sample_time, np.zeros_like(fault)
         return np.array([derived_rate_error(*pair, interval) for pair in zip(fault, last)])
 
-    def _odd(self, message: Any, time: float) -> bool:
-        try:
-            columns = [list(message.name).index(name) for name in self._arm.joint_names]
-            rates = message.velocity[columns] if len(message.velocity) else np.zeros(len(columns))
-            faulty = self._faulty(message.position[columns], rates, time)
-        except (ValueError, IndexError):
-            return False  # the monitor will say what is wrong with this message
+    def _rewritten(self, message: Any, faulty: tuple[np.ndarray, np.ndarray]) -> Any:
+        """A message that was read alone, with other values."""
+        columns = [list(message.name).index(name) for name in self._arm.joint_names]
         for name, values in zip(CHANGED, faulty):
-            if not len(getattr(message, name)):
-                continue
-            whole = getattr(message, name).copy()  # what is read from a bag is read-only
-            whole[columns] = values
-            setattr(message, name, whole)
-        return True
+            if len(getattr(message, name)):
+                whole = getattr(message, name).copy()  # what is read from a bag is read-only
+                whole[columns] = values
+                setattr(message, name, whole)
+        return message

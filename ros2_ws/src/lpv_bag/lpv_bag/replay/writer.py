@@ -8,11 +8,11 @@ import numpy as np
 from rosbags.interfaces import Connection
 
 from lpv_bag.blocks.message_blocks import Block, record, split
-from lpv_bag.replay.answer_records import RecordTemplate, as_fields, padded_cdr
+from lpv_bag.replay.answer_records import RecordTemplate, as_fields
 from lpv_bag.replay.session import Batch
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.reading import BagReader
-from lpv_bag.rosbag.writing import BagWriter, qos_profile
+from lpv_bag.rosbag.writing import BagWriter, padded_cdr, qos_profile
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import CORRECTED
 from lpv_core.monitoring.answers import Answers
