@@ -18,7 +18,11 @@ from lpv_bag.blocks.message_blocks import rows
 
 _SIZES = {
     **{'bool': '?', 'octet': 'u1', 'byte': 'u1', 'char': 'u1'},
-    **{f'{sign}int{8 * size}': f'<{sign or "i"}{size}' for sign in ('', 'u') for size in (1, 2, 4, 8)},
+    **{
+        f'{sign}int{8 * size}': f'<{sign or "i"}{size}'
+        for sign in ('', 'u')
+        for size in (1, 2, 4, 8)
+    },
     **{'float32': '<f4', 'float64': '<f8'},
 }
 _HEADER = 4  # the representation identifier; alignment counts from behind it

@@ -14,9 +14,7 @@ from lpv_core.support.jit import njit
 T = TypeVar('T')
 BLOCK_SIZE = 2 << 20
 """Of about one block [bytes]: it fits into the caches, and overheads do not count."""
-RECORD = np.dtype(
-    'u1,<u8,<u2,<u4,<u8,<u8'
-)
+RECORD = np.dtype('u1,<u8,<u2,<u4,<u8,<u8')
 RECORD.names = ('kind', 'length', 'channel', 'sequence', 'log_time', 'publish_time')
 """Head of a message's record in an MCAP file."""
 _MESSAGE, _HEAD, _CHANNEL = 5, struct.Struct('<BQHIQQ'), 9  # of records; place of the channel

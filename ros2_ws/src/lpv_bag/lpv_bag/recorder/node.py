@@ -151,7 +151,9 @@ class RecorderNode(ManagedNode):
         if self._writer is None:
             self.get_logger().error('the bag is closed: a new recording needs a new node')
             return
-        self._input = RecorderInput(self, self._selection, partial(add_type, self._writer.typestore))
+        self._input = RecorderInput(
+            self, self._selection, partial(add_type, self._writer.typestore)
+        )
         self._clockwork = [
             self.steady_timer(period, callback)
             for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report))

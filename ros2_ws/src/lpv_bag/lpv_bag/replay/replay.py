@@ -108,7 +108,11 @@ class Replay:
                         written.result()
                 _check(bag, inputs, result)
                 if not result.answered and result.rejected:
-                    raise _unusable(bag, result)
+                    (reason, count), *_ = result.rejected.most_common(1)
+                    raise BagError(
+                        f'{bag}: none of its {result.measurements} measurements can be used '
+                        f'({count} of them: {reason})'
+                    )
                 with result.stage('writing'):
                     writer.close()
             except BaseException:
@@ -184,9 +188,9 @@ class Replay:
         self, reader: BagReader, inputs: _Inputs, wanted: Sequence[Connection], result: ReplayResult
     ) -> Iterator[Batch]:
         """Blocks of the bag with the measurements in them, decoded."""
-        joints = self._monitor.arm.joint_names
+        joints, effort = self._monitor.arm.joint_names, inputs.effort
         measurements = MeasurementReader(reader, joints, self._monitor.needs_rates)
-        efforts = inputs.effort and EffortReader(reader, inputs.effort.msgtype, joints)
+        efforts = effort and EffortReader(reader, effort.msgtype, joints)
         injector = self._injector and BlockInjector(self._injector, self._monitor)
         blocks = reader.blocks(wanted, *_limits(reader, self._options))
         while True:
@@ -198,10 +202,9 @@ class Replay:
                 positions = _of(block, wanted, inputs.measured)
                 measured = measurements.read(block, positions)
                 torque, changed = None, {}
-                if efforts and inputs.effort:
-                    torque = efforts.before(
-                        block, _of(block, wanted, inputs.effort.topic), positions
-                    )
+                if effort and efforts:
+                    given = _of(block, wanted, effort.topic)
+                    torque = efforts.before(block, given, positions)
                     result.rejected.update(efforts.rejected)
                     efforts.rejected.clear()
                 if injector:
@@ -230,33 +233,23 @@ def _check(bag: str | Path, inputs: _Inputs, result: ReplayResult) -> None:
         raise BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
 
 
-def _unusable(bag: str | Path, result: ReplayResult) -> BagError:
-    (reason, count), *_ = result.rejected.most_common(1)
-    return BagError(
-        f'{bag}: none of its {result.measurements} measurements can be used '
-        f'({count} of them: {reason})'
-    )
-
-
 def _of(block: Any, connections: Sequence[Connection], topic: str) -> np.ndarray:
     """Positions of a topic's messages in a block."""
     return np.flatnonzero(np.array([c.topic == topic for c in connections])[block.connection])
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:
-    found = [c for c in reader.connections if c.topic == topic]
-    if not found:
+    found = next((c for c in reader.connections if c.topic == topic), None)
+    if found is not None and found.msgtype in EFFORT_TYPES:
+        return found
+    if found is None:
         there = ', '.join(sorted(c.topic for c in reader.connections if c.msgtype in EFFORT_TYPES))
-        raise BagError(
-            f'{reader.paths[0]}: the bag has no topic {topic!r}; topics that may carry '
-            f'torques are {there or "missing"}'
-        )
-    if found[0].msgtype not in EFFORT_TYPES:
-        raise BagError(
-            f'{reader.paths[0]}: {topic} is of type {found[0].msgtype}; torques can be '
-            f'read from ' + ', '.join(EFFORT_TYPES)
-        )
-    return found[0]
+        text = f'the bag has no topic {topic!r}; topics that may carry torques are '
+        text += there or 'missing'
+    else:
+        text = f'{topic} is of type {found.msgtype}; torques can be read from '
+        text += ', '.join(EFFORT_TYPES)
+    raise BagError(f'{reader.paths[0]}: {text}')
 
 
 def _limits(reader: BagReader, options: ReplayOptions) -> tuple[int | None, int | None]:

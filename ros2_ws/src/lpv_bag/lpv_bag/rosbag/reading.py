@@ -10,20 +10,21 @@ import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys.store import Typestore
 
-from lpv_bag.blocks.message_blocks import BLOCK_SIZE, RECORD, Block, joined, record
+from lpv_bag.blocks.message_blocks import BLOCK_SIZE, Block, joined, record, split
 from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import decode, make_typestore
 from lpv_bag.rosbag.mcap_file import McapFile, error_text
 from lpv_bag.rosbag.message_loss import Known
-from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
+from lpv_bag.rosbag.metadata import FILE_NAME, read_metadata
 from lpv_bag.rosbag.recovery import mcap_files, recover
 from lpv_core.support.errors import LpvError
 from lpv_core.support.timestamps import NANOSECONDS
@@ -31,7 +32,6 @@ from lpv_core.support.timestamps import NANOSECONDS
 _LOG = logging.getLogger(__name__)
 _LARGEST_GROUP = 1 << 29
 """Chunks whose times overlap are sorted together up to this size [bytes]."""
-_ARRAYS = (3, 4)  # rosbags.interfaces.Nodetype: of a fixed length, sequences
 _STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
 
 
@@ -99,11 +99,11 @@ class BagReader:
             if place.end >= low and place.start < high
             if not place.channels or (wanted[part][list(place.channels)] >= 0).any()
         )
-        group: list[tuple[int, int, Block]] = []
+        group: list[tuple[int, int, Block]] = []  # chunks that overlap
         end, size, bad = -1, 0, 0
         for first, part, place in places:
             if group and first > end and size >= BLOCK_SIZE:
-                yield from _sorted(group, low, high)
+                yield from _sorted(group)
                 group, size = [], 0
             try:
                 block = self.files[part].read(place)
@@ -112,12 +112,12 @@ class BagReader:
                 bad += 1
                 continue
             block.connection = wanted[part][block.connection]
-            kept = block.connection >= 0
+            kept = (block.connection >= 0) & (block.time >= low) & (block.time < high)
             group.append((part, place.offset, block if kept.all() else block.chosen(kept)))
             end, size = max(end, place.end), size + len(block.data)
             if size > _LARGEST_GROUP and len(group) > 1:
                 raise DamageError(f'more than {_LARGEST_GROUP >> 20} MiB overlap in time')
-        yield from _sorted(group, low, high)
+        yield from _sorted(group)
         if bad and bad == len(places):
             raise DamageError('no chunk of it is whole')
 
@@ -174,7 +174,7 @@ class BagReader:
 
 def _element(kind: Any) -> Any:
     """Type of a field, whatever the length of an array."""
-    if kind is not None and int(kind[0]) in _ARRAYS:
+    if kind is not None and kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         return 'array', kind[1][0]
     return kind
 
@@ -189,34 +189,26 @@ def _wanted(file: McapFile, connections: Sequence[Connection]) -> np.ndarray:
     return found
 
 
-def _sorted(group: list[tuple[int, int, Block]], low: int, high: int) -> Iterator[Block]:
+def _sorted(group: list[tuple[int, int, Block]]) -> Iterator[Block]:
     """Messages of chunks that overlap; those of one time keep the order of the files."""
-    if group:
-        block = joined([block for *_, block in sorted(group, key=lambda entry: entry[:2])])
-        kept = (block.time >= low) & (block.time < high)
-        block = block if kept.all() else block.chosen(kept)
-        if len(block):
-            yield block
+    if any(len(block) for *_, block in group):
+        yield joined([block for *_, block in sorted(group, key=lambda entry: entry[:2])])
 
 
 def _collect(
     messages: Iterable[tuple[Connection, int, bytes]], connections: Sequence[Connection]
 ) -> Iterator[Block]:
     """Blocks of messages that come one by one."""
-    index = {id(connection): i for i, connection in enumerate(connections)}
-    table: list[tuple[int, int, int, int]] = []
-    data = bytearray()
+    numbers = {(c.topic, c.id): i for i, c in enumerate(connections)}
+    data, found = bytearray(), list[int]()
     for connection, time, content in messages:
-        number = index.get(id(connection))
-        if number is None:
-            number = index[id(connection)] = connections.index(connection)
-        table.append((number, time, len(data) + RECORD.itemsize, len(content)))
         data += record(0, max(0, time), content)
+        found.append(numbers[connection.topic, connection.id])
         if len(data) >= BLOCK_SIZE:
-            yield Block(np.frombuffer(data, np.uint8), *np.array(table, np.int64).T)
-            table, data = [], bytearray()
-    if table:
-        yield Block(np.frombuffer(data, np.uint8), *np.array(table, np.int64).T)
+            yield replace(split(np.frombuffer(data, np.uint8))[0], connection=np.array(found))
+            data, found = bytearray(), []
+    if found:
+        yield replace(split(np.frombuffer(data, np.uint8))[0], connection=np.array(found))
 
 
 @contextlib.contextmanager
@@ -267,43 +259,33 @@ def open_bag(path: str | Path) -> Iterator[BagReader]:
 
 
 def _opened(path: Path, stack: ExitStack) -> BagReader:
-    def by_rosbags(bag: Path) -> AnyReader:
-        return stack.enter_context(AnyReader([bag], default_typestore=standard_types()))
-
-    def files_of(paths: Sequence[Path]) -> list[McapFile]:
+    def reader_of(bag: Path, paths: Sequence[Path]) -> BagReader:
         files = [stack.enter_context(contextlib.closing(McapFile(one))) for one in paths]
         for file in files:
             file.read_summary()
-        return files
+        source = stack.enter_context(AnyReader([bag], default_typestore=standard_types()))
+        return BagReader(path, source, files)
 
     metadata, damages = None, list[str]()
-    if (path / FILE_NAME).exists():
-        with contextlib.suppress(DamageError):  # which is said below
-            metadata = read_metadata(path)
+    with contextlib.suppress(DamageError):  # which is said below
+        metadata = read_metadata(path) if (path / FILE_NAME).exists() else None
     other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
     if other or not (path.is_dir() or path.suffix == '.mcap'):
-        return BagReader(path, by_rosbags(path))
+        return reader_of(path, ())
     paths = mcap_files(path, damages)[1]
     try:
         if damages:
             raise DamageError(damages[0])
-        files = files_of(paths)
-        reader = BagReader(path, by_rosbags(path), files)
-        topics = {channel.topic for file in files for channel in file.channels.values()}
+        reader = reader_of(path, paths)
+        topics = {channel.topic for file in reader.files for channel in file.channels.values()}
         if metadata is not None and topics != set(metadata.counts):
             raise DamageError(f'the files have other topics than {FILE_NAME}')
     except Exception:  # of many kinds: what is whole in it is found by reading all of it
         copy = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='lpv_bag_'))) / 'bag'
         damages = recover(path, copy, 'none').damages
-        reader = BagReader(path, by_rosbags(copy), files_of(list(copy.glob('*.mcap'))))
+        reader = reader_of(copy, list(copy.glob('*.mcap')))
     for text in damages:
         reader.warn(text)
-    _compare_counts(reader, metadata)
-    reader.known = metadata.known if metadata else {}
-    return reader
-
-
-def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
     there: Counter[str] = Counter()
     for file in reader.files:
         for number, count in file.counts.items():
@@ -315,6 +297,8 @@ def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
             )
     # All publishers of a topic are one.
     reader.connections[:] = [c._replace(msgcount=there.pop(c.topic, 0)) for c in reader.connections]
+    reader.known = metadata.known if metadata else {}
+    return reader
 
 
 @functools.lru_cache(maxsize=1)
