@@ -1,7 +1,5 @@
 """Checks of arm, gains and scenario files; no graph is needed."""
 
-from typing import Any
-
 from lpv_cli.doctor.finding import Finding, error, ok, warn
 from lpv_core.serial_arm.any_arm import Arm, load_any_arm
 from lpv_core.support.errors import LpvError
@@ -10,19 +8,16 @@ from lpv_core.support.resources import bringup_file
 
 def check_files(
     arm_name: str | None, gains_name: str | None, scenario_name: str | None
-) -> tuple[Any, ...]:
+) -> tuple[Arm | None, list[Finding]]:
     """Run the checks of the files that are given."""
-    arm, findings = None, []
-    if arm_name:
-        arm, finding = check_arm(arm_name)
-        findings.append(finding)
+    arm, found = check_arm(arm_name) if arm_name else (None, None)
+    findings = [found] if found else []
     if gains_name:
         findings.append(check_gains(gains_name, arm, arm_name))
     elif arm is not None and needs_gains(arm):
         remedy = f'lpv design --arm {arm_name} --out gains.yaml; then lpv doctor --arm {arm_name} '
-        findings.append(
-            warn('gains', 'none given: no node starts without', f'{remedy}--gains gains.yaml')
-        )
+        remedy += '--gains gains.yaml'
+        findings.append(warn('gains', 'none given: no node starts without', remedy))
     elif arm is not None:
         text = 'it needs none: its bounds are statistical; lpv design certifies its tracking loop'
         findings.append(ok('gains', text))
@@ -36,13 +31,13 @@ def needs_gains(arm: Arm) -> bool:
     return hasattr(arm, 'links')
 
 
-def check_arm(name: str) -> tuple[Any, ...]:
-    """Whether an arm file can be read."""
+def check_arm(name: str) -> tuple[Arm | None, Finding]:
+    """Whether an arm file can be read, and the arm be watched."""
+    from lpv_core.monitoring.factory import make_monitor
+
     try:
         arm = load_any_arm(bringup_file('arms', name))
         if not needs_gains(arm):
-            from lpv_core.monitoring.factory import make_monitor
-
             make_monitor('doctor', arm)
     except LpvError as problem:
         return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
