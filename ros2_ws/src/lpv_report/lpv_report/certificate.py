@@ -135,29 +135,12 @@ def beside_bag(bag: str | Path, name: str) -> Path | None:
 def find_arm_and_gains(
     bag: str | Path, arm: str | None = None, gains: str | None = None
 ) -> tuple[Arm, Path | None, str]:
-    """Arm and gains of a recorded run.
+    """Arm and gains file of a recorded run, and where the gains come from, for the reader.
 
-    Parameters
-    ----------
-    bag : str or pathlib.Path
-        rosbag2 directory or single storage file.
-    arm : str, optional
-        Arm file or name; without, the arm of the gains, else the shipped one that the recorded
-        messages name.
-    gains : str, optional
-        Gains file or name; without, the file in the bag, else the shipped gains of the arm.
-
-    Returns
-    -------
-    tuple of Arm, pathlib.Path or None, str
-        Arm, gains file if there is one, and where the gains come from, for the reader.
-
-    Raises
-    ------
-    ConfigError
-        If a file that was given is none, or the arm is not known.
-    BagError
-        If there is no such bag, or it cannot be read.
+    Without a name or file of the arm: the arm of the gains, else the shipped one that the recorded
+    messages name.  Without gains: the file in the bag, else the shipped gains of the arm.
+    ConfigError if a given file is none, or the arm is not known; BagError if the bag cannot be
+    read.
     """
     if not Path(bag).exists():
         raise BagError(f'{bag}: there is no such bag')

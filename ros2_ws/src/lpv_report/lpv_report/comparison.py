@@ -142,27 +142,8 @@ def load_pair(bag: str | Path, other: str | Path, arm: Arm) -> tuple[RunRecord, 
 def compare_runs(
     first: RunRecord, second: RunRecord, arm: Arm, tolerances: Tolerances | None = None
 ) -> Comparison:
-    """Compare the answers of two runs of one recording.
-
-    Parameters
-    ----------
-    first, second : RunRecord
-        The runs.
-    arm : ArmParameters or SerialArm
-        Their arm.
-    tolerances : Tolerances, optional
-        What still counts as the same.
-
-    Returns
-    -------
-    Comparison
-        What was found.
-
-    Raises
-    ------
-    LpvError
-        If the answers have no sample in common.
-    """
+    """Compare the answers of two runs of one recording; LpvError if they have no sample in
+    common."""
     tolerances = tolerances or Tolerances()
     stamps = [_answer_stamps(record) for record in (first, second)]
     common = np.intersect1d(stamps[0], stamps[1])

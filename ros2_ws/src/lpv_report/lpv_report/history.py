@@ -208,19 +208,8 @@ class Phase:
 def phases(record: RunRecord, arm: Arm, reports: Mapping[str, Sequence[NodeReport]]) -> list[Phase]:
     """All such intervals of a run, in the order of their beginnings.
 
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters or SerialArm
-        Its arm.
-    reports : mapping of str to sequence of NodeReport
-        What the nodes said on /diagnostics: of the observer, the tracking and the drives.
-
-    Returns
-    -------
-    list of Phase
-        Times that come from reports are as exact as these: once a second, and with every alarm.
+    ``reports`` is what the nodes said on /diagnostics, of the observer, the tracking and the
+    drives; times that come from there are as exact as these: once a second, and with every alarm.
     """
     said = {
         what: _while(record, reports.get('observer', ()), begin)

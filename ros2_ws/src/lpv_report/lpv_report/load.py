@@ -50,32 +50,10 @@ def load(
     gains: str | Path | None = None,
     source: str = '',
 ) -> Run:
-    """Read all of a bag that a report needs.
+    """Read all of a bag that a report needs; BagError if it cannot be read.
 
-    Parameters
-    ----------
-    bag : str or pathlib.Path
-        Recorded run.
-    arm : ArmParameters or SerialArm
-        The arm.
-    path : CartesianPath, optional
-        Reference path with its obstacle; that of the scenario in the bag if not given.
-    title : str, optional
-        Heading.
-    gains : str or pathlib.Path, optional
-        Gains file that the run was answered with; the one in the bag if not given.
-    source : str, optional
-        Where the gains come from, for the reader.
-
-    Returns
-    -------
-    Run
-        All that is known.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read.
+    Path (with its obstacle) and gains file are those in the bag if none are given; ``source`` says
+    where the gains come from, for the reader.
     """
     record = load_run(bag, joint_names=arm.joint_names)
     streams = ('fault_estimate', 'state_estimate', 'torque_command')

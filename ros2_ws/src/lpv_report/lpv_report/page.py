@@ -21,18 +21,10 @@ def css_string(text: str) -> str:
 
 
 def environment(folder: str | Path) -> jinja2.Environment:
-    """Environment of templates.
+    """Templates of a folder; they escape everything, and refuse names that are not given.
 
-    Parameters
-    ----------
-    folder : str or pathlib.Path
-        Where the templates are. They can include ``style.css`` of all reports, too, which needs
-        ``title`` and ``tiles``: the list of figures in the row of tiles on top.
-
-    Returns
-    -------
-    jinja2.Environment
-        Escapes everything, and refuses names that are not given.
+    They can include ``style.css`` of all reports, too, which needs ``title`` and ``tiles``: the
+    list of figures in the row of tiles on top.
     """
     found = jinja2.Environment(
         autoescape=True,

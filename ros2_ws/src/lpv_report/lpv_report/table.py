@@ -64,17 +64,7 @@ class Row:
 def make_table(record: RunRecord, arm: Arm) -> list[Row]:
     """MISE against ground truth, or the size of fault estimates where there is none.
 
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters or SerialArm
-        Its arm.
-
-    Returns
-    -------
-    list of Row
-        By joint and sensor; of the paper's arm the rows of its Table 2, in absolute angles.
+    By joint and sensor; of the paper's arm the rows of its Table 2, in absolute angles.
     """
     if not {'ground_truth', 'state_estimate'} <= set(record.streams):
         return _sizes(record)

@@ -38,21 +38,9 @@ class _Inputs(NamedTuple):
 
 
 class Replay:
-    """Runs a monitor over a bag and writes a bag with its answers.
-
-    Parameters
-    ----------
-    monitor : Monitor
-        Fresh observer and diagnosis.
-    options : ReplayOptions, optional
-        What to read and to write.
-    injector : FaultInjector, optional
-        Faults to add to the measurements, to see what the diagnosis makes of them.
-    on_event : callable, optional
-        Called with every alarm event, and its time since the first measurement [s].
-    **changes
-        Fields of ``options`` by name.
-    """
+    """Runs a fresh monitor over a bag: with other ``options`` (or fields of them by name), with
+    injected faults; ``on_event`` takes every alarm event and its time since the first measurement
+    [s]."""
 
     def __init__(
         self,
@@ -67,27 +55,11 @@ class Replay:
         self._on_event = on_event or (lambda event, time: None)
 
     def run(self, bag: str | Path, out: str | Path) -> ReplayResult:
-        """Replay one bag.
+        """Replay one bag into another, which is created.
 
-        All topics are copied unless the options say otherwise, except earlier answers of the
-        same monitor, which are replaced.
-
-        Parameters
-        ----------
-        bag, out : str or pathlib.Path
-            Bag to read, bag to create.
-
-        Returns
-        -------
-        ReplayResult
-            What was found.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or lacks measurements.
-        ConfigError
-            If the new bag cannot be made.
+        All topics are copied unless the options say otherwise, except earlier answers of the same
+        monitor, which are replaced.  BagError if the bag cannot be read or lacks measurements,
+        ConfigError if the new one cannot be made.
         """
         result, options = ReplayResult(), self._options
         with open_bag(bag) as reader:
@@ -124,27 +96,11 @@ class Replay:
     def watch(
         self, bag: str | Path, take: Callable[..., Any], streams: Sequence[str] = ()
     ) -> ReplayResult:
-        """Run over one bag and write nothing.
+        """Run over one bag and write nothing; errors as of `run`.
 
-        Parameters
-        ----------
-        bag : str or pathlib.Path
-            Bag to read.
-        take : callable
-            Called block by block with measurements, answers, and a dict of other streams: header
-            stamps and fields, or None where a block has no message.
-        streams : sequence of str, optional
-            Other streams of the bag, names of `lpv_bag.run.record.STREAMS`.
-
-        Returns
-        -------
-        ReplayResult
-            What was found.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or lacks measurements.
+        ``take`` is called block by block with measurements, answers, and a dict of other
+        ``streams`` (names of `lpv_bag.run.record.STREAMS`): header stamps and fields, or None where
+        a block has no message.
         """
         result = ReplayResult()
         with open_bag(bag) as reader:

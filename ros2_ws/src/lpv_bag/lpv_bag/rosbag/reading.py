@@ -61,25 +61,9 @@ class BagReader:
     def blocks(
         self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
     ) -> Iterator[Block]:
-        """Messages in the order of their log times, thousands at once.
-
-        Parameters
-        ----------
-        connections : sequence of rosbags.interfaces.Connection
-            Wanted ones; the blocks hold their indices.
-        start, stop : int, optional
-            First log time, and the one before which to end [ns].
-
-        Yields
-        ------
-        Block
-            Not empty.
-
-        Raises
-        ------
-        BagError
-            If the bag is damaged so that it cannot be read on.
-        """
+        """Messages of some topics in the order of their log times, thousands at once, from the
+        first log time to before the last one [ns]; the blocks hold indices of connections, and are
+        not empty. BagError if the bag is damaged so that it cannot be read on."""
         low, high = start if start is not None else 0, stop if stop is not None else 2**63 - 1
         with damage(self.paths[0]):
             if self.files:
@@ -228,26 +212,12 @@ def damage(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def open_bag(path: str | Path) -> Iterator[BagReader]:
-    """Open a bag; whatever goes wrong in reading is a BagError with a message.
+    """Open a rosbag2 directory or a single ``.mcap`` or ``.db3`` file; whatever goes wrong in
+    reading is a BagError with a message.
 
     MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
     and in ``warnings`` of the reader) and read as far as their checksums are right.  Bags without
     message definitions are read with the standard types and lpv_msgs.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory or single ``.mcap`` or ``.db3`` file.
-
-    Yields
-    ------
-    BagReader
-        Open reader.
-
-    Raises
-    ------
-    BagError
-        If there is no such bag, or nothing of it can be read.
     """
     path = Path(path)
     if not path.exists():

@@ -56,34 +56,12 @@ class Recovery:
 
 
 def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
-    """Write what can be read of a bag into a new one, chunk by chunk.
+    """Write what can be read of an MCAP bag into a new one, or examine it only.
 
     A chunk whose checksum is wrong is left out as a whole: one of its messages is wrong, and there
     is no telling which.  Of a file without a whole index, what comes before the first byte that
-    makes no sense is kept.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory with MCAP files, or one MCAP file.
-    out : str or pathlib.Path, optional
-        Bag to create; without, the bag is examined only.
-    preset : str, optional
-        Compression of the new bag, a key of `lpv_bag.rosbag.writing.PRESETS`.
-
-    Returns
-    -------
-    Recovery
-        What was recovered and what was lost.
-
-    Raises
-    ------
-    BagError
-        If nothing can be read, or it is no MCAP bag.
-    ConfigError
-        If the new bag cannot be made.
-    OSError
-        If it cannot be written.
+    makes no sense is kept.  BagError if nothing can be read, ConfigError or OSError if the new bag
+    cannot be written.
     """
     path, result = Path(path), Recovery()
     metadata, paths = mcap_files(path, result.damages)

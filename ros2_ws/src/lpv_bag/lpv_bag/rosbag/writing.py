@@ -137,7 +137,7 @@ class _File(Writer):
 
 
 class BagWriter:
-    """A bag that is written topic by topic.
+    """A bag that is written topic by topic; ConfigError if it exists already or cannot be made.
 
     Parameters
     ----------
@@ -145,10 +145,8 @@ class BagWriter:
         Directory to create.
     preset : str, optional
         Compression, a key of `PRESETS`.
-    split_size : int, optional
-        Size at which a new file is begun [bytes]; 0 for never.
-    split_time : int, optional
-        Span of log times at which a new file is begun [ns]; 0 for never.
+    split_size, split_time : int, optional
+        Size [bytes] and span of log times [ns] at which a new file is begun; 0 for never.
     chunk_time : int, optional
         A chunk is cut when log times enter the next multiple of this [ns]; 0 for never.  What a
         chunk holds then depends on the messages alone, not on when they came.
@@ -156,16 +154,6 @@ class BagWriter:
         Wait after each chunk until it is on the disk.
     custom_data : dict of str to str, optional
         Stored in metadata.yaml.
-
-    Attributes
-    ----------
-    typestore : rosbags typestore
-        Of the types that are known.
-
-    Raises
-    ------
-    ConfigError
-        If it exists already or cannot be made.
     """
 
     def __init__(

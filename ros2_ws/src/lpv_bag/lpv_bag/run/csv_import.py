@@ -81,35 +81,12 @@ def import_csv(
     topic: str = '/joint_states',
     delimiter: str = ',',
 ) -> tuple[int, list[str]]:
-    """Write a bag of sensor_msgs/JointState from a CSV file with a header line.
+    """Write a bag of sensor_msgs/JointState from a CSV file with a header line; number of messages,
+    and warnings.
 
     Empty cells become NaN: the observer has modes for missing values, and nothing recorded is
-    left out.  Without any effort column the messages carry no effort.
-
-    Parameters
-    ----------
-    source : str or pathlib.Path
-        CSV file.
-    columns : ColumnMap
-        Meaning of its columns.
-    out : str or pathlib.Path
-        Bag to create.
-    topic : str, optional
-        Topic of the messages.
-    delimiter : str, optional
-        Between cells.
-
-    Returns
-    -------
-    tuple
-        Number of messages, and a list of warnings.
-
-    Raises
-    ------
-    CsvError
-        If a column is missing, or a cell is no number.
-    ConfigError
-        If the bag cannot be made.
+    left out.  Without any effort column the messages carry no effort.  CsvError if a column is
+    missing or a cell is no number, ConfigError if the bag cannot be made.
     """
     count, warnings = 0, list[str]()
     try:

@@ -27,19 +27,10 @@ class Part(NamedTuple):
 
 
 class Decoder:
-    """Decodes messages of one type.
+    """Decodes messages of one type: numbers at some paths, as ``points.0.effort``.
 
-    Parameters
-    ----------
-    reader : BagReader
-        Open bag.
-    msgtype : str
-        Message type.
-    paths : sequence of str
-        Wanted numbers, as ``points.0.effort``.
-    learn : callable
-        What the user of the messages wants to know of all messages of one shape, from the first of
-        them; raises SampleError for messages that cannot be used.
+    ``learn`` gives what the user of the messages wants to know of all messages of one shape, from
+    the first of them; it raises SampleError for messages that cannot be used.
     """
 
     def __init__(

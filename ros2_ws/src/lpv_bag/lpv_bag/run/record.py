@@ -108,11 +108,6 @@ def load_run(
     answers_only : bool, optional
         Whether the bag may lack measurements.
 
-    Returns
-    -------
-    RunRecord
-        Its arrays.
-
     Raises
     ------
     BagError

@@ -120,29 +120,12 @@ def _line(text: str) -> str:
 
 
 def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> dict[str, list[str]]:
-    """All rosbag2 bags below a folder, as the chunks of a campaign.
+    """All rosbag2 bags below a folder, as the chunks of a campaign: path of each relative to it, by
+    a hash of names, sizes and times of its files.
 
     A folder with storage files and a metadata.yaml is one bag, and so is one without metadata
     whose MCAP files have its name, as an unfinished recording leaves it; other storage files are
     bags of their own.  Hidden folders and links to folders are left out.
-
-    Parameters
-    ----------
-    root : str or pathlib.Path
-        Archive.
-    leave_out : sequence of pathlib.Path, optional
-        Folders that are no part of it.
-
-    Returns
-    -------
-    dict of str to list of str
-        Path of each bag relative to the archive, by a hash of names, sizes and times of its files:
-        a bag that was changed has another one.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such folder.
     """
     root = Path(root)
     if not root.is_dir():

@@ -25,15 +25,8 @@ _STALE = int(SensorState.STALE)
 class BagFigures:
     """Sums over the answers to one bag's measurements; memory does not grow without a truth.
 
-    A sample counts for the time until the next one, at most ``max_gap``: what was not recorded was
-    not observed.
-
-    Parameters
-    ----------
-    arm : ArmParameters or SerialArm
-        The arm.
-    max_gap : float
-        Longest interval that counts [s].
+    A sample counts for the time until the next one, at most ``max_gap`` [s]: what was not recorded
+    was not observed.
     """
 
     STREAMS = ('ground_truth', 'reference', 'torque_command')

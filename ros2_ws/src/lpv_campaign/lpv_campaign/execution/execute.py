@@ -73,26 +73,12 @@ def chunks_of(campaign: Campaign, size: int = CHUNK) -> dict[str, list[int]]:
 def worker_pool(
     workers: int | None = None, scheduler: str | None = None
 ) -> Iterator[Callable[[Work, dict[str, list[Any]]], Iterator[tuple[str, list[dict[str, Any]]]]]]:
-    """Workers that serve one campaign after another.
+    """Workers that serve one campaign after another: processes on this machine (0: none, all in
+    this process; by default as many as there are cores), or those of a Dask scheduler.
 
-    Parameters
-    ----------
-    workers : int, optional
-        Processes of a cluster on this machine; 0: none, all in this process; by default as many as
-        there are cores.
-    scheduler : str, optional
-        Address of a Dask scheduler to use instead.
-
-    Yields
-    ------
-    callable
-        Takes a campaign and its chunks by name, and yields name and rows of each, as they are
-        done, in any order; the rows are the same whoever computes them.
-
-    Raises
-    ------
-    WorkerError
-        If a worker runs other software, or workers die of the same chunk again and again.
+    Yields a function that takes a campaign and its chunks by name, and yields name and rows of each
+    as they are done; the rows are the same whoever computes them.  WorkerError if a worker runs
+    other software, or workers die of the same chunk again and again.
     """
     if scheduler is None and workers == 0:
         yield _here
@@ -182,28 +168,15 @@ def _mapped(
 
 
 class ResultsFolder:
-    """Results on disk: one Parquet file a chunk, and one of all rows in the end.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The folder; made when something is written.
-    name : str
-        Name of the file of all rows.
-    """
+    """Results on disk: one Parquet file a chunk, and one of all rows, ``name``, in the end."""
 
     def __init__(self, path: str | Path, name: str = 'runs') -> None:
         self.path = Path(path)
         self.file, self._chunks = self.path / f'{name}.parquet', self.path / 'chunks'
 
     def begin(self, work: Work) -> None:
-        """Keep what is run, so that it can be resumed after a crash.
-
-        Raises
-        ------
-        ConfigError
-            If something else was begun here.
-        """
+        """Keep what is run, so that it can be resumed after a crash; ConfigError if something else
+        was begun here."""
         begun = self.load()
         if begun is not None and begun.key != work.key:
             raise ConfigError(

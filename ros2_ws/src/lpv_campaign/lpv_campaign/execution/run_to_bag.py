@@ -45,23 +45,8 @@ def write_run_bag(plan: RunPlan, run: Any, out: str | Path) -> None:
     """Write a run as a bag, with the files that repeat it.
 
     Measurements, commands, references and truth come from the run; the answers of observer and
-    diagnosis from a replay of these measurements, which must give what the run had.
-
-    Parameters
-    ----------
-    plan : RunPlan
-        What was simulated.
-    run : Run or SerialLoopRun
-        What came out.
-    out : str or pathlib.Path
-        Bag to create.
-
-    Raises
-    ------
-    ConfigError
-        If it exists already or cannot be made.
-    LpvError
-        If the replay does not answer as the run did.
+    diagnosis from a replay of these measurements, which must give what the run had: else LpvError.
+    ConfigError if the bag exists already or cannot be made.
     """
     out = Path(out)
     if out.exists():

@@ -100,30 +100,12 @@ class Finding:
 
 
 class Attacker:
-    """Healthy runs of one arm against its own thresholds.
+    """Healthy runs of one arm, of some length [s], against its own thresholds.
 
-    Parameters
-    ----------
-    arm : ArmParameters or SerialArm
-        What a healthy arm may be; its file states the ranges.
-    duration : float
-        Of a run [s].
-    gains : Gains, optional
-        Of a two-link arm; method ``exact`` only has a guaranteed bound.
-    monitored : SerialArm, optional
-        What the monitor of a serial arm is told; ``arm`` by default.
-
-    Attributes
-    ----------
-    numbers : int
-        Numbers of a candidate, each in [-1, 1].
-    samples : ndarray, shape (N, 3, n)
-        Positions, rates and efforts of the last run.
-
-    Raises
-    ------
-    ConfigError
-        If the file states no ranges.
+    ``arm`` is what a healthy arm may be; its file states the ranges, and ConfigError says that it
+    does not.  ``monitored`` is what the monitor of a serial arm is told, by default the same.  A
+    candidate has so many ``numbers``, each in [-1, 1]; ``samples``, shape (N, 3, n), are positions,
+    rates and efforts of the last run.
     """
 
     def __init__(

@@ -56,21 +56,8 @@ def random_path(
 ) -> tuple[Any, ...]:
     """Times [s] and points (x, y) [m] of a random path of a two-link arm that is certified.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm; its ``cos_min`` and ``orientation`` give the region.
-    rng : numpy.random.Generator
-        Source of randomness.
-    duration : float
-        Length of the run, more than 1 s [s]; the path leaves half a second at either end.
-    fastest : float, optional
-        Largest joint rate [rad/s].
-
-    Raises
-    ------
-    ConfigError
-        If the region leaves no room for a path.
+    It leaves half a second at either end of the run, and stays below a joint rate [rad/s];
+    ConfigError if the arm's ``cos_min`` and ``orientation`` leave no room for one.
     """
     _check_duration(duration)
     joints, least = JointMap(arm), _MARGIN * max(arm.cos_min)
@@ -101,13 +88,8 @@ def random_path(
 def random_joint_path(
     arm: SerialArm, rng: np.random.Generator, duration: float
 ) -> tuple[tuple[float, ...], tuple[tuple[float, ...], ...]]:
-    """Times [s] and joint positions [rad] of a random motion within a serial arm's limits.
-
-    Raises
-    ------
-    ConfigError
-        If the limits leave no room for a path.
-    """
+    """Times [s] and joint positions [rad] of a random motion within an arm's limits; ConfigError if
+    they leave no room for one."""
     _check_duration(duration)
     careful, low, high = _with_margins(arm)
     steps = max(1, round((duration - 1.0) / float(rng.uniform(*_SEGMENT))))

@@ -26,28 +26,10 @@ from lpv_core.support.resources import bringup_file
 def resolve(
     data: dict[str, Any], source: str, folder: str | Path, designed: bool = True
 ) -> Campaign:
-    """Inline all files that a campaign names, and design its gains.
+    """Inline all files that a campaign names, relative to a folder, and design its gains.
 
-    Parameters
-    ----------
-    data : dict
-        Content of the campaign file.
-    source : str
-        Its name.
-    folder : str or pathlib.Path
-        Where relative names of files count from.
-    designed : bool, optional
-        Whether gains are found, too; if not, `Campaign.with_gains` gives them.
-
-    Returns
-    -------
-    Campaign
-        Ready to be run.
-
-    Raises
-    ------
-    LpvError
-        If anything is missing, wrong, or cannot be designed.
+    Without ``designed``, `Campaign.with_gains` gives these.  LpvError if anything is missing,
+    wrong, or cannot be designed.
     """
     spec = parse_spec(data, source)
     arm_file = _file('arms', spec.arm, folder)
@@ -115,25 +97,9 @@ def parse_content(data: Any) -> Arm:
 
 
 class Campaign:
-    """Simulated runs, from one text.
+    """Simulated runs, from one text: JSON, as `resolve` makes it.
 
-    Parameters
-    ----------
-    text : str
-        JSON, as `resolve` makes it.
-
-    Attributes
-    ----------
-    text : str
-        The same.
-    content : dict
-        The same, parsed: ``spec``, ``arm``, ``scenarios``, ``gains``.
-    spec : CampaignSpec
-        What varies.
-    arm : ArmParameters or SerialArm
-        Nominal arm of the arm file.
-    kind : ArmKind
-        How it is simulated.
+    Parsed it is the ``content``: ``spec`` (what varies), ``arm``, ``scenarios``, ``gains``.
     """
 
     def __init__(self, text: str) -> None:

@@ -85,13 +85,8 @@ def load_spec(path: str | Path) -> CampaignSpec:
 
 
 def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
-    """Build a campaign from the mapping of its file, validated as far as possible without the arm.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
-    """
+    """Build a campaign from the mapping of its file, validated as far as possible without the arm;
+    ConfigError names the offending field."""
     top = Section(data, source)
     plan = top.section('plan')
     method = plan.text('method', choices=METHODS)

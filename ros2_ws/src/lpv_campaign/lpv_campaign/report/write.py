@@ -54,26 +54,9 @@ class CampaignReport:
 def write_report(
     work: Any, table: pa.Table, folder: str | Path, planned: int, healthy: bool = False
 ) -> CampaignReport:
-    """Write the report of a campaign of runs or of bags.
-
-    Parameters
-    ----------
-    work : Campaign or Archive
-        What was run.
-    table : pyarrow.Table
-        Results, of all runs or bags or of some.
-    folder : str or pathlib.Path
-        Folder of the results; gets ``report.html`` and ``report.json``.
-    planned : int
-        How many there should be.
-    healthy : bool, optional
-        Whether all alarms of bags without ground truth are false.
-
-    Returns
-    -------
-    CampaignReport
-        What was written.
-    """
+    """Write ``report.html`` and ``report.json`` of a campaign of runs or of bags, all or some of
+    those that are planned, into the folder of its results.  With ``healthy`` all alarms of bags
+    without ground truth are false."""
     folder = Path(folder)
     numbers = report_numbers(work, table, folder, planned, healthy)
     pictures = draw_all(numbers)
