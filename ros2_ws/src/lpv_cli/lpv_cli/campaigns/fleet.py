@@ -8,6 +8,7 @@ from rich.console import Console
 from lpv_campaign.execution.archive import Archive, archive_text, find_bags
 from lpv_campaign.execution.execute import ResultsFolder
 from lpv_cli.campaigns.campaign import add_execution, check_workers, execute
+from lpv_cli.options import flag
 from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
@@ -30,9 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='every rosbag2 bag below this folder is replayed; code 3 says that one could not be '
         'read',
     )
-    parser.add_argument(
-        '--healthy', action='store_true', help='the arms were healthy: all alarms are false'
-    )
+    flag(parser, '--healthy', 'the arms were healthy: all alarms are false')
     add_execution(parser, 'out/fleet/NAME')
     add_diagnosis(parser)
     add_reading(parser)

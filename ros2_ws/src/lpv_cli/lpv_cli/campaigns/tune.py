@@ -22,6 +22,7 @@ from lpv_campaign.execution.execute import chunks_of, software, worker_pool
 from lpv_campaign.plan.campaign import Campaign, resolve
 from lpv_campaign.plan.spec import NO_FAULT
 from lpv_cli.campaigns.campaign import add_execution, check_workers
+from lpv_cli.options import number
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import Gains, load_gains, save_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
@@ -67,8 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='column of the results whose mean counts, and its weight; may be repeated '
         f'({", ".join(f"{name}={weight:g}" for name, weight in COSTS.items())})',
     )  # fmt: skip
-    parser.add_argument('--trials', type=int, default=40, help='designs to try (%(default)s)')
-    parser.add_argument('--seed', type=int, default=1, help='of the search (%(default)s)')
+    number(parser, '--trials', 40, 'designs to try')
+    number(parser, '--seed', 1, 'of the search')
     add_execution(parser, 'out/tune/NAME')
 
 

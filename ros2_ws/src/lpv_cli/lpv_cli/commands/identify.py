@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpv_cli import arm_choice
+from lpv_cli.options import flag, number
 from lpv_cli.progress import steps
 from lpv_core.support.errors import ConfigError
 
@@ -30,17 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--report', metavar='DIR', help='folder for the report with pictures')
     _add_arm_arguments(parser)
     _add_recording_arguments(parser)
-    parser.add_argument(
+    number(
+        parser,
         '--train-share',
-        type=float,
-        default=0.6,
-        help='share of each recording that is fitted, the rest is held back (0.6)',
+        0.6,
+        'share of each recording that is fitted, the rest is held back',
     )
-    parser.add_argument(
-        '--refit',
-        action='store_true',
-        help='write the parameters of a fit to all samples, after the test',
-    )
+    flag(parser, '--refit', 'write the parameters of a fit to all samples, after the test')
     parser.add_argument(
         '--test',
         action='append',
@@ -49,17 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='recording to test on, instead of the part held back',
     )
     task = parser.add_mutually_exclusive_group()
-    task.add_argument(
+    flag(
+        task,
         '--calibrate',
-        action='store_true',
-        help='the arm of --arm is known: find noise, steps and rates of its sensors and the torque '
+        'the arm of --arm is known: find noise, steps and rates of its sensors and the torque '
         'that its model misses, from some 10 s of any healthy motion; parameters stay',
     )
-    task.add_argument(
-        '--payload',
-        action='store_true',
-        help='the arm of --arm is known: find mass and centre of its tool only',
-    )
+    flag(task, '--payload', 'the arm of --arm is known: find mass and centre of its tool only')
     parser.add_argument(
         '--known-mass',
         type=float,
@@ -90,14 +83,12 @@ def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         help='joint torque per unit of effort, one for all joints or one each',
     )
     weight = parser.add_mutually_exclusive_group()
-    weight.add_argument(
+    flag(
+        weight,
         '--without-gravity',
-        action='store_true',
-        help='efforts do not contain the torque that holds the weight (found from the data)',
+        'efforts do not contain the torque that holds the weight (found from the data)',
     )
-    weight.add_argument(
-        '--with-gravity', action='store_true', help='efforts contain it, whatever the data say'
-    )
+    flag(weight, '--with-gravity', 'efforts contain it, whatever the data say')
 
 
 def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,6 +2,8 @@
 
 import argparse
 
+from lpv_cli.options import flag
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -11,11 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='arm that the gains are to be used with: file or name of a '
         'shipped one; without, the arm that the file itself describes',
     )
-    parser.add_argument(
-        '--proof',
-        action='store_true',
-        help='also prove the inequalities in exact rational arithmetic',
-    )
+    flag(parser, '--proof', 'also prove the inequalities in exact rational arithmetic')
 
 
 def run(arguments: argparse.Namespace) -> int:

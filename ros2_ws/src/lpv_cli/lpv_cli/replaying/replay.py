@@ -15,6 +15,7 @@ from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_bag.rosbag.writing import PRESETS
 from lpv_bag.run.streams import RecordedAlarm
+from lpv_cli.options import flag
 from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
@@ -53,10 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='YAML file whose list of '
         'faults is added to the measurements: shows what would be found',
     )
-    parser.add_argument(
+    flag(
+        parser,
         '--estimates-only',
-        action='store_true',
-        help='write estimates, alarms and diagnostics alone; otherwise all topics are copied, too',
+        'write estimates, alarms and diagnostics alone; otherwise all topics are copied, too',
     )
     parser.add_argument(
         '--compression',
