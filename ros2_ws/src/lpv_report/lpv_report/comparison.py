@@ -15,6 +15,7 @@ from lpv_bag.run.streams import RunRecord
 from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.support.errors import LpvError
 from lpv_report.history import Episode, episodes
+from lpv_report.page import finite
 from lpv_report.table import make_table
 
 # Stream, field, what it is called, unit; flags are compared by the share that differs.
@@ -99,24 +100,22 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
-
-        def plain(value: Any) -> Any:
-            if isinstance(value, dict):
-                return {k: plain(v) for k, v in value.items()}
-            if isinstance(value, list):
-                return [plain(v) for v in value]
-            if isinstance(value, Episode):
-                return plain({**asdict(value), 'delay': value.delay})
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
         names = ('common', 'only_first', 'only_second', 'complete')
-        return plain(
+        alarms = [
+            {
+                name: e and {**asdict(e), 'delay': e.delay}
+                for name, e in (('first', pair.first), ('second', pair.second))
+            }
+            | {'same': pair.same}
+            for pair in self.alarms
+        ]
+        return finite(
             {
                 'same': self.same,
                 'answers': {name: getattr(self, name) for name in names},
                 'figures': [vars(f) for f in self.figures],
                 'differences': [vars(f) for f in self.differences],
-                'alarms': [vars(p) for p in self.alarms],
+                'alarms': alarms,
             }
         )
 
@@ -259,33 +258,31 @@ def draw_comparison(first: RunRecord, second: RunRecord, arm: Arm, out: Path) ->
 
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
-    stamps = [record.stamps['fault_estimate'] for record in (first, second)]
-    common, i, j = np.intersect1d(stamps[0], stamps[1], return_indices=True)
-    runs = [record.streams['fault_estimate'] for record in (first, second)]
+    times = [first.seconds(record.stamps['fault_estimate']) for record in (first, second)]
+    common, i, j = np.intersect1d(*times, return_indices=True)
+    one, two = (record.streams['fault_estimate'] for record in (first, second))
     truth = first.get('ground_truth', 'fault')
+
+    def curves(name: str, k: int) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
+        if name == 'differences':
+            for what, color in (('estimate', SENSOR[k]), ('threshold', PALE[k])):
+                gap = two[what][j, k] - one[what][i, k]
+                yield common, gap, {'color': color, 'label': f'{what}, second - first'}
+            return
+        yield times[0], one['estimate'][:, k], {'color': PALE[k], 'lw': 3.4, 'label': 'first'}
+        yield times[1], two['estimate'][:, k], {'color': SENSOR[k], 'lw': 1.1, 'label': 'second'}
+        if truth is not None:
+            at = first.seconds(first.stamps['ground_truth'])
+            yield at, truth[:, k], {'color': INK, 'lw': 0.9, 'ls': '--', 'label': 'fault'}
+
     for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):
         with plt.rc_context(SETTINGS):
             count = len(arm.sensor_names)
-            figure, axes = plt.subplots(
-                count, sharex=True, squeeze=False, figsize=(8.6, 2.6 * count)
-            )
+            size = {'figsize': (8.6, 2.6 * count)}
+            figure, axes = plt.subplots(count, sharex=True, squeeze=False, **size)
             for k, axis in enumerate(axes[:, 0]):
-                if name == 'faults':
-                    for label, color, width in (
-                        ('first', PALE[k], 3.4),
-                        ('second', SENSOR[k], 1.1),
-                    ):
-                        at = 0 if label == 'first' else 1
-                        values = thin(first.seconds(stamps[at]), runs[at]['estimate'][:, k])
-                        axis.plot(*values, color=color, linewidth=width, label=label)
-                    if truth is not None:
-                        values = thin(first.seconds(first.stamps['ground_truth']), truth[:, k])
-                        axis.plot(*values, color=INK, linewidth=0.9, linestyle='--', label='fault')
-                else:
-                    for what, color in (('estimate', SENSOR[k]), ('threshold', PALE[k])):
-                        gap = runs[1][what][j, k] - runs[0][what][i, k]
-                        values = thin(first.seconds(common), gap)
-                        axis.plot(*values, color=color, label=f'{what}, second - first')
+                for at, values, look in curves(name, k):
+                    axis.plot(*thin(at, values), **look)
                 axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=unit)
                 legend_above(axis)
             axes[-1, 0].set_xlabel('time [s]')

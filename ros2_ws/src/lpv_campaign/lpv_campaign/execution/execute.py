@@ -84,7 +84,9 @@ def worker_pool(
         yield _here
         return
     with ExitStack() as stack:
-        client = stack.enter_context(_client(workers, scheduler, stack))
+        client = stack.enter_context(
+            _local(workers, stack) if scheduler is None else _remote(scheduler)
+        )
         yield lambda work, chunks: _mapped(client, work, chunks)
 
 
@@ -93,20 +95,30 @@ def _here(work: Work, chunks: dict[str, list[Any]]) -> Iterator[tuple[str, list[
         yield name, run_chunk(work.text, name, tasks)[2]
 
 
-def _client(workers: int | None, scheduler: str | None, stack: ExitStack) -> Any:
+def _local(workers: int | None, stack: ExitStack) -> Any:
+    """A cluster of processes, which leave Ctrl-C to the one that started them."""
     from distributed import Client, LocalCluster
 
-    if scheduler is None:
-        with _interrupts_ignored():
-            cluster = LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)),
-                threads_per_worker=1,
-                host='127.0.0.1',
-                dashboard_address='127.0.0.1:0',
-                memory_limit=0,
-                silence_logs=logging.ERROR,
-            )
-        return Client(stack.enter_context(cluster))
+    is_main = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
+    try:
+        cluster = LocalCluster(
+            n_workers=workers or len(os.sched_getaffinity(0)),
+            threads_per_worker=1,
+            host='127.0.0.1',
+            dashboard_address='127.0.0.1:0',
+            memory_limit=0,
+            silence_logs=logging.ERROR,
+        )
+    finally:
+        if is_main:
+            signal.signal(signal.SIGINT, before)
+    return Client(stack.enter_context(cluster))
+
+
+def _remote(scheduler: str) -> Any:
+    from distributed import Client
+
     try:
         client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, ValueError, ImportError) as error:
@@ -119,52 +131,37 @@ def _client(workers: int | None, scheduler: str | None, stack: ExitStack) -> Any
     return client
 
 
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Processes that are started within ignore Ctrl-C: the one that started them ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _mapped(
     client: Any, work: Work, chunks: dict[str, list[Any]]
 ) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     from distributed import wait
     from distributed.scheduler import KilledWorker
 
-    names, own = list(chunks), software()
-    for first in range(0, len(names), _BATCH):
-        batch = names[first : first + _BATCH]
-        tasks = [chunks[name] for name in batch]
+    left, own = list(chunks.items()), software()
+    pending: set[Any] = set()
+    while left or pending:
+        names, tasks = zip(*left[:_BATCH]) if left and not pending else ((), ())
+        left = left[len(names) :]
         # Not pure: a key by content would hash the text again for each chunk.
-        pending = set(client.map(run_chunk, [work.text] * len(batch), batch, tasks, pure=False))
-        while pending:
+        pending |= set(client.map(run_chunk, [work.text] * len(names), names, tasks, pure=False))
+        try:
+            done, pending = wait(pending, _NO_WORKER_TIMEOUT, return_when='FIRST_COMPLETED')
+        except TimeoutError:
+            if client.nthreads():
+                continue
+            raise WorkerError(
+                f'no worker has been left for {_NO_WORKER_TIMEOUT:g} s; finished work is '
+                'kept: start workers and run the command again'
+            ) from None
+        for future in done:
             try:
-                done, pending = wait(pending, _NO_WORKER_TIMEOUT, return_when='FIRST_COMPLETED')
-            except TimeoutError:
-                if client.nthreads():
-                    continue
-                raise WorkerError(
-                    f'no worker has been left for {_NO_WORKER_TIMEOUT:g} s; finished work is '
-                    'kept: start workers and run the command again'
-                ) from None
-            for future in done:
-                try:
-                    name, version, rows = future.result()
-                except KilledWorker as error:
-                    raise WorkerError(f'workers died of the same work again: {error}') from error
-                if version != own:
-                    raise WorkerError(
-                        'a worker runs another version of this software: install the same one '
-                        'everywhere'
-                    )
-                yield name, rows
+                name, version, rows = future.result()
+            except KilledWorker as error:
+                raise WorkerError(f'workers died of the same work again: {error}') from error
+            if version != own:
+                text = 'a worker runs another version of this software: install the same one '
+                raise WorkerError(text + 'everywhere')
+            yield name, rows
 
 
 class ResultsFolder:

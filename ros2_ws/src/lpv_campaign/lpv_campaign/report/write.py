@@ -34,7 +34,7 @@ from lpv_campaign.report.statistics import (
 )
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.formatting import number, seconds
-from lpv_report.page import embedded, environment
+from lpv_report.page import embedded, environment, finite
 
 _CLASSES, _LEVELS = 8, 12
 _MOST = 10
@@ -106,7 +106,7 @@ def report_numbers(
         'trends': trends(results) if bags else [],
     }
     numbers['tiles'] = _tiles(numbers, bags)
-    return _finite(numbers)
+    return finite(numbers)
 
 
 def _head(work: Any, results: Results, planned: int, failed: int) -> dict[str, Any]:
@@ -411,16 +411,6 @@ def _tiles(numbers: dict[str, Any], bags: bool) -> list[tuple[str, Any, str]]:
         clear = sum(trend['clear'] for trend in numbers['trends'])
         tiles.append(('clear trends', clear, f'{head["failed"]} bags could not be read'))
     return tiles
-
-
-def _finite(data: Any) -> Any:
-    """Plain data without numbers that are none: JSON has no word for them."""
-    data = data.item() if isinstance(data, np.generic) else data
-    if isinstance(data, dict):
-        return {key: _finite(value) for key, value in data.items()}
-    if isinstance(data, (list, tuple)):
-        return [_finite(value) for value in data]
-    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def percent(share: dict[str, Any]) -> str:
