@@ -19,7 +19,6 @@ from lpv_bag.replay.writer import ReplayWriter
 from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
 from lpv_bag.run.record import STREAMS, find_connections, find_topic
-from lpv_bag.run.rows import StreamReader
 from lpv_bag.run.streams import RecordedAlarm
 from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
 from lpv_core.monitoring.answers import Answers
@@ -93,31 +92,24 @@ class Replay:
                 raise
         return result
 
-    def watch(
-        self, bag: str | Path, take: Callable[..., Any], streams: Sequence[str] = ()
-    ) -> ReplayResult:
+    def watch(self, bag: str | Path, take: Callable[..., Any]) -> ReplayResult:
         """Run over one bag and write nothing; errors as of `run`.
 
-        ``take`` is called block by block with measurements, answers, and a dict of other
-        ``streams`` (names of `lpv_bag.run.record.STREAMS`): header stamps and fields, or None where
-        a block has no message.
+        ``take`` is called block by block with measurements and answers.
         """
         result = ReplayResult()
         with open_bag(bag) as reader:
             inputs = self._inputs(reader)
-            topics, readers = {}, {}
-            for name in streams:
-                found = find_connections(reader, STREAMS[name][0], name, namespace=inputs.prefix)
-                if found:
-                    topics[name], readers[name] = found[0].topic, StreamReader(reader, name)
-            result.topic, result.streams = inputs.measured, set(topics)
-            wanted = self._wanted(reader, inputs, set(topics.values()))
-            for batch in ahead(self._batches(reader, inputs, wanted, result)):
-                other: dict[str, Any] = {}
-                for name, topic in topics.items():
-                    rows = readers[name].read(batch.block, _of(batch.block, wanted, topic))
-                    other[name] = rows and rows[1:]
-                take(batch.measured, self._answer(batch, result), other)
+            result.topic = inputs.measured
+            result.streams = {
+                name
+                for name, (msgtype, _) in STREAMS.items()
+                if find_connections(reader, msgtype, name, namespace=inputs.prefix)
+            }
+            for batch in ahead(
+                self._batches(reader, inputs, self._wanted(reader, inputs, set()), result)
+            ):
+                take(batch.measured, self._answer(batch, result))
             result.warnings = list(reader.warnings)
             result.lost = int(reader.known.get(inputs.measured, {}).get('lost', 0))
         _check(bag, inputs, result)

@@ -84,21 +84,21 @@ class Archive:
         monitor = self.monitor()
         found = BagFigures(self.arm, self._sampling.get('max_gap', 0.1))
         with _quiet():
-            result = Replay(monitor, self._options).watch(path, found.take, BagFigures.STREAMS)
-        rejected = sum(result.rejected.values())
-        if rejected >= result.measurements:
-            raise LpvError('no measurement could be used: ' + next(iter(result.rejected)))
-        warnings = [*found.warnings, *result.warnings]
+            result = Replay(monitor, self._options).watch(path, found.take)
+            rejected = sum(result.rejected.values())
+            if rejected >= result.measurements:
+                raise LpvError('no measurement could be used: ' + next(iter(result.rejected)))
+            row = found.row(result.events, path, result)
         return {
             'topic': result.topic,
             'measurements': result.measurements,
             'rejected': rejected,
             'recorder_lost': result.lost,
             **vars(monitor.counters),
-            'warnings': _line('; '.join(warnings)),
+            'warnings': _line('; '.join([*found.warnings, *result.warnings])),
             'has_truth': 'ground_truth' in result.streams,
             'has_reference': 'reference' in result.streams,
-            **found.row(result.events, path / 'scenario.yaml'),
+            **row,
         }
 
 
