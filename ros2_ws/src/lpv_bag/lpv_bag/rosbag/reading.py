@@ -1,12 +1,11 @@
 """Opening of bags by rosbags; the messages of MCAP files are read a chunk at a time.
 
-A bag that is damaged or was not finished is read from a copy of what is whole in it.
+Of a bag that is damaged or was not finished, a scan finds what is whole.
 """
 
 import contextlib
 import functools
 import logging
-import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
@@ -24,8 +23,8 @@ from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import decode, make_typestore
 from lpv_bag.rosbag.mcap_file import McapFile, error_text
 from lpv_bag.rosbag.message_loss import Known
-from lpv_bag.rosbag.metadata import FILE_NAME, read_metadata
-from lpv_bag.rosbag.recovery import mcap_files, recover
+from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
+from lpv_bag.rosbag.topics import connections_of, types_of
 from lpv_core.support.errors import LpvError
 from lpv_core.support.timestamps import NANOSECONDS
 
@@ -36,18 +35,28 @@ _STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('se
 
 
 class BagReader:
-    """A bag that is open for reading."""
+    """A bag that is open for reading: MCAP files, or another ``source`` by rosbags."""
 
-    def __init__(self, path: Path, source: AnyReader, files: Sequence[McapFile] = ()) -> None:
-        self.paths, self.source, self.files = [path], source, files
+    def __init__(
+        self, path: Path, connections: list[Connection], files: Sequence[McapFile] = ()
+    ) -> None:
+        self.paths, self.connections, self.files = [path], connections, files
+        self.source: AnyReader | None = None
         self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
         self.known: Known = {}  # what the recorder knew of each topic
-        self.connections: list[Connection] = source.connections
-        self.typestore: Typestore = source.typestore  # of the types as the bag defines them
-        self.start_time, self.end_time = source.start_time, source.end_time
-        if files:  # messages are looked for where the files say, whatever metadata.yaml says
-            self.start_time = min((p.start for f in files for p in f.places), default=2**63 - 1)
-            self.end_time = max((p.end + 1 for f in files for p in f.places), default=0)
+        self.said: Counter[str] = Counter()  # messages that there should be, by topic
+        self.finished = True  # whether the recording was ended in order
+        places = [place for file in files for place in file.places]
+        self.start_time = min((place.start for place in places), default=2**63 - 1)
+        self.end_time = max((place.end + 1 for place in places), default=0)
+
+    @functools.cached_property
+    def typestore(self) -> Typestore:
+        """Types as the bag defines them; BagError if it defines none that make sense."""
+        if self.source is not None:
+            return self.source.typestore
+        with damage(self.paths[0]):
+            return types_of(self.connections)
 
     def warn(self, text: str) -> None:
         """Note, and log, what is wrong with the bag."""
@@ -66,7 +75,7 @@ class BagReader:
         not empty. BagError if the bag is damaged so that it cannot be read on."""
         low, high = start if start is not None else 0, stop if stop is not None else 2**63 - 1
         with damage(self.paths[0]):
-            if self.files:
+            if self.source is None:
                 yield from self._mcap_blocks(connections, low, high)
             elif connections:
                 messages = self.source.messages(connections, start=start, stop=stop)
@@ -121,7 +130,9 @@ class BagReader:
     def deserialize(self, rawdata: bytes, typ: str) -> Any:
         """Decode a message; BagError if it does not fit the type."""
         with damage(self.paths[0]):
-            return decode(self.source.deserialize, rawdata, typ)
+            source = self.source
+            method = source.deserialize if source else self.typestore.deserialize_cdr
+            return decode(method, rawdata, typ)
 
     def typestore_of(self, msgtype: str) -> Typestore:
         """Typestore, shared, of the types as this bag defines them.
@@ -229,46 +240,71 @@ def open_bag(path: str | Path) -> Iterator[BagReader]:
 
 
 def _opened(path: Path, stack: ExitStack) -> BagReader:
-    def reader_of(bag: Path, paths: Sequence[Path]) -> BagReader:
-        files = [stack.enter_context(contextlib.closing(McapFile(one))) for one in paths]
-        for file in files:
-            file.read_summary()
-        source = stack.enter_context(AnyReader([bag], default_typestore=standard_types()))
-        return BagReader(path, source, files)
-
     metadata, damages = None, list[str]()
-    with contextlib.suppress(DamageError):  # which is said below
+    try:
         metadata = read_metadata(path) if (path / FILE_NAME).exists() else None
+        if metadata is None and path.is_dir():
+            damages.append(f'it has no {FILE_NAME}, its recording was not finished')
+    except DamageError as error:
+        damages.append(str(error))
     other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
     if other or not (path.is_dir() or path.suffix == '.mcap'):
-        return reader_of(path, ())
-    paths = mcap_files(path, damages)[1]
-    try:
-        if damages:
-            raise DamageError(damages[0])
-        reader = reader_of(path, paths)
-        topics = {channel.topic for file in reader.files for channel in file.channels.values()}
-        if metadata is not None and topics != set(metadata.counts):
-            raise DamageError(f'the files have other topics than {FILE_NAME}')
-    except Exception:  # of many kinds: what is whole in it is found by reading all of it
-        copy = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='lpv_bag_'))) / 'bag'
-        damages = recover(path, copy, 'none').damages
-        reader = reader_of(copy, list(copy.glob('*.mcap')))
+        source = stack.enter_context(AnyReader([path], default_typestore=standard_types()))
+        reader = BagReader(path, source.connections)
+        reader.source, reader.start_time, reader.end_time = (
+            source,
+            source.start_time,
+            source.end_time,
+        )
+        return reader
+    files = []
+    for one in _files(path, metadata, damages):
+        try:
+            file = stack.enter_context(contextlib.closing(McapFile(one)))
+        except BagError as error:
+            damages.append(str(error))
+            continue
+        file.index()
+        files.append(file)
+        for number, text in enumerate(file.damages):
+            if number == 0 and not file.complete:
+                text = f'the recording was not finished, its end may be missing ({text})'
+            damages.append(f'{one.name}: {text}')
+    connections = connections_of(files, metadata.hashes if metadata else {})
+    if damages and not any(connection.msgcount for connection in connections):
+        raise BagError(
+            f'{path}: cannot be read, the bag is damaged or incomplete: {damages[-1]}, and '
+            'nothing in it can be recovered'
+        )
+    reader = BagReader(path, connections, files)
+    for connection in connections:
+        reader.said[connection.topic] += connection.msgcount
+    counts = Counter(metadata.counts if metadata else {})
+    for topic, count in counts.items():
+        if reader.said[topic] != count:
+            there = reader.said[topic]
+            damages.append(f'{topic}: {FILE_NAME} says {count} messages, the files hold {there}')
     for text in damages:
         reader.warn(text)
-    there: Counter[str] = Counter()
-    for file in reader.files:
-        for number, count in file.counts.items():
-            there[file.channels[number].topic] += count
-    for topic, count in (metadata.counts if metadata else {}).items():
-        if there[topic] != count:
-            reader.warn(
-                f'{topic}: {FILE_NAME} says {count} messages, the files hold {there[topic]}'
-            )
-    # All publishers of a topic are one.
-    reader.connections[:] = [c._replace(msgcount=there.pop(c.topic, 0)) for c in reader.connections]
+    reader.said |= counts
     reader.known = metadata.known if metadata else {}
+    reader.finished = metadata is not None or all(file.complete for file in files)
     return reader
+
+
+def _files(path: Path, metadata: BagMetadata | None, damages: list[str]) -> list[Path]:
+    """MCAP files of a bag; what is missing is added to the damages."""
+    if not path.is_dir():
+        return [path]
+    paths = sorted(path.glob('*.mcap'), key=lambda p: (len(p.name), p.name))
+    if metadata is not None:
+        named = [path / name for name in metadata.files]
+        paths = [one for one in named if one.is_file()]
+        if missing := [one.name for one in named if one not in paths]:
+            damages.append(f'{FILE_NAME} names files that are missing: {", ".join(missing)}')
+    if not paths:
+        raise BagError(f'{path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files')
+    return paths
 
 
 @functools.lru_cache(maxsize=1)
