@@ -278,8 +278,8 @@ def draw_comparison(first: RunRecord, second: RunRecord, arm: Arm, out: Path) ->
     for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):
         with plt.rc_context(SETTINGS):
             count = len(arm.sensor_names)
-            size = {'figsize': (8.6, 2.6 * count)}
-            figure, axes = plt.subplots(count, sharex=True, squeeze=False, **size)
+            size = 8.6, 2.6 * count
+            figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=size)
             for k, axis in enumerate(axes[:, 0]):
                 for at, values, look in curves(name, k):
                     axis.plot(*thin(at, values), **look)

@@ -137,10 +137,13 @@ def joined(blocks: list[Block]) -> Block:
     block = blocks[0]
     if len(blocks) > 1:
         begins = np.cumsum([0] + [len(b.data) for b in blocks[:-1]])
-        starts = [b.start + begin for b, begin in zip(blocks, begins)]
-        rest = [[getattr(b, name) for b in blocks] for name in ('data', 'connection', 'time')]
-        sizes = np.concatenate([b.size for b in blocks])
-        block = Block(*map(np.concatenate, rest), np.concatenate(starts), sizes)
+        block = Block(
+            np.concatenate([b.data for b in blocks]),
+            np.concatenate([b.connection for b in blocks]),
+            np.concatenate([b.time for b in blocks]),
+            np.concatenate([b.start + begin for b, begin in zip(blocks, begins)]),
+            np.concatenate([b.size for b in blocks]),
+        )
     if (np.diff(block.time) < 0).any():
         return block.chosen(np.argsort(block.time, kind='stable'))
     return block

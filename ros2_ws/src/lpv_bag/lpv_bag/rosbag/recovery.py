@@ -62,13 +62,13 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
         found, channels = np.zeros((2, len(topics)), np.int64)
         for block in reader.blocks(reader.connections):
             counts = np.bincount(block.connection, minlength=len(topics))
-            for number in np.flatnonzero((counts > 0) & (found == 0)) if writer else ():
-                writer.copy_topic(reader.connections[number])
-                channels[number] = writer.channel(topics[number])
+            if writer is not None:
+                for number in np.flatnonzero((counts > 0) & (found == 0)):
+                    writer.copy_topic(reader.connections[number])
+                    channels[number] = writer.channel(topics[number])
+                writer.write_chunk(block.copied(channels[block.connection]))
             found += counts
             result.end = max(result.end, int(block.time.max()))
-            if writer is not None:
-                writer.write_chunk(block.copied(channels[block.connection]))
         recovered = Counter(dict(zip(topics, found.tolist())))
         said = reader.said
         result.topics = {

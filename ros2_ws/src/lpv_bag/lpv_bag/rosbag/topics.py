@@ -15,6 +15,7 @@ from rosbags.typesys.store import Typestore
 from lpv_bag.errors import DamageError
 from lpv_bag.rosbag.interfaces import make_typestore
 from lpv_bag.rosbag.mcap_file import McapFile
+from lpv_bag.rosbag.metadata import offered_qos
 
 _FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
 _NONE = MessageDefinition(MessageDefinitionFormat.NONE, '')
@@ -30,10 +31,11 @@ def connections_of(files: Iterable[McapFile], hashes: dict[str, str]) -> list[Co
             one = _connection(file, number, hashes)
             known = found.setdefault((one.topic, one.msgtype), one)
             if known is not one:
-                profiles = known.ext.offered_qos_profiles
-                profiles += [q for q in one.ext.offered_qos_profiles if q not in profiles]
+                profiles = offered_qos(known)
+                profiles += [qos for qos in offered_qos(one) if qos not in profiles]
+                ext = ConnectionExtRosbag2('cdr', profiles)
                 count = known.msgcount + one.msgcount
-                found[one.topic, one.msgtype] = known._replace(msgcount=count)
+                found[one.topic, one.msgtype] = known._replace(msgcount=count, ext=ext)
     return list(found.values())
 
 

@@ -212,7 +212,7 @@ class BagWriter:
         add_type(self.typestore, msgtype)
         text = self.typestore.generate_msgdef(msgtype, ros_version=2)[0]
         definition = MessageDefinition(MessageDefinitionFormat.MSG, text)
-        digest, ext = self.typestore.hash_rihs01(msgtype), ConnectionExtRosbag2('cdr', profiles)
+        digest, ext = self.typestore.hash_rihs01(msgtype), ConnectionExtRosbag2('cdr', [*profiles])
         self._add(Connection(0, topic, msgtype, definition, digest, 0, ext, None))
 
     def copy_topic(self, connection: Connection) -> None:
