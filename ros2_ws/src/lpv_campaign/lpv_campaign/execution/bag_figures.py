@@ -63,7 +63,9 @@ class BagFigures:
         if len(rows):
             self._add_faults(fault.estimate, fault.threshold, fault.state)
         self._samples += len(rows)
-        if self._samples <= MOST_SAMPLES:
+        if self._samples > MOST_SAMPLES:
+            self._answers.clear()
+        else:
             kept = {
                 'stamp': stamps[rows],
                 'estimate': state.position,

@@ -15,6 +15,7 @@ from lpv_campaign.falsify.search import (
     write_worst,
 )
 from lpv_cli.completion import shipped
+from lpv_cli.options import number
 from lpv_core.certificate.conditions import require
 from lpv_core.certificate.gains import load_gains
 from lpv_core.monitoring.factory import refuse_gains
@@ -31,13 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arm = parser.add_argument('--arm', required=True, help='arm file, or name of a shipped arm')
     arm.completer = shipped('arms')  # type: ignore[attr-defined]
     parser.add_argument('--gains', help='gains file, or name of a shipped one; two-link arms only')
-    parser.add_argument(
-        '--evaluations', type=int, default=20_000, help='runs (default: %(default)s)'
-    )
-    parser.add_argument(
-        '--duration', type=float, default=6.0, help='of a run [s] (default: %(default)s)'
-    )
-    parser.add_argument('--seed', type=int, default=0, help='of the search (default: %(default)s)')
+    number(parser, '--evaluations', 20_000, 'runs')
+    number(parser, '--duration', 6.0, 'of a run [s]')
+    number(parser, '--seed', 0, 'of the search')
     parser.add_argument('--repeat', metavar=SCENARIO, help='only run this attack again')
     parser.add_argument('--out', default='out/falsify', help='folder (default: %(default)s)')
 

@@ -8,7 +8,6 @@ from rich.console import Console
 
 from lpv_bag.replay.replay import ReplayOptions
 from lpv_bag.rosbag.output_folder import GAINS_NAME
-from lpv_bag.rosbag.reading import open_bag
 from lpv_core.certificate.gains import Gains, load_gains
 from lpv_core.decision.diagnosis import DiagnosisParameters
 from lpv_core.model.arm import ArmParameters
@@ -19,8 +18,6 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
-
-_ANSWER = 'lpv_msgs/msg/FaultEstimate'
 
 
 def add_diagnosis(parser: argparse._ActionsContainer) -> None:
@@ -113,17 +110,13 @@ def arm_and_gains(arguments: argparse.Namespace, console: Console) -> tuple[Arm,
 
 def _of_bag(bag: Path) -> tuple[str, Gains | None]:
     """Arm that the gains in a bag, or the recorded answers, name, and the gains; '' without."""
-    file = (bag if bag.is_dir() else bag.parent) / GAINS_NAME
-    if file.is_file() and (bag.is_dir() or (bag.parent / 'metadata.yaml').is_file()):
-        parameters = serial_parameters(file)
-        if parameters is None:
-            gains = load_gains(file)
-            return gains.arm_name, gains
-    with open_bag(bag) as reader:
-        answers = [c for c in reader.connections if c.msgtype == _ANSWER and c.msgcount]
-        for connection, _, data in reader.messages(answers) if answers else ():
-            return str(reader.deserialize(data, connection.msgtype).header.frame_id), None
-    return '', None
+    from lpv_report.certificate import beside_bag, named_arm  # only here: help must not wait
+
+    file = beside_bag(bag, GAINS_NAME)
+    if file is not None and serial_parameters(file) is None:
+        gains = load_gains(file)
+        return gains.arm_name, gains
+    return named_arm(bag), None
 
 
 def _design(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains:
@@ -137,11 +130,8 @@ def _design(arguments: argparse.Namespace, arm: ArmParameters, console: Console)
 
 
 def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[str, Any]]:
-    """Tuning of the diagnosis in a parameter file of the node.
-
-    Returns `DiagnosisParameters`, and a dict with what is given of ``max_gap`` and
-    ``initial_samples``.
-    """
+    """Tuning of the diagnosis in a parameter file of the node, and what it gives of ``max_gap`` and
+    ``initial_samples``."""
     if not path:
         return DiagnosisParameters(), {}
     try:

@@ -3,7 +3,6 @@
 import argparse
 import shutil
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,7 @@ from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.monitoring.alarm_text import COUNTER_TEXT, describe
 from lpv_core.monitoring.factory import Monitor, make_monitor
 from lpv_core.serial_arm.any_arm import Arm
-from lpv_core.simulation.faults import Fault, FaultInjector
+from lpv_core.simulation.faults import FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
@@ -81,9 +80,13 @@ def run(arguments: argparse.Namespace) -> int:
     arm, gains = arm_and_gains(arguments, console)
     diagnosis, others = diagnosis_parameters(arguments.parameters)
     monitor = make_monitor('/uio', arm, gains, diagnosis, **others)
-    faults = _faults(arguments.inject)
-    injector = _injector(faults, arm)
-    _remove(out)
+    faults, injector = None, None
+    if arguments.inject is not None:
+        top = Section(read_yaml(arguments.inject), arguments.inject)
+        faults = parse_faults(top)
+        top.finish()
+        injector = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+    shutil.rmtree(out, ignore_errors=True)
     begin = time.perf_counter()
     result = Replay(
         monitor,
@@ -109,36 +112,15 @@ def _check_out(out: Path, bag: Path) -> None:
         raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
     if out.is_relative_to(bag):
         raise ConfigError('--out', 'is inside the bag that is to be replayed')
-    if out.exists() and not _is_ours(out):
-        raise ConfigError('--out', f'{out} exists already and was not written by this command')
-
-
-def _is_ours(out: Path) -> bool:
+    if not out.exists():
+        return
     try:
         information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
-        return MARK in (information.get('custom_data') or ())
+        is_ours = MARK in (information.get('custom_data') or ())
     except (ConfigError, TypeError, KeyError, AttributeError):
-        return False
-
-
-def _remove(out: Path) -> None:
-    if out.exists():
-        shutil.rmtree(out)
-
-
-def _faults(path: str | None) -> Sequence[Fault] | None:
-    if path is None:
-        return None
-    top = Section(read_yaml(path), path)
-    faults = parse_faults(top)
-    top.finish()
-    return faults
-
-
-def _injector(faults: Sequence[Fault] | None, arm: Arm) -> FaultInjector | None:
-    if faults is None:
-        return None
-    return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+        is_ours = False
+    if not is_ours:
+        raise ConfigError('--out', f'{out} exists already and was not written by this command')
 
 
 def _alarm_line(event: RecordedAlarm, time: float) -> str:
