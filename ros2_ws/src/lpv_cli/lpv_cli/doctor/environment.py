@@ -111,11 +111,10 @@ def probe_ros() -> RosProbe:
     """Import rclpy in another process."""
     line = [sys.executable, '-c', _PROBE]
     done = subprocess.run(line, capture_output=True, text=True, timeout=60.0)
-    lines = [line.split(' ', 1)[1] for line in done.stdout.splitlines() if line[:4] == 'lpv ']
+    lines = [line[4:] for line in done.stdout.splitlines() if line.startswith('lpv ')]
     printed = [line for line in done.stderr.splitlines() if line.strip()]
     problem = re.sub(r', at /.*', '', printed[-1].split(']: ')[-1]) if printed else ''
-    file, middleware = (lines + ['', ''])[:2]
-    return RosProbe(file, middleware, problem)
+    return RosProbe(*(lines + ['', ''])[:2], problem)
 
 
 def check_ros(probe: RosProbe | None = None) -> Finding:
@@ -126,12 +125,11 @@ def check_ros(probe: RosProbe | None = None) -> Finding:
         return error('ros', text, 'make setup, or source the ROS 2 that it was run with')
     inside = os.path.realpath(probe.file).startswith(os.path.realpath(sys.prefix) + os.sep)
     if distro and inside and sys.prefix != sys.base_prefix:
-        return error(
-            'ros',
-            f'ROS 2 {distro} is sourced, but rclpy comes from wheels in '
-            f'{sys.prefix}: two builds of the same libraries',
-            'use a shell without ROS 2, or make clean setup with ROS 2 sourced',
+        text = (
+            f'ROS 2 {distro} is sourced, but rclpy comes from wheels in {sys.prefix}: two builds '
         )
+        remedy = 'use a shell without ROS 2, or make clean setup with ROS 2 sourced'
+        return error('ros', text + 'of the same libraries', remedy)
     return ok('ros', f'{distro} is sourced' if distro else 'from wheels')
 
 

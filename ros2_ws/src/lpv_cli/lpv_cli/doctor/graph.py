@@ -57,10 +57,8 @@ def check_anybody(shot: Snapshot, alone: bool = True) -> Finding:
         return warn('nodes', f'{text}, but there are measurements', remedy)
     if not alone:
         return ok('nodes', f'{text}: files were checked')
-    remedy = (
-        'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as its shell has them'
-    )
-    return warn('nodes', text, remedy)
+    remedy = 'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as its shell has'
+    return warn('nodes', text, f'{remedy} them')
 
 
 def _states(shot: Snapshot) -> Iterator[Finding]:
