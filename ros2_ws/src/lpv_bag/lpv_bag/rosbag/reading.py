@@ -38,10 +38,13 @@ class BagReader:
     """A bag that is open for reading: MCAP files, or another ``source`` by rosbags."""
 
     def __init__(
-        self, path: Path, connections: list[Connection], files: Sequence[McapFile] = ()
+        self,
+        path: Path,
+        connections: list[Connection],
+        files: Sequence[McapFile] = (),
+        source: AnyReader | None = None,
     ) -> None:
-        self.paths, self.connections, self.files = [path], connections, files
-        self.source: AnyReader | None = None
+        self.paths, self.connections, self.files, self.source = [path], connections, files, source
         self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
         self.known: Known = {}  # what the recorder knew of each topic
         self.said: Counter[str] = Counter()  # messages that there should be, by topic
@@ -49,6 +52,8 @@ class BagReader:
         places = [place for file in files for place in file.places]
         self.start_time = min((place.start for place in places), default=2**63 - 1)
         self.end_time = max((place.end + 1 for place in places), default=0)
+        if source is not None:
+            self.start_time, self.end_time = source.start_time, source.end_time
 
     @functools.cached_property
     def typestore(self) -> Typestore:
@@ -250,26 +255,19 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
     other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
     if other or not (path.is_dir() or path.suffix == '.mcap'):
         source = stack.enter_context(AnyReader([path], default_typestore=standard_types()))
-        reader = BagReader(path, source.connections)
-        reader.source, reader.start_time, reader.end_time = (
-            source,
-            source.start_time,
-            source.end_time,
-        )
-        return reader
+        return BagReader(path, source.connections, source=source)
     files = []
     for one in _files(path, metadata, damages):
         try:
-            file = stack.enter_context(contextlib.closing(McapFile(one)))
+            files.append(stack.enter_context(contextlib.closing(McapFile(one))))
         except BagError as error:
             damages.append(str(error))
-            continue
+    for file in files:
         file.index()
-        files.append(file)
         for number, text in enumerate(file.damages):
             if number == 0 and not file.complete:
                 text = f'the recording was not finished, its end may be missing ({text})'
-            damages.append(f'{one.name}: {text}')
+            damages.append(f'{file.path.name}: {text}')
     connections = connections_of(files, metadata.hashes if metadata else {})
     if damages and not any(connection.msgcount for connection in connections):
         raise BagError(
@@ -277,19 +275,24 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
             'nothing in it can be recovered'
         )
     reader = BagReader(path, connections, files)
-    for connection in connections:
-        reader.said[connection.topic] += connection.msgcount
-    counts = Counter(metadata.counts if metadata else {})
-    for topic, count in counts.items():
-        if reader.said[topic] != count:
-            there = reader.said[topic]
-            damages.append(f'{topic}: {FILE_NAME} says {count} messages, the files hold {there}')
+    reader.finished = metadata is not None or all(file.complete for file in files)
     for text in damages:
         reader.warn(text)
-    reader.said |= counts
-    reader.known = metadata.known if metadata else {}
-    reader.finished = metadata is not None or all(file.complete for file in files)
+    _compare_counts(reader, metadata)
     return reader
+
+
+def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
+    """Messages that there should be, by files and metadata; warn where these differ."""
+    for connection in reader.connections:
+        reader.said[connection.topic] += connection.msgcount
+    if metadata is not None:
+        reader.known, there = metadata.known, reader.said
+        for topic, count in metadata.counts.items():
+            if there[topic] != count:
+                said = f'{FILE_NAME} says {count} messages, the files hold {there[topic]}'
+                reader.warn(f'{topic}: {said}')
+        reader.said = there | Counter(metadata.counts)
 
 
 def _files(path: Path, metadata: BagMetadata | None, damages: list[str]) -> list[Path]:
