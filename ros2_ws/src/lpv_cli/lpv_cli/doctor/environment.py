@@ -114,7 +114,8 @@ def probe_ros() -> RosProbe:
     lines = [line[4:] for line in done.stdout.splitlines() if line.startswith('lpv ')]
     printed = [line for line in done.stderr.splitlines() if line.strip()]
     problem = re.sub(r', at /.*', '', printed[-1].split(']: ')[-1]) if printed else ''
-    return RosProbe(*(lines + ['', ''])[:2], problem)
+    file, middleware = (lines + ['', ''])[:2]
+    return RosProbe(file, middleware, problem)
 
 
 def check_ros(probe: RosProbe | None = None) -> Finding:
