@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from lpv_core.serial_arm.description import (
+    JOINT_TYPES,
     RATE_SOURCES,
     JointFriction,
     JointLimits,
@@ -33,7 +34,7 @@ _FAR = 100.0
 """Largest coordinate of a frame, and largest angle of its orientation [m], [rad]."""
 _SMALLEST_DETERMINANT = 1e-6
 """Of a matrix of sensors that tell the joints' positions."""
-_HEADER = '# Arm of n revolute joints; docs/arm-file.md describes the fields.\n'
+_HEADER = '# Arm of n joints; docs/arm-file.md describes the fields.\n'
 
 
 def is_serial_arm(data: Mapping[str, Any]) -> bool:
@@ -241,6 +242,8 @@ def _joint_mapping(joint: SerialJoint) -> dict[str, Any]:
     result['limits'] = {
         key: value for key, value in result['limits'].items() if math.isfinite(value)
     }
+    if not joint.is_prismatic:
+        del result['type']
     if joint.sensors.second_encoder is None:
         del result['sensors']['second_encoder']
     return _lists(result)
@@ -325,7 +328,10 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
         limits=limits,
         torque_tolerance=_tolerance(section),
         sensors=_sensors(section, name),
+        type=section.text('type', 'revolute' if base is None else base.type, JOINT_TYPES),
     )
+    if base is not None and joint.type != base.type:
+        raise section.error('type', f'is {base.type} in the URDF')
     if not joint.friction.is_dissipative(limits.velocity):
         raise section.error(
             'friction',

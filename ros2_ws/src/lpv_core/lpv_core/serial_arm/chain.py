@@ -1,6 +1,6 @@
 """The compiled serial chain: arrays that every function of the dynamics takes.
 
-Joint i turns about the z axis of its own frame.  A body's inertial parameters are those of the
+Joint i turns about the z axis of its own frame, or moves along it.  A body's inertial parameters are those of the
 regressor, in Pinocchio's order: mass, first moment m*c, inertia about the frame's origin.
 """
 
@@ -23,12 +23,14 @@ N_INERTIAL = 10
 VISCOUS, COULOMB, LOAD, OFFSET, SLOPE = range(5)
 """Columns of `Chain.friction`."""
 N_FRICTION = 5
-WORK_COLUMNS = 40
+WORK_COLUMNS = 43
 """Columns of the scratch array of `workspace`."""
+PLACE = 40
+"""First of its columns with the origin of frame i in frame i-1 [m]."""
 
 
 class Chain(NamedTuple):
-    """A serial chain of n revolute joints; all arrays float64, C-contiguous."""
+    """A serial chain of n joints; all arrays float64, C-contiguous."""
 
     # orientation of joint frame i in frame i-1 (the base for i = 0) at q_i = 0, shape (n, 3, 3)
     rotation: FloatArray
@@ -44,6 +46,8 @@ class Chain(NamedTuple):
     gravity: FloatArray  # acceleration of free fall in the base frame, shape (3,) [m/s2]
     tip_rotation: FloatArray  # orientation of the tip in the last joint frame, shape (3, 3)
     tip_translation: FloatArray  # origin of the tip in the last joint frame, shape (3,) [m]
+    # way along z per unit of q of the joints that are prismatic, 0 of revolute ones, shape (n,) [m]
+    travel: FloatArray
 
 
 def make_chain(
@@ -54,6 +58,7 @@ def make_chain(
     friction: npt.ArrayLike | None = None,
     gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
     tip: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    travel: npt.ArrayLike | None = None,
 ) -> Chain:
     """Chain from inline parameters.
 
@@ -69,6 +74,8 @@ def make_chain(
         In the base frame [m/s2].
     tip : tuple of array_like, optional
         Orientation (3, 3) and origin (3,) of the tip in the last joint frame.
+    travel : array_like, shape (n,), optional
+        As `Chain.travel`; all joints are revolute by default.
 
     Returns
     -------
@@ -96,6 +103,7 @@ def make_chain(
         _array('gravity', gravity, (3,)),
         _array('tip_rotation', tip_rotation, (3, 3)),
         _array('tip_translation', tip_translation, (3,)),
+        _array('travel', np.zeros(count) if travel is None else travel, (count,)),
     )
     for name, matrices in (
         ('rotation', chain.rotation),
@@ -172,7 +180,16 @@ def compile_chain(arm: SerialArm) -> Chain:
     ]
     motor = [joint.rotor_inertia for joint in arm.joints]
     tip = before.T, before.T @ np.array(arm.tip)
-    return make_chain(rotations, translations, bodies, motor, friction, arm.gravity_vector(), tip)
+    return make_chain(
+        rotations,
+        translations,
+        bodies,
+        motor,
+        friction,
+        arm.gravity_vector(),
+        tip,
+        [np.linalg.norm(joint.axis) if joint.is_prismatic else 0.0 for joint in arm.joints],
+    )
 
 
 def axis_frame(axis: FloatArray) -> FloatArray:

@@ -1,4 +1,7 @@
-"""Description of a serial arm of n revolute joints: what its file says."""
+"""Description of a serial arm of n joints: what its file says.
+
+Units are those of revolute joints: for a prismatic one, read m for rad, N for N m, and kg for kg m2.
+"""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,6 +13,8 @@ from lpv_core.support.config import sha256_of
 N_INERTIAL = 10
 """Inertial parameters of a link: mass, 3 first moments, 6 entries of its inertia."""
 
+JOINT_TYPES = ('revolute', 'prismatic')
+"""A joint turns about its axis, or moves along it."""
 RATE_SOURCES = ('independent', 'derived', 'none')
 """Where measured rates come from: a sensor of their own, differences of positions, nowhere."""
 
@@ -141,16 +146,18 @@ class JointSensors:
 
 @dataclass(frozen=True)
 class SerialJoint:
-    """A revolute joint, the link that it moves, its drive and its sensors.
+    """A joint, the link that it moves, its drive and its sensors.
 
     At q = 0 the joint's frame stands at ``position`` and ``orientation`` in the frame of the joint
-    before it (of the base, for the first one); the joint turns it about ``axis``.
+    before it (of the base, for the first one); the joint turns it about ``axis``, or moves it along
+    ``axis`` (see `JOINT_TYPES`).
     """
 
     name: str  # as in sensor_msgs/JointState
     position: tuple[float, float, float]  # of the joint's frame in the one before [m]
     orientation: tuple[float, float, float]  # roll, pitch, yaw, as in URDF [rad]
-    axis: tuple[float, float, float]  # unit vector in the joint's frame
+    # unit vector in the joint's frame; of a prismatic joint, the way per unit of its position
+    axis: tuple[float, float, float]
     link: LinkInertia
     friction: JointFriction = JointFriction()
     rotor_inertia: float = 0.0  # reflected to the joint [kg m2]
@@ -159,6 +166,12 @@ class SerialJoint:
     limits: JointLimits = JointLimits()
     torque_tolerance: TorqueTolerance = TorqueTolerance()
     sensors: JointSensors = JointSensors('encoder')
+    type: str = 'revolute'  # one of JOINT_TYPES
+
+    @property
+    def is_prismatic(self) -> bool:
+        """Whether the joint moves its link along the axis."""
+        return self.type == 'prismatic'
 
 
 @dataclass(frozen=True)
@@ -210,7 +223,7 @@ class LpvRegion:
 
 @dataclass(frozen=True)
 class SerialArm:
-    """A serial arm of n revolute joints, its sensors and what may vary."""
+    """A serial arm of n joints, its sensors and what may vary."""
 
     name: str  # name of the arm
     joints: tuple[SerialJoint, ...]  # from the base to the tip
@@ -296,6 +309,9 @@ class SerialArm:
         for name in ('sensor_matrix', 'lpv'):
             if content[name] is None:
                 del content[name]
+        for joint in content['joints']:
+            if joint['type'] == 'revolute':
+                del joint['type']
         return sha256_of(content)
 
 

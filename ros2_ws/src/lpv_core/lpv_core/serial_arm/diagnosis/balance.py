@@ -203,7 +203,8 @@ def add_block(
     for k in range(balance.directions.shape[0]):
         along = Chain(
             chain.rotation, chain.translation, balance.directions[k], balance.rigid,
-            chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation)  # fmt: skip
+            chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation,
+            chain.travel)  # fmt: skip
         carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
             column, part = 1 + 8 * n + k, balance.frictions[k, j]
@@ -382,7 +383,7 @@ def residuals(
     chain = Chain(
         balance.chain.rotation, balance.chain.translation, balance.chain.inertial,
         balance.chain.motor, friction, balance.chain.gravity, balance.chain.tip_rotation,
-        balance.chain.tip_translation)  # fmt: skip
+        balance.chain.tip_translation, balance.chain.travel)  # fmt: skip
     own = Balance(
         chain, balance.directions, balance.reference, balance.derived,
         np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),

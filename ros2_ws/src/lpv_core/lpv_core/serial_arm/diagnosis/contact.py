@@ -217,7 +217,7 @@ def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) ->
     largest = 1e-9
     for back in range(last):
         joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
-        fill_jacobian(rotations, origins, jacobian)
+        fill_jacobian(chain, rotations, origins, jacobian)
         levers[back] = jacobian[:3]
         for i in range(n):
             for k in range(3):
