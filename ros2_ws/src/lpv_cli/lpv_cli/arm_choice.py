@@ -56,7 +56,7 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
             raise ConfigError('--tip', 'and --joints say the same: give one of them')
         joints = [name for name in _way_to(root, tip) if name in moving and name not in locked]
     kept = [name for name in moving if name not in locked and (not joints or name in joints)]
-    _refuse_others(kept, moving, arguments.urdf)
+    _refuse_others(root, kept, moving, arguments.urdf)
     return read_urdf_chain(arguments.urdf, locked, None if tip else joints or None, tip)
 
 
@@ -110,10 +110,16 @@ def _end(joint: ElementTree.Element, side: str) -> str:
 
 
 def _refuse_others(
-    kept: Sequence[str], moving: dict[str, ElementTree.Element], source: str
+    root: ElementTree.Element,
+    kept: Sequence[str],
+    moving: dict[str, ElementTree.Element],
+    source: str,
 ) -> None:
-    """ConfigError that says how to leave out joints that do not turn."""
-    others = [name for name in kept if moving[name].get('type') not in ('revolute', 'continuous')]
+    """ConfigError that says how to leave out joints that no arm has, and fingers that slide."""
+    ways = [_way_to(root, _end(moving[name], 'child')) for name in kept]
+    is_chain = any(set(kept) <= set(way) for way in ways)
+    usual = ('revolute', 'continuous', *(('prismatic',) if is_chain else ()))
+    others = [name for name in kept if moving[name].get('type') not in usual]
     if others:
         turning = ','.join(name for name in kept if name not in others)
         kinds = ', '.join(f'{name!r} is {moving[name].get("type")}' for name in others)

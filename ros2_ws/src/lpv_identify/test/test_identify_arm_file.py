@@ -87,9 +87,10 @@ def test_given_a_urdf_when_read_then_fixed_and_locked_links_are_merged(urdf):
     assert arm.locked == (('slide', 0.5),)
 
 
-def test_given_a_gripper_that_is_not_locked_when_read_then_the_error_says_what_to_do(urdf):
-    with pytest.raises(ConfigError, match="'slide' is prismatic, not revolute; lock it"):
-        read_urdf_chain(urdf)
+def test_given_a_slide_that_is_not_locked_when_read_then_it_is_a_joint_of_the_arm(urdf):
+    arm = read_urdf_chain(urdf)
+    assert [joint.type for joint in arm.joints] == ['revolute', 'prismatic']
+    assert arm.joints[1].axis == (1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,8 @@ class Skeleton:
         if isinstance(arm, SerialArm):
             self._chain, self._up = compile_chain(arm), rotation_from_rpy(arm.base_orientation)
             steps = [*self._chain.translation, self._chain.tip_translation]
-            self.reach = max(0.1, float(np.linalg.norm(steps, axis=1).sum()))
+            slides = [np.abs(joint.range).max() for joint in arm.joints if joint.is_prismatic]
+            self.reach = max(0.1, float(np.linalg.norm(steps, axis=1).sum() + sum(slides)))
         else:
             self.reach = float(sum(arm.lengths))
 

@@ -313,10 +313,8 @@ class _SerialRange:
             arm.sample_time, np.array(arm.torque_limit))  # fmt: skip
 
     def motion(self, numbers: FloatArray) -> FloatArray:
-        limits = [joint.limits for joint in self.arm.joints]
-        low = np.array([max(one.lower, -np.pi) for one in limits])
-        high = np.array([min(one.upper, np.pi) for one in limits])
-        fastest = np.array([min(one.velocity, 4.0) for one in limits])
+        low, high = np.array([joint.range for joint in self.arm.joints]).T
+        fastest = np.array([min(joint.limits.velocity, 4.0) for joint in self.arm.joints])
         away = numbers[0] * 0.5 * (high - low)
         swing = 0.5 * (numbers[1] + 1.0) * (0.5 * (high - low) - np.abs(away))
         speed = _geometric(numbers[2], _SLOWEST, _FASTEST)

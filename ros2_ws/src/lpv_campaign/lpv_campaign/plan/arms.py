@@ -1,6 +1,5 @@
 """What differs between simulated arms, in one place: random paths, the loop, its angles."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -140,8 +139,7 @@ def _with_margins(arm: SerialArm) -> tuple[SerialArm, np.ndarray, np.ndarray]:
         rate, torque = _RATE_SHARE * joint.limits.velocity, _TORQUE_SHARE * joint.limits.torque
         limits = replace(joint.limits, velocity=rate, torque=torque)
         joints.append(replace(joint, limits=limits))
-    low = np.array([max(joint.limits.lower, -math.pi) for joint in arm.joints])
-    high = np.array([min(joint.limits.upper, math.pi) for joint in arm.joints])
+    low, high = np.array([joint.range for joint in arm.joints]).T
     rim = 0.5 * (1.0 - _POSITION_SHARE) * (high - low)
     return replace(arm, joints=tuple(joints)), low + rim, high - rim
 

@@ -91,8 +91,7 @@ def _serial_waypoints(arm: 'SerialArm') -> str:
     lines = []
     for time, side in ((0.5, 0.0), (4.0, 1.0), (8.0, -1.0), (11.5, 0.0)):
         places = []
-        for limits in (joint.limits for joint in arm.joints):
-            low, high = max(limits.lower, -math.pi), min(limits.upper, math.pi)
+        for low, high in (joint.range for joint in arm.joints):
             turn = min(0.2 * (high - low), _LARGEST_TURN)
             places.append(f'{0.5 * (low + high) + side * turn:.4f}')
         lines.append(f'    - {{t: {time}, joints: [{", ".join(places)}]}}')

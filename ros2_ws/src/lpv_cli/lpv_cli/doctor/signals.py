@@ -176,7 +176,10 @@ def check_units(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
     if found is None or len(found[0]) < 2:
         return None
     stamps, position, velocity, effort = found
-    largest = np.nanmax(np.abs(position), initial=0.0)
+    turns = [
+        not getattr(joint, 'is_prismatic', False) for joint in getattr(arm, 'joints', position.T)
+    ]
+    largest = np.nanmax(np.abs(position[:, turns]), initial=0.0)
     if largest > _FAR:
         return error('units', f'{topic}: a position is {largest:.3g} rad: degrees?', _IN_RADIANS)
     # Between samples the mean rate counts, so that sampling does not matter.
@@ -185,7 +188,7 @@ def check_units(topic: str, messages: list[Any], arm: Arm) -> Finding | None:
     for i, name in enumerate(arm.joint_names):
         kept = np.isfinite(moved[:, i]) & np.isfinite(driven[:, i])
         power = float(driven[kept, i] @ driven[kept, i])
-        if np.abs(moved[kept, i]).sum() < _MOTION or not power > 0.0:
+        if not turns[i] or np.abs(moved[kept, i]).sum() < _MOTION or not power > 0.0:
             continue
         ratio = float(moved[kept, i] @ driven[kept, i]) / power
         for factor, what in ((_DEGREES, 'positions'), (1 / _DEGREES, 'rates')):

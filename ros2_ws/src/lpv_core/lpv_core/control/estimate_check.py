@@ -82,16 +82,17 @@ def new_correction(arm: Arm, limited: bool = True) -> np.record:
         sensors = [joint.sensors for joint in arm.joints]
         position = np.array([_SIGMAS * s.position_noise + 2.0 * s.quantization for s in sensors])
         rate = np.array([_SIGMAS * s.velocity_noise for s in sensors])
-        rate = np.maximum(rate, position / arm.sample_time)
+        rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
     else:  # absolute sensors: the second joint's angle is a difference of two
         position, rate = 2.0 * _SIGMAS * np.array([[arm.position_noise], [arm.velocity_noise]])
+        scale = np.ones(len(limit))
     rate = np.maximum(rate, _RATE_SHARE * limit)
     change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])
     return new_record(
         correction_type(len(limit)),
         noise=np.array([position + 0.0 * limit, rate]),
         change=change if limited else np.inf,
-        fading=np.array([np.minimum(change[0], FADING), change[1]]),
+        fading=np.array([np.minimum(change[0], FADING * scale), change[1]]),
         stamp=NEVER,
     )
 

@@ -141,16 +141,16 @@ class SerialPath:
         _fill_torques(self._chain, position, rate, bend, workspace(self._chain), torque)
         rate, torque = np.abs(rate), np.abs(torque)
         for i, joint in enumerate(arm.joints):
-            limits = joint.limits
+            limits, (unit, torque_unit) = joint.limits, joint.units
             low, high = position[:, i].min(), position[:, i].max()
             if low < limits.lower or high > limits.upper:
-                reason = f'takes {joint.name} to {low:.3g} .. {high:.3g} rad'
+                reason = f'takes {joint.name} to {low:.3g} .. {high:.3g} {unit}'
                 raise _beyond(reason, f'{limits.lower:g} .. {limits.upper:g}')
             if rate[:, i].max() > limits.velocity:
-                reason = f'needs {rate[:, i].max():.3g} rad/s of {joint.name}'
+                reason = f'needs {rate[:, i].max():.3g} {unit}/s of {joint.name}'
                 raise _beyond(reason, f'{limits.velocity:g}')
             if torque[:, i].max() > limits.torque:
-                reason = f'needs {torque[:, i].max():.3g} N m of {joint.name}'
+                reason = f'needs {torque[:, i].max():.3g} {torque_unit} of {joint.name}'
                 raise _beyond(reason, f'{limits.torque:g}')
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.jit import njit
 from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
@@ -162,6 +163,7 @@ def tracker_watchdog_type(joints: int) -> np.dtype:
         ('tracking_error', 'f8'),  # [rad]
         ('speed_limit', 'f8', (joints,)),  # share of the arm file's velocity limit [rad/s]
         ('rest', 'f8', (joints,)),  # rate below which a joint rests [rad/s]
+        ('scale', 'f8', (joints,)),  # what counts as 1 rad, see `SerialJoint.scale` [rad], [m]
         ('share', 'f8'),  # of the newest latency in the mean
         ('mean_age', 'f8'),  # [ns]
         ('late', 'i8'),  # stamp of the last estimate that was late on average, or NEVER
@@ -205,6 +207,7 @@ def tracker_watchdog(arm: Arm, limits: TrackerLimits) -> np.record:
         tracking_error=limits.tracking_error,
         speed_limit=limits.speed * np.array(arm.velocity_limit),
         rest=_REST_SHARE * np.array(arm.velocity_limit),
+        scale=arm.scales() if isinstance(arm, SerialArm) else 1.0,
         share=_share(arm),
         late=NEVER,
         usable=NEVER,
@@ -314,9 +317,9 @@ def check_motion(dog: np.record, stamp: int, reference: np.ndarray, position: np
         dog.started, dog.moved, dog.in_reach = True, False, stamp
         _set_place(dog, reference, position)
     for i in range(position.shape[0]):
-        error = max(error, abs(reference[i] - position[i]))
-        moved = max(moved, abs(position[i] - dog.arm[i]))
-        led = max(led, abs(reference[i] - dog.reference[i]))
+        error = max(error, abs(reference[i] - position[i]) / dog.scale[i])
+        moved = max(moved, abs(position[i] - dog.arm[i]) / dog.scale[i])
+        led = max(led, abs(reference[i] - dog.reference[i]) / dog.scale[i])
     if error <= dog.tracking_error:
         dog.in_reach = stamp
     elif stamp - dog.in_reach > dog.error_time:

@@ -124,6 +124,7 @@ class Alarm:
     # `GUARANTEED` or `STATISTICAL` where the monitor tells them apart, else ''; no field of the
     # message, where the confidence of what is guaranteed is exactly 1
     basis: str = field(default='', kw_only=True)
+    unit: str = field(default='rad', kw_only=True)  # of positions of the sensor
 
 
 _OK, _WARN, _ERROR, _STALE, _NOT_DIAGNOSABLE = (int(state) for state in SensorState)

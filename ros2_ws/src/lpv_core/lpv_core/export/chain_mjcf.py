@@ -47,7 +47,12 @@ def chain_mjcf(chain: Chain) -> str:
             parent, 'body', name=f'link{i + 1}', pos=tuple(chain.translation[i]), quat=(w, x, y, z)
         )
         add_element(
-            parent, 'joint', name=f'joint{i + 1}', axis=(0.0, 0.0, 1.0), armature=chain.motor[i, i]
+            parent,
+            'joint',
+            name=f'joint{i + 1}',
+            type='slide' if chain.prismatic[i] else 'hinge',
+            axis=(0.0, 0.0, 1.0),
+            armature=chain.motor[i, i],
         )
         _add_inertia(parent, chain.inertial[i], i)
     ElementTree.indent(root)

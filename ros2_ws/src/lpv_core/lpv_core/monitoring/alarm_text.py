@@ -16,7 +16,7 @@ _KINDS = {
     'torque_offset': 'of the torque sensor',
     'torque_gain': 'of the gain of the torque sensor',
 }
-_UNITS = {'rate_bias': ' rad/s', 'torque_offset': ' N m', 'torque_gain': ''}
+_UNITS = {'rate_bias': ' {}/s', 'torque_offset': ' N m', 'torque_gain': ''}
 """Of sizes that are no position errors."""
 _CERTAIN = 0.9995
 """Confidence from which on only a lower limit is given."""
@@ -35,7 +35,7 @@ COUNTER_TEXT = {
 def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
-    unit = _UNITS.get(event.kind, ' rad')
+    unit = _UNITS.get(event.kind, ' {}').format(event.unit)
     error = f'{event.size:+.3f}{unit} (bound {event.bound:.3f}{unit})'
     if event.kind == 'dropout':
         over = ' is over' if event.event == AlarmEvent.CLEARED else ''

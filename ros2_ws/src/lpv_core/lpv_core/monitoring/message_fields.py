@@ -115,7 +115,7 @@ def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, 
 def alarm_fields(alarm: Alarm) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds."""
     fields = {**asdict(alarm), 'event': int(alarm.event)}
-    del fields['basis']
+    del fields['basis'], fields['unit']
     return fields
 
 
@@ -163,12 +163,13 @@ def diagnostic_fields(
     for i, sensor in enumerate(arm.sensor_names):
         sensor_state, values, above = SensorState.STALE, {}, False
         if fault is not None:
+            unit = arm.joints[i].units[0] if isinstance(arm, SerialArm) else 'rad'
             above = abs(fault.estimate[i]) > fault.threshold[i]
             sensor_state = fault.state[i]
             values = {
-                'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
-                'bound [rad]': f'{fault.bound[i]:.6f}',
-                'threshold [rad]': f'{fault.threshold[i]:.6f}',
+                f'fault estimate [{unit}]': f'{fault.estimate[i]:.6f}',
+                f'bound [{unit}]': f'{fault.bound[i]:.6f}',
+                f'threshold [{unit}]': f'{fault.threshold[i]:.6f}',
                 **(findings.details[i] if findings.details else {}),
             }
         level, message = _LEVELS[sensor_state]

@@ -423,7 +423,8 @@ class SerialSensorMonitor:
         """Whether what is removed of confirmed faults is known well enough to go on."""
         known = self._snapshot
         sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
-        uncertain = self._parameters.sigmas * sigma > self._parameters.safe_stop_bound
+        bound = self._parameters.safe_stop_bound * self._monitor.scales
+        uncertain = self._parameters.sigmas * sigma > bound
         return not (known.is_error & uncertain).any()
 
     def _answer_stale(self, stamp: int, row: np.recarray) -> None:
@@ -506,13 +507,15 @@ class SerialSensorMonitor:
         known = self._snapshot.guarantee
         if known is None:
             return ()
-        return tuple(
-            {'guaranteed threshold [rad]': f'{threshold:.4f}', 'surely found beyond [rad]': size}
-            if found < _LARGEST_FOUND
-            else {'guaranteed threshold [rad]': 'none: this pose and motion do not show an offset'}
-            for threshold, found in zip(known.threshold, known.smallest_found)
-            for size in [f'{found:.4f}']
-        )
+        result = []
+        for joint, threshold, found in zip(self.arm.joints, known.threshold, known.smallest_found):
+            unit = joint.units[0]
+            one = {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
+            if found < _LARGEST_FOUND * joint.scale:
+                one[f'guaranteed threshold [{unit}]'] = f'{threshold:.4f}'
+                one[f'surely found beyond [{unit}]'] = f'{found:.4f}'
+            result.append(one)
+        return tuple(result)
 
     def _note(self) -> str:
         """What else is to be said of the diagnosis as a whole."""

@@ -133,7 +133,7 @@ class SteppedMonitor(SerialMonitor):
             self.taken_out(),
             np.sqrt(self._removed_variance + changing**2),
             self.jump.copy(),
-            np.maximum(LEVEL_SIGMAS * estimate.sigma, settings.smallest_level),
+            np.maximum(LEVEL_SIGMAS * estimate.sigma, settings.smallest_level * self.scales),
             np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest),
             state,
             np.array([one.level and one.active for one in self.sensors]),

@@ -1,6 +1,6 @@
 """Description of a serial arm of n joints: what its file says.
 
-Units are those of revolute joints: for a prismatic one, read m for rad, N for N m, and kg for kg m2.
+Units are those of revolute joints: for a prismatic one, read m for rad, N for N m, kg for kg m2.
 """
 
 import math
@@ -156,8 +156,7 @@ class SerialJoint:
     name: str  # as in sensor_msgs/JointState
     position: tuple[float, float, float]  # of the joint's frame in the one before [m]
     orientation: tuple[float, float, float]  # roll, pitch, yaw, as in URDF [rad]
-    # unit vector in the joint's frame; of a prismatic joint, the way per unit of its position
-    axis: tuple[float, float, float]
+    axis: tuple[float, float, float]  # unit vector in the joint's frame
     link: LinkInertia
     friction: JointFriction = JointFriction()
     rotor_inertia: float = 0.0  # reflected to the joint [kg m2]
@@ -172,6 +171,33 @@ class SerialJoint:
     def is_prismatic(self) -> bool:
         """Whether the joint moves its link along the axis."""
         return self.type == 'prismatic'
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Positions of usual motions [rad]: the limits within half a turn to each side.
+
+        Of a prismatic joint, the limits, or 1 m where there are none.
+        """
+        low, high = self.limits.lower, self.limits.upper
+        if not self.is_prismatic:
+            return max(low, -math.pi), min(high, math.pi)
+        if math.isinf(low):
+            low = high - 1.0 if math.isfinite(high) else -0.5
+        return low, low + 1.0 if math.isinf(high) else high
+
+    @property
+    def scale(self) -> float:
+        """What counts as much as 1 rad in thresholds: of a prismatic joint, at most 1 m.
+
+        The whole range of a prismatic joint counts as one turn.
+        """
+        low, high = self.range
+        return min((high - low) / (2.0 * math.pi), 1.0) if self.is_prismatic else 1.0
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of position and torque."""
+        return ('m', 'N') if self.is_prismatic else ('rad', 'N m')
 
 
 @dataclass(frozen=True)
@@ -266,6 +292,10 @@ class SerialArm:
     def torque_limit(self) -> tuple[float, ...]:
         """Largest joint torques, one for each joint [N m]."""
         return tuple(joint.limits.torque for joint in self.joints)
+
+    def scales(self) -> np.ndarray:
+        """What counts as much as 1 rad in thresholds, shape (n,); see `SerialJoint.scale`."""
+        return np.array([joint.scale for joint in self.joints])
 
     def joints_to_sensors(self) -> np.ndarray:
         """S of y = S q + f: readings of the position sensors by joint positions, shape (n, n)."""

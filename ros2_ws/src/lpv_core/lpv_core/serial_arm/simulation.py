@@ -158,8 +158,7 @@ class SerialSimulator:
             Centres (n,) [rad], amplitudes and frequencies, (n, harmonics) [rad], [rad/s].
         """
         n, rng = self.joints, self._rng
-        low = np.array([max(joint.limits.lower, -np.pi) for joint in self.arm.joints])
-        high = np.array([min(joint.limits.upper, np.pi) for joint in self.arm.joints])
+        low, high = np.array([joint.range for joint in self.arm.joints]).T
         rate = np.array([min(joint.limits.velocity, 4.0) for joint in self.arm.joints])
         frequency = rng.uniform(0.5, 3.0, (n, _HARMONICS))
         share = rng.dirichlet(np.ones(_HARMONICS), n)

@@ -57,7 +57,8 @@ def read_urdf_chain(
     Raises
     ------
     ConfigError
-        If the file cannot be read, or the joints that move are no chain of revolute and prismatic ones.
+        If the file cannot be read, or the joints that move are no chain of revolute and prismatic
+        ones.
     """
     urdf = read_urdf_text(Path(path))
     model, held = _read_model(urdf, str(path), locked, joints, tip)
@@ -145,9 +146,7 @@ def _quiet() -> Iterator[None]:
 def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> SerialJoint:
     import pinocchio
 
-    name = model.names[index]
-    joint = model.joints[index]
-    refused = ''
+    name, refused = model.names[index], ''
     if name in urdf.mimics:
         refused = f'follows {urdf.mimics[name].joint!r} (mimic)'
     elif urdf.kinds[name] not in ('revolute', 'continuous', 'prismatic'):

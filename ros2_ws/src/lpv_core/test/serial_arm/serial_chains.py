@@ -28,7 +28,7 @@ def random_chain(seed: int, joints: int) -> Chain:
         rng.uniform(0.0, 0.5, joints),
         gravity=gravity,
         tip=tip,
-        travel=rng.integers(0, 2, joints),
+        prismatic=rng.integers(0, 2, joints),
     )
 
 
@@ -37,7 +37,7 @@ def pinocchio_model(chain: Chain) -> pinocchio.Model:
     model = pinocchio.Model()
     for i in range(len(chain.translation)):
         place = pinocchio.SE3(chain.rotation[i], chain.translation[i])
-        joint = pinocchio.JointModelPZ if chain.travel[i] else pinocchio.JointModelRZ
+        joint = pinocchio.JointModelPZ if chain.prismatic[i] else pinocchio.JointModelRZ
         model.addJoint(i, joint(), place, f'joint{i}')
         body = pinocchio.Inertia.FromDynamicParameters(chain.inertial[i])
         model.appendBodyToJoint(i + 1, body, pinocchio.SE3.Identity())

@@ -204,7 +204,7 @@ def add_block(
         along = Chain(
             chain.rotation, chain.translation, balance.directions[k], balance.rigid,
             chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation,
-            chain.travel)  # fmt: skip
+            chain.prismatic)  # fmt: skip
         carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
             column, part = 1 + 8 * n + k, balance.frictions[k, j]
@@ -383,7 +383,7 @@ def residuals(
     chain = Chain(
         balance.chain.rotation, balance.chain.translation, balance.chain.inertial,
         balance.chain.motor, friction, balance.chain.gravity, balance.chain.tip_rotation,
-        balance.chain.tip_translation, balance.chain.travel)  # fmt: skip
+        balance.chain.tip_translation, balance.chain.prismatic)  # fmt: skip
     own = Balance(
         chain, balance.directions, balance.reference, balance.derived,
         np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),

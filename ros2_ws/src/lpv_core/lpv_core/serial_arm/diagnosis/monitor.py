@@ -70,6 +70,7 @@ class MonitorSettings:
     hours_between_false_alarms: float = 1000.0  # mean, of a healthy arm [h]
     probability_of_wrong_name: float = 0.01  # that a named cause is another one
     fault_at_start: float = 1e-3  # probability of an offset at the first sample
+    # of prismatic joints, times `SerialJoint.scale` [m]
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
@@ -139,6 +140,7 @@ class SerialMonitor:
         self.settings = settings or MonitorSettings()
         self.joints = len(arm.joints)
         self.alarms: list[SerialAlarm] = []
+        self.scales = arm.scales()
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
         self._jump_bound = jump_bound(arm)
         self._first: int | None = None
@@ -159,7 +161,7 @@ class SerialMonitor:
         self._push = PUSH * typical_torque(self.estimator.balance.chain)
         self.bank = Bank(arm, self.estimator, self._push)
         self._threshold = settings.threshold(self.plan.interval)
-        smallest = np.full(n, settings.smallest_step)
+        smallest = settings.smallest_step * self.scales
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, np.maximum(2.0 * noise, 0.2 * smallest), smallest,
             self._capacity)  # fmt: skip
@@ -294,7 +296,8 @@ class SerialMonitor:
         fault, sigma = self.faults()
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
-            if one.state is SensorState.OK and sigma[i] > self.settings.widest_level
+            if one.state is SensorState.OK
+            and sigma[i] > self.settings.widest_level * self.scales[i]
             else one.state
             for i, one in enumerate(self.sensors)
         )
@@ -362,7 +365,7 @@ class SerialMonitor:
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
             fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
         if sensor.state is SensorState.ERROR and abs(fault) < max(
-            0.3 * abs(size), self.settings.smallest_step
+            0.3 * abs(size), self.settings.smallest_step * self.scales[i]
         ):
             self._forget(i)
             sensor.recover(now)
@@ -491,7 +494,7 @@ class SerialMonitor:
     def _is_frozen(self) -> BoolArray:
         """Whether a reading stopped dead while it moved, or has lost its noise."""
         still = self.sampler.still * self.arm.sample_time > STILL_TIME
-        stopped = self.sampler.stop * STILL_TIME > self.settings.smallest_step
+        stopped = self.sampler.stop * STILL_TIME > self.settings.smallest_step * self.scales
         return still & (stopped | (self.sampler.repeats < RARE))
 
     def _rest(self) -> tuple[FloatArray, FloatArray]:
@@ -557,7 +560,7 @@ class SerialMonitor:
         """Offsets that gravity and motion show."""
         level, settings = self.estimator.level, self.settings
         offsets, sigma = level.mean[: self.joints], level.sigma
-        shown = sigma < settings.widest_level
+        shown = sigma < settings.widest_level * self.scales
         self._known += np.where(shown, self.plan.interval, 0.0)
         prior = self.estimator.prior[: self.joints]
         gain = 0.5 * (offsets / sigma) ** 2 - np.log(prior / sigma)
@@ -566,7 +569,7 @@ class SerialMonitor:
         at_start = math.log(1.0 / settings.fault_at_start)
         later = settings.threshold(settings.horizon)
         needed = np.where(self._known < settings.horizon, at_start, later)
-        beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level)
+        beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level * self.scales)
         for i in np.nonzero(beyond)[0]:
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
@@ -602,7 +605,8 @@ class SerialMonitor:
                 if over and i in self._filters:
                     self._forget(i)
             else:
-                limit = 0.7 * max(self.settings.smallest_level, 4.0 * sigma[i])
+                smallest = self.settings.smallest_level * self.scales[i]
+                limit = 0.7 * max(smallest, 4.0 * sigma[i])
                 over = abs(left) < min(0.3 * sensor.peak, limit)
             if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
                 self._forget(i)

@@ -78,8 +78,7 @@ def typical_torque(chain: Chain) -> FloatArray:
         Root mean square over poses of gravity's torque, with that of an usual acceleration of the
         joint and its friction [N m].
     """
-    n = joint_count(chain)
-    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), n)
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
     gravity = np.mean([model.gravity(q) ** 2 for q in poses], axis=0)
     inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
     friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE + np.abs(chain.friction[:, DRY])
@@ -153,7 +152,7 @@ def parameter_directions(
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)
     forces, frictions = [], []
-    for q in _poses(rng, n):
+    for q in _poses(rng, chain):
         rate = speed * rng.uniform(-1.0, 1.0, n)
         force = model.momentum_regressor(q, rate)[1]
         forces.append(force)
@@ -176,5 +175,7 @@ def parameter_directions(
     )  # fmt: skip
 
 
-def _poses(rng: np.random.Generator, joints: int) -> FloatArray:
-    return rng.uniform(-np.pi, np.pi, (_SAMPLES, joints))
+def _poses(rng: np.random.Generator, chain: Chain) -> FloatArray:
+    """All angles, and prismatic joints within half a metre to each side."""
+    turned = np.where(chain.prismatic, 0.5 / np.pi, 1.0)
+    return turned * rng.uniform(-np.pi, np.pi, (_SAMPLES, joint_count(chain)))

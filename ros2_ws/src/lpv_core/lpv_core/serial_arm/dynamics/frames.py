@@ -23,11 +23,8 @@ def set_frames(chain: Chain, q: FloatArray, work: FloatArray) -> None:
         Columns 0 to 8 and the last three are written.
     """
     for i in range(q.shape[0]):
-        c, s, way = 1.0, 0.0, 0.0
-        if chain.travel[i] == 0.0:
-            c, s = math.cos(q[i]), math.sin(q[i])
-        else:
-            way = chain.travel[i] * q[i]
+        turned, way = (0.0, q[i]) if chain.prismatic[i] else (q[i], 0.0)
+        c, s = math.cos(turned), math.sin(turned)
         for row in range(3):
             x, y = chain.rotation[i, row, 0], chain.rotation[i, row, 1]
             work[i, 3 * row] = c * x + s * y
@@ -59,7 +56,7 @@ def to_child(work: FloatArray, i: int, x: float, y: float, z: float) -> tuple[fl
 @njit
 def along_axis(chain: Chain, i: int, force: float, moment: float) -> float:
     """What a wrench with these z components in frame i is for joint i: its torque, or force."""
-    return moment if chain.travel[i] == 0.0 else chain.travel[i] * force
+    return force if chain.prismatic[i] else moment
 
 
 @njit

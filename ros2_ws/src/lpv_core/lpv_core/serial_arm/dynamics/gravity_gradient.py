@@ -65,12 +65,16 @@ def gravity_gradient(chain: Chain, q: FloatArray, work: FloatArray, gradient: Fl
         zx, zy, zz = work[j, _AXIS], work[j, _AXIS + 1], work[j, _AXIS + 2]
         hx, hy, hz = work[j, _MOMENT], work[j, _MOMENT + 1], work[j, _MOMENT + 2]
         cx, cy, cz = zy * hz - zz * hy, zz * hx - zx * hz, zx * hy - zy * hx
-        if chain.travel[j] != 0.0:
-            carried = chain.travel[j] * work[j, _WEIGHT]
-            cx, cy, cz = carried * zx, carried * zy, carried * zz
+        if chain.prismatic[j]:
+            mass = work[j, _WEIGHT]
+            cx, cy, cz = mass * zx, mass * zy, mass * zz
         for i in range(j + 1):
             ax, ay, az = work[i, _AXIS], work[i, _AXIS + 1], work[i, _AXIS + 2]
-            gradient[i, j] = 0.0 if chain.travel[i] != 0.0 else (
-                (gz * ay - gy * az) * cx + (gx * az - gz * ax) * cy + (gy * ax - gx * ay) * cz
+            gradient[i, j] = (
+                0.0
+                if chain.prismatic[i]
+                else (
+                    (gz * ay - gy * az) * cx + (gx * az - gz * ax) * cy + (gy * ax - gx * ay) * cz
+                )
             )
             gradient[j, i] = gradient[i, j]

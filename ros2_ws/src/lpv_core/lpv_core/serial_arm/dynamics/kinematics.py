@@ -41,11 +41,10 @@ def joint_frames(chain: Chain, q: FloatArray, rotations: FloatArray, origins: Fl
             origins[i, row] = 0.0
         local = chain.rotation[i] if i < n else chain.tip_rotation
         place = chain.translation[i] if i < n else chain.tip_translation
-        c, s, way = 1.0, 0.0, 0.0
-        if i < n and chain.travel[i] == 0.0:
-            c, s = np.cos(q[i]), np.sin(q[i])
-        elif i < n:
-            way = chain.travel[i] * q[i]
+        turned, way = 0.0, 0.0
+        if i < n:
+            turned, way = (0.0, q[i]) if chain.prismatic[i] else (q[i], 0.0)
+        c, s = np.cos(turned), np.sin(turned)
         for k in range(3):
             # Row k of R_i0 Rz(q_i).
             x, y, z = (
@@ -89,12 +88,8 @@ def fill_jacobian(
         jacobian[1, i] = zz * dx - zx * dz
         jacobian[2, i] = zx * dy - zy * dx
         jacobian[3, i], jacobian[4, i], jacobian[5, i] = zx, zy, zz
-        if chain.travel[i] != 0.0:
-            jacobian[0, i], jacobian[1, i], jacobian[2, i] = (
-                chain.travel[i] * zx,
-                chain.travel[i] * zy,
-                chain.travel[i] * zz,
-            )
+        if chain.prismatic[i]:
+            jacobian[0, i], jacobian[1, i], jacobian[2, i] = zx, zy, zz
             jacobian[3, i], jacobian[4, i], jacobian[5, i] = 0.0, 0.0, 0.0
 
 

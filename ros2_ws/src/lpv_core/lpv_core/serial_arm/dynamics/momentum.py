@@ -76,10 +76,10 @@ def set_velocities(chain: Chain, q: FloatArray, v: FloatArray, work: FloatArray)
         )
         wx, wy, wz = to_child(work, i, wx, wy, wz)
         gx, gy, gz = to_child(work, i, gx, gy, gz)
-        if chain.travel[i] == 0.0:
+        if not chain.prismatic[i]:
             wz += v[i]
         else:
-            uz += chain.travel[i] * v[i]
+            uz += v[i]
         work[i, _RATE], work[i, _RATE + 1], work[i, _RATE + 2] = wx, wy, wz
         work[i, _SPEED], work[i, _SPEED + 1], work[i, _SPEED + 2] = ux, uy, uz
         work[i, _FALL], work[i, _FALL + 1], work[i, _FALL + 2] = gx, gy, gz
@@ -98,7 +98,7 @@ def momentum_balance(
 
     With L, P angular and linear momentum of all that joint i carries, about its origin, and w, u
     the rates there, d(v^T M v / 2)/dq_i = w_y L_x - w_x L_y + u_y P_x - u_x P_y; of a prismatic
-    joint w_y P_x - w_x P_y per unit of its way.
+    joint w_y P_x - w_x P_y.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def carried_momentum(
         momentum[i] = along_axis(chain, i, work[i, _LINEAR + 2], work[i, _ANGULAR + 2])
         for j in range(n):
             momentum[i] += chain.motor[i, j] * v[j]
-        if chain.travel[i] == 0.0:
+        if not chain.prismatic[i]:
             force[i] = (
                 work[i, _RATE + 1] * work[i, _ANGULAR]
                 - work[i, _RATE] * work[i, _ANGULAR + 1]
@@ -138,7 +138,7 @@ def carried_momentum(
                 - hy * work[i, _FALL]
             )
         else:
-            force[i] = chain.travel[i] * (
+            force[i] = (
                 work[i, _RATE + 1] * work[i, _LINEAR]
                 - work[i, _RATE] * work[i, _LINEAR + 1]
                 + work[i, _WEIGHT] * work[i, _FALL + 2]
@@ -183,9 +183,9 @@ def mass_matrix(chain: Chain, q: FloatArray, work: FloatArray, matrix: FloatArra
         body = work[i, _COMPOSITE : _COMPOSITE + 10]
         fx, fy, fz = -body[MY], body[MX], 0.0
         nx, ny, nz = body[IXZ], body[IYZ], body[IZZ]
-        if chain.travel[i] != 0.0:
-            fx, fy, fz = 0.0, 0.0, chain.travel[i] * body[MASS]
-            nx, ny, nz = chain.travel[i] * body[MY], -chain.travel[i] * body[MX], 0.0
+        if chain.prismatic[i]:
+            fx, fy, fz = 0.0, 0.0, body[MASS]
+            nx, ny, nz = body[MY], -body[MX], 0.0
         matrix[i, i] = along_axis(chain, i, fz, nz) + chain.motor[i, i]
         for j in range(i - 1, -1, -1):
             fx, fy, fz = to_parent(work, j + 1, fx, fy, fz)

@@ -95,13 +95,11 @@ def inverse_dynamics(
             az + sx * py - sy * px + wx * cy - wy * cx)  # fmt: skip
         wx, wy, wz = to_child(work, i, wx, wy, wz)
         sx, sy, sz = to_child(work, i, sx, sy, sz)
-        if chain.travel[i] == 0.0:
+        if not chain.prismatic[i]:
             sx, sy, sz = sx + wy * v[i], sy - wx * v[i], sz + a[i]
             wz += v[i]
         else:
-            speed = chain.travel[i] * v[i]
-            ax, ay = ax + 2.0 * wy * speed, ay - 2.0 * wx * speed
-            az += chain.travel[i] * a[i]
+            ax, ay, az = ax + 2.0 * wy * v[i], ay - 2.0 * wx * v[i], az + a[i]
         _body_wrench(chain, i, (wx, wy, wz), (sx, sy, sz), (ax, ay, az), work)
     for i in range(n - 1, -1, -1):
         torque[i] = along_axis(chain, i, work[i, _FORCE + 2], work[i, _MOMENT + 2])

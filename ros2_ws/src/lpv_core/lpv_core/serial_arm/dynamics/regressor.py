@@ -66,10 +66,7 @@ def _unit_wrench(
 
 @njit
 def _wrench_to_parent(
-    i: int,
-    work: FloatArray,
-    force: tuple[float, float, float],
-    moment: tuple[float, float, float],
+    i: int, work: FloatArray, force: tuple[float, float, float], moment: tuple[float, float, float]
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """A wrench about frame i's origin, about that of frame i-1."""
     f = to_parent(work, i, force[0], force[1], force[2])
@@ -95,12 +92,11 @@ def _set_accelerations(
             u[2] + twist[2] + swirl[2])  # fmt: skip
         w = to_child(work, i, w[0], w[1], w[2])
         s = to_child(work, i, s[0], s[1], s[2])
-        if chain.travel[i] == 0.0:
+        if not chain.prismatic[i]:
             s = (s[0] + w[1] * v[i], s[1] - w[0] * v[i], s[2] + a[i])
             w = (w[0], w[1], w[2] + v[i])
         else:
-            speed = 2.0 * chain.travel[i] * v[i]
-            u = (u[0] + w[1] * speed, u[1] - w[0] * speed, u[2] + chain.travel[i] * a[i])
+            u = (u[0] + 2.0 * w[1] * v[i], u[1] - 2.0 * w[0] * v[i], u[2] + a[i])
         for k in range(3):
             work[i, _W + k], work[i, _S + k], work[i, _A + k] = w[k], s[k], u[k]
 
@@ -186,7 +182,7 @@ def momentum_regressor(
             mass = 1.0 if k == 0 else 0.0
             for i in range(j, -1, -1):
                 momentum[i, 10 * j + k] = along_axis(chain, i, linear[2], angular[2])
-                if chain.travel[i] == 0.0:
+                if not chain.prismatic[i]:
                     force[i, 10 * j + k] = (
                         work[i, _RATE + 1] * angular[0]
                         - work[i, _RATE] * angular[1]
@@ -196,7 +192,7 @@ def momentum_regressor(
                         - moment[1] * work[i, _FALL]
                     )
                 else:
-                    force[i, 10 * j + k] = chain.travel[i] * (
+                    force[i, 10 * j + k] = (
                         work[i, _RATE + 1] * linear[0]
                         - work[i, _RATE] * linear[1]
                         + mass * work[i, _FALL + 2]
