@@ -34,9 +34,9 @@ from lpv_core.serial_arm.description import (
 )
 from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.dynamics.payload import with_payload
+from lpv_core.serial_arm.two_link import serial_from_planar
 from lpv_core.support.config import read_yaml
 from lpv_identify.recordings.recording import read_recording
-from lpv_identify.results.planar import serial_from_planar
 
 ROOT = Path(__file__).resolve().parents[1]
 BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'

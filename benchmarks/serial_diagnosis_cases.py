@@ -33,11 +33,11 @@ from lpv_core.serial_arm.description import (
 from lpv_core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
 from lpv_core.serial_arm.dynamics.payload import with_payload
 from lpv_core.serial_arm.simulation import Push, SerialSimulator
+from lpv_core.serial_arm.two_link import serial_arm_of
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.resources import bringup_file
 from lpv_identify.estimation.identification import identify
 from lpv_identify.recordings.recording import read_recording
-from lpv_identify.results.starting_arm import load_any_arm
 
 DATA = Path(os.environ.get(
     'LPV_RECORDINGS', Path(__file__).resolve().parents[2] / 'shared' / 'data'))  # fmt: skip
@@ -205,7 +205,7 @@ def table_of(title: str) -> Table:
 
 def two_link_runs(size: int, rng: np.random.Generator) -> list[Healthy]:
     """Recordings of the two-link arm, each with arms whose parameters are wrong."""
-    known = load_any_arm('real_arm')
+    known = serial_arm_of('real_arm')
     columns, runs = load_column_map(bringup_file('columns', 'real_arm')), []
     files = sorted((DATA / 'real_arm').glob('run_*.csv'))
     for k in range(size * len(files)):

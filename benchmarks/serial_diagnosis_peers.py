@@ -34,8 +34,8 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.serial_arm.simulation import SerialSimulator, integration_step, plant_step
+from lpv_core.serial_arm.two_link import serial_arm_of
 from lpv_core.support.jit import njit
-from lpv_identify.results.starting_arm import load_any_arm
 
 MOMENTS = (1.0, 3.0, 10.0)
 """At which errors are taken [s]."""
@@ -366,7 +366,7 @@ def main() -> None:
         if name == 'recorded':
             report_recorded(console, options.runs, np.random.default_rng(0))
             continue
-        arm = shoulder_arm('derived') if name == 'shoulder' else load_any_arm(name)
+        arm = shoulder_arm('derived') if name == 'shoulder' else serial_arm_of(name)
         arm = replace(arm, uncertainty=replace(arm.uncertainty, friction=0.3))
         limit = np.array([joint.limits.torque for joint in arm.joints])
         for correlation in options.correlation:

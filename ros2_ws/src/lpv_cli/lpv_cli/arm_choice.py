@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser, required: bool = True) -> Non
     arm = parser.add_mutually_exclusive_group(required=True) if required else parser
     arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
     if required:
-        arm.add_argument('--arm', help='arm file, of n joints or of two links')
+        arm.add_argument('--arm', help='arm file')
     parser.add_argument(
         '--joints',
         nargs='+',
@@ -43,9 +43,9 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
     from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 
     if not arguments.urdf:
-        from lpv_identify.results.starting_arm import load_any_arm
+        from lpv_core.serial_arm.two_link import serial_arm_of
 
-        return load_any_arm(arguments.arm)
+        return serial_arm_of(arguments.arm)
     root = _read(arguments.urdf)
     moving = {str(j.get('name')): j for j in root.findall('joint') if j.get('type') in _MOVING}
     locked = dict(_locked(text) for text in arguments.lock)

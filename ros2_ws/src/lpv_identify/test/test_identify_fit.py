@@ -11,7 +11,8 @@ from lpv_identify.estimation.gains import rescaled
 from lpv_identify.estimation.identification import Options, identify
 from lpv_identify.estimation.payload import Payload, identify_payload, with_payload
 from lpv_identify.estimation.workshop import Workshop
-from lpv_identify.motions.simulation import SensorNoise, joint_torques, simulate
+from lpv_identify.model.rigid_body import joint_torques
+from lpv_identify.motions.simulation import SensorNoise, simulate
 from lpv_identify.recordings.recording import Recording
 
 pytestmark = pytest.mark.slow

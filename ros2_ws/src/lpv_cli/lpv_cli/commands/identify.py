@@ -232,9 +232,9 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
 def _calibrate(
     arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']
 ) -> int:
+    from lpv_core.serial_arm.arm_file import save_serial_arm
     from lpv_identify.estimation.mistakes import find_mistakes
     from lpv_identify.estimation.torque_error import calibrate
-    from lpv_identify.results.starting_arm import save_like
     from lpv_identify.results.summary import calibration_table
 
     found = calibrate(arm, recordings)
@@ -242,7 +242,7 @@ def _calibrate(
     for text in (*found.warnings, *(m.text for m in find_mistakes(arm, recordings))):
         print(f'warning: {text}', file=sys.stderr)
     if arguments.out:
-        save_like(arguments.arm, found.arm, Path(arguments.out))
+        save_serial_arm(found.arm, arguments.out)
         print(f'arm file: {arguments.out}')
     return 0
 
@@ -257,9 +257,9 @@ def _print(result: 'Identification') -> None:
 
 def _write(arguments: argparse.Namespace, result: 'Identification') -> None:
     if arguments.out:
-        from lpv_identify.results.starting_arm import save_like
+        from lpv_core.serial_arm.arm_file import save_serial_arm
 
-        save_like(arguments.arm, result.arm, Path(arguments.out))
+        save_serial_arm(result.arm, arguments.out)
         print(f'arm file: {arguments.out}')
     if arguments.report:
         from lpv_identify.results.report import write_report

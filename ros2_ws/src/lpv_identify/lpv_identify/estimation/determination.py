@@ -4,13 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.estimation.regression import Fit
 from lpv_identify.model.base_parameters import BaseParameters
 from lpv_identify.model.friction import TERMS
 from lpv_identify.model.prior import structural_prior
 
 _LINK = ('mass', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
+_REMEDIES = (
+    (_LINK[:4], 'hold it, and those before it, in more different postures'),
+    ((*_LINK[4:], 'rotor'), 'accelerate it more'),
+    (TERMS, 'move it at more different speeds, both ways'),
+)
 
 
 @dataclass(frozen=True)
@@ -26,26 +31,11 @@ class Determination:
         """What motion is missing, one sentence for each joint of which much is unknown."""
         texts = []
         for name in joints:
-            missing = [
-                n.split(': ')[1]
-                for n, d in zip(self.names, self.determined)
-                if not d and n.startswith(f'{name}: ')
-            ]
-            inertial = [m for m in missing if m[0] in 'I' or m == 'rotor']
-            moments = [m for m in missing if m in ('mx', 'my', 'mz', 'mass')]
-            friction = [m for m in missing if m in TERMS]
-            if moments:
-                texts.append(
-                    f'{name}: {", ".join(moments)} not determined; hold it, and those '
-                    'before it, in more different postures'
-                )
-            if inertial:
-                texts.append(f'{name}: {", ".join(inertial)} not determined; accelerate it more')
-            if friction:
-                texts.append(
-                    f'{name}: {", ".join(friction)} not determined; move it at more '
-                    'different speeds, both ways'
-                )
+            whose = [one.partition(': ') for one, d in zip(self.names, self.determined) if not d]
+            for terms, remedy in _REMEDIES:
+                missing = [term for joint, _, term in whose if joint == name and term in terms]
+                if missing:
+                    texts.append(f'{name}: {", ".join(missing)} not determined; {remedy}')
         return texts
 
 
@@ -87,10 +77,7 @@ def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
 
 def parameter_names(base: BaseParameters, joints: tuple[str, ...]) -> list[str]:
     """Names of a fit's parameters; a base parameter has that of the column that stands for it."""
-    names = []
-    for column in base.columns:
-        if column >= N_INERTIAL * len(joints):
-            names.append(f'{joints[column - N_INERTIAL * len(joints)]}: rotor')
-        else:
-            names.append(f'{joints[column // N_INERTIAL]}: {_LINK[column % N_INERTIAL]}')
-    return names + [f'{joint}: {term}' for joint in joints for term in TERMS]
+    structural = [f'{joint}: {part}' for joint in joints for part in _LINK]
+    structural += [f'{joint}: rotor' for joint in joints]
+    friction = [f'{joint}: {term}' for joint in joints for term in TERMS]
+    return [structural[column] for column in base.columns] + friction

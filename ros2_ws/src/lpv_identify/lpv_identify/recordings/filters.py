@@ -61,24 +61,12 @@ def derivative(signal: np.ndarray, step: float) -> np.ndarray:
 def shifted(signal: np.ndarray, delay: float | np.ndarray, step: float) -> np.ndarray:
     """Signal delayed: the value at t is that of t - delay, held at the ends.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (samples, n)
-        Uniformly sampled.
-    delay : float or ndarray, shape (n,)
-        [s]; negative to advance.
-    step : float
-        Sample time [s].
-
-    Returns
-    -------
-    ndarray, shape (samples, n)
-        The delayed signal.
+    Of a uniformly sampled ``signal``, shape (samples, n); ``delay`` of all columns or of each, shape
+    (n,) [s], negative to advance; ``step`` is the sample time [s].
     """
     time = step * np.arange(len(signal))
     delays = np.broadcast_to(delay, signal.shape[1:])
     if not delays.any():
         return signal
-    spline = CubicSpline(time, signal, axis=0)
-    columns = [spline(np.clip(time - d, 0.0, time[-1]))[:, j] for j, d in enumerate(delays)]
-    return np.stack(columns, axis=1)
+    late = [np.clip(time - d, 0.0, time[-1]) for d in delays]
+    return np.stack([CubicSpline(time, x)(at) for x, at in zip(signal.T, late)], axis=1)

@@ -85,15 +85,10 @@ def with_second_encoders(arm: SerialArm, found: Sequence[SecondReading]) -> Seri
     unknown = [name for name in encoders if name not in arm.joint_names]
     if unknown:
         raise ConfigError('--second-encoder', f'{arm.name} has no joint {unknown[0]!r}')
-    joints = [
-        replace(
-            joint,
-            sensors=replace(
-                joint.sensors, second_encoder=encoders.get(joint.name, joint.sensors.second_encoder)
-            ),
-        )
-        for joint in arm.joints
-    ]
+    joints = []
+    for joint in arm.joints:
+        second = encoders.get(joint.name, joint.sensors.second_encoder)
+        joints.append(replace(joint, sensors=replace(joint.sensors, second_encoder=second)))
     return replace(arm, joints=tuple(joints))
 
 
