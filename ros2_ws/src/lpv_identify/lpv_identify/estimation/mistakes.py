@@ -239,10 +239,7 @@ class _Judge:
         for j in range(len(names) - 1):
             order = np.arange(len(names))
             order[[j, j + 1]] = j + 1, j
-            swapped = tuple(
-                Segment(s.step, s.time, *(x[:, order] for x in (s.position, s.velocity, s.effort)))
-                for s in setup.segments
-            )
+            swapped = tuple(s.with_joints(order) for s in setup.segments)
             text = f'signals of {names[j]} and {names[j + 1]} are swapped: their names are wrong'
             yield text, replace(self.setup(swapped, setup.gravity), gain=setup.gain)
 

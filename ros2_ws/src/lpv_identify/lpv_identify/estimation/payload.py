@@ -59,7 +59,7 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     parts = [_balance(arm, segment) for one in recordings for segment in split(one)]
     design, rest = (np.concatenate(part) for part in zip(*parts))
     scale = np.maximum(np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-6)
-    linear, turning = np.delete(design, np.s_[4:N_INERTIAL], axis=2), 0.0
+    linear, turning = np.delete(design, np.s_[4:N_INERTIAL], axis=2), 0.0 * rest
     for _ in range(4):  # the inertia of a point mass at the centre is known with it
         solution, residual, last = robust_fit(linear, rest - turning, scale, bound=_HUBER)
         mass = max(float(solution[0]), 1e-6)
@@ -78,9 +78,9 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
         for axis, s in zip('xyz', spread)
         if s > 0.1
     ]
-    rms = (float(np.sqrt(np.mean(error**2))) for error in (rest, residual))
+    before, after = (float(np.sqrt(np.mean(error**2))) for error in (rest, residual))
     return Payload(
-        mass, _triple(center), float(sigma[0]), _triple(spread), *rms, tuple(warnings)
+        mass, _triple(center), float(sigma[0]), _triple(spread), before, after, tuple(warnings)
     )  # fmt: skip
 
 

@@ -62,6 +62,8 @@ class Workshop:
         thinning = max(1, int(1.0 / (8.0 * self.bands.analysis * self.step)))
         self.filters = Filters(np.inf, self.bands.analysis, thinning, self.bands.test)
         self.strength = 1.0
+        self.motions: list[Motion] = []
+        self.rows: list[Rows] = []
         self._prepare()
 
     @property

@@ -1,6 +1,7 @@
 """Rigid-body regressors of a serial arm, in the frames of its joints."""
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lpv_core.serial_arm.chain import Chain, axis_frame, compile_chain, moved_body, workspace
 from lpv_core.serial_arm.description import N_INERTIAL, SerialArm
@@ -18,10 +19,10 @@ class RigidBody:
         self.chain, self.n = compile_chain(arm), len(arm.joints)
         # The chain's frames are the joints', turned so that z is the axis.
         turns = [axis_frame(np.array(joint.axis)).T for joint in arm.joints]
-        self._turned = [
+        self._turned = block_diag(*(
             np.stack([moved_body(unit, turn, np.zeros(3)) for unit in np.eye(N_INERTIAL)], axis=1)
             for turn in turns
-        ]
+        ))  # fmt: skip
 
     def regressor(
         self,
@@ -39,10 +40,8 @@ class RigidBody:
         chain = self.chain if gravity is None else self.chain._replace(gravity=gravity)
         links = np.empty((len(motion[0]), self.n, N_INERTIAL * self.n))
         _fill(chain, *(np.ascontiguousarray(one, float) for one in motion), workspace(chain), links)
-        for j, turned in enumerate(self._turned):
-            part = slice(N_INERTIAL * j, N_INERTIAL * (j + 1))
-            links[:, :, part] = links[:, :, part] @ turned
-        return np.concatenate([links, motion[2][:, :, None] * np.eye(self.n)], axis=2)
+        rigid = (links.reshape(-1, links.shape[2]) @ self._turned).reshape(links.shape)
+        return np.concatenate([rigid, motion[2][:, :, None] * np.eye(self.n)], axis=2)
 
 
 @njit

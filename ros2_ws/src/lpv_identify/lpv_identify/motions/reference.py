@@ -56,10 +56,7 @@ def write_reference(
     table = np.column_stack([time, *signals])
     np.savetxt(files[0], table, '%.9g', ',', header=header, comments='')
     _write_bag(files[2], names, time, *signals)
-    for file, content in (
-        (files[1], _message(names, trajectory)),
-        (files[3], _scenario(trajectory)),
-    ):
+    for file, content in zip(files[1::2], (_message(names, trajectory), _scenario(trajectory))):
         file.write_text(yaml.safe_dump(content, sort_keys=False, width=110))
     return files
 

@@ -15,9 +15,10 @@ MAX_BYTES = 2 << 30
 """Largest CSV file that is read [bytes]."""
 _PATTERNS = {
     'position': '{}_position {}_pos position_{} q_{} pos_meas{} motor_position{} position{} q{}',
-    'velocity': '{}_velocity {}_vel velocity_{} v_{} vel_meas{} motor_velocity{} velocity{} dq{} v{}',
-    'effort': '{}_effort {}_torque effort_{} tau_{} tau_meas{} motor_torque{} effort{} torque{} tau{} '
-    'current{}',
+    'velocity': '{}_velocity {}_vel velocity_{} v_{} vel_meas{} motor_velocity{} velocity{} dq{} '
+    'v{}',
+    'effort': '{}_effort {}_torque effort_{} tau_{} tau_meas{} motor_torque{} effort{} torque{} '
+    'tau{} current{}',
 }
 """Names of columns by the joint's name, or by its number."""
 

@@ -61,8 +61,8 @@ def derivative(signal: np.ndarray, step: float) -> np.ndarray:
 def shifted(signal: np.ndarray, delay: float | np.ndarray, step: float) -> np.ndarray:
     """Signal delayed: the value at t is that of t - delay, held at the ends.
 
-    Of a uniformly sampled ``signal``, shape (samples, n); ``delay`` of all columns or of each, shape
-    (n,) [s], negative to advance; ``step`` is the sample time [s].
+    Of a uniformly sampled ``signal``, shape (samples, n); ``delay`` of all columns or of each,
+    shape (n,) [s], negative to advance; ``step`` is the sample time [s].
     """
     time = step * np.arange(len(signal))
     delays = np.broadcast_to(delay, signal.shape[1:])

@@ -118,24 +118,20 @@ def clean(
     if velocity is not None and np.mean(_usable(velocity)) < MIN_SHARE_VALID:
         warnings.append('rates are missing, they are computed from positions')
         velocity = None
-    effort_valid = _usable(effort)
-    if not effort_valid.any():
+    if not _usable(effort).any():
         raise IdentificationError(
             f'{source}: has no efforts; torques or currents of the motors must be recorded, too'
         )
-    valid = effort_valid & _usable(position)
-    if velocity is not None:
-        valid &= _usable(velocity)
+    recorded = (position, effort) if velocity is None else (position, effort, velocity)
+    valid = np.all([_usable(values) for values in recorded], axis=0)
     if valid.mean() < MIN_SHARE_VALID:
         raise IdentificationError(
             f'{source}: only {100 * valid.mean():.0f} % of the samples are '
             f'complete, the others hold values that are not finite or beyond {LARGEST:g}'
         )
     if not valid.all():
-        count = np.sum(~valid)
-        warnings.append(
-            f'{count} samples with values that are not finite or beyond {LARGEST:g} are left out'
-        )
+        text = f'samples with values that are not finite or beyond {LARGEST:g} are left out'
+        warnings.append(f'{np.sum(~valid)} {text}')
     time, notes = _choose_stamps(source, stamps, position)
     warnings += notes
     index = np.flatnonzero(valid & np.isfinite(time))

@@ -58,10 +58,9 @@ def sense(
     uniform grid; delays, shape (n,), are known from elsewhere [s].  Rates are called derived unless
     it is proved that they are independent.
     """
-    positions = [one.position for one in recordings]
     rates = [one.velocity for one in recordings if one.velocity is not None]
-    n = positions[0].shape[1]
-    step = quantization_step(positions)
+    n = recordings[0].position.shape[1]
+    step = quantization_step([one.position for one in recordings])
     noise = noise_deviation([segment.position for segment in segments])
     # What rounding does not explain; of a rounded signal at rest little is known.
     noise = np.sqrt(np.maximum(noise**2 - step**2 / 12.0, (0.05 * step) ** 2))
