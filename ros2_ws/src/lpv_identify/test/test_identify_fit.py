@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv_core.serial_arm.description import JointFriction, LinkInertia, LpvRegion
+from lpv_core.serial_arm.description import JointFriction, JointLimits, LinkInertia, LpvRegion
 from lpv_identify.estimation.assembly import parameter_map
 from lpv_identify.estimation.gains import rescaled
 from lpv_identify.estimation.identification import Options, identify
@@ -182,7 +182,7 @@ def test_given_a_prismatic_joint_when_identified_then_torques_and_forces_are_pre
         axis=(0.6, 0.0, 0.8),
         friction=JointFriction(1.0, 20.0, 10.0, 100.0),
         rotor_inertia=4.0,
-        limits=replace(first.limits, lower=-0.8, upper=0.9, velocity=1.5),
+        limits=JointLimits(-0.8, 0.9, 1.5, 400.0),
         type='prismatic',
     )
     arm = replace(arm, joints=(rail, second, third))
