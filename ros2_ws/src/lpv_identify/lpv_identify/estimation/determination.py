@@ -40,22 +40,10 @@ class Determination:
 
 
 def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
-    """Compare the uncertainty that data leave with that of the prior.
+    """Compare the uncertainty that data leave, of a fit without a prior, with that of the arm's.
 
-    Parameters
-    ----------
-    base : BaseParameters
-        Of the fit.
-    fit : Fit
-        Fit without a prior.
-    arm : SerialArm
-        Arm of the prior.
-
-    Returns
-    -------
-    Determination
-        A base parameter counts as determined if its standard deviation is below half of the
-        prior's, a friction parameter if it is below half of the joint's friction.
+    A base parameter counts as determined if its standard deviation is below half of the prior's, a
+    friction parameter if it is below half of the joint's friction.
     """
     names = parameter_names(base, arm.joint_names)
     used = np.diag(fit.normal) > 0.0

@@ -45,12 +45,9 @@ def write_reference(
     folder.mkdir(parents=True)
     time = np.arange(0.0, trajectory.duration + 0.5 / rate, 1.0 / rate)
     motion = trajectory.sample(time)
-    torque = joint_torques(arm, *motion)
-    files = [
-        folder / name
-        for name in ('trajectory.csv', 'trajectory.yaml', 'reference', 'scenario.yaml')
-    ]
-    names, signals = arm.joint_names, (*motion[:2], torque)
+    written = 'trajectory.csv', 'trajectory.yaml', 'reference', 'scenario.yaml'
+    files = [folder / name for name in written]
+    names, signals = arm.joint_names, (*motion[:2], joint_torques(arm, *motion))
     kinds = ('position', 'velocity', 'effort')
     header = ','.join(['time', *(f'{name}_{kind}' for kind in kinds for name in names)])
     table = np.column_stack([time, *signals])

@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt
 
 _ORDER = 2  # forwards and backwards, hence 4 in all
+_LARGE = 1_000_000  # numbers from which threads pay
 NYQUIST_SHARE = 0.9
 """Cutoffs above this share of the Nyquist frequency filter nothing."""
 
@@ -31,7 +32,8 @@ def low_pass(
     after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
     padded = np.concatenate([before, signal, after]).reshape(count + 2 * pad, -1).T
     size = fft.next_fast_len(padded.shape[1], real=True)
-    filtered = fft.irfft(fft.rfft(padded, size) * _gains(order, cutoffs, size), size)
+    with fft.set_workers(-1 if padded.size > _LARGE else 1):  # all processors
+        filtered = fft.irfft(fft.rfft(padded, size) * _gains(order, cutoffs, size), size)
     return filtered[:, pad : pad + count].T.reshape(signal.shape)
 
 
