@@ -9,6 +9,7 @@ from prismatic_arms import middle, mixed_arm, scara, ur10_on_rail, urdf_of
 from serial_chains import random_motion
 
 from lpv_core.export.chain_mjcf import chain_mjcf
+from lpv_core.monitoring.alarm_text import describe
 from lpv_core.serial_arm.arm_file import (
     load_serial_arm,
     parse_serial_arm,
@@ -158,18 +159,22 @@ def test_given_an_arm_with_slides_when_nothing_fails_then_it_follows_and_nothing
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    'fault',
+    'arm, fault',
     [
-        Fault('rail_encoder', 'bias', 3.0, size=0.03),
-        Fault('rail_encoder', 'drift', 3.0, rate=0.05),
-        Fault('shoulder_lift_encoder', 'bias', 3.0, size=0.1),
+        (ur10_on_rail(), Fault('rail_encoder', 'bias', 3.0, size=0.005)),
+        (ur10_on_rail(), Fault('rail_encoder', 'drift', 3.0, rate=0.05)),
+        (ur10_on_rail(), Fault('rail_encoder', 'stuck', 3.0)),
+        (ur10_on_rail(), Fault('shoulder_lift_encoder', 'bias', 3.0, size=0.1)),
+        (scara(), Fault('lift_encoder', 'bias', 3.0, size=0.005)),
+        (mixed_arm(), Fault('joint5_encoder', 'drift', 3.0, rate=0.1)),
     ],
-    ids=lambda f: f'{f.sensor}-{f.kind}',
+    ids=lambda x: x.name if hasattr(x, 'joints') else f'{x.sensor}-{x.kind}',
 )
-def test_given_an_arm_on_a_rail_when_an_encoder_fails_then_its_fault_is_named(fault):
-    arm = ur10_on_rail()
+def test_given_an_arm_with_slides_when_an_encoder_fails_then_its_fault_is_named(arm, fault):
     run = run_serial_loop(arm, scenario(arm, fault))
     first = run.alarms[0]
     assert (first.sensor, first.kind) == (fault.sensor, fault.kind)
-    assert first.unit == ('m' if 'rail' in fault.sensor else 'rad')
+    slides = arm.joints[arm.sensor_names.index(fault.sensor)].is_prismatic
+    assert first.unit == ('m' if slides else 'rad')
+    assert f' {first.unit} ' in describe(first)
     assert {alarm.sensor for alarm in run.alarms} == {fault.sensor}
