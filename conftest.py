@@ -34,7 +34,7 @@ def pytest_configure():
 @pytest.fixture(scope='session')
 def paper_arm():
     """Arm of the paper's Table 1."""
-    from lpv_core.model.arm import load_arm
+    from lpv_core.serial_arm.arm_file import load_arm
 
     return load_arm(BRINGUP / 'arms' / 'paper.yaml')
 
@@ -42,9 +42,25 @@ def paper_arm():
 @pytest.fixture(scope='session')
 def real_arm():
     """Arm of the recordings: relative encoders, hanging, with rotors and friction."""
-    from lpv_core.model.arm import load_arm
+    from lpv_core.serial_arm.arm_file import load_arm
 
     return load_arm(BRINGUP / 'arms' / 'real_arm.yaml')
+
+
+@pytest.fixture(scope='session')
+def paper_model(paper_arm):
+    """The same in the paper's symbols, as designs take it."""
+    from lpv_core.uio.planar import planar_model
+
+    return planar_model(paper_arm)
+
+
+@pytest.fixture(scope='session')
+def real_model(real_arm):
+    """The arm of the recordings in the paper's symbols."""
+    from lpv_core.uio.planar import planar_model
+
+    return planar_model(real_arm)
 
 
 @pytest.fixture(params=['paper_arm', 'real_arm'])
@@ -63,7 +79,7 @@ def two_faults():
 
 def _shipped_gains(name):
     """As a design returns them: tests change numbers, which a checksum of a file would tell."""
-    from lpv_core.certificate.gains import load_gains
+    from lpv_core.uio.certificate.gains import load_gains
 
     return replace(load_gains(BRINGUP / 'gains' / f'{name}.yaml'), checksum='')
 
@@ -81,12 +97,12 @@ def real_gains():
 
 
 @pytest.fixture(scope='session')
-def literal_gains(paper_arm):
+def literal_gains(paper_model):
     """Gains of the shipped requirement ``paper_literal``: LMI (55) as published."""
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
-    return design(paper_arm, load_requirement('paper_literal')).gains
+    return design(paper_model, load_requirement('paper_literal')).gains
 
 
 @pytest.fixture(scope='session')

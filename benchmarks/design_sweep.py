@@ -10,9 +10,10 @@ import time
 import numpy as np
 from design_solvers import recorded
 
-from lpv_core.certificate.conditions import verify
-from lpv_core.model.arm import load_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.conditions import verify
+from lpv_core.uio.planar import planar_model
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
@@ -45,7 +46,8 @@ def timed_design(arm, requirement):
 
 def main():
     """Design them all, and print times and shares."""
-    arm, requirement = load_arm(bringup_file('arms', 'paper')), load_requirement('paper')
+    arm = planar_model(load_arm(bringup_file('arms', 'paper')))
+    requirement = load_requirement('paper')
     first = timed_design(arm, requirement)[0]
     rows = np.array([timed_design(other, requirement) for other in variants(arm)])
     total, compiled, solver, verified = rows.T

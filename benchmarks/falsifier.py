@@ -16,8 +16,10 @@ from pathlib import Path
 
 from lpv_campaign.falsify.attack import Attacker
 from lpv_campaign.falsify.search import search, write_worst
-from lpv_core.model.arm import ArmParameters, Link, load_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.model.arm import ArmParameters, Link
+from lpv_core.uio.planar import planar_model, serial_from_planar
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
@@ -27,12 +29,12 @@ COLUMNS = ('arm', 'rate', 'runs', 'worst_ratio', 'sensor', 'threshold', 'crossin
 
 
 def _shipped(name: str) -> ArmParameters:
-    return load_arm(bringup_file('arms', name))
+    return planar_model(load_arm(bringup_file('arms', name)))
 
 
 def _rods(masses: tuple[float, float], length: float) -> tuple[Link, Link]:
     """Two slender rods."""
-    one, two = (Link(m, length, 0.5 * length, m * length**2 / 12.0) for m in masses)
+    one, two = (Link(m, length, 0.5 * length, m * length**2 / 3.0) for m in masses)
     return one, two
 
 
@@ -89,8 +91,8 @@ def attack(name: str, rate: int, options: argparse.Namespace) -> dict[str, objec
         Of `COLUMNS`; ``cpu_time`` is that of the search alone [s].
     """
     make, requirement = ARMS[name]
-    arm = replace(make(), sample_time=1.0 / rate)
-    gains = design(arm, load_requirement(requirement)).gains
+    arm = serial_from_planar(replace(make(), sample_time=1.0 / rate))
+    gains = design(planar_model(arm), load_requirement(requirement)).gains
     attacker = Attacker(arm, options.duration, gains)
     start = time.process_time()
     found = search(attacker, options.evaluations, options.seed)

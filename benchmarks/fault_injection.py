@@ -7,7 +7,7 @@ monitor gets the rows through its public `take_many`; only its answers and alarm
 
 import os
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -16,12 +16,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import parse_arm
-from lpv_core.model.joints import JointMap
-from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.serial_arm.arm_file import load_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.chain import Chain, compile_chain
 from lpv_core.serial_arm.description import (
     JointFriction,
@@ -34,16 +30,17 @@ from lpv_core.serial_arm.description import (
 )
 from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.dynamics.payload import with_payload
-from lpv_core.support.config import read_yaml
+from lpv_core.serial_arm.sensor_map import map_rows
+from lpv_core.uio.certificate.gains import Gains, load_gains
+from lpv_core.uio.model.arm import Link
+from lpv_core.uio.planar import planar_model, serial_from_planar
 from lpv_identify.recordings.recording import read_recording
-from lpv_identify.results.planar import serial_from_planar
 
 ROOT = Path(__file__).resolve().parents[1]
 BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 FILES = Path(__file__).resolve().parent / 'arms'
 """Arms of the recordings of UR10 and Panda, identified on their first halves; gains of A0, C0."""
 DATA = Path(os.environ.get('LPV_RECORDINGS', ROOT.parent / 'shared' / 'data'))
-ENGINES = ('two_link', 'serial')
 LEAD = 4.0
 """Healthy time before an onset; less where a recording is too short [s]."""
 SHORTEST_LEAD = 2.0
@@ -134,15 +131,9 @@ class Subject:
     arm: SerialArm
     streams: Callable[[int], Stream]  # by number
     level: tuple[int, ...]  # joints whose level gravity shows
-    planar: Any = None  # the same arm as the two-link engine knows it
-    gains: Any = None
+    gains: Gains | None = None  # of the unknown-input observer, where one was designed
     # simulated alone: other streams, by the kind of the cell
-    others: dict[str, Callable[[int], Stream]] = field(default_factory=dict)
-
-    @property
-    def engines(self) -> tuple[str, ...]:
-        """Engines that can watch the arm."""
-        return ENGINES if self.gains is not None else ENGINES[1:]
+    others: Mapping[str, Callable[[int], Stream]] = field(default_factory=dict)
 
     def has(self, kind: Kind) -> bool:
         """Whether the arm can show a kind."""
@@ -156,30 +147,17 @@ class Subject:
         joints = tuple(
             replace(joint, sensors=replace(joint.sensors, rates=rates)) for joint in self.arm.joints
         )
-        planar = replace(self.planar, rates=rates) if self.planar else None
-        return replace(self, arm=replace(self.arm, joints=joints), planar=planar)
+        return replace(self, arm=replace(self.arm, joints=joints))
 
-    def monitor(self, engine: str) -> Any:
+    def monitor(self) -> SerialSensorMonitor:
         """A fresh monitor."""
-        if engine == 'two_link':
-            return SensorMonitor('matrix', self.planar, self.gains)
-        return SerialSensorMonitor('matrix', self.arm)
-
-    def sensors(self, engine: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-        """Matrix S and offset z of what sensors read, s = S (q + z), and their names."""
-        n = len(self.arm.joints)
-        if engine == 'two_link' and self.planar.arrangement == 'absolute':
-            joints = JointMap(self.planar)
-            zero = joints.sensor_position(np.zeros(n))
-            matrix = np.stack([joints.sensor_velocity(row) for row in np.eye(n)], axis=1)
-            return matrix, np.linalg.solve(matrix, zero), self.planar.sensor_names
-        return np.eye(n), np.zeros(n), self.arm.sensor_names
+        return SerialSensorMonitor('matrix', self.arm, gains=self.gains)
 
 
 # --- healthy streams --------------------------------------------------------------------------
 
 
-def _csv(file: Path) -> Stream:
+def csv_stream(file: Path) -> Stream:
     rows = np.genfromtxt(file, delimiter=',', names=True)
     fields = [[rows[f'{name}{i}'] for i in (1, 2)] for name in ('pos_meas', 'vel_meas', 'tau_meas')]
     time = rows['time'] - rows['time'][0]
@@ -301,41 +279,35 @@ def shoulder_arm() -> SerialArm:
     )
 
 
-def planar_data(build: str) -> dict[str, Any]:
-    """Arm file of a two-link arm: shipped, or a build of the recordings."""
-    if build in ('paper', 'real_arm'):
-        return read_yaml(BRINGUP / 'arms' / f'{build}.yaml')
-    data = read_yaml(BRINGUP / 'arms' / 'real_arm.yaml')
-    given = yaml.safe_load((DATA / 'real_arm' / 'more' / f'{build}_parameters.yml').read_text())
-    names = {'mass': 'm', 'length': 'l', 'center_of_mass': 'r', 'inertia': 'I'}
-    data |= {
-        'name': build,
-        'gravity': given['g'],
-        'links': [{name: given[f'{key}{i}'] for name, key in names.items()} for i in (1, 2)],
-        'rotor': {'inertia': given['Ir'], 'gear_ratio': given['gr']},
-        'friction': {
-            'viscous': [given['b1'], given['b2']],
-            'coulomb': [given['cf1'], given['cf2']],
-            'coulomb_slope': 100.0,
-        },
-    }
-    return data
+def two_links(build: str) -> tuple[SerialArm, Gains | None]:
+    """A two-link arm, shipped or a build of the recordings, and its gains."""
+    shipped = build in ('paper', 'real_arm')
+    arm = load_arm(BRINGUP / 'arms' / f'{build if shipped else "real_arm"}.yaml')
+    if not shipped:
+        arm = _build(arm, build)
+    file = BRINGUP / 'gains' / f'{build}.yaml' if shipped else FILES / f'{build}_gains.yaml'
+    return arm, load_gains(file)
 
 
-def _two_link(build: str) -> tuple[Any, SerialArm, Any]:
-    planar = parse_arm(planar_data(build))
-    arm = replace(
-        serial_from_planar(planar),
-        uncertainty=Uncertainty(planar.payload, 0.3, planar.model_error or 0.05),
+def _build(arm: SerialArm, name: str) -> SerialArm:
+    """Another build of the real arm, by the parameters that its recordings come with."""
+    given = yaml.safe_load((DATA / 'real_arm' / 'more' / f'{name}_parameters.yml').read_text())
+    ratio, rotor = given['gr'], given['Ir']
+    planar = replace(
+        planar_model(arm),
+        name=name,
+        gravity=given['g'],
+        links=tuple(Link(*(given[f'{key}{i}'] for key in ('m', 'l', 'r', 'I'))) for i in (1, 2)),
+        rotor=(rotor * (ratio**2 + 1.0), -rotor * ratio, rotor * ratio**2),
+        viscous=(given['b1'], given['b2']),
+        coulomb=(given['cf1'], given['cf2']),
     )
-    shipped = BRINGUP / 'gains' / f'{build}.yaml'
-    gains = shipped if shipped.is_file() else FILES / f'{build}_gains.yaml'
-    return planar, arm, load_gains(gains) if gains.is_file() else None
+    return serial_from_planar(planar)
 
 
 def _simulated(
     name: str, arm: SerialArm, centre: Any, reach: Any, rate: Any, level: tuple[int, ...],
-    planar: Any = None, gains: Any = None,
+    gains: Gains | None = None,
 ) -> Subject:  # fmt: skip
     n = len(arm.joints)
     motion = [np.broadcast_to(np.asarray(one, float), n) for one in (centre, reach, rate)]
@@ -354,7 +326,7 @@ def _simulated(
         return simulate(arm, motion, k, payload=most)
 
     others = {'rest': rest, 'payload': loaded}
-    return Subject(name, 'simulated', arm, streams, level, planar, gains, others)
+    return Subject(name, 'simulated', arm, streams, level, gains, others)
 
 
 def _range(arm: SerialArm, speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -373,20 +345,20 @@ REAL_FAULT = {'C0_swingup': 12.0}
 
 
 def _recorded_two_link(build: str, names: tuple[str, ...], part: str) -> Subject:
-    planar, arm, gains = _two_link(build)
+    arm, gains = two_links(build)
     folder = DATA / 'real_arm' / ('' if build == 'real_arm' else 'more')
 
     @lru_cache(maxsize=8)
     def streams(k: int) -> Stream:
         name = names[k % len(names)]
-        whole = _csv(folder / f'{name}.csv')
+        whole = csv_stream(folder / f'{name}.csv')
         return whole.part(0.0, REAL_FAULT[name]) if name in REAL_FAULT else whole
 
-    return Subject(build, part, arm, streams, (0, 1), planar, gains)
+    return Subject(build, part, arm, streams, (0, 1), gains)
 
 
 def _recorded_half(name: str, level: tuple[int, ...], part: str) -> Subject:
-    arm = load_serial_arm(FILES / f'{name}.yaml')
+    arm = load_arm(FILES / f'{name}.yaml')
 
     @lru_cache(maxsize=1)
     def stream() -> Stream:
@@ -444,15 +416,15 @@ def subjects(name: str, recorded: bool, untouched: bool = False) -> list[Subject
 @cache
 def _simulated_subject(name: str) -> Subject:
     if name == 'paper':  # stays near the upright, inside the region of its gains
-        planar, arm, gains = _two_link('paper')
-        return _simulated('paper', arm, (np.pi / 2, 0.0), (0.5, 0.6), 0.8, (0, 1), planar, gains)
+        arm, gains = two_links('paper')
+        return _simulated('paper', arm, (np.pi / 2, 0.0), (0.5, 0.6), 0.8, (0, 1), gains)
     if name == 'real_arm':  # hangs down
-        planar, arm, gains = _two_link('real_arm')
-        return _simulated('real_arm', arm, (0.0, 0.0), (0.8, 0.9), 2.5, (0, 1), planar, gains)
+        arm, gains = two_links('real_arm')
+        return _simulated('real_arm', arm, (0.0, 0.0), (0.8, 0.9), 2.5, (0, 1), gains)
     if name == 'chain3':
         arm = shoulder_arm()
         return _simulated(name, arm, *_range(arm, 0.5), (1, 2))
-    arm = load_serial_arm(BRINGUP / 'arms' / f'{name}.yaml')
+    arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
     return _simulated(name, arm, *_range(arm, 0.5), (1, 2) if name == 'ur10' else (1, 3))
 
 
@@ -480,12 +452,11 @@ class Window:
 
 def inject(
     stream: Stream, kind: Kind, faults: Sequence[Injected], is_derived: bool,
-    sensors: tuple[np.ndarray, np.ndarray], rng: np.random.Generator,
+    matrix: np.ndarray, rng: np.random.Generator,
 ) -> Window:  # fmt: skip
-    """Add faults to the readings of sensors s = S (q + z)."""
-    matrix, zero = sensors
+    """Add faults to the readings of sensors s = S q."""
     time = (stream.stamps - stream.stamps[0]) * 1e-9
-    reading = (stream.samples[:, 0] + zero) @ matrix.T
+    reading = stream.samples[:, 0] @ matrix.T
     rate = stream.samples[:, 1] @ matrix.T
     error, rate_error = np.zeros_like(reading), np.zeros_like(rate)
     placed = list(faults)
@@ -529,15 +500,9 @@ def inject(
                 rate_error[inner, i] = -rate[inner, i]
     samples, back = stream.samples.copy(), np.linalg.inv(matrix)
     with np.errstate(invalid='ignore'):
-        samples[:, 0] += _times(error, back)
-        samples[:, 1] += _times(rate_error, back)
+        samples[:, 0] += map_rows(back, error)
+        samples[:, 1] += map_rows(back, rate_error)
     return Window(Stream(stream.stamps, samples), placed, error)
-
-
-def _times(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Rows @ matrix^T; what is NaN spoils only what depends on it."""
-    terms = [np.where(c != 0.0, rows[:, j : j + 1] * c, 0.0) for j, c in enumerate(matrix.T)]
-    return np.asarray(sum(terms))
 
 
 def wrap_limit(rate: np.ndarray, share: float) -> float:
@@ -606,7 +571,6 @@ class Cell:
     subjects: tuple[Subject, ...]  # in turn, with the rates of the cell
     kind: Kind
     rates: str
-    engine: str
 
     @property
     def part(self) -> str:
@@ -636,7 +600,7 @@ class Verdict:
 
 
 def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
-    """The k-th run of a cell, the same for every engine; and whether both faults act at once."""
+    """The k-th run of a cell; and whether both faults act at once."""
     kind, subject = cell.kind, cell.subjects[k % len(cell.subjects)]
     turn = k // len(cell.subjects)
     label = f'{subject.part}/{subject.name}/{cell.rates}/{kind.name}'
@@ -661,7 +625,7 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
     if lead:
         lead = float(np.clip(stream.duration - wanted, SHORTEST_LEAD, LEAD))
     length = min(lead + wanted, stream.duration)
-    matrix, zero, _ = subject.sensors(cell.engine)
+    matrix = subject.arm.joints_to_sensors()
     joints = subject.level if kind.level and subject.level else tuple(range(n))
     if kind.kind == 'dropout':  # of a sensor whose loss leaves all others to be read
         back = np.linalg.inv(matrix)
@@ -670,31 +634,31 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
         )
     i = joints[int(rng.integers(len(joints)))]
     others = [j for j in joints if j != i]
-    begin = _begin(stream, kind, (i, matrix, zero), (lead, length), rng)
+    begin = _begin(stream, kind, (i, matrix), (lead, length), rng)
     window = stream.part(begin, begin + length)
     end = lead + kind.duration
     onset = lead
     faults = [Injected(i, onset, end, rng.choice([-1.0, 1.0]))]
-    j = others[int(rng.integers(len(others)))]
-    sign = rng.choice([-1.0, 1.0])
-    if onset + later + limit <= window.duration:
+    if others and onset + later + limit <= window.duration:
+        j = others[int(rng.integers(len(others)))]
+        sign = rng.choice([-1.0, 1.0])
         stop = window.duration + 1.0
         if together:
             faults[0] = replace(faults[0], end=stop)
         faults.append(Injected(j, onset + later, stop, sign))
-    injected = inject(window, kind, faults, cell.rates == 'derived', (matrix, zero), rng)
+    injected = inject(window, kind, faults, cell.rates == 'derived', matrix, rng)
     return subject, injected, together
 
 
 def _begin(
-    stream: Stream, kind: Kind, sensor: tuple[int, np.ndarray, np.ndarray],
+    stream: Stream, kind: Kind, sensor: tuple[int, np.ndarray],
     times: tuple[float, float], rng: np.random.Generator,
 ) -> float:  # fmt: skip
     """Where a window begins, so that the fault shows: a stuck joint moves, an angle is not 0."""
-    i, matrix, zero = sensor
+    i, matrix = sensor
     lead, length = times
     free = max(stream.duration - length, 0.0)
-    reading = (stream.samples[:, 0] + zero) @ matrix[i]
+    reading = stream.samples[:, 0] @ matrix[i]
     rate = stream.samples[:, 1] @ matrix[i]
     begin = 0.0
     for _ in range(200):
@@ -726,10 +690,10 @@ def first_limit(kind: Kind, arm: SerialArm) -> float:
 def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
     """One run: draw, watch, judge."""
     subject, window, together = draw(cell, k, seed)
-    stream, names = window.stream, subject.sensors(cell.engine)[2]
+    stream, names = window.stream, subject.arm.sensor_names
     rows = np.moveaxis(stream.samples, 1, 0)
     try:
-        answers = subject.monitor(cell.engine).take_many(stream.stamps, *rows)
+        answers = subject.monitor().take_many(stream.stamps, *rows)
     except Exception as error:  # a monitor may never raise, whatever the rows: this is counted
         return Verdict(not window.faults, seconds=stream.duration, crash=repr(error))
     start = int(stream.stamps[0])
@@ -796,8 +760,8 @@ def _judge_end(
 
 
 def cells(
-    arms: Sequence[str], recorded: Sequence[bool], rates: Sequence[str], engines: Sequence[str],
-    kinds: Sequence[Kind], untouched: bool = False,
+    arms: Sequence[str], recorded: Sequence[bool], rates: Sequence[str], kinds: Sequence[Kind],
+    untouched: bool = False,
 ) -> Iterator[Cell]:  # fmt: skip
     """All cells that exist."""
     for name in arms:
@@ -807,8 +771,5 @@ def cells(
             for one in possible if found else ():
                 members = tuple(subject.with_rates(one) for subject in found)
                 for kind in kinds:
-                    if one not in kind.rates or not members[0].has(kind):
-                        continue
-                    for engine in engines:
-                        if all(engine in subject.engines for subject in members):
-                            yield Cell(name, members, kind, one, engine)
+                    if one in kind.rates and members[0].has(kind):
+                        yield Cell(name, members, kind, one)

@@ -1,6 +1,6 @@
-"""What the diagnosis finds: kind of fault x rates x arm x engine, recorded and simulated.
+"""What the diagnosis finds: kind of fault x rates x arm, recorded and simulated.
 
-    python benchmarks/fault_matrix.py --engine serial --arm real_arm --recorded \\
+    python benchmarks/fault_matrix.py --arm real_arm --recorded \\
         --kinds drift,stuck --count 8 --json out.json
 
 Every line is one cell: faults of one kind, of random joint, sign and time, `--count` of them; half
@@ -27,11 +27,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fault_injection import ARMS, CLOSE, ENGINES, KINDS, Cell, Kind, Verdict, cells, run
+from fault_injection import ARMS, CLOSE, KINDS, Cell, Kind, Verdict, cells, run
 from rich.console import Console
 from rich.table import Table
 
 Row = dict[str, Any]
+BAR = Path(__file__).with_name('fault_matrix_bar.json')
+"""The better of the two engines that the one engine replaced, cell by cell."""
 KEY = ('part', 'arm', 'rates', 'kind')
 SHARES = (
     'first',
@@ -59,7 +61,6 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
         'arm': cell.arm,
         'rates': cell.rates,
         'kind': cell.kind.name,
-        'engine': cell.engine,
         'count': len(verdicts),
         'other': _share(v.other for v in verdicts),
         'crash': _share(bool(v.crash) for v in verdicts),
@@ -89,35 +90,48 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
     }
 
 
-def better(one: Row, other: Row) -> bool:
-    """Whether one engine's row is better than the other's."""
-    if 'in_time' not in one:
-        keys = ('crash', 'other', 'events')
-        return [one[key] for key in keys] < [other[key] for key in keys]
-
-    def value(row: Row) -> tuple[float, ...]:
-        return (
-            row['in_time'] - row['other'] - row['crash'],
-            row['first'],
-            row['kind_right'],
-            -row['events'],
-        )
-
-    return value(one) > value(other)
+COMPARED = {'in_time': 1, 'kind_right': 1, 'cleared': 1, 'second': 1, 'both': 1, 'other': -1,
+            'crash': -1}  # fmt: skip
+"""Shares that are compared with the bar, and which way is better."""
+CLOSE_ENOUGH = 1.5
+"""Shares that differ by less than so many runs are the same."""
 
 
-def bar(rows: Iterable[Row]) -> list[Row]:
-    """The better of the engines' rows in every cell."""
-    best: dict[tuple[str, ...], Row] = {}
+def compared(row: Row, other: Row) -> dict[str, tuple[float, float]]:
+    """Shares of a cell, and the bar's, that differ by more than chance of single runs does."""
+    one_run = 100.0 / min(row['count'], other['count'])
+    found = {}
+    for name in COMPARED:
+        ours, theirs = row.get(name), other.get(name)
+        if ours is None or theirs is None:
+            continue
+        if abs(ours - theirs) > CLOSE_ENOUGH * one_run:
+            found[name] = ours, theirs
+    return found
+
+
+def comparison(rows: Iterable[Row], bar: Iterable[Row]) -> Table:
+    """Cells that are worse or better than the bar, share by share."""
+    known = {tuple(row[name] for name in KEY): row for row in bar}
+    table = Table(title='per cent, and the better of the two engines before', title_justify='left')
+    for heading in ('cell', 'n', 'worse', 'better'):
+        table.add_column(heading)
     for row in rows:
-        key = tuple(row[name] for name in KEY)
-        if key not in best or better(row, best[key]):
-            best[key] = row
-    return list(best.values())
+        other = known.get(tuple(row[name] for name in KEY))
+        found = compared(row, other) if other else {}
+        cells = {
+            sign: ', '.join(f'{name} {a:.0f} ({b:.0f})' for name, (a, b) in found.items()
+                            if (a - b) * COMPARED[name] * sign > 0)
+            for sign in (-1, 1)
+        }  # fmt: skip
+        if found:
+            place = ' '.join(row[name] for name in KEY)
+            table.add_row(place, str(row['count']), cells[-1], cells[1])
+    return table
 
 
 HEADINGS = {
-    'kind': 'kind', 'engine': 'engine', 'count': 'n', 'first': 'first', 'in_time': 'in time',
+    'kind': 'kind', 'count': 'n', 'first': 'first', 'in_time': 'in time',
     'kind_right': 'kind', 'delay': 'delay [s]', 'size': 'size', 'error': 'error [rad]',
     'trusted': 'trusted', 'other': 'other', 'events': 'events', 'cleared': 'cleared',
     'second': 'second', 'both': 'both', 'crash': 'crash',
@@ -193,7 +207,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument('--engine', action='append', choices=ENGINES, help='all if not given')
     parser.add_argument('--arm', action='append', choices=ARMS, help='all if not given')
     parser.add_argument('--recorded', action='store_true', help='recordings alone')
     parser.add_argument('--simulated', action='store_true', help='simulations alone')
@@ -205,7 +218,8 @@ def main() -> None:
     parser.add_argument('--jobs', type=int, default=1, help='processes')
     parser.add_argument('--json', type=Path, help='file for rows')
     parser.add_argument('--resume', action='store_true', help='leave out cells that the file has')
-    parser.add_argument('--bar', action='store_true', help='keep the better engine of each cell')
+    parser.add_argument('--bar', type=Path, default=BAR, help='rows to compare with')
+    parser.add_argument('--show', action='store_true', help='show the rows of --json, run nothing')
     parser.add_argument('--alarms', action='store_true', help='print every alarm event')
     options = parser.parse_args()
     recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
@@ -213,15 +227,15 @@ def main() -> None:
         recorded = [True]
     chosen = list(cells(
         options.arm or ARMS, recorded, options.rates or ('independent', 'derived'),
-        options.engine or ENGINES, _kinds(options.kinds), options.untouched))  # fmt: skip
+        _kinds(options.kinds), options.untouched))  # fmt: skip
     if not chosen:
         raise SystemExit('there are no such cells (recordings: see $LPV_RECORDINGS)')
     rows: list[Row] = []
-    if options.resume and options.json and options.json.is_file():
+    if (options.resume or options.show) and options.json and options.json.is_file():
         rows = json.loads(options.json.read_text())
-        done = {tuple(row[name] for name in (*KEY, 'engine')) for row in rows}
+        done = {tuple(row[name] for name in KEY) for row in rows}
         chosen = [c for c in chosen
-                  if (c.part, c.arm, c.rates, c.kind.name, c.engine) not in done]  # fmt: skip
+                  if (c.part, c.arm, c.rates, c.kind.name) not in done]  # fmt: skip
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -230,16 +244,18 @@ def main() -> None:
         for cell in chosen:
             for k in range(options.count):
                 verdict = asdict(run(cell, k, options.seed))
-                say(f'{cell.arm} {cell.kind.name} {cell.engine} {k}: {verdict}')
+                say(f'{cell.arm} {cell.kind.name} {k}: {verdict}')
         return
-    for row in measure(chosen, options.count, options.seed, say, options.jobs):
+    for row in measure([] if options.show else chosen, options.count, options.seed, say,
+                       options.jobs):  # fmt: skip
         rows.append(row)
         if options.json:
-            found = bar(rows) if options.bar else rows
-            options.json.write_text('[\n' + ',\n'.join(map(json.dumps, found)) + '\n]\n')
+            options.json.write_text('[\n' + ',\n'.join(map(json.dumps, rows)) + '\n]\n')
     console = Console(width=170)
-    for table in tables(bar(rows) if options.bar else rows):
+    for table in tables(rows):
         console.print(table)
+    if options.bar.is_file():
+        console.print(comparison(rows, json.loads(options.bar.read_text())))
 
 
 if __name__ == '__main__':

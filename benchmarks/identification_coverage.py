@@ -9,20 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import JointFriction, SerialArm
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_identify.estimation.assembly import parameter_map
 from lpv_identify.estimation.workshop import Workshop
 from lpv_identify.motions.excitation import plan_excitation
 from lpv_identify.motions.simulation import SensorNoise, simulate
-from lpv_identify.results.starting_arm import load_any_arm
 
 DURATION, RATE = 30.0, 125.0
 
 
 def arm_with_friction(path: str) -> SerialArm:
     """The arm of a file; drives get friction and rotors in proportion to their torque."""
-    arm = read_urdf_chain(path) if path.endswith('.urdf') else load_any_arm(path)
+    arm = read_urdf_chain(path) if path.endswith('.urdf') else load_arm(path)
     joints = []
     for joint in arm.joints:
         size = min(joint.limits.torque, 200.0) / 20.0

@@ -9,8 +9,8 @@ import numpy as np
 from lpv_bag.replay.answer_records import RecordTemplate
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
-from lpv_core.control.tracking import TrackingController
-from lpv_core.model.joints import JointMap
+from lpv_core.control.tracking import make_controller
+from lpv_core.serial_arm.sensor_map import map_rows
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.simulation.scenario import load_scenario
@@ -34,7 +34,7 @@ def long_bag(path, arm, gains, hours):
     ----------
     path : str or pathlib.Path
         Bag; if it is there already, nothing is done.
-    arm : ArmParameters
+    arm : SerialArm
         The arm.
     gains : Gains
         Of its tracking loop.
@@ -53,14 +53,14 @@ def long_bag(path, arm, gains, hours):
     shutil.rmtree(part, ignore_errors=True)
     part.parent.mkdir(parents=True, exist_ok=True)
     truth, bias = _round(arm, gains)
-    joints, generator = JointMap(arm), np.random.default_rng(0)
+    generator = np.random.default_rng(0)
     with BagWriter(part, 'zstd_fast') as writer:
         for topic, msgtype in TOPICS.items():
             writer.add_topic(topic, msgtype, [qos_profile(False, False, 5)])
         templates = _templates(writer, arm)
         for first in range(0, count, _CHUNK):
             k = np.arange(first, min(first + _CHUNK, count))
-            writer.write_chunk(*_chunk(k, templates, truth, bias, arm, joints, generator))
+            writer.write_chunk(*_chunk(k, templates, truth, bias, arm, generator))
     (storage,) = part.glob('*.mcap')
     storage.rename(storage.with_name(path.name + '.mcap'))
     metadata = part / 'metadata.yaml'
@@ -73,7 +73,7 @@ def _round(arm, gains):
     """True positions, rates and torques of one round, and the faults of its sensors."""
     scenario = load_scenario(bringup_file('scenarios', 'two_faults'))
     plant = ArmSimulator(arm, replace(scenario, faults=(), noise=False))
-    controller, path = TrackingController(arm, gains), scenario.path(arm)
+    controller, path = make_controller(arm, gains), scenario.path(arm)
     rows, bias = [], []
     injector = FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
     for _ in range(round(scenario.duration / arm.sample_time)):
@@ -99,16 +99,17 @@ def _templates(writer, arm):
     ]
 
 
-def _chunk(k, templates, truth, bias, arm, joints, generator):
+def _chunk(k, templates, truth, bias, arm, generator):
     position, velocity, effort, torque = (column[k % len(bias)] for column in truth)
     shape = position.shape
     faulty = (k // len(bias) % _FAULTY == _FAULTY - 1)[:, None] * bias[k % len(bias)]
-    reading = (
-        joints.sensor_position(position)
-        + faulty
-        + arm.position_noise * generator.standard_normal(shape)
+    sensors = [joint.sensors for joint in arm.joints]
+    noise = [one.position_noise for one in sensors], [one.velocity_noise for one in sensors]
+    to_sensors, to_joints = arm.joints_to_sensors(), arm.sensors_to_joints()
+    reading, rate = (
+        map_rows(to_sensors, truth) + sigma * generator.standard_normal(shape)
+        for truth, sigma in zip((position, velocity), np.array(noise))
     )
-    rate = joints.sensor_velocity(velocity) + arm.velocity_noise * generator.standard_normal(shape)
     stamp = _START + k * round(arm.sample_time * 1e9)
     late = stamp + generator.integers(100_000, 400_000, len(k))
     return (
@@ -116,8 +117,8 @@ def _chunk(k, templates, truth, bias, arm, joints, generator):
             late,
             stamp,
             {
-                'position': joints.joint_from_sensor(reading),
-                'velocity': joints.joint_velocity_from_sensor(rate),
+                'position': map_rows(to_joints, reading + faulty),
+                'velocity': map_rows(to_joints, rate),
                 'effort': effort,
             },
         ),

@@ -26,11 +26,11 @@ STAGES = ('decompression', 'decoding', 'recursion', 'encoding', 'writing')
 
 
 def _arm_and_gains():
-    from lpv_core.certificate.gains import load_gains
-    from lpv_core.model.arm import load_arm
+    from lpv_core.serial_arm.arm_file import load_arm
     from lpv_core.support.resources import bringup_file
+    from lpv_core.uio.certificate.gains import load_gains
 
-    return load_arm(bringup_file('arms', 'paper')), load_gains(OUT / 'bench_gains.yaml')
+    return (load_arm(bringup_file('arms', 'paper')), load_gains(bringup_file('gains', 'paper')))
 
 
 def replay(bag):
@@ -38,13 +38,13 @@ def replay(bag):
     import shutil
 
     from lpv_bag.replay.replay import Replay
-    from lpv_core.monitoring.monitor import SensorMonitor
+    from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 
     arm, gains = _arm_and_gains()
     out = OUT / 'bench_replayed'
     shutil.rmtree(out, ignore_errors=True)
     result = Replay(
-        SensorMonitor('', arm, gains),
+        SerialSensorMonitor('', arm, gains=gains),
         torque_from_command=True,
         estimates_only=True,
         preset=os.environ.get('PRESET', 'zstd_fast'),
@@ -201,19 +201,10 @@ def measure(name, bag):
 
 
 def prepare(hours):
-    """Make the bag of a length, and gains beside it, if they are not there."""
+    """Make the bag of a length, if it is not there."""
     from long_bag import long_bag
 
-    from lpv_core.certificate.gains import load_gains, save_gains
-    from lpv_core.model.arm import load_arm
-    from lpv_core.support.resources import bringup_file
-    from lpv_design.design_flow import design
-    from lpv_design.requirement import load_requirement
-
-    arm, gains = load_arm(bringup_file('arms', 'paper')), OUT / 'bench_gains.yaml'
-    if not gains.exists():
-        save_gains(design(arm, load_requirement('paper')).gains, gains)
-    return {'count': long_bag(_bag(hours), arm, load_gains(gains), float(hours))}
+    return {'count': long_bag(_bag(hours), *_arm_and_gains(), float(hours))}
 
 
 def _bag(hours):

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from lpv_core.control.computed_torque import ComputedTorqueController
 from lpv_core.control.path import Reference
-from lpv_core.serial_arm.arm_file import load_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.certificate.conditions import error_bound
 from lpv_core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains
 from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain
@@ -121,7 +121,7 @@ def main() -> None:
     parser.add_argument('--duration', type=float, default=10.0)
     arguments = parser.parse_args()
     for name in ('ur10', 'panda'):
-        arm = load_serial_arm(FILES / 'arms' / f'{name}.yaml')
+        arm = load_arm(FILES / 'arms' / f'{name}.yaml')
         gains, rng = load_loop_gains(FILES / 'gains' / f'{name}.yaml'), np.random.default_rng(0)
         slowest = slowest_decay(arm, gains, arguments.tries, rng)
         errors = [

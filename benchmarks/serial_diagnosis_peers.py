@@ -24,23 +24,53 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from fault_injection import DATA, csv_stream, shoulder_arm, two_links
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from rich.console import Console
 from rich.table import Table
-from serial_diagnosis_cases import Case, Healthy, inject, shoulder_arm, two_link_runs
 
 from lpv_core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, Chain, FloatArray, compile_chain
-from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.description import LinkInertia, SerialArm
 from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.serial_arm.simulation import SerialSimulator, integration_step, plant_step
 from lpv_core.support.jit import njit
-from lpv_identify.results.starting_arm import load_any_arm
 
 MOMENTS = (1.0, 3.0, 10.0)
 """At which errors are taken [s]."""
 OFFSET_RANGE = (0.2, 0.5)
 """Of the faulty encoder [rad]."""
+
+
+@dataclass
+class Healthy:
+    """A recording without faults, and the arm that the monitor believes to see."""
+
+    arm: SerialArm
+    stamps: np.ndarray  # [ns], shape (N,)
+    samples: np.ndarray  # shape (N, 3, n)
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.stamps[-1] - self.stamps[0]) * 1e-9
+
+
+def two_link_runs(count: int, rng: np.random.Generator) -> list[Healthy]:
+    """Recordings of the two-link arm, each with arms whose parameters are wrong."""
+    known, runs = two_links('real_arm')[0], []
+    streams = [csv_stream(file) for file in sorted((DATA / 'real_arm').glob('run_*.csv'))]
+    for k in range(count if streams else 0):
+        joints = []
+        for joint in known.joints:
+            link = LinkInertia.from_vector(rng.uniform(0.95, 1.05) * joint.link.to_vector())
+            coulomb = joint.friction.coulomb * rng.uniform(0.7, 1.3)
+            joints.append(
+                replace(joint, link=link, friction=replace(joint.friction, coulomb=coulomb))
+            )
+        stream = streams[k % len(streams)]
+        runs.append(Healthy(replace(known, joints=tuple(joints)), stream.stamps, stream.samples))
+    return runs
 
 
 class Model(NamedTuple):
@@ -332,8 +362,7 @@ def report_simulated(
 def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> None:
     """The recorded two-link arm; strength of d as our monitor has learned it."""
     found = {key: Errors() for key in ('ours', *PEERS)}
-    healthy = two_link_runs(max(1, runs // 4), rng)
-    for k, run in enumerate(healthy[:runs]):
+    for k, run in enumerate(two_link_runs(runs, rng)):
         monitor = SerialMonitor(run.arm)
         monitor.update_many(run.stamps, run.samples)
         plan, learned = monitor.plan, monitor.estimator.posterior
@@ -342,9 +371,8 @@ def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> No
         power = np.mean(size**2, 0) * learned.inflation / (plan.interval * 2.0 / 3.0)
         torques = Torques(np.sqrt(power / run.arm.sample_time))
         joint, size = k % 2, rng.choice([-1.0, 1.0]) * rng.uniform(*OFFSET_RANGE)
-        case = Case('', 'bias', abs(size), 0.0, from_start=True)
-        faulty = inject(run, case, joint, 0.0, float(np.sign(size)))
-        truth = np.zeros(2)
+        faulty, truth = replace(run, samples=run.samples.copy()), np.zeros(2)
+        faulty.samples[:, 0, joint] += size
         truth[joint] = size
         found['ours'].add(ours(faulty), truth)
         for key, make in PEERS.items():
@@ -366,7 +394,7 @@ def main() -> None:
         if name == 'recorded':
             report_recorded(console, options.runs, np.random.default_rng(0))
             continue
-        arm = shoulder_arm('derived') if name == 'shoulder' else load_any_arm(name)
+        arm = shoulder_arm() if name == 'shoulder' else two_links(name)[0]
         arm = replace(arm, uncertainty=replace(arm.uncertainty, friction=0.3))
         limit = np.array([joint.limits.torque for joint in arm.joints])
         for correlation in options.correlation:

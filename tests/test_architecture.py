@@ -13,6 +13,9 @@ LAYERS = [
 ]
 """Packages from the bottom up; a package imports lower layers, and its own for `lpv` alone."""
 
+CORE_LAYERS = ('support', 'serial_arm', 'export', 'uio', 'control', 'monitoring', 'simulation')
+"""Sub-packages of `lpv_core` from the bottom up."""
+
 LARGE = ('lpv_core', 'lpv_bag', 'lpv_campaign', 'lpv_report')
 
 
@@ -47,6 +50,15 @@ def test_given_the_packages_when_they_import_then_only_downwards(modules):
         if level[other] > level[name]
     }
     assert upward == set()
+
+
+def test_given_the_mathematics_when_its_sub_packages_import_then_only_downwards(modules):
+    graph = import_graph.collapse(modules, 2)
+    allowed = {f'lpv_core.{name}': CORE_LAYERS[:k] for k, name in enumerate(CORE_LAYERS)}
+    found = {name for name in graph if name.startswith('lpv_core.')}
+    assert found == set(allowed)
+    for name in found:
+        assert graph[name] <= {f'lpv_core.{lower}' for lower in allowed[name]}, name
 
 
 def test_given_the_mathematics_when_it_imports_then_never_rclpy():

@@ -10,8 +10,8 @@ from lpv_bag.run.record import load_run  # noqa: E402
 from lpv_campaign.execution.run_to_bag import START, write_run_bag  # noqa: E402
 from lpv_campaign.execution.runs import plan_run  # noqa: E402
 from lpv_campaign.plan.campaign import resolve  # noqa: E402
-from lpv_core.certificate.gains import save_gains  # noqa: E402
-from lpv_core.decision.diagnosis import AlarmEvent  # noqa: E402
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent  # noqa: E402
+from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -37,7 +37,7 @@ SPEC = {
         'noise': 1.5,
         'disturbance': 0.7,
         'compensation': ['confirmed', 'always'],
-        'diagnosis.dwell': 0.02,
+        'diagnosis.clear_dwell': 0.2,
     },
 }
 # The arm is stopped, and led back to its path.

@@ -21,12 +21,13 @@ from lpv_bag.rosbag.interfaces import make_typestore
 from lpv_bag.run.record import load_run
 from lpv_cli.commands import demo as demo_command
 from lpv_cli.main import main
-from lpv_core.certificate.gains import load_gains
 from lpv_core.control.tracking import COMPENSATION
-from lpv_core.decision.diagnosis import AlarmEvent
-from lpv_core.model.arm import load_arm
-from lpv_core.model.joints import JointMap
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv_core.support.resources import executable
+from lpv_core.uio.certificate.gains import load_gains
+from lpv_core.uio.model.joints import JointMap
+from lpv_core.uio.planar import planar_model
 
 SHORT = (
     (BRINGUP / 'scenarios' / 'two_faults.yaml')
@@ -111,7 +112,8 @@ def test_given_the_demo_when_run_then_its_own_table_beats_the_papers(demo):
 @pytest.mark.ros
 def test_given_the_demo_when_its_bag_is_evaluated_anew_then_the_table_is_true(demo):
     out, text = demo
-    record, joints = load_run(out / 'bag'), JointMap(load_arm(BRINGUP / 'arms' / 'paper.yaml'))
+    record = load_run(out / 'bag')
+    joints = JointMap(planar_model(load_arm(BRINGUP / 'arms' / 'paper.yaml')))
     truth = joints.absolute_position(record.get('ground_truth', 'position'))
     estimate = joints.absolute_position(record.get('state_estimate', 'position'))
     reference = joints.absolute_position(record.get('reference', 'position'))
@@ -273,7 +275,7 @@ def test_given_a_launch_file_when_read_then_what_it_starts_exists(path):
 
 
 def test_given_the_parameter_files_when_read_then_the_defaults_are_those_of_the_code():
-    from lpv_core.decision.diagnosis import DiagnosisParameters
+    from lpv_core.monitoring.parameters import DiagnosisParameters
 
     assert demo_command.COMPENSATION == COMPENSATION
     data = yaml.safe_load((BRINGUP / 'config' / 'diagnosis.yaml').read_text())
@@ -311,7 +313,7 @@ def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(tm
     program = Path(sys.executable).parent / 'lpv'
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain())}
     scenario = tmp_path / 'long.yaml'
-    scenario.write_text(SHORT.replace('duration: 2.0', 'duration: 20.0'))
+    scenario.write_text(SHORT.replace('duration: 2.0', 'duration: 300.0'))
     with subprocess.Popen(
         [program, 'demo', '--scenario', scenario, '--out', tmp_path / 'out'],
         env=environment,

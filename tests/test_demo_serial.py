@@ -11,9 +11,9 @@ import ros
 from places import BRINGUP
 
 from lpv_bag.run.record import load_run
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.simulation.any_scenario import load_any_scenario
-from lpv_core.simulation.serial_closed_loop import run_serial_loop
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
 
@@ -53,7 +53,7 @@ def test_given_the_demo_of_a_serial_arm_when_run_then_the_faulty_encoder_is_name
 
 def test_given_the_bag_of_a_serial_arm_when_read_then_the_true_arm_stayed_on_its_path(demo):
     record = load_run(
-        demo[0] / 'bag', joint_names=load_any_arm(BRINGUP / 'arms' / 'ur10.yaml').joint_names
+        demo[0] / 'bag', joint_names=load_arm(BRINGUP / 'arms' / 'ur10.yaml').joint_names
     )
     error = record.get('ground_truth', 'position') - record.get('reference', 'position')
     assert error.shape[1] == 6 and len(error) >= 1500
@@ -62,9 +62,9 @@ def test_given_the_bag_of_a_serial_arm_when_read_then_the_true_arm_stayed_on_its
 
 def test_given_one_scenario_when_run_in_the_graph_and_offline_then_torques_are_the_same(demo):
     out, scenario, _ = demo
-    arm = load_any_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
     record = load_run(out / 'bag', joint_names=arm.joint_names)
-    run = run_serial_loop(arm, load_any_scenario(scenario, arm))
+    run = run_closed_loop(arm, load_scenario(scenario))
     commands = record.get('torque_command', 'torque')
     count = min(len(commands), len(run.torque))
     np.testing.assert_array_equal(commands[:count], run.torque[:count])

@@ -1,98 +1,89 @@
-"""What the diagnosis has to find: a quick part of `benchmarks/fault_matrix.py`.
+"""What the diagnosis finds: a part of `benchmarks/fault_matrix.py`, cell by cell.
 
-Every engine gets the same faults.  A claim that an engine does not keep is an xfail with the
-engine's name; not a strict one, as figures that are near their limits depend on the processor.
+A cell is a fault (kind and size) of an arm whose rates come from somewhere.  Runs are drawn from
+seeds, so that a cell says the same each time.  What a cell does not keep is in `LOST`, with the
+reason that docs/guarantees.md gives.
 """
 
+import json
 from functools import cache
 
 import pytest
-from fault_injection import BY_NAME, CLOSE, DATA, ENGINES, cells, run
+from fault_injection import BY_NAME, CLOSE, DATA, cells, run
+from fault_matrix import BAR, COMPARED, KEY, compared, summary
 
 pytestmark = pytest.mark.slow
 
+RUNS = 3
 FAULTS = {
-    'paper independent': 'drift 0.05,drift 0.3,scale 20 %,stuck,noise 0.02,dropout,rate bias 0.1',
-    'real_arm derived': 'step 0.1,drift 0.3,stuck',
-    'chain3 independent': 'drift 0.05,stuck',
-    'chain3 derived': 'step 0.02,drift 0.3,noise 0.02,dropout',
+    'paper independent': (
+        'offset 0.2,step 0.02,drift 0.05,drift 0.3,scale 20 %,stuck,noise 0.02,dropout,rates wrap'
+    ),
+    'paper derived': 'step 0.1,noise 0.02',
+    'real_arm independent': 'drift 0.1,stuck,rate bias 0.1',
+    'real_arm derived': 'offset 0.5,step 0.1,drift 0.3,stuck',
+    'chain3 independent': 'drift 0.05,stuck,dropout',
+    'chain3 derived': 'step 0.02,drift 0.3,noise 0.02',
     'recorded real_arm derived': (
         'offset 0.5,step 0.02,drift 0.1,drift 0.3,stuck,noise 0.02,dropout'
     ),
-    'recorded real_arm independent': 'drift 0.05,rates wrap',
-    'recorded panda derived': 'step 0.02,drift 0.3',
-    'recorded kr300 independent': 'step 0.02',
+    'recorded ur10 independent': 'offset 0.2,drift 0.05,drift 0.3',
+    'recorded panda derived': 'offset 0.5,step 0.02',
 }
 HEALTHY = {
-    'paper independent': 'push',
+    'paper independent': 'healthy,push',
+    'real_arm derived': 'payload',
     'chain3 independent': 'payload,rest 1 mrad',
     'chain3 derived': 'push,rest 0.1 mrad',
     'recorded real_arm derived': 'healthy,stamps off,gaps',
+    'recorded ur10 independent': 'healthy,gaps',
     'recorded panda derived': 'healthy',
 }
-CLAIMS = ('named', 'kind', 'size', 'ends', 'quiet')
-FAILS: dict[str, dict[str, str]] = {
-    'two_link': {
-        'paper independent drift 0.05': 'quiet',
-        'paper independent drift 0.3': 'quiet',
-        'paper independent scale 20 %': 'kind',
-        'paper independent stuck': 'quiet',
-        'paper independent dropout': 'named kind size ends quiet',
-        'paper independent rate bias 0.1': 'kind quiet',
-        'real_arm derived drift 0.3': 'named kind size ends',
-        'real_arm derived stuck': 'named kind size ends',
-        'recorded real_arm derived offset 0.5': 'named kind size ends',
-        'recorded real_arm derived step 0.02': 'named kind ends',
-        'recorded real_arm derived drift 0.1': 'named kind size ends',
-        'recorded real_arm derived drift 0.3': 'named kind size ends',
-        'recorded real_arm derived stuck': 'named kind size ends',
-        'recorded real_arm derived dropout': 'named kind ends',
-        'recorded real_arm independent drift 0.05': 'kind',
-        'recorded real_arm independent rates wrap': 'kind size',
-        'recorded real_arm derived stamps off': 'healthy',
-        'recorded real_arm derived gaps': 'healthy',
-    },
-    'serial': {
-        'paper independent drift 0.05': 'kind',
-        'paper independent stuck': 'kind size',
-        'real_arm derived drift 0.3': 'named ends',
-        'real_arm derived stuck': 'named size ends',
-        'chain3 independent stuck': 'kind ends',
-        'chain3 derived drift 0.3': 'named ends',
-        'recorded real_arm derived drift 0.1': 'size ends',
-        'recorded real_arm derived stuck': 'size ends',
-        'recorded real_arm independent drift 0.05': 'named',
-        'recorded real_arm independent rates wrap': 'named kind ends quiet',
-        'recorded panda derived drift 0.3': 'ends',
-        'chain3 independent rest 1 mrad': 'healthy',
-        'recorded real_arm derived stamps off': 'healthy',
-    },
+CLAIMS = ('named', 'kind', 'size', 'ends', 'bar')
+SLOW = 'derived rates: a drift shows in gravity and inertia alone, and is named after 0.8 to 1.5 s'
+TOLERANT = 'derived rates: for 2.5 s drifts of 0.1 rad/s are within torque_tolerance of the file'
+UNSEEN = 'derived rates: no row measures the joint of a frozen encoder'
+UNSURE = 'recorded UR10: a drift of 0.05 rad/s is taken for an offset at first, and too small'
+STAMPS = 'fast motion: stamps off by 1.5 samples look like jumps of 5 mrad'
+LOST = {
+    'real_arm derived drift 0.3': ('named ends', SLOW),
+    'chain3 derived drift 0.3': ('ends', SLOW),
+    'recorded real_arm derived drift 0.3': ('named', SLOW),
+    'recorded real_arm derived drift 0.1': ('named kind size ends bar', TOLERANT),
+    'real_arm derived stuck': ('named size ends', UNSEEN),
+    'recorded real_arm derived stuck': ('size', UNSEEN),
+    'recorded ur10 independent drift 0.05': ('size', UNSURE),
+    'recorded real_arm derived stamps off': ('quiet', STAMPS),
 }
-"""Claims that an engine does not keep, by cell."""
+"""Claims that a cell does not keep, and why."""
 
 
 def chosen(table, claims):
-    """Parameters: engine, cell, claim."""
+    """Parameters: place, kind, claim."""
     for place, kinds in table.items():
         for kind in kinds.split(','):
-            for engine in ENGINES:
-                *recorded, arm, _ = place.split()
-                if engine == 'two_link' and arm not in ('paper', 'real_arm'):
-                    continue
-                for claim in claims:
-                    known = FAILS[engine].get(f'{place} {kind}', '').split()
-                    marks = [pytest.mark.xfail(reason=engine)] if claim in known else []
-                    if recorded and not DATA.is_dir():
-                        marks = [pytest.mark.skip(reason='no recordings in ../shared/data')]
-                    yield pytest.param(engine, place, kind, claim, marks=marks)
+            for claim in claims:
+                known, why = LOST.get(f'{place} {kind}', ('', ''))
+                marks = []
+                if claim in known.split():
+                    marks = [pytest.mark.xfail(reason=why, strict=True)]
+                if place.startswith('recorded') and not DATA.is_dir():
+                    marks = [pytest.mark.skip(reason='no recordings, see $LPV_RECORDINGS')]
+                yield pytest.param(place, kind, claim, marks=marks, id=f'{place} {kind}: {claim}')
 
 
 @cache
-def verdicts(engine, place, kind):
-    """Runs of a cell: two of a simulated arm, three of recordings."""
+def found(place, kind):
+    """A cell and its runs."""
     *recorded, arm, rates = place.split()
-    (cell,) = cells([arm], [bool(recorded)], [rates], [engine], [BY_NAME[kind]])
-    return [run(cell, k) for k in range(3 if recorded else 2)]
+    (cell,) = cells([arm], [bool(recorded)], [rates], [BY_NAME[kind]])
+    return cell, [run(cell, k) for k in range(RUNS)]
+
+
+@cache
+def bar():
+    """Rows of the better one of the two engines before, by cell."""
+    return {tuple(row[name] for name in KEY): row for row in json.loads(BAR.read_text())}
 
 
 def most(values):
@@ -101,30 +92,36 @@ def most(values):
     return 3 * sum(known) >= 2 * len(known)
 
 
-@pytest.mark.parametrize(('engine', 'place', 'kind', 'claim'), chosen(FAULTS, CLAIMS))
-def test_given_a_fault_when_it_acts_and_ends_then_what_is_said_of_it_is_true(
-    engine, place, kind, claim
-):
-    found = verdicts(engine, place, kind)
-    assert not any(one.crash for one in found)
+def shares_below_the_bar(place, kind):
+    """Shares of a cell that are worse than the bar by more than single runs."""
+    row = summary(*found(place, kind))
+    other = bar().get(tuple(row[name] for name in KEY))
+    shares = compared(row, other) if other else {}
+    return {name: pair for name, pair in shares.items()
+            if (pair[0] - pair[1]) * COMPARED[name] < 0.0}  # fmt: skip
+
+
+@pytest.mark.parametrize(('place', 'kind', 'claim'), chosen(FAULTS, CLAIMS))
+def test_given_a_fault_when_it_acts_and_ends_then_what_is_said_of_it_is_true(place, kind, claim):
+    runs = found(place, kind)[1]
+    assert not any(one.crash for one in runs)
     if claim == 'named':
-        assert most(one.in_time for one in found)
-        assert not any(one.other for one in found)
+        assert most(one.in_time for one in runs) and not any(one.other for one in runs)
     elif claim == 'kind':
-        assert most(one.kind_right for one in found)
+        assert most(one.kind_right for one in runs)
     elif claim == 'size':
-        assert most(one.error <= CLOSE for one in found if one.error is not None)
-        assert not any(one.error > CLOSE and one.trusted for one in found if one.error is not None)
+        known = [one for one in runs if one.error is not None]
+        assert most(one.error <= CLOSE for one in known)
+        assert not any(one.error > CLOSE and one.trusted for one in known)
     elif claim == 'ends':
-        assert all(one.cleared is not False for one in found)
-        assert most(one.second for one in found) and most(one.both for one in found)
+        assert all(one.cleared is not False for one in runs)
+        assert most(one.second for one in runs) and most(one.both for one in runs)
+        assert all(one.events <= 10 for one in runs)
     else:
-        assert all(one.events <= 10 for one in found)
+        assert shares_below_the_bar(place, kind) == {}
 
 
-@pytest.mark.parametrize(('engine', 'place', 'kind', 'claim'), chosen(HEALTHY, ['healthy']))
-def test_given_healthy_encoders_when_something_else_happens_then_none_is_blamed(
-    engine, place, kind, claim
-):
-    found = verdicts(engine, place, kind)
-    assert [(one.crash, one.alarms) for one in found] == [('', [])] * len(found)
+@pytest.mark.parametrize(('place', 'kind', 'claim'), chosen(HEALTHY, ['quiet']))
+def test_given_healthy_encoders_when_something_else_happens_then_none_is_blamed(place, kind, claim):
+    runs = found(place, kind)[1]
+    assert [(one.crash, one.alarms) for one in runs] == [('', [])] * len(runs)

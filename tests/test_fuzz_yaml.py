@@ -6,9 +6,9 @@ from places import BRINGUP, ROOT
 
 from lpv_bag.run.csv_import import load_column_map
 from lpv_campaign.plan.spec import load_spec
-from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import load_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.simulation.scenario import load_scenario
+from lpv_core.uio.certificate.gains import load_gains
 from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.fuzz
@@ -22,8 +22,11 @@ _KINDS = {
     'campaign': (load_spec, BRINGUP / 'campaigns' / 'thresholds.yaml'),
     'gains': (load_gains, BRINGUP / 'gains' / 'real_arm.yaml'),
 }
-_UNBOUNDED = {'gains': ('.certificate.guarantee.',)}
-"""Where infinity means that there is no bound: an angle without a threshold."""
+_UNBOUNDED = {
+    'arm': ('.effort_bandwidth', '.joints.0.limits.', '.joints.1.limits.'),
+    'gains': ('.certificate.guarantee.',),
+}
+"""Where infinity means that there is no bound, as of an angle without a threshold."""
 _CASES = 60
 _MEMORY = 300 << 20
 

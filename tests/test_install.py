@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from places import BRINGUP, ROOT
 
-from lpv_core.certificate.conditions import verify
-from lpv_core.certificate.exact_proof import prove
-from lpv_core.certificate.gains import load_gains
-from lpv_core.model.arm import ArmParameters, load_arm
-from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.uio.certificate.conditions import verify
+from lpv_core.uio.certificate.exact_proof import prove
+from lpv_core.uio.certificate.gains import load_gains
+from lpv_core.uio.planar import planar_model
 
 BIN = Path(sys.prefix) / 'bin'
 
@@ -21,11 +21,11 @@ BIN = Path(sys.prefix) / 'bin'
 def test_given_the_shipped_gains_when_verified_then_they_hold_for_the_shipped_arms():
     arms = sorted(path.name for path in (BRINGUP / 'arms').glob('*.yaml'))
     assert sorted(path.name for path in (BRINGUP / 'gains').glob('*.yaml')) == arms
-    found = {name: load_any_arm(BRINGUP / 'arms' / name) for name in arms}
-    planar = [name for name, arm in found.items() if isinstance(arm, ArmParameters)]
+    found = {name: load_arm(BRINGUP / 'arms' / name) for name in arms}
+    planar = {name: planar_model(arm) for name, arm in found.items() if arm.lpv is not None}
     assert len(planar) == 2
-    for name in planar:
-        arm, gains = load_arm(BRINGUP / 'arms' / name), load_gains(BRINGUP / 'gains' / name)
+    for name, arm in planar.items():
+        gains = load_gains(BRINGUP / 'gains' / name)
         checks = verify(arm, gains)
         assert len(checks) > 10
         assert [check.name for check in checks if not check.holds] == []

@@ -20,8 +20,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from lpv_core.certificate.gains import save_gains  # noqa: E402
-from lpv_core.model.arm import load_arm  # noqa: E402
+from lpv_core.serial_arm.arm_file import load_arm  # noqa: E402
+from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
+from lpv_core.uio.planar import planar_model  # noqa: E402
 from lpv_design.design_flow import design  # noqa: E402
 from lpv_design.requirement import load_requirement  # noqa: E402
 from lpv_msgs.msg import GroundTruth, JointReference, TorqueCommand  # noqa: E402
@@ -165,7 +166,8 @@ def files(tmp_path_factory):
     text = (BRINGUP / 'arms' / 'paper.yaml').read_text()
     found = {'arm': folder / 'arm.yaml', 'gains': folder / 'gains.yaml'}
     found['arm'].write_text(text.replace('sample_time: 0.002', 'sample_time: 0.005'))
-    save_gains(design(load_arm(found['arm']), load_requirement('paper')).gains, found['gains'])
+    planar = planar_model(load_arm(found['arm']))
+    save_gains(design(planar, load_requirement('paper')).gains, found['gains'])
     return found
 
 

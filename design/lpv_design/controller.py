@@ -8,20 +8,10 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.certificate.lmi import integral_feedback, largest_eigenvalue
-from lpv_core.model.arm import ArmParameters
-from lpv_design.solve import run, solve, symmetric_below
-
-PUBLISHED_M1 = np.array(
-    [
-        [-4426.747411, -0.001668, -420.832109, -0.000786],
-        [0.003075, -1440.412948, -0.000361, -145.310838],
-    ]
-)
-"""M1 of section 5 of the paper."""
-PUBLISHED_M2 = np.array([[13268.9910017, -0.0171864], [-0.0312571, 3932.6833916]])
-"""M2 of section 5 of the paper."""
-
+from lpv_core.support.inequalities import largest_eigenvalue
+from lpv_core.uio.certificate.lmi import integral_feedback
+from lpv_core.uio.model.arm import ArmParameters
+from lpv_design.solve import run, symmetric_below
 
 _RESERVE = 0.02
 """Relative tightening of the pole region in the solver, against what is checked."""
@@ -48,25 +38,6 @@ def check_loop(loop: tuple[np.ndarray, ...], m: np.ndarray, q: np.ndarray, alpha
         matrix = integral_feedback(q, m @ q, a, b, alpha)
         margins.append(largest_eigenvalue(factor @ matrix @ factor.T))
     return max(margins)
-
-
-def common_lyapunov(loop: tuple[np.ndarray, ...], m: np.ndarray, alpha: float) -> np.ndarray | None:
-    """Find Q for given gains: is there a common Lyapunov matrix with decay alpha?"""
-    # Published gains have poles from -5 to -204; modal coordinates of one vertex balance them.
-    closed = [a + b @ m for a, b in zip(*loop)]
-    _, vectors = np.linalg.eig(closed[0])
-    gram = np.real(vectors @ vectors.conj().T)
-    basis = np.linalg.cholesky(gram)
-    inverse = np.linalg.inv(basis)
-    q = cp.Variable((6, 6), symmetric=True)
-    t = cp.Variable()
-    constraints = [q >> np.eye(6), q << 1e4 * np.eye(6), t <= 1.0]
-    for a in closed:
-        scaled = inverse @ a @ basis
-        slack = 2 * alpha * q + t * np.eye(6)
-        constraints.append(symmetric_below(scaled @ q + q @ scaled.T + slack))
-    solve(-t, constraints)
-    return None if q.value is None else basis @ q.value @ basis.T
 
 
 class LoopProblem:
@@ -129,22 +100,15 @@ class LoopProblem:
         return m, self._q.value / np.outer(self._scale, self._scale), status
 
 
-@lru_cache(maxsize=8)
-def _compiled(vertices: int, requirement: ControllerRequirement, rate: float) -> LoopProblem:
-    return LoopProblem(vertices, requirement, rate)
+_compiled = lru_cache(maxsize=8)(LoopProblem)
 
 
 def solve_loop(
     arm: ArmParameters, loop: tuple[np.ndarray, ...], requirement: ControllerRequirement
 ) -> tuple[Any, ...]:
-    """Guaranteed-cost state feedback with integral action that satisfies LMI (67)."""
-    unit = _torque_unit(arm)
+    """M, Q and the solver's word: state feedback with integral action that satisfies LMI (67)."""
+    unit = np.array(arm.numbers().gravity)  # of torques
     # What gravity makes of an angle in time, to a power of two: compiled problems are kept.
     rate = max(float(np.abs(b[2:4] * unit).max()) for b in loop[1])
     rate = 2.0 ** round(0.5 * math.log2(rate) - 2.0)
     return _compiled(len(loop[0]), requirement, rate).solve(loop, unit)
-
-
-def _torque_unit(arm: ArmParameters) -> np.ndarray:
-    constants = arm.constants()
-    return constants.gravity

@@ -3,27 +3,28 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 
+import clarabel
+import cvxpy
 import numpy as np
 
-from lpv_core.certificate.conditions import Check, controller_loop, verify
-from lpv_core.certificate.gains import (
+from lpv_core.support.inequalities import Check
+from lpv_core.uio.certificate.conditions import controller_loop, verify
+from lpv_core.uio.certificate.gains import (
     ControllerGains,
     ExactObserverGains,
     Gains,
     PaperObserverGains,
 )
-from lpv_core.certificate.noise import exact_fault_sigma, paper_fault_sigma
-from lpv_core.model.arm import ArmParameters, arm_from_json
+from lpv_core.uio.certificate.noise import exact_fault_sigma, paper_fault_sigma
+from lpv_core.uio.model.arm import ArmParameters
 from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
-from lpv_design.detectability import undetectable_point
 from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
 from lpv_design.motion import certify_motion
-from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
+from lpv_design.paper_observer import check_paper, paper_problem, solve_paper, undetectable_point
 from lpv_design.requirement import PaperRequirement, Requirement
-from lpv_design.solve import SOLVER, InfeasibleError
+from lpv_design.solve import SOLVER, InfeasibleError, check_lines
 
 SAMPLED_POLE_LIMIT = 0.5
 """Largest abs(pole) Ts that a sampled loop with one sample of delay is asked to carry."""
@@ -52,18 +53,6 @@ class DesignResult:
 def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
     """Design observer and controller, and check both in NumPy.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    requirement : Requirement
-        What to fulfil.
-
-    Returns
-    -------
-    DesignResult
-        Gains and report.
-
     Raises
     ------
     NotDetectableError
@@ -91,10 +80,10 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
         solver=SOLVER,
         observer_status=statuses[0],
         controller_status=statuses[1],
-        **_versions(),
+        **{f'{one.__name__}_version': one.__version__ for one in (clarabel, cvxpy, np)},
     )
     return DesignResult(
-        gains, [*notes, *_check_lines(checks), *_bound_lines(arm, gains, found)], found
+        gains, [*notes, *check_lines(checks), *_bound_lines(arm, gains, found)], found
     )
 
 
@@ -107,7 +96,9 @@ def _design_once(
         observer, status = _exact_observer(arm, requirement.observer)
     else:
         observer, status = _paper_observer(arm, requirement.observer)
-    controller, controller_status = _controller(arm, requirement)
+    controller, controller_status = _controller(
+        arm, requirement.controller, requirement.controller_method, requirement.controller_sinc_min
+    )
     gains = Gains(arm.name, arm.sha256(), observer, controller)
     checks = verify(arm, gains)
     for check in checks:
@@ -121,16 +112,9 @@ def within_sampling(
 ) -> list[tuple[Requirement, list[str]]]:
     """Limit poles to what the sample time can carry.
 
-    Returns
-    -------
-    list of tuple
-        Requirements to be tried in turn, each with a line for each figure that was limited: one
-        alone where the sample time carries what is asked for.
-
-    Raises
-    ------
-    InfeasibleError
-        If the slowest pole that is asked for is faster than that.
+    Returns requirements to be tried in turn, each with a line for each figure that was limited: one
+    alone where the sample time carries what is asked for.  InfeasibleError if the slowest pole that
+    is asked for is faster than that.
     """
     notes: list[str] = []
     limit = _POLE_SHARE * SAMPLED_POLE_LIMIT / arm.sample_time
@@ -188,10 +172,6 @@ def _reason(check: Check, observer_status: str, controller_status: str) -> str:
     )
 
 
-def _check_lines(checks: list[Check]) -> list[str]:
-    return [f'holds ({check.margin:.3g} < 0): {check.name}' for check in checks]
-
-
 def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str]:
     sigma = gains.observer.fault_sigma
     middle = len(found.deviation) // 2
@@ -211,16 +191,6 @@ def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str
         f'  at rest, lasting faults of both sensors are detected in {finite:.0%} of the region, '
         'elsewhere only changes: gravity tells too little there',
     ]
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in ('clarabel', 'cvxpy', 'numpy'):
-        try:
-            found[f'{name}_version'] = version(name)
-        except PackageNotFoundError:
-            found[f'{name}_version'] = 'unknown'
-    return found
 
 
 def _exact_observer(
@@ -268,17 +238,9 @@ def _paper_observer(
             f'largest eigenvalue {margin:.3g})'
         )
     observer = PaperObserverGains(
-        problem.t1,
-        problem.t2,
-        k,
-        p,
-        problem.box,
-        requirement.lmi,
-        requirement.gamma,
-        requirement.q,
-        requirement.r,
-        np.zeros(2),
-    )
+        problem.box, problem.t1, problem.t2, k, p, requirement.lmi, requirement.gamma,
+        requirement.q, requirement.r, np.zeros(2),
+    )  # fmt: skip
     return replace(observer, fault_sigma=paper_fault_sigma(arm, observer)), status
 
 
@@ -301,21 +263,11 @@ def _largest_box(arm: ArmParameters, requirement: PaperRequirement) -> str:
     )
 
 
-def _controller(arm: ArmParameters, requirement: Requirement) -> tuple[ControllerGains, str]:
-    return _tracking(
-        arm.to_json(),
-        requirement.controller,
-        requirement.controller_method,
-        requirement.controller_sinc_min,
-    )
-
-
 @lru_cache(maxsize=4)
-def _tracking(
-    arm_json: str, wanted: ControllerRequirement, method: str, sinc_min: float
+def _controller(
+    arm: ArmParameters, wanted: ControllerRequirement, method: str, sinc_min: float
 ) -> tuple[ControllerGains, str]:
     """Kept: a search for observers asks for the same controller again and again."""
-    arm = arm_from_json(arm_json)
     loop = controller_loop(arm, method, sinc_min)
     m, q, status = solve_loop(arm, loop, wanted)
     margin = np.inf if m is None else check_loop(loop, m, q, wanted.alpha)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.bound.error_bound import error_bound, static_bound
-from lpv_core.certificate.gains import Gains
-from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.model.arm import ArmParameters
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.uio.bound.error_bound import error_bound, static_bound
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.model.arm import ArmParameters
 
 POINTS = 13
 """Angles of each link in the map."""
@@ -40,22 +40,7 @@ class Guarantee:
 
 
 def guarantee(arm: ArmParameters, gains: Gains, points: int = POINTS) -> Guarantee:
-    """Evaluate the bound that the diagnosis uses over the region.
-
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    gains : Gains
-        Its gains.
-    points : int, optional
-        Angles of each link.
-
-    Returns
-    -------
-    Guarantee
-        The map.
-    """
+    """The bound that the diagnosis uses, over the region, at so many angles of each link."""
     limit = float(np.arccos(min(arm.cos_min)))
     deviation = np.linspace(-limit, limit, points)
     grid = np.stack(np.meshgrid(deviation, deviation, indexing='ij'), axis=-1)
@@ -68,23 +53,12 @@ def vertical(arm: ArmParameters) -> float:
 
 
 def at_rest(arm: ArmParameters, gains: Gains, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Bounds and thresholds of the diagnosis at rest, with its usual tuning.
+    """Bound and threshold of each sensor at rest, with the diagnosis' usual tuning.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    gains : Gains
-        Its gains.
-    theta : ndarray, shape (..., 2)
-        Absolute angles [rad].
-
-    Returns
-    -------
-    tuple of ndarray, shape (..., 2)
-        Bound and threshold of each sensor [rad]; infinite where gravity cannot bound it.
+    Absolute angles have shape (..., 2) [rad], and so have the results [rad]; they are infinite
+    where gravity cannot bound the error.
     """
     tuning, theta = DiagnosisParameters(), np.asarray(theta, float)
-    constants = error_bound(arm, gains, tuning.sigmas, tuning.friction_uncertainty)
+    constants = error_bound(arm, gains, tuning.sigmas)
     bound = np.reshape([static_bound(constants, one) for one in theta.reshape(-1, 2)], theta.shape)
-    return bound, np.maximum(tuning.threshold_factor * bound, tuning.minimum_threshold)
+    return bound, np.maximum(bound, tuning.minimum_threshold)

@@ -10,8 +10,8 @@ from lpv_core.support.errors import ConfigError, LpvError
 from lpv_core.support.resources import bringup_file
 
 if TYPE_CHECKING:
-    from lpv_core.model.arm import ArmParameters
     from lpv_core.serial_arm.description import SerialArm
+    from lpv_core.uio.model.arm import ArmParameters
     from lpv_design.guarantee import Guarantee
 
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
@@ -37,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='requirement file, or name of a shipped one (paper, paper_literal, '
         "real_arm); without, the one with the arm's name",
     )
-    serial = parser.add_argument_group('serial arms of n joints (docs/serial-arm.md)')
+    serial = parser.add_argument_group(
+        'arms without an lpv region: certificate of computed torque (docs/tracking.md)'
+    )
     for name, value in (('bandwidth', 10.0), ('model_error', None), ('rate_share', 0.0)):
         serial.add_argument(
             f'--{name.replace("_", "-")}', type=float, default=value, help=_SERIAL_HELP[name]
@@ -57,20 +59,21 @@ def run(
 ) -> int:
     """Design, report, write; ``draw`` makes a picture of what is guaranteed."""
     # Only here: help must not wait for the solver.
-    from lpv_core.certificate.exact_proof import prove
-    from lpv_core.certificate.gains import save_gains
-    from lpv_core.serial_arm.any_arm import load_any_arm
-    from lpv_core.serial_arm.description import SerialArm
+    from lpv_core.serial_arm.arm_file import load_arm
+    from lpv_core.uio.certificate.exact_proof import prove
+    from lpv_core.uio.certificate.gains import save_gains
+    from lpv_core.uio.planar import planar_model
     from lpv_design.design_flow import NotDetectableError, design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
 
     try:
-        arm = load_any_arm(bringup_file('arms', arguments.arm))
-        if isinstance(arm, SerialArm):
+        described = load_arm(bringup_file('arms', arguments.arm))
+        if described.lpv is None:
             if draw is not None:
-                raise ConfigError('--map', 'is for two-link arms')
-            return _certify_serial(arm, arguments)
+                raise ConfigError('--map', 'is for arms with an lpv region')
+            return _certify_loop(described, arguments)
+        arm = planar_model(described)
         requirement = load_requirement(arguments.requirement or arm.name)
         result = design(arm, requirement)
     except NotDetectableError as error:
@@ -103,15 +106,15 @@ def run(
     return 0
 
 
-def _certify_serial(arm: 'SerialArm', arguments: argparse.Namespace) -> int:
-    """Certificate of a serial arm's computed-torque loop."""
-    # Only here: two-link arms need nothing of it.
+def _certify_loop(arm: 'SerialArm', arguments: argparse.Namespace) -> int:
+    """Certificate of the computed-torque loop."""
+    # Only here: designed gains need nothing of it.
     from lpv_core.serial_arm.certificate.exact_proof import prove_loop
     from lpv_core.serial_arm.certificate.loop_gains import save_loop_gains
     from lpv_design.serial_loop import LoopRequest, certify_loop
 
     if arguments.requirement:
-        raise ConfigError('--requirement', 'is for two-link arms; see lpv design --help')
+        raise ConfigError('--requirement', 'is for arms with an lpv region; see lpv design --help')
     error = arguments.model_error
     if error is None:
         error = arm.uncertainty.model_error or LoopRequest.model_error

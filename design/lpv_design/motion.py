@@ -5,9 +5,9 @@ import math
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.certificate.gains import MotionCertificate
-from lpv_core.certificate.sampled_motion import SIZE, SampledLoop, sampled_loop
-from lpv_core.model.arm import ArmParameters
+from lpv_core.uio.certificate.gains import MotionCertificate
+from lpv_core.uio.certificate.sampled_motion import SIZE, SampledLoop, sampled_loop
+from lpv_core.uio.model.arm import ArmParameters
 from lpv_design.solve import solve, symmetric_below
 
 _RATES = (0.5, 0.25, 0.0)
@@ -21,21 +21,9 @@ def certify_motion(
 ) -> MotionCertificate | None:
     """Search for a common Lyapunov matrix of the sampled loop with delay and Coriolis torques.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    loop : tuple of ndarray, shapes (n, 6, 6) and (n, 6, 2)
-        Vertices A_c, B_c of eq. (64).
-    feedback : ndarray, shape (2, 6)
-        (M1, M2).
-    alpha : float
-        Decay rate of the continuous loop [1/s].
-
-    Returns
-    -------
-    MotionCertificate or None
-        For the largest rate at which one was found; None where the sample time leaves no room.
+    Vertices A_c, B_c of eq. (64), (M1, M2) and the decay rate of the continuous loop [1/s] are
+    given.  The certificate is for the largest rate at which one was found; None where the sample
+    time leaves no room.
     """
     constants = arm.constants()
     frequency = math.sqrt(min(constants.gravity / constants.inertia))

@@ -1,18 +1,19 @@
 """Method ``paper``: the observer LMIs (54) and (55) on the box of phi1, phi2, phi3."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.certificate.lmi import bounded_real, bounded_real_disc, disc, largest_eigenvalue
-from lpv_core.model.arm import ArmParameters
-from lpv_core.model.polytope import sinc_box
-from lpv_core.model.state_space import Descriptor, vertex_matrices
-from lpv_core.observer.paper_observer import decoupling
+from lpv_core.support.inequalities import largest_eigenvalue
+from lpv_core.uio.certificate.lmi import paper_inequalities
+from lpv_core.uio.model.arm import ArmParameters
+from lpv_core.uio.model.polytope import paper_weights, sinc_box, vertex_matrices
+from lpv_core.uio.model.state_space import Descriptor
+from lpv_core.uio.observer.paper_observer import decoupling
 from lpv_design.solve import solve, symmetric_below
 
 
@@ -33,48 +34,46 @@ def paper_problem(
 ) -> PaperProblem:
     """Set up the LMIs for phi2, phi3 in [s_min, 1]."""
     box = sinc_box(s_min)
-    a, b = vertex_matrices(box, arm.constants(coriolis=False))
-    descriptor = Descriptor(a, b, arm)
+    descriptor = Descriptor(*vertex_matrices(box, arm.numbers()), arm)
     t1, t2 = decoupling(descriptor.e, descriptor.c)
     return PaperProblem(descriptor, t1, t2, q, r, box)
 
 
-def _inequalities(
-    problem: PaperProblem,
-    p: Any,
-    y: Any,
-    gamma_squared: Any,
-    lmi: str,
-    block: Callable[..., Any] = np.block,
-) -> list[Any]:
-    d = problem.descriptor
-    pbd, pbf = p @ (problem.t1 @ d.bd), p @ (problem.t1 @ d.bf)
-    matrices = []
-    for a_i, y_i in zip(d.a, y):
-        pn = p @ (problem.t1 @ a_i) + y_i @ d.c
-        if lmi == '55':
-            matrices.append(
-                bounded_real_disc(p, pn, pbd, pbf, gamma_squared, problem.q, problem.r, block)
-            )
-        else:
-            matrices.append(bounded_real(p, pn, pbd, pbf, gamma_squared, block))
-            matrices.append(disc(p, pn, problem.q, problem.r, block))
-    return matrices
+def lost_mode(a: np.ndarray, c: np.ndarray, tolerance: float = 1e-9) -> tuple[Any, ...] | None:
+    """Popov-Belevitch-Hautus test on one augmented model: eigenvalue and vector of a lost mode."""
+    for eigenvalue in np.linalg.eigvals(a):
+        if eigenvalue.real < -tolerance:
+            continue
+        pencil = np.vstack([a - eigenvalue * np.eye(len(a)), c])
+        _, singular, vectors = np.linalg.svd(pencil)
+        if singular[-1] < tolerance * max(1.0, singular[0]):
+            return eigenvalue, vectors[-1].conj()
+    return None
+
+
+def undetectable_point(problem: PaperProblem) -> tuple[Any, ...] | None:
+    """Search a box of phi1, phi2, phi3 for a point where faults cannot be told from states.
+
+    Gravity enters through phi2 and phi3 alone; a point is lost exactly where one of them is zero,
+    so that zero, where the box contains it, is tried besides the corners.
+    """
+    (low_1, high_1), *others = problem.box
+    slopes = [sorted({low, high, min(max(0.0, low), high)}) for low, high in others]
+    for s_2, s_3, phi_1 in product(*slopes, (low_1, 0.0, high_1)):
+        rho = np.zeros(8)
+        paper_weights(phi_1, s_2, s_3, problem.box, rho)
+        a = np.tensordot(rho, problem.descriptor.a, 1)
+        mode = lost_mode(problem.t1 @ a, problem.descriptor.c)
+        if mode is not None:
+            return (np.array([phi_1, s_2, s_3]), *mode)
+    return None
 
 
 def solve_paper(
     problem: PaperProblem, lmi: str = '55', gamma: float | None = None
 ) -> tuple[Any, ...]:
-    """Solve LMI (55), or (54) with the disc apart, for P and K_i.
-
-    Parameters
-    ----------
-    problem : PaperProblem
-        From `paper_problem`.
-    lmi : {'55', '54+disc'}
-        Literal (55), or (54) and the disc as separate inequalities with the same P.
-    gamma : float, optional
-        Attenuation level to be met; minimised if not given.
+    """Solve LMI (55), or LMI (54) with the disc apart, for P and K_i; ``gamma`` is minimised
+    unless given.
 
     Returns
     -------
@@ -85,10 +84,9 @@ def solve_paper(
     p = cp.Variable((6, 6), symmetric=True)
     y = [cp.Variable((6, 4)) for _ in problem.descriptor.a]
     gamma_squared = cp.Variable(nonneg=True) if gamma is None else cp.Constant(gamma**2)
-    constraints = [p >> 1e-6 * np.eye(6)]
-    constraints += [
-        symmetric_below(m, 1e-8) for m in _inequalities(problem, p, y, gamma_squared, lmi, cp.bmat)
-    ]
+    d, pt = problem.descriptor, p @ problem.t1
+    matrices = paper_inequalities(d, p, pt, y, gamma_squared, problem.q, problem.r, lmi, cp.bmat)
+    constraints = [p >> 1e-6 * np.eye(6), *(symmetric_below(m, 1e-8) for m in matrices)]
     status = solve(gamma_squared if gamma is None else 0, constraints)
     if p.value is None or gamma_squared.value is None:
         return None, None, np.inf, status
@@ -103,5 +101,6 @@ def check_paper(
     problem: PaperProblem, k: np.ndarray, p: np.ndarray, gamma: float, lmi: str = '55'
 ) -> float:
     """Largest eigenvalue over all inequalities, rebuilt in NumPy from gains and P."""
-    matrices = _inequalities(problem, p, [p @ k_i for k_i in k], gamma**2, lmi)
-    return max(largest_eigenvalue(-p), *(largest_eigenvalue(m) for m in matrices))
+    d, pt = problem.descriptor, p @ problem.t1
+    matrices = paper_inequalities(d, p, pt, p @ k, gamma**2, problem.q, problem.r, lmi)
+    return max(map(largest_eigenvalue, [-p, *matrices]))

@@ -34,29 +34,19 @@ class Requirement:
     source: str  # file name
 
 
+def shipped_requirements() -> list[str]:
+    """Names of the shipped requirements."""
+    return sorted(path.stem for path in SHIPPED.glob('*.yaml'))
+
+
 def load_requirement(name: str | Path) -> Requirement:
-    """Read a requirement file.
-
-    Parameters
-    ----------
-    name : str or pathlib.Path
-        Path, or the bare name of a shipped one (``paper``, ``paper_literal``, ``real_arm``).
-
-    Returns
-    -------
-    Requirement
-        Validated.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
-    """
+    """Requirement of a path, or of the bare name of a shipped one; ConfigError names a wrong
+    field."""
     path = Path(name)
     if path.suffix not in ('.yaml', '.yml'):
         path = SHIPPED / f'{name}.yaml'
         if not path.exists():
-            known = ', '.join(sorted(p.stem for p in SHIPPED.glob('*.yaml')))
+            known = ', '.join(shipped_requirements())
             raise ConfigError('requirement', f'{name!r} is not shipped; there are {known}')
     return parse_requirement(read_yaml(path), str(path))
 

@@ -10,8 +10,6 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.certificate.conditions import Check
-from lpv_core.certificate.lmi import largest_eigenvalue
 from lpv_core.control.computed_torque import serial_loop_latency
 from lpv_core.serial_arm.certificate.conditions import (
     error_bound,
@@ -42,7 +40,8 @@ from lpv_core.serial_arm.certificate.model_bounds import (
 )
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
-from lpv_design.solve import InfeasibleError, solve
+from lpv_core.support.inequalities import Check, largest_eigenvalue
+from lpv_design.solve import InfeasibleError, check_lines, solve
 
 _SLACKS = (1.005, 1.01, 1.02, 1.05)
 """A bound over the best one, tried in turn: inequalities at the optimum have no margin."""
@@ -121,7 +120,7 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
     for check in checks:
         if not check.holds:
             raise InfeasibleError(f'{check.name}: {check.margin:.3g} is not negative')
-    lines = [*_check_lines(checks), *region_lines(arm, gains), *_limit_lines(arm, gains, largest)]
+    lines = [*check_lines(checks), *region_lines(arm, gains), *_limit_lines(arm, gains, largest)]
     return LoopDesign(gains, checks, lines)
 
 
@@ -326,10 +325,6 @@ def _error_proof(numbers: LoopNumbers, decay: float) -> tuple[float, np.ndarray,
     if level.value is None:
         return None
     return float(level.value), np.array(p.value), np.array(multipliers.value)
-
-
-def _check_lines(checks: list[Check]) -> list[str]:
-    return [f'holds ({check.margin:.3g} < 0): {check.name}' for check in checks]
 
 
 def _limit_lines(arm: SerialArm, gains: LoopGains, largest: float) -> list[str]:

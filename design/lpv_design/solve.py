@@ -6,11 +6,18 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from lpv_core.support.inequalities import Check
+
 SOLVER = 'CLARABEL'
 
 
 class InfeasibleError(RuntimeError):
     """No gains satisfy the inequalities, as rebuilt in NumPy."""
+
+
+def check_lines(checks: list[Check]) -> list[str]:
+    """What the designer reads of checks that hold."""
+    return [f'holds ({check.margin:.3g} < 0): {check.name}' for check in checks]
 
 
 def solve(objective: Any, constraints: list[Any]) -> str:

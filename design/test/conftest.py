@@ -7,18 +7,24 @@ from lpv_design.requirement import load_requirement
 
 
 @pytest.fixture(scope='session')
-def paper_gains(paper_arm):
+def paper_gains(paper_model):
     """Gains of the shipped requirement ``paper``."""
-    return design(paper_arm, load_requirement('paper')).gains
+    return design(paper_model, load_requirement('paper')).gains
 
 
 @pytest.fixture(scope='session')
-def real_gains(real_arm):
-    """Gains of the shipped requirement ``real_arm``."""
-    return design(real_arm, load_requirement('real_arm')).gains
+def real_gains(real_model):
+    """Gains of the shipped requirement ``real_model``."""
+    return design(real_model, load_requirement('real_arm')).gains
 
 
 @pytest.fixture(scope='session')
 def gains_of(paper_gains, real_gains):
     """Gains by the arm's name."""
     return {'paper': paper_gains, 'real_arm': real_gains}
+
+
+@pytest.fixture(params=['paper_model', 'real_model'])
+def arm(request):
+    """Both shipped planar arms in turn, as designs take them."""
+    return request.getfixturevalue(request.param)

@@ -6,7 +6,7 @@ import pytest
 from places import BRINGUP
 
 from lpv_cli.main import main
-from lpv_core.serial_arm.arm_file import load_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.certificate.conditions import require_loop
 from lpv_core.serial_arm.description import Uncertainty
 from lpv_core.support.errors import ConfigError
@@ -17,7 +17,7 @@ from lpv_design.solve import InfeasibleError
 @pytest.fixture(scope='module')
 def arm():
     """The first three joints of the UR10, which carry a load at the elbow's end."""
-    whole = load_serial_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    whole = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
     return replace(whole, name='short', joints=whole.joints[:3], tip=(-0.57, 0.0, 0.0))
 
 

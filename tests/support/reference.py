@@ -1,7 +1,7 @@
 """The reference bag: what the diagnosis answers to one recording, so that changes are noticed.
 
 ``make reference`` replays the bag and stores the present answers; do so only where they were meant
-to change, and say why in the commit.  ``python tests/reference.py --measurements`` makes the
+to change, and say why in the commit.  ``reference.py --measurements`` makes the
 recording itself anew, too.
 """
 
@@ -21,14 +21,15 @@ from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import stamp_of
 from lpv_cli.commands.compare import show
-from lpv_core.certificate.gains import load_gains, save_gains
 from lpv_core.control.tracking import TrackingController
-from lpv_core.model.arm import load_arm
-from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.gains import load_gains, save_gains
+from lpv_core.uio.planar import planar_model
 from lpv_report.comparison import Tolerances, compare_runs, load_pair
 
 BAG = DATA / 'reference'
@@ -48,7 +49,7 @@ _STREAMS = ('joint_states', 'ground_truth')
 def monitor(**options):
     """The monitor whose answers are the reference."""
     arm = load_arm(bringup_file('arms', 'paper'))
-    return SensorMonitor('', arm, load_gains(BAG / 'gains.yaml'), **options)
+    return SerialSensorMonitor('', arm, gains=load_gains(BAG / 'gains.yaml'), **options)
 
 
 def compare(replayed):
@@ -162,7 +163,8 @@ def main():
 
         BAG.mkdir(parents=True, exist_ok=True)
         arm = load_arm(bringup_file('arms', 'paper'))
-        save_gains(design(arm, load_requirement('paper')).gains, BAG / 'gains.yaml')
+        gains = design(planar_model(arm), load_requirement('paper')).gains
+        save_gains(gains, BAG / 'gains.yaml')
     before = renew(arguments.measurements)
     if before is not None:
         from rich.console import Console

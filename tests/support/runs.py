@@ -8,7 +8,7 @@ import numpy as np
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.control.tracking import TrackingController
-from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.support.timestamps import NANOSECONDS
 
@@ -60,7 +60,8 @@ class Recorder:
 def record(path, arm, gains, scenario, streams=ALL):
     """Bag of a simulated closed loop."""
     plant, controller = ArmSimulator(arm, scenario), TrackingController(arm, gains)
-    monitor, course = SensorMonitor('/lpv/uio', arm, gains), scenario.path(arm)
+    monitor = SerialSensorMonitor('/lpv/uio', arm, gains=gains)
+    course = scenario.path(arm)
     with Recorder(path, streams) as bag:
         for k in range(int(round(scenario.duration / arm.sample_time)) + 1):
             stamp = round(plant.time * NANOSECONDS)

@@ -4,7 +4,7 @@ import numpy as np
 
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
-from lpv_core.serial_arm.arm_file import save_serial_arm
+from lpv_core.serial_arm.arm_file import save_arm
 from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.description import (
     JointLimits,
@@ -39,7 +39,7 @@ def crane():
 
 def crane_file(folder):
     """Its arm file."""
-    save_serial_arm(crane(), folder / 'crane.yaml')
+    save_arm(crane(), folder / 'crane.yaml')
     return folder / 'crane.yaml'
 
 

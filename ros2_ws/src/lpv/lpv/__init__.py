@@ -12,18 +12,19 @@ from lpv.files import load_arm, load_gains, load_scenario, save_gains
 from lpv.monitor import Diagnosis, Monitor, Update, diagnose
 from lpv.recordings import Sample, read_bag
 from lpv.simulation import simulate
-from lpv_core.certificate.gains import Gains
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent, DiagnosisParameters
-from lpv_core.model.arm import ArmParameters
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv_core.simulation.closed_loop import Run
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.errors import ConfigError, LpvError, SampleError
+from lpv_core.uio.certificate.gains import Gains
 
 __all__ = [
     'Alarm',
     'AlarmEvent',
-    'ArmParameters',
+    'SerialArm',
     'ConfigError',
     'Diagnosis',
     'DiagnosisParameters',

@@ -2,17 +2,18 @@
 
 from pathlib import Path
 
-from lpv_core.certificate.gains import Gains
-from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.planar import planar_model
 
 
-def design(arm: ArmParameters, requirement: str | Path | None = None) -> Gains:
+def design(arm: SerialArm, requirement: str | Path | None = None) -> Gains:
     """Design observer and controller of an arm.
 
     Parameters
     ----------
-    arm : ArmParameters
-        The arm.
+    arm : SerialArm
+        A planar arm with an ``lpv`` region.
     requirement : str or pathlib.Path, optional
         Requirement file, see docs/arm-file.md, or name of a shipped one; by default the shipped
         one of the arm's name.
@@ -35,4 +36,4 @@ def design(arm: ArmParameters, requirement: str | Path | None = None) -> Gains:
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
-    return design(arm, load_requirement(requirement or arm.name)).gains
+    return design(planar_model(arm), load_requirement(requirement or arm.name)).gains

@@ -2,15 +2,16 @@
 
 from pathlib import Path
 
-import lpv_core.certificate.gains
+import lpv_core.serial_arm.arm_file
 import lpv_core.simulation.scenario
-from lpv_core.certificate.gains import Gains
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+import lpv_core.uio.certificate.gains
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import Scenario
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.gains import Gains
 
 
-def load_arm(name: str | Path) -> Arm:
+def load_arm(name: str | Path) -> SerialArm:
     """Read an arm file.
 
     Parameters
@@ -20,15 +21,15 @@ def load_arm(name: str | Path) -> Arm:
 
     Returns
     -------
-    ArmParameters or SerialArm
-        Of two links in a vertical plane or of n joints, validated, in SI units.
+    SerialArm
+        Validated, in SI units.
 
     Raises
     ------
     ConfigError
         Naming the field that is wrong, or the arms that are shipped.
     """
-    return load_any_arm(bringup_file('arms', str(name)))
+    return lpv_core.serial_arm.arm_file.load_arm(bringup_file('arms', str(name)))
 
 
 def load_gains(name: str | Path) -> Gains:
@@ -50,7 +51,7 @@ def load_gains(name: str | Path) -> Gains:
     ConfigError
         Naming the field that is wrong.
     """
-    return lpv_core.certificate.gains.load_gains(bringup_file('gains', str(name)))
+    return lpv_core.uio.certificate.gains.load_gains(bringup_file('gains', str(name)))
 
 
 def save_gains(gains: Gains, path: str | Path, comment: str = 'Designed in Python.') -> None:
@@ -65,7 +66,7 @@ def save_gains(gains: Gains, path: str | Path, comment: str = 'Designed in Pytho
     comment : str, optional
         First lines of the file.
     """
-    lpv_core.certificate.gains.save_gains(gains, path, comment)
+    lpv_core.uio.certificate.gains.save_gains(gains, path, comment)
 
 
 def load_scenario(name: str | Path) -> Scenario:

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 
 from lpv.recordings import recorded
-from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import Gains
-from lpv_core.decision.diagnosis import Alarm, DiagnosisParameters, SensorState
-from lpv_core.monitoring.factory import Monitor as ArmMonitor
-from lpv_core.monitoring.factory import make_monitor
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, SensorState
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.planar import planar_model
 
 _NAME = '/uio'
 
@@ -50,10 +50,10 @@ class Monitor:
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm.
     gains : Gains, optional
-        Its gains; a serial arm has none.
+        Of an arm with designed gains.
     parameters : DiagnosisParameters, optional
         Tuning of the diagnosis.
 
@@ -70,7 +70,10 @@ class Monitor:
     """
 
     def __init__(
-        self, arm: Arm, gains: Gains | None = None, parameters: DiagnosisParameters | None = None
+        self,
+        arm: SerialArm,
+        gains: Gains | None = None,
+        parameters: DiagnosisParameters | None = None,
     ) -> None:
         self._names = arm.joint_names
         self._monitor = _verified_monitor(arm, gains, parameters)
@@ -126,25 +129,28 @@ class Monitor:
 
 
 def _verified_monitor(
-    arm: Arm, gains: Gains | None, parameters: DiagnosisParameters | None
-) -> ArmMonitor:
+    arm: SerialArm, gains: Gains | None, parameters: DiagnosisParameters | None
+) -> SerialSensorMonitor:
     """A monitor whose gains, if there are any, have a certificate that holds."""
-    if gains is not None and not isinstance(arm, SerialArm):
-        require(arm, gains, 'gains')
-    return make_monitor(_NAME, arm, gains, parameters)
+    if gains is not None:
+        require(planar_model(arm), gains, 'gains')
+    return SerialSensorMonitor(_NAME, arm, parameters, gains)
 
 
 def diagnose(
-    arm: Arm, gains: Gains | None, bag: str | Path, parameters: DiagnosisParameters | None = None
+    arm: SerialArm,
+    gains: Gains | None,
+    bag: str | Path,
+    parameters: DiagnosisParameters | None = None,
 ) -> Diagnosis:
     """Diagnose a whole recording at once.
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm.
     gains : Gains or None
-        Its gains; None for a serial arm.
+        Of an arm with designed gains, or None.
     bag : str or pathlib.Path
         As in `lpv.read_bag`.
     parameters : DiagnosisParameters, optional

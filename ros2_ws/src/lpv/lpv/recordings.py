@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lpv_bag.run.record import load_run
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import LpvError
 
 
@@ -21,14 +21,14 @@ class Sample:
     effort: np.ndarray  # (joints,) [N m]; NaN where there is none
 
 
-def read_bag(path: str | Path, arm: Arm | None = None) -> Iterator[Sample]:
+def read_bag(path: str | Path, arm: SerialArm | None = None) -> Iterator[Sample]:
     """Measurements of a bag, in the order of their stamps.
 
     Parameters
     ----------
     path : str or pathlib.Path
         rosbag2 folder, or one MCAP or sqlite3 file, with sensor_msgs/JointState.
-    arm : ArmParameters or SerialArm, optional
+    arm : SerialArm, optional
         Its joints are read, in its order; otherwise those of the first message.
 
     Yields
@@ -46,7 +46,7 @@ def read_bag(path: str | Path, arm: Arm | None = None) -> Iterator[Sample]:
         yield Sample(stamp, position[row], velocity[row], effort[row])
 
 
-def recorded(path: str | Path, arm: Arm | None = None) -> tuple[np.ndarray, ...]:
+def recorded(path: str | Path, arm: SerialArm | None = None) -> tuple[np.ndarray, ...]:
     """Stamps [ns], positions [rad], rates [rad/s] and efforts [N m] of a bag as arrays."""
     record = load_run(path, joint_names=None if arm is None else arm.joint_names)
     if 'joint_states' not in record.streams:

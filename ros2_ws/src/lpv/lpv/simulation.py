@@ -5,18 +5,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from lpv.files import load_scenario
-from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import Gains
-from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.model.arm import ArmParameters
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.closed_loop import Run, run_closed_loop
 from lpv_core.simulation.faults import Fault
 from lpv_core.simulation.scenario import Scenario
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.planar import planar_model
 
 
 def simulate(
-    arm: ArmParameters,
-    gains: Gains,
+    arm: SerialArm,
+    gains: Gains | None = None,
     scenario: Scenario | str | Path = 'two_faults',
     faults: Sequence[Fault] | None = None,
     compensation: str = 'confirmed',
@@ -26,10 +27,10 @@ def simulate(
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : SerialArm
         The arm as it is modelled.
-    gains : Gains
-        Its gains.
+    gains : Gains, optional
+        Of an arm with designed gains.
     scenario : Scenario or str or pathlib.Path, optional
         Path, plant, noise, disturbance and faults; a file, or the name of a shipped one.
     faults : sequence of Fault, optional
@@ -51,8 +52,9 @@ def simulate(
         If gains and arm do not belong together, the certificate of the gains does not hold, or
         the scenario is wrong.
     """
-    require(arm, gains, 'gains')
-    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    if gains is not None:
+        require(planar_model(arm), gains, 'gains')
+    chosen = load_scenario(scenario) if isinstance(scenario, (str, Path)) else scenario
     if faults is not None:
         chosen = replace(chosen, faults=tuple(faults))
-    return run_closed_loop(arm, gains, chosen, compensation, parameters)
+    return run_closed_loop(arm, chosen, gains, compensation, parameters=parameters)

@@ -24,10 +24,11 @@ from lpv_core.control.watchdog import (
     LatencyLimits,
     latency_limits,
 )
-from lpv_core.model.arm import ArmParameters
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_core.uio.planar import planar_model
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
@@ -115,18 +116,18 @@ class SimulatorNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and scenario, create publishers and services."""
-        self._arm = load_any_arm(named_file(self, 'arm_file', 'arms'))
-        scenario = load_any_scenario(named_file(self, 'scenario_file', 'scenarios'), self._arm)
+        self._arm = load_arm(named_file(self, 'arm_file', 'arms'))
+        scenario = load_scenario(named_file(self, 'scenario_file', 'scenarios'))
         seed = self.get_parameter('seed').value
         if seed >= 0:
             scenario = replace(scenario, seed=seed)
         self._scenario = scenario
         substeps = self.get_parameter('substeps').value
-        self._plant = new_simulator(self._arm, scenario, substeps)
+        self._plant = ArmSimulator(self._arm, scenario, substeps)
         limits = DriveLimits(self._latency_limits())
         self._watchdog = DriveWatchdog(self._arm, limits)
         # Compile before the first step, not on it.
-        trial = new_simulator(self._arm, scenario, substeps)
+        trial = ArmSimulator(self._arm, scenario, substeps)
         trial.read()
         trial.step([0.0] * len(self._arm.joint_names))
         trial.hold()
@@ -166,12 +167,13 @@ class SimulatorNode(ManagedNode):
 
     def _latency_limits(self) -> LatencyLimits:
         """As the gains of the loop allow, if they are known, or as parameters say."""
-        certified = UNKNOWN_LOOP
-        if not isinstance(self._arm, ArmParameters):
+        if gains := read_gains_if_set(self, self._arm, self._unset_gains):
+            certified = latency_limits(tolerated_latency(planar_model(self._arm), gains))
+        elif self._arm.lpv is not None:
+            certified = UNKNOWN_LOOP
+        else:
             bandwidth = self.get_parameter('bandwidth').value
             certified = latency_limits(serial_loop_latency(bandwidth, self._arm.sample_time))
-        elif gains := read_gains_if_set(self, self._arm, self._unset_gains):
-            certified = latency_limits(tolerated_latency(self._arm, gains))
         return LatencyLimits(
             chosen_limit(self, 'command_timeout', certified.single),
             chosen_limit(self, 'max_mean_latency', certified.mean),

@@ -2,7 +2,7 @@
 
 from rclpy.node import Node
 
-from lpv_core.simulation.any_scenario import AnySimulator
+from lpv_core.simulation.arm_simulator import ArmSimulator
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.errors import LpvError
 from lpv_msgs.srv import ClearFaults, InjectFault
@@ -11,7 +11,7 @@ from lpv_msgs.srv import ClearFaults, InjectFault
 class FaultServices:
     """``~/inject_fault`` and ``~/clear_faults``."""
 
-    def __init__(self, node: Node, plant: AnySimulator) -> None:
+    def __init__(self, node: Node, plant: ArmSimulator) -> None:
         self._node, self._plant = node, plant
         node.create_service(InjectFault, '~/inject_fault', self.inject)
         node.create_service(ClearFaults, '~/clear_faults', self.clear)

@@ -14,8 +14,8 @@ from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.recovery import recover
 from lpv_bag.run.csv_import import import_csv, load_column_map
 from lpv_bag.run.record import load_run
-from lpv_core.certificate.gains import load_gains
-from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.uio.certificate.gains import load_gains
 
 pytestmark = [pytest.mark.fuzz, pytest.mark.slow]
 _CASES = 80
@@ -125,7 +125,7 @@ def test_given_mutated_measurements_when_replayed_then_answers_or_bag_errors_com
 
     def replay():
         shutil.rmtree(tmp_path / 'out', ignore_errors=True)
-        Replay(SensorMonitor('', real_arm, gains)).run(bag, tmp_path / 'out')
+        Replay(SerialSensorMonitor('', real_arm, gains=gains)).run(bag, tmp_path / 'out')
         record = load_run(tmp_path / 'out', joint_names=real_arm.joint_names)
         return {name: record.streams.get(name) for name in ('state_estimate', 'fault_estimate')}
 

@@ -5,7 +5,7 @@ import pytest
 from lpv_bag.replay.injected_faults import judge, true_size
 from lpv_bag.replay.session import ReplayResult
 from lpv_bag.run.streams import RecordedAlarm
-from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv_core.simulation.faults import Fault
 
 SENSORS = ('a', 'b')

@@ -17,7 +17,7 @@ from lpv_bag.rosbag.recovery import recover
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import load_run
 from lpv_cli.main import main
-from lpv_core.certificate.gains import save_gains
+from lpv_core.uio.certificate.gains import save_gains
 
 pytestmark = [pytest.mark.filterwarnings('error'), pytest.mark.slow]
 

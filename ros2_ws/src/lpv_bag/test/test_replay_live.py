@@ -23,14 +23,14 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_bag.replay.replay import Replay  # noqa: E402
 from lpv_bag.rosbag.interfaces import make_typestore  # noqa: E402
-from lpv_bag.rosbag.offered_qos import qos_profile
+from lpv_bag.rosbag.metadata import qos_profile
 from lpv_bag.rosbag.writing import BagWriter  # noqa: E402
-from lpv_core.certificate.gains import save_gains  # noqa: E402
 from lpv_core.control.tracking import TrackingController  # noqa: E402
-from lpv_core.monitoring.monitor import SensorMonitor  # noqa: E402
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
 from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
 from lpv_core.simulation.faults import Fault  # noqa: E402
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
@@ -151,7 +151,9 @@ def assert_same_answers(bag, arm, gains, tmp_path, sent=None):
     lost, missing = set(), None
     while missing is None or missing:
         source = without(sent, tmp_path / f'received{len(lost)}', lost)
-        Replay(SensorMonitor('', arm, gains)).run(source, tmp_path / f'replayed{len(lost)}')
+        Replay(SerialSensorMonitor('', arm, gains=gains)).run(
+            source, tmp_path / f'replayed{len(lost)}'
+        )
         replayed = stamped(tmp_path / f'replayed{len(lost)}')
         missing = {stamp for stamp, _ in replayed['/lpv/state_estimate']} - answered
         lost |= missing

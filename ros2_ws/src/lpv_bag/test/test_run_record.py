@@ -1,4 +1,4 @@
-"""Recorded runs as arrays: alignment by stamps, names, alarms; and the order of a recording."""
+"""Recorded runs as arrays: alignment by stamps, names, alarms."""
 
 import math
 import re
@@ -6,18 +6,14 @@ import shutil
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from lpv_bag.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_bag.rosbag.interfaces import message_text
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run import decoder
 from lpv_bag.run.record import ALARM_TYPE, STREAMS, BagError, load_run
-from lpv_core.decision.diagnosis import AlarmEvent
-from lpv_core.observer.sampled_observer import Mode
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent, Mode
 
 EPOCH = 1_700_000_000_123_456_789
 MS = 1_000_000
@@ -383,61 +379,6 @@ def test_given_two_arms_when_loaded_then_a_namespace_tells_them_apart(recorder):
         assert record.get('fault_estimate', 'estimate')[:, 0].tolist() == [i] * 3
     with pytest.raises(BagError, match='namespace /c'):
         load_run(recorder.path, namespace='/c')
-
-
-# ------------------------------------------------------------------ order of a recording
-
-
-STAMPS = st.integers(0, 6) | st.integers(0, 5 * WINDOW)
-ENTRIES = st.lists(
-    st.tuples(STAMPS, st.sampled_from(['/a', '/b', '/c']), st.integers(0, WINDOW)),
-    max_size=30,
-    unique_by=lambda entry: entry[:2],
-)
-
-
-def in_order(entries):
-    """What comes out for entries of stamp, topic and data in order of arrival."""
-    released = []
-    order = StampSorter(lambda *entry: released.append(entry))
-    for stamp, topic, data in entries:
-        order.add(topic, stamp, data)
-    order.flush()
-    return released
-
-
-@given(ENTRIES)
-def test_given_delays_within_the_window_when_ordered_then_the_output_does_not_depend_on_them(
-    entries,
-):
-    arrivals = sorted(entries, key=lambda entry: entry[0] + entry[2])
-    found = in_order([(stamp, topic, (stamp, topic)) for stamp, topic, _ in arrivals])
-    assert found == [
-        (topic, stamp, (stamp, topic))
-        for stamp, topic, _ in sorted(entries, key=lambda entry: entry[:2])
-    ]
-
-
-@given(st.lists(st.tuples(STAMPS, st.sampled_from(['/a', '/b'])), max_size=40))
-def test_given_any_arrivals_when_ordered_then_nothing_is_lost_and_equal_ones_keep_their_order(
-    arrivals,
-):
-    entries = [(stamp, topic, k) for k, (stamp, topic) in enumerate(arrivals)]
-    found = in_order(entries)
-    assert sorted(k for _, _, k in found) == list(range(len(entries)))
-    for stamp, topic in set(arrivals):
-        numbers = [k for t, s, k in found if (t, s) == (topic, stamp)]
-        assert numbers == sorted(numbers)
-
-
-def test_given_a_long_run_when_ordered_then_messages_are_released_while_it_lasts():
-    released = []
-    order = StampSorter(lambda *entry: released.append(entry))
-    for k in range(6000):
-        order.add('/a', k * 2 * MS, k)
-    assert [k for _, _, k in released] == list(range(5749))  # older than the window of 0.5 s
-    order.flush()
-    assert [k for _, _, k in released] == list(range(6000))
 
 
 # ------------------------------------------------------------------ padding

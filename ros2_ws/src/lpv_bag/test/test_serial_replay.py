@@ -9,7 +9,7 @@ from lpv_bag.replay.replay import Replay
 from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.run.record import load_run
 from lpv_cli.main import main
-from lpv_core.monitoring.factory import make_monitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.simulation.faults import Fault, FaultInjector
 
 STEP = Fault('encoder2', 'bias', 0.6, size=0.05)
@@ -22,7 +22,7 @@ def bag(tmp_path_factory):
 
 def replay(bag, out, faults=(), **options):
     injector = FaultInjector(crane().sensor_names, faults, np.random.default_rng(0))
-    return Replay(make_monitor('/uio', crane()), injector=injector, **options).run(bag, out)
+    return Replay(SerialSensorMonitor('/uio', crane()), injector=injector, **options).run(bag, out)
 
 
 def contents(path):
@@ -69,6 +69,6 @@ def test_given_gains_for_a_serial_arm_when_replayed_then_they_are_refused(bag, t
     arguments = ['replay', str(bag), '--arm', arm, '--out', str(tmp_path / 'out')]
     assert main([*arguments, '--gains', 'paper.yaml']) == 2
     assert main([*arguments, '--requirement', 'paper']) == 2
-    assert 'leave the gains file out' in capsys.readouterr().err
+    assert 'lpv: is missing: gains are designed for its region' in capsys.readouterr().err
     assert main(arguments) == 0
     assert not (tmp_path / 'out' / 'gains.yaml').exists()

@@ -1,4 +1,4 @@
-"""Campaigns: files, plans, runs, results on disk, going on after a crash; arms of either kind."""
+"""Campaigns: files, plans, runs, results on disk, going on after a crash."""
 
 import os
 import signal
@@ -15,18 +15,19 @@ import yaml
 
 from lpv_campaign.execution.execute import ResultsFolder, chunks_of
 from lpv_campaign.execution.runs import plan_run, run_one
-from lpv_campaign.plan.arms import random_joint_path, random_path
 from lpv_campaign.plan.campaign import Campaign, resolve
+from lpv_campaign.plan.random_paths import random_joint_path, random_planar_path
 from lpv_campaign.plan.spec import Plan, load_spec, parse_spec
 from lpv_cli.main import main
-from lpv_core.certificate.gains import save_gains
-from lpv_core.control.path import CartesianPath
+from lpv_core.control.path import CartesianPath, PlanarWaypoints
 from lpv_core.control.serial_path import SerialPath
-from lpv_core.model.joints import JointMap
-from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file, shipped_files
+from lpv_core.uio.certificate.gains import save_gains
+from lpv_core.uio.model.joints import JointMap
+from lpv_core.uio.planar import planar_model
 
 pytestmark = pytest.mark.slow
 
@@ -134,8 +135,7 @@ def test_given_a_wrong_field_when_parsed_then_the_error_names_it(field, change):
     [
         ('factors.fault.sensor', {'factors': {'fault.sensor': 'elbow'}}),
         ('factors.design', {'factors': {'design': 'other'}}),
-        ('kind', {'scenario': 'ur10'}),
-        ('factors.parameter_error', {'factors': {'parameter_error': 0.05}}),
+        ('path.waypoints[0].joints', {'scenario': 'ur10', 'factors': {}}),
         ('requirement', {'designs': ['nowhere']}),
         ('arm', {'arm': 'nowhere'}),
         ('scenario', {'scenario': 'nowhere'}),
@@ -190,8 +190,8 @@ UR10 = {
     'field, change',
     [
         ('designs', {'designs': ['paper']}),
-        ('kind', {'scenario': 'two_faults'}),
-        ('factors.mass_1', {'factors': {'mass_1': 1.0}}),
+        ('lpv', {'scenario': 'two_faults', 'factors': {}}),
+        ('factors.disturbance', {'factors': {'disturbance': 1.0}}),
         ('factors.plant', {'factors': {'plant': 'lpv'}}),
         ('factors.fault.sensor', {'factors': {'fault.sensor': 'link1_angle'}}),
     ],
@@ -249,19 +249,21 @@ def test_given_a_random_plan_when_it_is_made_longer_then_the_first_runs_stay_the
 
 
 def test_given_random_paths_when_made_then_they_keep_inside_the_certified_region(arm):
+    planar = planar_model(arm)
     for seed in range(5):
-        times, points = random_path(arm, np.random.default_rng(seed), 10.0)
-        path = CartesianPath(arm, times, points).sample(np.linspace(0.0, 10.0, 2000))
-        cosine = arm.sign * np.cos(JointMap(arm).absolute_position(path.position))
-        assert cosine.min() > max(arm.cos_min)
+        times, points = random_planar_path(arm, np.random.default_rng(seed), 10.0)
+        path = CartesianPath(arm, times, PlanarWaypoints(points))
+        path = path.sample(np.linspace(0.0, 10.0, 2000))
+        cosine = planar.sign * np.cos(JointMap(planar).absolute_position(path.position))
+        assert cosine.min() > max(planar.cos_min)
         assert np.abs(path.velocity).max() < 2.1
     with pytest.raises(ConfigError, match='more than 1 s'):
-        random_path(arm, np.random.default_rng(1), 0.5)
+        random_planar_path(arm, np.random.default_rng(1), 0.5)
 
 
 @pytest.mark.parametrize('name', ['ur10', 'panda'])
 def test_given_random_joint_paths_when_made_then_the_arm_can_follow_them(name):
-    arm = load_any_arm(bringup_file('arms', name))
+    arm = load_arm(bringup_file('arms', name))
     for seed in range(3):
         times, points = random_joint_path(arm, np.random.default_rng(seed), 10.0)
         path = SerialPath(arm, times, points).sample(np.linspace(0.0, 10.0, 501))
@@ -287,7 +289,7 @@ def test_given_factors_when_a_run_is_planned_then_each_arrives_where_it_acts():
         'sample_loss': 0.1,
         'compensation': 'always',
         'plant': 'nonlinear_without_coriolis',
-        'diagnosis.dwell': 0.05,
+        'diagnosis.clear_dwell': 0.05,
         'fault.kind': 'drift',
         'fault.sensor': 'both',
         'fault.rate': 0.2,
@@ -304,12 +306,12 @@ def test_given_factors_when_a_run_is_planned_then_each_arrives_where_it_acts():
     assert (scenario.payload, scenario.friction_factor) == (0.4, 0.5)
     assert (scenario.noise_factor, scenario.disturbance_factor) == (3.0, 0.0)
     assert scenario.plant == 'nonlinear_without_coriolis'
-    assert plan.arm.sample_time == 0.004 and plan.parameters.dwell == 0.05
+    assert plan.arm.sample_time == 0.004 and plan.parameters.clear_dwell == 0.05
     assert (plan.delay, plan.loss, plan.compensation) == (2, 0.1, 'always')
     assert [(f.sensor, f.kind, f.rate, f.onset, f.duration) for f in scenario.faults] == [
         (name, 'drift', -0.2, 1.0, 0.5) for name in plan.arm.sensor_names
     ]
-    plan.gains.check_arm(plan.arm)
+    plan.gains.check_arm(planar_model(plan.arm))
     assert len(plan.simulate().time) == 751
 
 
@@ -329,7 +331,7 @@ def test_given_no_factors_when_run_then_it_is_the_shipped_scenario_with_another_
     plan = plan_run(campaign, 0)
     assert plan.scenario.faults == two_faults.faults
     scenario = replace(two_faults, seed=plan.scenario.seed, duration=7.0)
-    run, other = plan.simulate(), run_closed_loop(paper_arm, plan.gains, scenario)
+    run, other = plan.simulate(), run_closed_loop(paper_arm, scenario, plan.gains)
     np.testing.assert_array_equal(run.position, other.position)
     np.testing.assert_array_equal(run.fault_estimate, other.fault_estimate)
 

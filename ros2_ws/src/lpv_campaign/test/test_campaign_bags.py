@@ -18,11 +18,11 @@ from lpv_campaign.execution.run_to_bag import (
 from lpv_campaign.execution.runs import plan_run
 from lpv_campaign.plan.campaign import resolve
 from lpv_cli.main import main
-from lpv_core.certificate.gains import load_gains, save_gains
-from lpv_core.model.arm import load_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import LpvError
+from lpv_core.uio.certificate.gains import load_gains, save_gains
 
 pytestmark = pytest.mark.slow
 
@@ -43,7 +43,7 @@ factors:
   mass_2: {low: 0.97, high: 1.03}
   command_delay: 2
   sample_loss: 0.05
-  diagnosis.dwell: 0.02
+  diagnosis.clear_dwell: 0.2
 """
 
 

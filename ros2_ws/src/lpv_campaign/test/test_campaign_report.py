@@ -12,15 +12,7 @@ from scipy.stats import chi2
 
 from lpv_campaign.plan.campaign import resolve
 from lpv_campaign.report import write_report
-from lpv_campaign.report.statistics import (
-    Results,
-    found_from,
-    poisson_rate,
-    proportion,
-    roc,
-    spread,
-    trends,
-)
+from lpv_campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
 from lpv_campaign.report.write import command, confusion, report_numbers, suspicion
 from lpv_cli.main import main
 from lpv_core.support.resources import shipped_files
@@ -87,19 +79,6 @@ def table(rows):
 
 def numbers_of(campaign, rows, tmp_path):
     return report_numbers(campaign, table(rows), tmp_path, campaign.spec.runs)
-
-
-@pytest.mark.parametrize(('hits', 'cases'), [(0, 30), (1, 1), (30, 30), (7, 19), (999, 10000)])
-def test_given_counts_when_their_rate_is_bounded_then_it_is_wilsons_interval(hits, cases):
-    """Both ends solve (rate - p)^2 = z^2 p (1 - p) / n."""
-    found = proportion(hits, cases)
-    for end in (found['low'], found['high']):
-        distance = (found['rate'] - end) ** 2
-        assert distance == pytest.approx(
-            1.959964**2 * end * (1.0 - end) / cases, rel=1e-5, abs=1e-12
-        )
-    assert found['low'] <= found['rate'] <= found['high']
-    assert proportion(0, 0)['rate'] is None
 
 
 @pytest.mark.parametrize(('events', 'hours'), [(0, 2.0), (3, 1.0), (100, 7.0)])

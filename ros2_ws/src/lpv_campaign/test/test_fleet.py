@@ -25,9 +25,9 @@ from lpv_campaign.execution.run_to_bag import stamps_of, write_run_bag
 from lpv_campaign.execution.runs import plan_run
 from lpv_campaign.plan.campaign import resolve
 from lpv_cli.main import main
-from lpv_core.certificate.gains import save_gains
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv_core.support.errors import ConfigError
+from lpv_core.uio.certificate.gains import save_gains
 
 pytestmark = pytest.mark.slow
 

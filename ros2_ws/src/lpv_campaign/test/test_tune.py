@@ -9,10 +9,10 @@ import yaml
 
 from lpv_cli.campaigns.tune import healthy
 from lpv_cli.main import main
-from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import load_gains
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import load_gains
 from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.slow
@@ -50,7 +50,7 @@ def command(file, trials, *more):
 
 
 def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_are_written(
-    file, paper_arm, capsys
+    file, paper_model, capsys
 ):
     out = file.parent / 'out'
     assert main(command(file, 2)) == 0
@@ -69,7 +69,7 @@ def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_
     better = result['interval'][1] < -0.02 * result['first'] and result['healthy_score'] <= 1.0
     assert (result['reason'] == '') == better == (out / 'gains.yaml').exists()
     if better:
-        require(paper_arm, load_gains(out / 'gains.yaml'), 'gains')
+        require(paper_model, load_gains(out / 'gains.yaml'), 'gains')
     for name in ('front', 'history', 'slices'):
         assert (out / f'{name}.png').stat().st_size > 1000
     # The same search in one go ends with the same trials.
@@ -100,7 +100,6 @@ def test_given_scores_and_alarms_when_a_trial_is_judged_then_only_parts_without_
         (['--search', 'observer.decay=1:0.1'], 'low < high'),
         (['--search', 'observer.speed=0.1:1'], 'is no number of'),
         (['--search', 'observer.decay=0.5:1'], 'must hold 0.25'),
-        (['--search', 'diagnosis.threshold_factor=0.5:2'], 'from 1 on'),
         (['--cost', 'missed'], 'COLUMN=WEIGHT'),
         (['--cost', 'missed=-1'], 'COLUMN=WEIGHT'),
         (['--cost', 'beauty=1'], "'beauty' is no number"),
@@ -116,7 +115,7 @@ def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, capsys
 
 def test_given_an_arm_without_design_or_no_study_when_tuned_then_it_is_refused(file, capsys):
     assert main(['tune', 'ur10', *SEARCH, '--out', str(file.parent / 'x')]) == 2
-    assert 'serial arm' in capsys.readouterr().err
+    assert 'has no lpv region: no design to tune' in capsys.readouterr().err
     (file.parent / 'out').mkdir()
     (file.parent / 'out' / 'study.db').write_text('no data base')
     assert main(command(file, 2)) == 2

@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser, required: bool = True) -> Non
     arm = parser.add_mutually_exclusive_group(required=True) if required else parser
     arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
     if required:
-        arm.add_argument('--arm', help='arm file, of n joints or of two links')
+        arm.add_argument('--arm', help='arm file')
     parser.add_argument(
         '--joints',
         nargs='+',
@@ -43,9 +43,10 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
     from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 
     if not arguments.urdf:
-        from lpv_identify.results.starting_arm import load_any_arm
+        from lpv_core.serial_arm.arm_file import load_arm
+        from lpv_core.support.resources import bringup_file
 
-        return load_any_arm(arguments.arm)
+        return load_arm(bringup_file('arms', arguments.arm))
     root = _read(arguments.urdf)
     moving = {str(j.get('name')): j for j in root.findall('joint') if j.get('type') in _MOVING}
     locked = dict(_locked(text) for text in arguments.lock)
@@ -56,7 +57,7 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
             raise ConfigError('--tip', 'and --joints say the same: give one of them')
         joints = [name for name in _way_to(root, tip) if name in moving and name not in locked]
     kept = [name for name in moving if name not in locked and (not joints or name in joints)]
-    _refuse_others(kept, moving, arguments.urdf)
+    _refuse_others(root, kept, moving, arguments.urdf)
     return read_urdf_chain(arguments.urdf, locked, None if tip else joints or None, tip)
 
 
@@ -110,10 +111,16 @@ def _end(joint: ElementTree.Element, side: str) -> str:
 
 
 def _refuse_others(
-    kept: Sequence[str], moving: dict[str, ElementTree.Element], source: str
+    root: ElementTree.Element,
+    kept: Sequence[str],
+    moving: dict[str, ElementTree.Element],
+    source: str,
 ) -> None:
-    """ConfigError that says how to leave out joints that do not turn."""
-    others = [name for name in kept if moving[name].get('type') not in ('revolute', 'continuous')]
+    """ConfigError that says how to leave out joints that no arm has, and fingers that slide."""
+    ways = [_way_to(root, _end(moving[name], 'child')) for name in kept]
+    is_chain = any(set(kept) <= set(way) for way in ways)
+    usual = ('revolute', 'continuous', *(('prismatic',) if is_chain else ()))
+    others = [name for name in kept if moving[name].get('type') not in usual]
     if others:
         turning = ','.join(name for name in kept if name not in others)
         kinds = ', '.join(f'{name!r} is {moving[name].get("type")}' for name in others)

@@ -10,10 +10,9 @@ from places import BRINGUP, ROOT
 from lpv_cli.main import main
 from lpv_cli.needs import remedy
 from lpv_core.export.urdf import arm_urdf
-from lpv_core.model.arm import load_arm
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.simulation.any_scenario import load_any_scenario
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.simulation.scenario import load_scenario
+from lpv_core.uio.planar import planar_model, serial_from_planar
 from lpv_design.requirement import load_requirement
 
 
@@ -45,10 +44,11 @@ def test_given_the_files_as_written_when_designed_then_the_certificate_holds(tmp
 def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(tmp_path, urdf, paper_arm):
     assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 0
     arm = load_arm(tmp_path / 'new' / 'arm.yaml')
-    for found, wanted in zip(arm.links, paper_arm.links):
-        assert vars(found) == pytest.approx(vars(wanted))
+    found, wanted = planar_model(arm), planar_model(paper_arm)
+    for one, other in zip(found.links, wanted.links):
+        assert vars(one) == pytest.approx(vars(other))
     assert arm.joint_names == paper_arm.joint_names
-    assert arm.zero_angle == pytest.approx(paper_arm.zero_angle)
+    assert found.zero_angle == pytest.approx(wanted.zero_angle)
     assert arm.torque_limit == pytest.approx(paper_arm.torque_limit)
 
 
@@ -58,9 +58,9 @@ def test_given_the_urdf_of_a_serial_arm_when_initialised_then_arm_and_path_fit(
 ):
     urdf = BRINGUP / 'urdf' / f'{name}.urdf'
     assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf), '--name', 'bench']) == 0
-    arm = load_any_arm(tmp_path / 'new' / 'arm.yaml')
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
     assert arm.name == 'bench' and len(arm.joint_names) == joints
-    scenario = load_any_scenario(tmp_path / 'new' / 'scenario.yaml', arm)
+    scenario = load_scenario(tmp_path / 'new' / 'scenario.yaml')
     assert (
         np.ptp(scenario.path(arm).sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
     )
@@ -68,17 +68,18 @@ def test_given_the_urdf_of_a_serial_arm_when_initialised_then_arm_and_path_fit(
 
 
 @pytest.mark.parametrize('zero', [0.0, np.pi / 3, np.pi])
-def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(tmp_path, paper_arm, zero):
+def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(tmp_path, paper_model, zero):
     path = tmp_path / 'arm.urdf'
-    path.write_text(arm_urdf(replace(paper_arm, zero_angle=zero)))
+    path.write_text(arm_urdf(serial_from_planar(replace(paper_model, zero_angle=zero))))
     assert main(['init', str(tmp_path / 'new'), '--urdf', str(path)]) == 0
-    assert np.cos(load_arm(tmp_path / 'new' / 'arm.yaml').zero_angle - zero) == pytest.approx(1.0)
+    found = planar_model(load_arm(tmp_path / 'new' / 'arm.yaml')).zero_angle
+    assert np.cos(found - zero) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
     ('old', 'new', 'said'),
     [
-        ('xyz="0 -1 0"', 'xyz="0 0 0"', 'direction'),
+        ('xyz="0 -1.0 0"', 'xyz="0 0 0"', 'direction'),
         ('<mass value="10.0"', '<mass value="heavy"', 'mass'),
         ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', 'document type'),
         ('</robot>', '', 'no element found'),
@@ -96,13 +97,14 @@ def test_given_a_urdf_with_a_defect_when_initialised_then_it_is_named(
     assert not (tmp_path / 'new').exists()
 
 
-def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_is_a_serial_arm(
+def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_has_no_region(
     tmp_path, urdf
 ):
-    urdf.write_text(urdf.read_text().replace('xyz="0 -1 0"', 'xyz="0 0 1"'))
+    urdf.write_text(urdf.read_text().replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
     assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 0
-    arm = load_any_arm(tmp_path / 'new' / 'arm.yaml')
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
     assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2
+    assert arm.lpv is None
 
 
 def link(name):
@@ -152,7 +154,7 @@ def test_given_a_gripper_when_its_joints_are_held_then_the_arm_has_the_others_an
     tmp_path, gripper, options
 ):
     assert main(['init', str(tmp_path / 'new'), '--urdf', str(gripper), *options]) == 0
-    arm = load_any_arm(tmp_path / 'new' / 'arm.yaml')
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
     assert (arm.name, arm.joint_names) == ('my_arm', ('shoulder', 'elbow', 'wrist'))
     assert dict(arm.locked).keys() == {'left_finger', 'right_finger'}
     assert dict(arm.locked)['left_finger'] == (0.02 if '--lock' in options else 0.0)

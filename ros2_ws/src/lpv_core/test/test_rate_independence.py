@@ -9,9 +9,10 @@ import pytest
 from places import DATA
 from scipy.signal import butter, lfilter
 
-from lpv_core.model.arm import arm_from_json, parse_arm
-from lpv_core.residual.rate_independence import RATE_SOURCES, contradicts, rate_source
+from lpv_core.serial_arm.arm_file import parse_arm, to_mapping
+from lpv_core.serial_arm.rate_independence import RATE_SOURCES, contradicts, rate_source
 from lpv_core.support.errors import ConfigError
+from lpv_core.uio.model.arm import arm_from_json
 
 COUNT = 1000
 
@@ -125,24 +126,18 @@ def test_given_what_is_stated_when_something_else_is_found_then_it_contradicts(s
 # ------------------------------------------------------------------ the arm file
 
 
-def test_given_an_arm_with_other_rates_when_hashed_then_its_gains_still_fit(paper_arm):
-    derived = replace(paper_arm, rates='derived')
-    assert derived.sha256() == paper_arm.sha256()
+def test_given_an_arm_with_other_rates_when_hashed_then_its_gains_still_fit(paper_model):
+    derived = replace(paper_model, rates='derived')
+    assert derived.sha256() == paper_model.sha256()
     assert arm_from_json(derived.to_json()) == derived
 
 
-def test_given_an_arm_file_when_rates_are_stated_then_they_are_read_or_refused(arm_data):
-    assert parse_arm(arm_data).rates == 'independent'
-    arm_data['sensors']['rates'] = 'derived'
-    assert parse_arm(arm_data).rates == 'derived'
-    arm_data['sensors']['rates'] = 'guessed'
+def test_given_an_arm_file_when_rates_are_stated_then_they_are_read_or_refused(paper_arm):
+    data = to_mapping(paper_arm)
+    sensors = data['joints'][1]['sensors']
+    for stated in ('independent', 'derived', 'none'):
+        sensors['rates'] = stated
+        assert parse_arm(data).joints[1].sensors.rates == stated
+    sensors['rates'] = 'guessed'
     with pytest.raises(ConfigError, match='sensors.rates'):
-        parse_arm(arm_data)
-
-
-@pytest.fixture
-def arm_data():
-    from lpv_core.support.config import read_yaml
-    from lpv_core.support.resources import bringup_file
-
-    return read_yaml(bringup_file('arms', 'paper'))
+        parse_arm(data)

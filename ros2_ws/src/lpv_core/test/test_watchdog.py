@@ -20,9 +20,10 @@ from lpv_core.control.watchdog import (
     note_stop,
     tracker_watchdog,
 )
-from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.observer.sampled_observer import Mode
-from lpv_core.simulation.closed_loop import PARTS, Stall, Transport, run_closed_loop
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.diagnosis.alarms import Mode
+from lpv_core.simulation.closed_loop import run_closed_loop
+from lpv_core.simulation.transport import PARTS, Stall, Transport
 from lpv_core.support.errors import ConfigError
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
@@ -143,9 +144,9 @@ def test_given_commands_when_old_or_late_on_average_then_the_drives_brake(drives
 
 
 def test_given_the_shipped_arms_when_asked_then_drives_brake_before_the_loop_is_unstable(
-    paper_arm, paper_gains, real_arm, real_gains
+    paper_model, paper_gains, real_model, real_gains
 ):
-    for arm, gains in ((paper_arm, paper_gains), (real_arm, real_gains)):
+    for arm, gains in ((paper_model, paper_gains), (real_model, real_gains)):
         tolerated = tolerated_latency(arm, gains)
         assert DriveLimits().latency.mean < tolerated < 0.1
         assert latency_limits(tolerated).mean < tolerated
@@ -153,9 +154,9 @@ def test_given_the_shipped_arms_when_asked_then_drives_brake_before_the_loop_is_
 
 @pytest.mark.parametrize('rate', [50, 200, 2000])
 def test_given_any_sample_rate_when_limits_follow_from_the_gains_then_they_are_below_the_tolerated(
-    paper_arm, rate
+    paper_model, rate
 ):
-    arm = replace(paper_arm, sample_time=1.0 / rate)
+    arm = replace(paper_model, sample_time=1.0 / rate)
     gains = design(arm, load_requirement('paper')).gains
     limits = latency_limits(tolerated_latency(arm, gains))
     assert 0.5 / rate < limits.mean < tolerated_latency(arm, gains)
@@ -181,9 +182,9 @@ def test_given_a_tolerated_latency_when_simulated_then_the_arm_follows_and_beyon
     paper_arm, paper_gains, two_faults
 ):
     part = replace(two_faults, duration=3.0)
-    run = run_closed_loop(paper_arm, paper_gains, part, transport=Transport(delay=5))
+    run = run_closed_loop(paper_arm, part, paper_gains, transport=Transport(delay=5))
     assert np.abs(run.velocity).max() < 0.5 and not run.braked[10:].any()
-    late = run_closed_loop(paper_arm, paper_gains, part, transport=Transport(delay=20))
+    late = run_closed_loop(paper_arm, part, paper_gains, transport=Transport(delay=20))
     assert np.abs(late.velocity).max() < 1.0
     assert set(late.brake_reason[200:]) & {BrakeReason.LATENCY, BrakeReason.SAFE_STOP}
 
@@ -191,7 +192,8 @@ def test_given_a_tolerated_latency_when_simulated_then_the_arm_follows_and_beyon
 def test_given_a_path_that_is_too_fast_for_the_arm_when_asked_for_then_it_is_refused(
     paper_arm, two_faults
 ):
-    slow = replace(paper_arm, velocity_limit=(0.2, 0.2))
+    joints = tuple(replace(j, limits=replace(j.limits, velocity=0.2)) for j in paper_arm.joints)
+    slow = replace(paper_arm, joints=joints)
     with pytest.raises(ConfigError, match='needs 0.2.* rad/s of joint1, whose velocity_limit'):
         two_faults.path(slow)
 
@@ -211,7 +213,7 @@ def test_given_random_stalls_when_run_then_no_joint_is_ever_above_its_speed_limi
     rng = np.random.default_rng(seed)
     transport = Transport(int(rng.integers(0, 4)), stalls=random_stalls(rng, 10))
     run = run_closed_loop(
-        paper_arm, paper_gains, replace(two_faults, seed=seed), transport=transport
+        paper_arm, replace(two_faults, seed=seed), paper_gains, transport=transport
     )
     assert np.abs(run.velocity).max() < 2.0  # of 20 rad/s
     assert run.place[-1] > 1000, 'the arm goes on'
@@ -220,10 +222,10 @@ def test_given_random_stalls_when_run_then_no_joint_is_ever_above_its_speed_limi
 def test_given_measurements_that_cannot_be_used_when_they_last_then_the_estimate_is_not_trustworthy(
     paper_arm, paper_gains
 ):
-    monitor = SensorMonitor('test', paper_arm, paper_gains)
+    monitor = SerialSensorMonitor('test', paper_arm, gains=paper_gains)
     stamps = 1 + STEP * np.arange(60)
     velocity = np.zeros((60, 2))
-    velocity[10:] = 1300.0
+    velocity[10:] = 13000.0
     held = np.tile([0.1, 0.2], (60, 1))
     state = monitor.take_many(stamps, held, velocity, np.zeros((60, 2))).state
     assert state.trustworthy[:35].all() and not state.trustworthy[35:].any()

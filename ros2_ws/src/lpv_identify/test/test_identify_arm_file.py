@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lpv_core.serial_arm.arm_file import (
-    load_serial_arm,
-    parse_serial_arm,
-    save_serial_arm,
-    to_mapping,
-)
+from lpv_core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv_core.serial_arm.description import JointFriction, LinkInertia, rotation_from_rpy
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.errors import ConfigError
@@ -35,8 +30,8 @@ def urdf(tmp_path):
 
 
 def test_given_an_identified_arm_when_saved_and_loaded_then_it_is_the_same(result, tmp_path):
-    save_serial_arm(result.arm, tmp_path / 'arm.yaml')
-    loaded = load_serial_arm(tmp_path / 'arm.yaml')
+    save_arm(result.arm, tmp_path / 'arm.yaml')
+    loaded = load_arm(tmp_path / 'arm.yaml')
     assert loaded == result.arm
     assert loaded.sha256() == result.arm.sha256()
 
@@ -67,7 +62,7 @@ def test_given_a_bad_value_when_parsed_then_the_error_names_the_field(arm, path,
     if path[-1] == 'speed':
         place['torque'] = [1.0, 1.0]
     with pytest.raises(ConfigError) as caught:
-        parse_serial_arm(data)
+        parse_arm(data)
     assert caught.value.field == field
 
 
@@ -75,7 +70,7 @@ def test_given_a_joint_name_twice_when_parsed_then_it_is_refused(arm):
     data = to_mapping(arm)
     data['joints'][1]['name'] = data['joints'][0]['name']
     with pytest.raises(ConfigError, match='twice'):
-        parse_serial_arm(data)
+        parse_arm(data)
 
 
 def test_given_a_urdf_when_read_then_fixed_and_locked_links_are_merged(urdf):
@@ -87,9 +82,10 @@ def test_given_a_urdf_when_read_then_fixed_and_locked_links_are_merged(urdf):
     assert arm.locked == (('slide', 0.5),)
 
 
-def test_given_a_gripper_that_is_not_locked_when_read_then_the_error_says_what_to_do(urdf):
-    with pytest.raises(ConfigError, match="'slide' is prismatic, not revolute; lock it"):
-        read_urdf_chain(urdf)
+def test_given_a_slide_that_is_not_locked_when_read_then_it_is_a_joint_of_the_arm(urdf):
+    arm = read_urdf_chain(urdf)
+    assert [joint.type for joint in arm.joints] == ['revolute', 'prismatic']
+    assert arm.joints[1].axis == (1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +109,7 @@ def test_given_an_arm_file_with_a_urdf_only_when_loaded_then_joints_come_from_it
             {'kind': 'serial_arm', 'name': 'r', 'urdf': 'r.urdf', 'locked': {'slide': 0.0}}
         )
     )
-    assert load_serial_arm(tmp_path / 'arm.yaml').joint_names == ('turn',)
+    assert load_arm(tmp_path / 'arm.yaml').joint_names == ('turn',)
 
 
 def test_given_a_point_mass_when_its_pseudo_inertia_is_formed_then_it_is_physical(arm):

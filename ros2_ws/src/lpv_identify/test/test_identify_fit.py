@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv_core.serial_arm.description import JointFriction
+from lpv_core.serial_arm.description import JointFriction, JointLimits, LinkInertia, LpvRegion
 from lpv_identify.estimation.assembly import parameter_map
 from lpv_identify.estimation.gains import rescaled
 from lpv_identify.estimation.identification import Options, identify
 from lpv_identify.estimation.payload import Payload, identify_payload, with_payload
+from lpv_identify.estimation.torque_error import calibrate
 from lpv_identify.estimation.workshop import Workshop
-from lpv_identify.motions.simulation import SensorNoise, joint_torques, simulate
+from lpv_identify.model.rigid_body import joint_torques
+from lpv_identify.motions.excitation import plan_excitation
+from lpv_identify.motions.simulation import SensorNoise, simulate
 from lpv_identify.recordings.recording import Recording
 
 pytestmark = pytest.mark.slow
@@ -170,3 +173,33 @@ def test_given_two_recordings_when_identified_then_both_count(arm, recording):
     ]
     found = identify(arm, halves)
     assert len(found.predictions) == 2
+
+
+def test_given_a_prismatic_joint_when_identified_then_torques_and_forces_are_predicted(arm):
+    first, second, third = arm.joints
+    rail = replace(
+        first,
+        axis=(0.6, 0.0, 0.8),
+        friction=JointFriction(1.0, 20.0, 10.0, 100.0),
+        rotor_inertia=4.0,
+        limits=JointLimits(-0.8, 0.9, 1.5, 400.0),
+        type='prismatic',
+    )
+    arm = replace(arm, joints=(rail, second, third))
+    plan = plan_excitation(arm, 20.0, trials=10).trajectory
+    recording = simulate(arm, plan, 100.0, SensorNoise(), np.random.default_rng(1))
+    links = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
+    pairs = zip(arm.joints, links)
+    rough = replace(arm, joints=tuple(replace(joint, link=link) for joint, link in pairs))
+    found = identify(rough, [recording])
+    assert np.all(found.figures.rms < 0.025 * np.max(np.abs(recording.effort), axis=0))
+    assert found.arm.joints[0].is_prismatic
+    assert found.arm.joints[0].friction.coulomb == pytest.approx(10.0, rel=0.15)
+    assert found.mistakes == ()
+
+
+def test_given_an_arm_with_an_lpv_region_when_identified_then_the_region_is_kept(arm, motion):
+    region = LpvRegion('hanging', (0.3, 0.3))
+    recording = simulate(arm, motion, 60.0, SensorNoise(), np.random.default_rng(1))
+    assert calibrate(replace(arm, lpv=region), [recording]).arm.lpv == region
+    assert calibrate(arm, [recording]).arm.lpv is None

@@ -5,11 +5,11 @@ import pytest
 from places import RECORDINGS as DATA
 
 from lpv_bag.run.csv_import import load_column_map
+from lpv_core.serial_arm.arm_file import load_arm, save_arm
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.resources import bringup_file
 from lpv_identify.estimation.identification import identify
 from lpv_identify.recordings.recording import read_recording
-from lpv_identify.results.starting_arm import load_any_arm, save_like
 
 pytestmark = [
     pytest.mark.slow,
@@ -40,7 +40,7 @@ RUNS = ('run_143601.csv', 'run_144115.csv')
 def test_given_a_two_link_arm_when_identified_then_it_is_no_worse_than_published(
     train, test, tmp_path
 ):
-    arm = load_any_arm('real_arm')
+    arm = load_arm(bringup_file('arms', 'real_arm'))
     columns = load_column_map(bringup_file('columns', 'real_arm'))
     one, other = (
         read_recording(DATA / 'real_arm' / name, arm.joint_names, None, columns)
@@ -49,5 +49,5 @@ def test_given_a_two_link_arm_when_identified_then_it_is_no_worse_than_published
     result = identify(arm, [one], tests=[other])
     assert np.all(result.figures.rms <= 1.01 * result.prior_figures.rms)
     assert {joint.sensors.rates for joint in result.arm.joints} == {'derived'}
-    save_like('real_arm', result.arm, tmp_path / 'arm.yaml')
-    assert load_any_arm(str(tmp_path / 'arm.yaml')).name == 'real_arm'
+    save_arm(result.arm, tmp_path / 'arm.yaml')
+    assert load_arm(tmp_path / 'arm.yaml') == result.arm

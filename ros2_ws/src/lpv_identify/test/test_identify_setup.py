@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv_core.serial_arm.arm_file import load_serial_arm, save_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm, save_arm
 from lpv_identify.estimation.mistakes import find_mistakes
 from lpv_identify.estimation.torque_error import calibrate, torque_error
 from lpv_identify.motions.simulation import SensorNoise, simulate
@@ -85,8 +85,8 @@ def test_given_a_short_healthy_recording_when_calibrated_then_the_model_stays(
     heavier = replace(arm, gravity=1.3 * arm.gravity)  # misses what it holds
     worse = calibrate(heavier, [short]).arm.uncertainty.torque_error
     assert worse[1] > 3.0 * stated.torque_error[1]
-    save_serial_arm(found.arm, tmp_path / 'arm.yaml')
-    assert load_serial_arm(tmp_path / 'arm.yaml') == found.arm
+    save_arm(found.arm, tmp_path / 'arm.yaml')
+    assert load_arm(tmp_path / 'arm.yaml') == found.arm
 
 
 def test_given_an_arm_at_rest_when_calibrated_then_it_is_said_that_errors_at_speed_are_not_seen(

@@ -1,4 +1,4 @@
-"""Messages that a node refuses: wrong sizes, values that are not finite, foreign stamps."""
+"""Messages that a node refuses: wrong sizes, values that are not finite, a second sender's."""
 
 import math
 import time
@@ -8,15 +8,11 @@ from itertools import chain
 import numpy as np
 from rclpy.node import Node
 
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.timestamps import NANOSECONDS
 
-_JUMP = NANOSECONDS
-"""Stamps of one stream are never further apart, but where its time restarts [ns]."""
 _QUIET = 5.0
 """Time between two lines of one reason [s]."""
-_CONFIRMATIONS = 3
-"""Successive stamps after a jump that show that time has restarted."""
 
 
 def all_finite(*fields: Iterable[float]) -> bool:
@@ -27,24 +23,6 @@ def all_finite(*fields: Iterable[float]) -> bool:
 def all_sized(count: int, *fields: Sized) -> bool:
     """Whether some fields have one element for each of the arm's joints."""
     return {*map(len, fields)} == {count}
-
-
-class StampGuard:
-    """Tells a stream whose time restarts from single stamps of another sender."""
-
-    def __init__(self) -> None:
-        self._last: int | None = None
-        self._jump, self._count = 0, 0
-
-    def accept(self, stamp: int) -> bool:
-        """Whether a stamp [ns] continues the stream, or one that has restarted for good."""
-        if self._last is not None and abs(stamp - self._last) > _JUMP:
-            follows = self._count > 0 and 0 < stamp - self._jump < _JUMP
-            self._jump, self._count = stamp, self._count + 1 if follows else 1
-            if self._count < _CONFIRMATIONS:
-                return False
-        self._last, self._count = stamp, 0
-        return True
 
 
 _NEAR = 0.02
@@ -62,11 +40,11 @@ class OneSender:
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: SerialArm) -> None:
         self._names, self._limit = arm.joint_names, np.array(arm.velocity_limit)
         self._wait = max(0.03, 3.0 * arm.sample_time)
         self._stamp: int | None = None  # of the last one that was believed [ns]

@@ -15,15 +15,23 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import Gains, parse_gains
-from lpv_core.model.arm import ArmParameters
 from lpv_core.serial_arm.certificate.conditions import require_loop
 from lpv_core.serial_arm.certificate.loop_gains import LoopGains, parse_loop
 from lpv_core.serial_arm.certificate.model_bounds import BOUNDS
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import (
+    ControllerGains,
+    ExactObserverGains,
+    Gains,
+    MotionCertificate,
+    PaperObserverGains,
+    entries,
+    parse_gains,
+)
+from lpv_core.uio.planar import planar_model
 
 _ARRAY, _DOUBLE, _STRING, _INTEGER = (
     Parameter.Type.DOUBLE_ARRAY,
@@ -89,50 +97,32 @@ class GainField:
 
 
 FORMAT_FIELD = GainField(_INTEGER, 'version of the format [1]', 1, 1000)
+
+
+def _gain_fields(kind: Any, prefix: str) -> dict[str, GainField]:
+    kinds = {'matrix': _ARRAY, 'number': _DOUBLE, 'text': _STRING}
+    return {
+        f'{prefix}.{name}': GainField(
+            kinds[how], text, limits.get('low', 0.0), limits.get('high', 1e9)
+        )
+        for name, (how, text, _, limits) in entries(kind).items()
+    }
+
+
 GAIN_FIELDS = {
     'arm_name': GainField(_STRING, 'arm that the gains are for'),
     'arm_sha256': GainField(_STRING, 'hash of its parameters'),
     'checksum': GainField(_STRING, 'hash of the numbers as they were designed'),
     'observer.method': GainField(_STRING, 'exact or paper'),
-    'observer.lyapunov': GainField(_ARRAY, 'Lyapunov matrices of the observer, row by row'),
-    'observer.fault_sigma': GainField(_ARRAY, 'standard deviations of the fault estimates [rad]'),
-    'controller.method': GainField(_STRING, 'exact or paper'),
-    'controller.m1': GainField(_ARRAY, 'M1, row by row [N m/rad], [N m s/rad]'),
-    'controller.m2': GainField(_ARRAY, 'M2, row by row [N m/(rad s)]'),
-    'controller.lyapunov': GainField(_ARRAY, 'Lyapunov matrix of the controller, row by row'),
-    'controller.decay': GainField(_DOUBLE, 'certified decay rate of the loop [1/s]', 0.0, 1e6),
-    'controller.sinc_min': GainField(_DOUBLE, 'lower end of the box [1]', -1.0, 1.0),
+    **_gain_fields(ControllerGains, 'controller'),
 }
-"""Parameters below ``gains.`` that every gains file sets; see lpv_core.certificate.gains."""
-MOTION_FIELDS = {
-    'controller.motion.lyapunov': GainField(
-        _ARRAY, 'Lyapunov matrix of the sampled loop in motion'
-    ),
-    'controller.motion.rate': GainField(
-        _DOUBLE, 'fastest link that it holds for [rad/s]', 0.0, 1e6
-    ),
-    'controller.motion.decay': GainField(_DOUBLE, 'certified decay rate of it [1/s]', 0.0, 1e6),
-}
+"""Parameters below ``gains.`` that every gains file sets; see lpv_core.uio.certificate.gains."""
+MOTION_FIELDS = _gain_fields(MotionCertificate, 'controller.motion')
 """Parameters below ``gains.`` of files whose certificate covers the sampled loop in motion."""
 METHOD_FIELDS = {
-    'exact': {
-        'kappa': GainField(_ARRAY, 'kappa of both links [1/(kg m2)]'),
-        'mu': GainField(_ARRAY, 'mu of both links [1/s]'),
-        'decay': GainField(_DOUBLE, 'certified slowest pole of the error [1/s]', 0.0, 1e6),
-        'fastest': GainField(_DOUBLE, 'certified fastest pole of the error [1/s]', 0.0, 1e6),
-    },
-    'paper': {
-        't1': GainField(_ARRAY, 'T1, row by row'),
-        't2': GainField(_ARRAY, 'T2, row by row'),
-        'k': GainField(_ARRAY, 'K of all vertices, row by row'),
-        'box': GainField(_ARRAY, 'ranges of phi1, phi2, phi3'),
-        'lmi': GainField(_STRING, 'inequalities that hold'),
-        'gamma': GainField(_DOUBLE, 'attenuation level [1]', 0.0, 1e9),
-        'q': GainField(_DOUBLE, "distance of the disc's centre [1/s]", 0.0, 1e6),
-        'r': GainField(_DOUBLE, 'radius of the disc [1/s]', 0.0, 1e6),
-    },
+    kind.method: _gain_fields(kind, 'observer') for kind in (ExactObserverGains, PaperObserverGains)
 }
-"""Parameters below ``gains.observer.`` of each method."""
+"""Parameters below ``gains.`` of each method of the observer."""
 LOOP_FIELDS = {
     'format': FORMAT_FIELD,
     'arm_name': GainField(_STRING, 'arm that the certificate is for'),
@@ -233,7 +223,7 @@ def declare_gains(node: Node) -> frozenset[str]:
     """
     fields = {'format': FORMAT_FIELD, **GAIN_FIELDS, **MOTION_FIELDS}
     for of_method in METHOD_FIELDS.values():
-        fields.update({f'observer.{name}': field for name, field in of_method.items()})
+        fields.update(of_method)
     return _declare_fields(node, 'gains', fields)
 
 
@@ -255,7 +245,7 @@ def _declare_fields(node: Node, prefix: str, fields: dict[str, GainField]) -> fr
     return frozenset(unset)
 
 
-def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
+def read_gains(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains:
     """Gains from the parameters that `declare_gains` declared, with their certificate verified.
 
     ``unset`` is what that function returned.
@@ -264,17 +254,17 @@ def read_gains(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains:
     certificate does not hold.
     """
     method = _gain(node, 'gains.observer.method', unset)
-    own = [f'observer.{name}' for name in METHOD_FIELDS.get(method, ())]
+    own = METHOD_FIELDS.get(method, ())
     motion = [name for name in MOTION_FIELDS if name not in unset]
     nested = _nested(node, 'gains', ('format', *GAIN_FIELDS, *own, *motion), unset)
     gains = parse_gains(nested, node.get_name())
-    require(arm, gains, node.get_name())
+    require(planar_model(arm), gains, node.get_name())
     return gains
 
 
-def read_gains_if_set(node: Node, arm: ArmParameters, unset: frozenset[str]) -> Gains | None:
+def read_gains_if_set(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains | None:
     """As `read_gains`; None if no gains file was given."""
-    return None if 'observer.method' in unset else read_gains(node, arm, unset)
+    return None if 'arm_name' in unset else read_gains(node, arm, unset)
 
 
 def read_loop_if_set(

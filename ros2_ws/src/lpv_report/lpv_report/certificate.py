@@ -4,21 +4,24 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lpv_bag.errors import BagError
 from lpv_bag.rosbag.output_folder import GAINS_NAME
-from lpv_core.certificate.claims import CLAIMS, SERIAL_CLAIMS, Claim
-from lpv_core.certificate.conditions import Check, verify
-from lpv_core.certificate.gains import Gains, load_gains
-from lpv_core.model.arm import arm_from_json
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.certificate.claims import SERIAL_CLAIMS, Claim
 from lpv_core.serial_arm.certificate.conditions import region_lines, verify_loop
 from lpv_core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains, serial_parameters
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.inequalities import Check
 from lpv_core.support.resources import bringup_file, shipped_files
+from lpv_core.uio.certificate.claims import CLAIMS
+from lpv_core.uio.certificate.conditions import verify
+from lpv_core.uio.certificate.gains import Gains, load_gains
+from lpv_core.uio.model.arm import arm_from_json
+from lpv_core.uio.planar import planar_model, serial_from_planar
 
 _ANSWERS = tuple(
     f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
@@ -58,12 +61,13 @@ class Certified:
     what: str  # as `Certificate.what`
     claims: tuple[Claim, ...]  # what holds where the certificate does
 
-    def facts(self, arm: Any) -> list[str]:
+    def facts(self, arm: SerialArm) -> list[str]:
         """The region of the certificate, and what is certified, for the reader."""
         if isinstance(self.gains, LoopGains):
             return region_lines(arm, self.gains)
-        way = 'upwards' if arm.sign > 0 else 'downwards'
-        degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in arm.cos_min)
+        planar = planar_model(arm)
+        way = 'upwards' if planar.sign > 0 else 'downwards'
+        degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in planar.cos_min)
         return [
             f'method: observer {self.gains.observer.method}, controller '
             f'{self.gains.controller.method}',
@@ -72,31 +76,31 @@ class Certified:
             f'{self.gains.controller.decay:g} /s',
         ]
 
-    def checks(self, arm: Any) -> list[Check]:
+    def checks(self, arm: SerialArm) -> list[Check]:
         """Every inequality, rebuilt; ConfigError for another arm than that of the gains."""
         if isinstance(self.gains, LoopGains):
             return verify_loop(arm, self.gains)
-        self.gains.check_arm(arm)
-        return verify(arm, self.gains)
+        self.gains.check_arm(planar_model(arm))
+        return verify(planar_model(arm), self.gains)
 
-    def prove(self, arm: Any) -> dict[str, bool]:
+    def prove(self, arm: SerialArm) -> dict[str, bool]:
         """Inequalities by name, and whether exact rational arithmetic proves them."""
         # Only here: few need the proof, and it takes time to import.
         if isinstance(self.gains, LoopGains):
             from lpv_core.serial_arm.certificate.exact_proof import prove_loop
 
             return prove_loop(arm, self.gains)
-        from lpv_core.certificate.exact_proof import prove
+        from lpv_core.uio.certificate.exact_proof import prove
 
-        return prove(arm, self.gains)
+        return prove(planar_model(arm), self.gains)
 
-    def arm(self) -> Arm | None:
+    def arm(self) -> SerialArm | None:
         """The arm that the gains describe or that is shipped under their name, if it is theirs."""
         text = getattr(self.gains, 'certificate', {}).get('arm_json')
         if isinstance(text, str):
-            return arm_from_json(text)
+            return serial_from_planar(arm_from_json(text))
         file = shipped_files('arms').get(self.gains.arm_name)
-        return load_any_arm(file) if file is not None else None
+        return load_arm(file) if file is not None else None
 
 
 def load_certified(path: str | Path) -> Certified:
@@ -106,7 +110,7 @@ def load_certified(path: str | Path) -> Certified:
     return Certified(load_gains(path), 'gains', CLAIMS)
 
 
-def examine(path: str | Path | None, arm: Arm, source: str = '') -> Certificate:
+def examine(path: str | Path | None, arm: SerialArm, source: str = '') -> Certificate:
     """Verify the certificate of a gains file for an arm; what stands against it is its problem."""
     if path is None:
         return Certificate(problem='the bag carries no gains, and none were given')
@@ -134,37 +138,20 @@ def beside_bag(bag: str | Path, name: str) -> Path | None:
 
 def find_arm_and_gains(
     bag: str | Path, arm: str | None = None, gains: str | None = None
-) -> tuple[Arm, Path | None, str]:
-    """Arm and gains of a recorded run.
+) -> tuple[SerialArm, Path | None, str]:
+    """Arm and gains file of a recorded run, and where the gains come from, for the reader.
 
-    Parameters
-    ----------
-    bag : str or pathlib.Path
-        rosbag2 directory or single storage file.
-    arm : str, optional
-        Arm file or name; without, the arm of the gains, else the shipped one that the recorded
-        messages name.
-    gains : str, optional
-        Gains file or name; without, the file in the bag, else the shipped gains of the arm.
-
-    Returns
-    -------
-    tuple of Arm, pathlib.Path or None, str
-        Arm, gains file if there is one, and where the gains come from, for the reader.
-
-    Raises
-    ------
-    ConfigError
-        If a file that was given is none, or the arm is not known.
-    BagError
-        If there is no such bag, or it cannot be read.
+    Without a name or file of the arm: the arm of the gains, else the shipped one that the recorded
+    messages name.  Without gains: the file in the bag, else the shipped gains of the arm.
+    ConfigError if a given file is none, or the arm is not known; BagError if the bag cannot be
+    read.
     """
     if not Path(bag).exists():
         raise BagError(f'{bag}: there is no such bag')
     file = bringup_file('gains', gains) if gains else beside_bag(bag, GAINS_NAME)
     source = file.name + ('' if gains else ' of the bag') if file else ''
     if arm:
-        return load_any_arm(bringup_file('arms', arm)), file, source
+        return load_arm(bringup_file('arms', arm)), file, source
     described = _unless_ours(lambda: load_certified(file).arm() if file else None, bool(gains))
     if described is not None:
         return described, file, source
@@ -182,10 +169,10 @@ def find_arm_and_gains(
     if file is None and name in shipped_files('gains'):
         file = shipped_files('gains')[name]
         source = f'shipped gains of arm {name!r}, which the messages name'
-    return load_any_arm(shipped), file, source
+    return load_arm(shipped), file, source
 
 
-def _unless_ours(read: Callable[[], Arm | None], given: bool) -> Arm | None:
+def _unless_ours(read: Callable[[], SerialArm | None], given: bool) -> SerialArm | None:
     """A damaged gains file in a bag must not stand in the way of a report; a given one must."""
     try:
         return read()

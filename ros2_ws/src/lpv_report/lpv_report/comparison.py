@@ -12,9 +12,10 @@ import numpy as np
 from lpv_bag.errors import BagError
 from lpv_bag.run.record import load_run
 from lpv_bag.run.streams import RunRecord
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import LpvError
 from lpv_report.history import Episode, episodes
+from lpv_report.page import finite
 from lpv_report.table import make_table
 
 # Stream, field, what it is called, unit; flags are compared by the share that differs.
@@ -99,29 +100,27 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
-
-        def plain(value: Any) -> Any:
-            if isinstance(value, dict):
-                return {k: plain(v) for k, v in value.items()}
-            if isinstance(value, list):
-                return [plain(v) for v in value]
-            if isinstance(value, Episode):
-                return plain({**asdict(value), 'delay': value.delay})
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
         names = ('common', 'only_first', 'only_second', 'complete')
-        return plain(
+        alarms = [
+            {
+                name: e and {**asdict(e), 'delay': e.delay}
+                for name, e in (('first', pair.first), ('second', pair.second))
+            }
+            | {'same': pair.same}
+            for pair in self.alarms
+        ]
+        return finite(
             {
                 'same': self.same,
                 'answers': {name: getattr(self, name) for name in names},
                 'figures': [vars(f) for f in self.figures],
                 'differences': [vars(f) for f in self.differences],
-                'alarms': [vars(p) for p in self.alarms],
+                'alarms': alarms,
             }
         )
 
 
-def load_pair(bag: str | Path, other: str | Path, arm: Arm) -> tuple[RunRecord, RunRecord]:
+def load_pair(bag: str | Path, other: str | Path, arm: SerialArm) -> tuple[RunRecord, RunRecord]:
     """Two runs of one recording; what one bag does not hold is taken from the other."""
     first, second = (
         load_run(path, joint_names=arm.joint_names, answers_only=True) for path in (bag, other)
@@ -140,29 +139,10 @@ def load_pair(bag: str | Path, other: str | Path, arm: Arm) -> tuple[RunRecord, 
 
 
 def compare_runs(
-    first: RunRecord, second: RunRecord, arm: Arm, tolerances: Tolerances | None = None
+    first: RunRecord, second: RunRecord, arm: SerialArm, tolerances: Tolerances | None = None
 ) -> Comparison:
-    """Compare the answers of two runs of one recording.
-
-    Parameters
-    ----------
-    first, second : RunRecord
-        The runs.
-    arm : ArmParameters or SerialArm
-        Their arm.
-    tolerances : Tolerances, optional
-        What still counts as the same.
-
-    Returns
-    -------
-    Comparison
-        What was found.
-
-    Raises
-    ------
-    LpvError
-        If the answers have no sample in common.
-    """
+    """Compare the answers of two runs of one recording; LpvError if they have no sample in
+    common."""
     tolerances = tolerances or Tolerances()
     stamps = [_answer_stamps(record) for record in (first, second)]
     common = np.intersect1d(stamps[0], stamps[1])
@@ -198,7 +178,7 @@ def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:
     return result
 
 
-def _figures(first: RunRecord, second: RunRecord, arm: Arm, tolerance: float) -> list[Figure]:
+def _figures(first: RunRecord, second: RunRecord, arm: SerialArm, tolerance: float) -> list[Figure]:
     one, two = (
         {(row.signal, row.meaning): row for row in make_table(record, arm)}
         for record in (first, second)
@@ -270,7 +250,7 @@ def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: fl
     return all(a == b or abs(a - b) <= tolerance + 1e-9 for a, b in times)
 
 
-def draw_comparison(first: RunRecord, second: RunRecord, arm: Arm, out: Path) -> None:
+def draw_comparison(first: RunRecord, second: RunRecord, arm: SerialArm, out: Path) -> None:
     """Write pictures of the fault estimates of both runs, and of how far they are apart."""
     import matplotlib.pyplot as plt
 
@@ -278,33 +258,31 @@ def draw_comparison(first: RunRecord, second: RunRecord, arm: Arm, out: Path) ->
 
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
-    stamps = [record.stamps['fault_estimate'] for record in (first, second)]
-    common, i, j = np.intersect1d(stamps[0], stamps[1], return_indices=True)
-    runs = [record.streams['fault_estimate'] for record in (first, second)]
+    times = [first.seconds(record.stamps['fault_estimate']) for record in (first, second)]
+    common, i, j = np.intersect1d(*times, return_indices=True)
+    one, two = (record.streams['fault_estimate'] for record in (first, second))
     truth = first.get('ground_truth', 'fault')
+
+    def curves(name: str, k: int) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
+        if name == 'differences':
+            for what, color in (('estimate', SENSOR[k]), ('threshold', PALE[k])):
+                gap = two[what][j, k] - one[what][i, k]
+                yield common, gap, {'color': color, 'label': f'{what}, second - first'}
+            return
+        yield times[0], one['estimate'][:, k], {'color': PALE[k], 'lw': 3.4, 'label': 'first'}
+        yield times[1], two['estimate'][:, k], {'color': SENSOR[k], 'lw': 1.1, 'label': 'second'}
+        if truth is not None:
+            at = first.seconds(first.stamps['ground_truth'])
+            yield at, truth[:, k], {'color': INK, 'lw': 0.9, 'ls': '--', 'label': 'fault'}
+
     for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):
         with plt.rc_context(SETTINGS):
             count = len(arm.sensor_names)
-            figure, axes = plt.subplots(
-                count, sharex=True, squeeze=False, figsize=(8.6, 2.6 * count)
-            )
+            size = 8.6, 2.6 * count
+            figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=size)
             for k, axis in enumerate(axes[:, 0]):
-                if name == 'faults':
-                    for label, color, width in (
-                        ('first', PALE[k], 3.4),
-                        ('second', SENSOR[k], 1.1),
-                    ):
-                        at = 0 if label == 'first' else 1
-                        values = thin(first.seconds(stamps[at]), runs[at]['estimate'][:, k])
-                        axis.plot(*values, color=color, linewidth=width, label=label)
-                    if truth is not None:
-                        values = thin(first.seconds(first.stamps['ground_truth']), truth[:, k])
-                        axis.plot(*values, color=INK, linewidth=0.9, linestyle='--', label='fault')
-                else:
-                    for what, color in (('estimate', SENSOR[k]), ('threshold', PALE[k])):
-                        gap = runs[1][what][j, k] - runs[0][what][i, k]
-                        values = thin(first.seconds(common), gap)
-                        axis.plot(*values, color=color, label=f'{what}, second - first')
+                for at, values, look in curves(name, k):
+                    axis.plot(*thin(at, values), **look)
                 axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=unit)
                 legend_above(axis)
             axes[-1, 0].set_xlabel('time [s]')

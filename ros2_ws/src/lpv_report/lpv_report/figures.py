@@ -15,7 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
 from lpv_bag.run.streams import RunRecord
-from lpv_core.decision.diagnosis import SensorState
+from lpv_core.serial_arm.diagnosis.alarms import SensorState
 from lpv_report.history import (
     BRAKED,
     INCONSISTENT,
@@ -45,7 +45,7 @@ from lpv_report.style import (
 )
 
 if TYPE_CHECKING:
-    from lpv_core.model.arm import ArmParameters
+    from lpv_core.uio.model.arm import ArmParameters
     from lpv_design.guarantee import Guarantee
     from lpv_report.load import Run
 
@@ -182,8 +182,7 @@ def path(run: 'Run') -> Figure:
     tips = {s: _tips(run, s) for s in ('joint_states', 'reference', actual)}
     planned = run.path
     if tips['reference'] is None and planned is not None:
-        x, z = planned.sample(np.linspace(planned.start, planned.end, 1000)).tip.T
-        tips['reference'] = np.stack([x, np.zeros(len(x)), z], axis=1)
+        tips['reference'] = planned.sample(np.linspace(planned.start, planned.end, 1000)).tip
     flat = all(np.ptp(points[:, 1]) < 1e-6 for points in tips.values() if points is not None)
     views = [('z, up [m]', 2)] if flat else [('z, up [m]', 2), ('y [m]', 1)]
     figure, axes = plt.subplots(1, len(views), squeeze=False, figsize=(_WIDTH, 4.6))

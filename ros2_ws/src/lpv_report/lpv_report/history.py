@@ -9,10 +9,8 @@ import numpy as np
 
 from lpv_bag.run.node_reports import NodeReport
 from lpv_bag.run.streams import RecordedAlarm, RunRecord
-from lpv_core.decision.diagnosis import AlarmEvent, SensorState
-from lpv_core.model.kinematics import forward
-from lpv_core.observer.sampled_observer import Mode
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
 NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
@@ -205,22 +203,13 @@ class Phase:
         return self.end - self.start
 
 
-def phases(record: RunRecord, arm: Arm, reports: Mapping[str, Sequence[NodeReport]]) -> list[Phase]:
+def phases(
+    record: RunRecord, arm: SerialArm, reports: Mapping[str, Sequence[NodeReport]]
+) -> list[Phase]:
     """All such intervals of a run, in the order of their beginnings.
 
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters or SerialArm
-        Its arm.
-    reports : mapping of str to sequence of NodeReport
-        What the nodes said on /diagnostics: of the observer, the tracking and the drives.
-
-    Returns
-    -------
-    list of Phase
-        Times that come from reports are as exact as these: once a second, and with every alarm.
+    ``reports`` is what the nodes said on /diagnostics, of the observer, the tracking and the
+    drives; times that come from there are as exact as these: once a second, and with every alarm.
     """
     said = {
         what: _while(record, reports.get('observer', ()), begin)
@@ -363,7 +352,7 @@ class Motion:
     path_error: float | None  # largest distance of the true tip from the reference [m]
 
 
-def motion(record: RunRecord, arm: Arm) -> Motion:
+def motion(record: RunRecord, arm: SerialArm) -> Motion:
     """Extremes of the motion: of the true arm where it is recorded, else as measured."""
     source, _, rates = _rates(record)
     limits = np.asarray(arm.velocity_limit)
@@ -388,7 +377,7 @@ def _rates(record: RunRecord) -> tuple[str, np.ndarray, np.ndarray]:
     return source, time, record.streams[stream]['velocity']
 
 
-def _path_error(record: RunRecord, arm: Arm) -> float | None:
+def _path_error(record: RunRecord, arm: SerialArm) -> float | None:
     truth, reference = (record.aligned(s, 'position') for s in ('ground_truth', 'reference'))
     if truth is None or reference is None:
         return None
@@ -398,13 +387,9 @@ def _path_error(record: RunRecord, arm: Arm) -> float | None:
     return float(np.linalg.norm(gap, axis=1).max()) if len(rows) else None
 
 
-def tip_positions(arm: Any, position: np.ndarray) -> np.ndarray:
-    """Tips for rows of joint positions, x forward and z up, shape (k, 3) [m]."""
-    links = getattr(arm, 'links', None)
-    if links is not None:  # in its plane, where angles count from the x-axis
-        x, z = forward(position + np.array([arm.zero_angle + np.pi / 2, 0.0]), arm.lengths).T
-        return np.stack([x, np.zeros(len(x)), z], axis=1)
-    # Only here: compiled code that plane arms do not need.
+def tip_positions(arm: SerialArm, position: np.ndarray) -> np.ndarray:
+    """Tips for rows of joint positions in the base frame, shape (k, 3) [m]."""
+    # Only here: compiled code that other parts of the report do not need.
     from lpv_core.serial_arm.chain import compile_chain
     from lpv_core.serial_arm.dynamics.kinematics import forward_kinematics
 

@@ -9,8 +9,8 @@ from lpv_bag.run.node_reports import NodeReport, node_reports
 from lpv_bag.run.record import load_run
 from lpv_bag.run.streams import RunRecord
 from lpv_core.control.path import CartesianPath
-from lpv_core.serial_arm.any_arm import Arm
-from lpv_core.simulation.any_scenario import load_any_scenario, new_path
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import LpvError
 from lpv_report.certificate import Certificate, beside_bag, examine
 from lpv_report.history import (
@@ -31,7 +31,7 @@ class Run:
     """All that is known of a recorded run."""
 
     record: RunRecord
-    arm: Arm
+    arm: SerialArm
     title: str  # heading of its page
     certificate: Certificate  # of the gains
     alarms: list[Episode]
@@ -44,38 +44,16 @@ class Run:
 
 def load(
     bag: str | Path,
-    arm: Arm,
+    arm: SerialArm,
     path: CartesianPath | None = None,
     title: str = 'Run',
     gains: str | Path | None = None,
     source: str = '',
 ) -> Run:
-    """Read all of a bag that a report needs.
+    """Read all of a bag that a report needs; BagError if it cannot be read.
 
-    Parameters
-    ----------
-    bag : str or pathlib.Path
-        Recorded run.
-    arm : ArmParameters or SerialArm
-        The arm.
-    path : CartesianPath, optional
-        Reference path with its obstacle; that of the scenario in the bag if not given.
-    title : str, optional
-        Heading.
-    gains : str or pathlib.Path, optional
-        Gains file that the run was answered with; the one in the bag if not given.
-    source : str, optional
-        Where the gains come from, for the reader.
-
-    Returns
-    -------
-    Run
-        All that is known.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read.
+    Path (with its obstacle) and gains file are those in the bag if none are given; ``source`` says
+    where the gains come from, for the reader.
     """
     record = load_run(bag, joint_names=arm.joint_names)
     streams = ('fault_estimate', 'state_estimate', 'torque_command')
@@ -89,10 +67,10 @@ def load(
     return analyse(record, arm, reports, examine(gains, arm, source), title, path)
 
 
-def planned_path(scenario: str | Path, arm: Arm) -> CartesianPath | None:
+def planned_path(scenario: str | Path, arm: SerialArm) -> CartesianPath | None:
     """Path of a scenario in a plane; None where it has none, or is damaged."""
     try:
-        path = new_path(arm, load_any_scenario(scenario, arm))
+        path = load_scenario(scenario).path(arm)
     except LpvError:  # a damaged copy must not stand in the way of a report
         return None
     return path if isinstance(path, CartesianPath) else None
@@ -100,7 +78,7 @@ def planned_path(scenario: str | Path, arm: Arm) -> CartesianPath | None:
 
 def analyse(
     record: RunRecord,
-    arm: Arm,
+    arm: SerialArm,
     reports: Mapping[str, Sequence[NodeReport]],
     certificate: Certificate,
     title: str = 'Run',

@@ -13,8 +13,8 @@ import numpy as np
 
 from lpv_bag.run.streams import RunRecord
 from lpv_core.control.path import CartesianPath
-from lpv_core.decision.diagnosis import SensorState
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import SensorState
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.certificate import Certificate
 from lpv_report.figures import draw_all
@@ -72,7 +72,7 @@ class Tile(NamedTuple):
 def write_report(
     bag: str | Path,
     out: str | Path,
-    arm: Arm,
+    arm: SerialArm,
     path: CartesianPath | None = None,
     title: str = 'Run',
     gains: str | Path | None = None,
@@ -156,7 +156,7 @@ def _version(name: str) -> str:
         return 'not installed as a package'
 
 
-def _detectable(record: RunRecord, arm: Arm) -> list[dict[str, Any]]:
+def _detectable(record: RunRecord, arm: SerialArm) -> list[dict[str, Any]]:
     """Threshold plus bound of each sensor while it was diagnosable, and how long it was not."""
     threshold, bound, state = (
         record.get('fault_estimate', name) for name in ('threshold', 'bound', 'state')

@@ -1,7 +1,6 @@
 """Figures of a run: mean squared errors, beside Table 2 of the paper where its arm ran."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from rich import box
@@ -9,8 +8,10 @@ from rich.console import Console
 from rich.table import Table
 
 from lpv_bag.run.streams import RunRecord
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.metrics import mise
+from lpv_core.support.errors import ConfigError
+from lpv_core.uio.planar import planar_model
 
 PAPER = {
     'x1': 0.006,
@@ -26,7 +27,9 @@ PAPER = {
 }
 """MISE of Table 2 of the paper; states and tracking in absolute angles."""
 _TABLE_1 = ((10.0, 1.0, 0.5, 0.83), (5.0, 1.0, 0.5, 0.41))
-"""Mass [kg], length, center of mass [m] and inertia [kg m2] of the paper's links."""
+"""Mass [kg], length, centre of mass [m] and inertia about it [kg m2] of the paper's links."""
+_SAME = 1e-9
+"""Relative difference that rounding of a link's direction can make."""
 _ERRORS = (
     (('x1', 'x2'), 'estimate of the position', 'position', 'ground_truth', 'state_estimate'),
     (('x3', 'x4'), 'estimate of the rate', 'velocity', 'ground_truth', 'state_estimate'),
@@ -37,12 +40,18 @@ _ERRORS = (
 """Names in the paper, meaning, field, and the streams whose difference is the error."""
 
 
-def is_paper_arm(arm: Any) -> bool:
+def is_paper_arm(arm: SerialArm) -> bool:
     """Whether an arm is that of the paper's Table 1, whose errors Table 2 lists."""
-    links = tuple(
-        (k.mass, k.length, k.center_of_mass, k.inertia) for k in getattr(arm, 'links', ())
-    )
-    return links == _TABLE_1 and arm.arrangement == 'absolute' and arm.sign > 0
+    try:
+        planar = planar_model(arm)
+    except ConfigError:
+        return False
+    links = [
+        (k.mass, k.length, k.center_of_mass, k.inertia - k.mass * k.center_of_mass**2)
+        for k in planar.links
+    ]
+    same = np.allclose(links, _TABLE_1, rtol=_SAME, atol=0.0)
+    return bool(same) and planar.arrangement == 'absolute' and planar.sign > 0
 
 
 @dataclass(frozen=True)
@@ -61,20 +70,10 @@ class Row:
         return '²' in self.unit
 
 
-def make_table(record: RunRecord, arm: Arm) -> list[Row]:
+def make_table(record: RunRecord, arm: SerialArm) -> list[Row]:
     """MISE against ground truth, or the size of fault estimates where there is none.
 
-    Parameters
-    ----------
-    record : RunRecord
-        The run.
-    arm : ArmParameters or SerialArm
-        Its arm.
-
-    Returns
-    -------
-    list of Row
-        By joint and sensor; of the paper's arm the rows of its Table 2, in absolute angles.
+    By joint and sensor; of the paper's arm the rows of its Table 2, in absolute angles.
     """
     if not {'ground_truth', 'state_estimate'} <= set(record.streams):
         return _sizes(record)

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from lpv_bag.run.node_reports import NodeReport
 from lpv_bag.run.streams import RecordedAlarm, RunRecord
-from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv_report.certificate import Certificate
 from lpv_report.figures import STATES, timeline
 from lpv_report.history import (
@@ -171,8 +171,9 @@ def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_have_the_s
 
 def test_given_another_arm_when_tabulated_then_the_paper_has_no_column(paper_arm, real_arm):
     assert is_paper_arm(paper_arm) and is_paper_arm(replace(paper_arm, name='mine'))
-    heavier = replace(paper_arm.links[0], mass=10.5)
-    other = replace(paper_arm, links=(heavier, paper_arm.links[1]))
+    first, second = paper_arm.joints
+    heavier = replace(first, link=replace(first.link, mass=10.5))
+    other = replace(paper_arm, joints=(heavier, second))
     assert not is_paper_arm(other) and not is_paper_arm(real_arm)
     zeros = np.zeros((COUNT, 2))
     streams = {name: {'position': zeros, 'velocity': zeros} for name in ('state_estimate',)}

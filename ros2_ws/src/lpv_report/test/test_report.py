@@ -197,9 +197,10 @@ def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_ar
     first, last = load_run(run).alarms[0], load_run(run).alarms[-1]
     page = report.html.read_text(encoding='utf-8')
     line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
-    detected = first.detected / NANOSECONDS
+    onset, detected = first.onset / NANOSECONDS, first.detected / NANOSECONDS
+    assert onset == pytest.approx(0.8, abs=0.003)
     assert line[1] == last.kind
-    assert line[2:6] == ['0.800', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
+    assert line[2:6] == [f'{onset:.3f}', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
     assert line[6] == f'{last.size:+.3f}'
     assert float(line[8]) == pytest.approx(0.3, abs=0.1)
     assert 'Missed' not in text(page)
@@ -537,5 +538,7 @@ def test_given_a_file_in_the_place_of_the_folder_when_the_command_is_run_then_on
 def test_given_the_joints_of_another_arm_when_reported_then_the_missing_one_is_named(
     run, paper_arm, tmp_path
 ):
+    names = zip(paper_arm.joints, ('shoulder', 'elbow'))
+    renamed = replace(paper_arm, joints=tuple(replace(joint, name=name) for joint, name in names))
     with pytest.raises(BagError, match="'shoulder'.*joint1, joint2"):
-        write_report(run, tmp_path, replace(paper_arm, joint_names=('shoulder', 'elbow')))
+        write_report(run, tmp_path, renamed)

@@ -16,10 +16,10 @@ from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import load_run
 from lpv_cli.main import main
-from lpv_core.certificate.gains import save_gains
-from lpv_core.decision.diagnosis import SensorState
+from lpv_core.serial_arm.diagnosis.alarms import SensorState
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_core.uio.certificate.gains import save_gains
 from lpv_design.guarantee import guarantee
 from lpv_report.certificate import beside_bag
 from lpv_report.figures import draw_region
@@ -91,7 +91,7 @@ def test_given_gains_when_reported_then_arm_region_and_every_margin_are_told(
     assert facts['gains file'] == 'my_gains.yaml'
     assert facts['SHA-256 of the file'] == hashlib.sha256(gains_file.read_bytes()).hexdigest()
     assert facts['designed for arm'] == 'paper'
-    limit = np.degrees(np.arccos(paper_arm.cos_min[0]))
+    limit = np.degrees(np.arccos(paper_arm.lpv.cos_min[0]))
     assert f'certified region: links within {limit:.1f}°' in text(page)
     assert f'estimation error {paper_gains.observer.decay:g} /s' in text(page)
     listed_ = {cells[0]: cells[1:] for cells in rows(page) if cells[-1] in ('yes', 'NO')}
@@ -498,6 +498,7 @@ def test_given_a_bag_of_another_arm_when_the_command_is_run_then_it_asks_for_its
     assert '--arm mine!.yaml --gains gains.yaml' in said and said.count('\n') == 1
 
 
-def test_given_a_map_when_drawn_then_it_is_a_picture(paper_arm, paper_gains, tmp_path):
-    draw_region(guarantee(paper_arm, paper_gains, points=5), paper_arm, tmp_path / 'a' / 'map.png')
+def test_given_a_map_when_drawn_then_it_is_a_picture(paper_model, paper_gains, tmp_path):
+    found = guarantee(paper_model, paper_gains, points=5)
+    draw_region(found, paper_model, tmp_path / 'a' / 'map.png')
     assert (tmp_path / 'a' / 'map.png').read_bytes().startswith(b'\x89PNG')

@@ -11,8 +11,8 @@ from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import load_run
 from lpv_cli.main import main
-from lpv_core.monitoring.factory import make_monitor
-from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.simulation import EncoderFault
 from lpv_report.certificate import examine
 from lpv_report.run import write_report
@@ -27,7 +27,7 @@ def bag(tmp_path_factory):
     folder = tmp_path_factory.mktemp('crane')
     run = crane_run(faults=[EncoderFault(1, 'bias', 0.6, 0.05)])
     measured = record_crane(folder / 'measured', run)
-    Replay(make_monitor('/uio', crane())).run(measured, folder / 'bag')
+    Replay(SerialSensorMonitor('/uio', crane())).run(measured, folder / 'bag')
     return folder / 'bag'
 
 
@@ -95,10 +95,14 @@ def test_given_a_serial_arm_when_reported_on_the_command_line_then_gains_are_ref
 
 @pytest.mark.parametrize(
     ('gains', 'holds', 'problem'),
-    [('ur10', True, ''), ('panda', False, 'another arm'), ('paper', False, 'another arm')],
+    [
+        ('ur10', True, ''),
+        ('panda', False, 'another arm'),
+        ('paper', False, 'gains are designed for its region'),
+    ],
 )
 def test_given_gains_in_a_bag_when_reported_then_the_loop_is_verified_again(gains, holds, problem):
-    arm = load_any_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
     found = examine(BRINGUP / 'gains' / f'{gains}.yaml', arm)
     assert found.holds == holds and problem in found.problem
     assert not found.bounds_faults

@@ -10,11 +10,10 @@ from rclpy.timer import Timer
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController
+from lpv_core.control.computed_torque import BANDWIDTH
 from lpv_core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
-from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.path_follower import PathFollower
-from lpv_core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, TrackingController
+from lpv_core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, make_controller
 from lpv_core.control.watchdog import (
     STOP_TEXT,
     LatencyLimits,
@@ -24,13 +23,13 @@ from lpv_core.control.watchdog import (
     latency_limits,
     mean_limit,
 )
-from lpv_core.model.arm import ArmParameters
-from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.monitoring.stamp_gate import StampGate
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
-from lpv_core.simulation.any_scenario import load_any_scenario, new_path
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
-from lpv_node.input_check import Refusals, StampGuard, all_finite, all_sized
+from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import (
@@ -39,7 +38,7 @@ from lpv_node.parameters import (
     declare_loop,
     fixed,
     named_file,
-    read_gains,
+    read_gains_if_set,
     read_loop_if_set,
 )
 from lpv_node.qos import stream
@@ -150,10 +149,10 @@ class TrackerNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm, gains and path, create publishers."""
-        self._arm = load_any_arm(named_file(self, 'arm_file', 'arms'))
+        self._arm = load_arm(named_file(self, 'arm_file', 'arms'))
         self._make_controller()
-        scenario = load_any_scenario(named_file(self, 'scenario_file', 'scenarios'), self._arm)
-        self._path = new_path(self._arm, scenario)
+        scenario = load_scenario(named_file(self, 'scenario_file', 'scenarios'))
+        self._path = scenario.path(self._arm)
         speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
         period, joints = round(self._arm.sample_time * NANOSECONDS), len(self._arm.joint_names)
         tip = len(self._path.sample(0.0).tip)
@@ -182,7 +181,7 @@ class TrackerNode(ManagedNode):
         self._choose_feedback()
         self._compile()
         self._watchdog = TrackerWatchdog(self._arm, self._limits)
-        self._guard, self._refusals, self._stops = StampGuard(), Refusals(self), 0
+        self._stamps, self._refusals, self._stops = StampGate(), Refusals(self), 0
         self._last_stop = ''
         self._last = None
         self._used = np.zeros(joints)  # correction of the last estimate that was trusted [rad]
@@ -221,21 +220,16 @@ class TrackerNode(ManagedNode):
             self._correction = CorrectionLimit(self._arm, compensation != 'off')
 
     def _make_controller(self) -> None:
-        """The law of the arm's kind: designed gains, or computed torque."""
-        self._controller: TrackingController | ComputedTorqueController
-        self._integrates_measurement = False
-        if isinstance(self._arm, ArmParameters):
-            gains = read_gains(self, self._arm, self._unset_gains)
-            self._controller = TrackingController(self._arm, gains)
-            self._integrates_measurement = gains.controller.method == 'paper'
-            self._tolerated = tolerated_latency(self._arm, gains)
+        """The designed law where there are gains, else computed torque."""
+        bandwidth = self.get_parameter('bandwidth').value
+        gains = read_gains_if_set(self, self._arm, self._unset_gains)
+        self._controller = make_controller(self._arm, gains, bandwidth)
+        self._tolerated = self._controller.tolerated_latency
+        if gains is not None:
             self._certificate = 'holds'
         else:
-            bandwidth = self.get_parameter('bandwidth').value
             loop = read_loop_if_set(self, self._arm, bandwidth, self._unset_loop)
             self._certificate = NO_CERTIFICATE if loop is None else certified_region(loop)
-            self._controller = ComputedTorqueController(self._arm, bandwidth)
-            self._tolerated = self._controller.tolerated_latency
 
     def _compile(self) -> None:
         """Compile before the first estimate, not on it."""
@@ -321,7 +315,7 @@ class TrackerNode(ManagedNode):
             self._refusals.add(_REFUSALS[ValueFault(wrong)])
         elif stamp < 0:
             self._refusals.add('estimate with a negative stamp')
-        elif not (self.lockstep or self._guard.accept(stamp)):
+        elif not (self.lockstep or self._stamps.accept(stamp)):
             self._refusals.add('estimate whose stamp fits no stream')
         else:
             return True
@@ -383,7 +377,7 @@ class TrackerNode(ManagedNode):
         """Compute the torques; False if they are not finite."""
         self._correction.take(stamp, self._position, self._velocity)
         position, velocity = self._correction.position, self._correction.velocity
-        integrated = self._measured if self._integrates_measurement else position
+        integrated = self._measured if self._controller.integrates_measurement else position
         interval = 0.0 if self._previous is None else (stamp - self._previous) / NANOSECONDS
         self._controller.answer(self._follower.motion, position, velocity, integrated, interval)
         self._torque[:], self._safe_stop[0] = self._controller.torque, False

@@ -80,7 +80,7 @@ def test_given_an_arm_far_from_its_reference_when_estimated_then_it_is_stopped_f
     assert node.sent.torques[-1] == [0.0] * 6
 
 
-@pytest.mark.parametrize(('scenario', 'field'), [('two_faults', 'kind'), ('panda', 'path.start')])
+@pytest.mark.parametrize(('scenario', 'field'), [('two_faults', 'lpv'), ('panda', 'path.start')])
 def test_given_a_scenario_of_another_arm_when_configured_then_the_field_is_named(scenario, field):
     tracker = start_node(BRINGUP / 'scenarios' / f'{scenario}.yaml')
     try:

@@ -35,7 +35,7 @@ def test_given_stamps_when_references_come_ahead_then_they_are_those_of_the_foll
 ):
     path = two_faults.path(paper_arm)
     alone = PathFollower(path)
-    ahead = UpcomingReferences(PathFollower(path), STEP, 2, 2)
+    ahead = UpcomingReferences(PathFollower(path), STEP, 2, 3)
     position = path.sample(0.0).position + away
     for k, stamp in enumerate(stamps):
         if k in stops:
@@ -43,13 +43,14 @@ def test_given_stamps_when_references_come_ahead_then_they_are_those_of_the_foll
             ahead.stop()
         expected = alone.reference(stamp, position)
         ahead.advance(stamp, position)
-        np.testing.assert_array_equal(astuple(ahead.reference), astuple(expected))
+        for found, wanted in zip(astuple(ahead.reference), astuple(expected)):
+            np.testing.assert_array_equal(found, wanted)
         position = expected.position + away * (k in stops)
 
 
 def test_given_a_reset_when_followed_again_then_the_path_begins_anew(paper_arm, two_faults):
     path = two_faults.path(paper_arm)
-    ahead = UpcomingReferences(PathFollower(path), STEP, 2, 2)
+    ahead = UpcomingReferences(PathFollower(path), STEP, 2, 3)
     start = path.sample(0.0).position
     for stamp in steps(200):
         ahead.advance(stamp, start)

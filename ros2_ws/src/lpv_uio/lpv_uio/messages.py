@@ -8,9 +8,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from lpv_core.decision.diagnosis import SensorState
-from lpv_core.observer.sampled_observer import Mode
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
 from lpv_node.serialized import SerializedMessage
 from lpv_node.stamps import set_stamp
@@ -25,7 +24,7 @@ class OutputMessages:
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         Its name is the frame of every header.
     answer_type : numpy.dtype
         Of the monitor's answers.
@@ -38,7 +37,7 @@ class OutputMessages:
         lpv_msgs/StateEstimate, lpv_msgs/FaultEstimate and sensor_msgs/JointState.
     """
 
-    def __init__(self, arm: Arm, answer_type: np.dtype) -> None:
+    def __init__(self, arm: SerialArm, answer_type: np.dtype) -> None:
         self._frame_id, self.record = arm.name, np.zeros(1, answer_type)
         self._bytes = self.record.view(f'V{answer_type.itemsize}')
         self._words, self._last = self.record.view('f8'), np.zeros(1, answer_type)

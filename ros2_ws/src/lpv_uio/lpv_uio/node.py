@@ -15,19 +15,19 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent, DiagnosisParameters
 from lpv_core.monitoring.alarm_text import describe
 from lpv_core.monitoring.answers import Answer
-from lpv_core.monitoring.factory import Monitor, make_monitor, refuse_gains
-from lpv_core.observer.sampled_observer import Mode
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.serial_arm.description import SerialArm
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, declare_gains, fixed, named_file, read_gains
+from lpv_node.parameters import Spec, declare_gains, fixed, named_file, read_gains_if_set
 from lpv_node.qos import latched, stream
 from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
@@ -35,19 +35,18 @@ from lpv_uio.messages import OutputMessages
 from lpv_uio.open_alarms import OpenAlarms, alarm_file
 
 _TUNABLE: tuple[tuple[Any, ...], ...] = (
-    ('threshold_factor', 'threshold over guaranteed bound [1]', 0.1, 10.0),
-    ('minimum_threshold', 'no alarm below this fault [rad]', 0.0, 10.0),
-    ('dwell', 'time above the threshold before the alarm [s]', 0.0, 10.0),
-    ('clear_dwell', 'time below hysteresis*threshold before the alarm clears [s]', 0.0, 100.0),
-    ('hysteresis', 'fraction of the threshold at which an alarm may clear [1]', 0.0, 1.0),
-    ('sigmas', 'standard deviations of noise in the bound [1]', 1.0, 10.0),
     (
-        'false_alarm_hours',
-        'mean time between false alarms by noise, for changes of readings [h]',
+        'hours_between_false_alarms',
+        'mean time between false alarms of a healthy arm [h]',
         0.01,
         1e6,
     ),
+    ('probability_of_wrong_name', 'probability that a named cause is another one [1]', 1e-6, 0.5),
+    ('minimum_threshold', 'smaller lasting offsets are no faults [rad]', 0.0, 10.0),
+    ('smallest_step', 'smaller jumps of a reading are no faults [rad]', 0.0, 10.0),
+    ('clear_dwell', 'for which a fault must be over before its alarm ends [s]', 0.0, 100.0),
     ('latch', 'alarms stay until ~/reset, even if the fault is over'),
+    ('sigmas', 'standard deviations in a bound [1]', 1.0, 10.0),
     (
         'compensation_rate',
         'how fast a compensation without a known step is faded in and out [rad/s]',
@@ -56,17 +55,10 @@ _TUNABLE: tuple[tuple[Any, ...], ...] = (
     ),
     (
         'safe_stop_bound',
-        'size plus bound of a confirmed fault, not a jump, that stops the arm [rad]',
+        'a confirmed fault that is removed with a wider bound stops the arm [rad]',
         0.01,
         100.0,
     ),
-    (
-        'max_ambiguous_change',
-        'largest change of unknown cause with which the arm goes on [rad]',
-        0.01,
-        100.0,
-    ),
-    ('friction_uncertainty', 'relative uncertainty of Coulomb friction [1]', 0.0, 1.0),
 )
 """Fields of `DiagnosisParameters` with their meanings and ranges."""
 DIAGNOSIS_SPECS = tuple(
@@ -87,6 +79,13 @@ SPECS = DIAGNOSIS_SPECS + (
         'real time only: silence after which the diagnosis is stale [s]',
         0.01,
         60.0,
+    ),
+    fixed(
+        'observer',
+        CHOICES[0],
+        'whose estimate of the faults is published, where gains are given: that of the smaller '
+        'bound, or one of the observers alone',
+        choices=CHOICES,
     ),
     fixed('initial_samples', 1, 'samples over which the start value is averaged', 1, 100000),
     fixed(
@@ -129,7 +128,7 @@ class UioNode(ManagedNode):
 
     def setup(self) -> None:
         """Read arm and gains, create publishers."""
-        self._arm = load_any_arm(named_file(self, 'arm_file', 'arms'))
+        self._arm = load_arm(named_file(self, 'arm_file', 'arms'))
         self._monitor = self._make_monitor()
         note = threading.Timer(1.0, self.get_logger().info, [_COMPILING])
         note.start()
@@ -159,18 +158,17 @@ class UioNode(ManagedNode):
         self._status = StatusReporter(self, 'measurements', self._arm.name)
         self.create_service(Trigger, '~/reset', self._on_reset)
 
-    def _make_monitor(self) -> Monitor:
-        """Observer and diagnosis of the arm; a serial arm needs no gains."""
-        gains = None
-        if isinstance(self._arm, SerialArm):
-            refuse_gains(self._arm, 'arm_name' not in self._unset_gains)
-        else:
-            gains = read_gains(self, self._arm, self._unset_gains)
-        return make_monitor(
+    def _make_monitor(self) -> SerialSensorMonitor:
+        """Observers and diagnosis of the arm."""
+        gains = read_gains_if_set(self, self._arm, self._unset_gains)
+        if gains is None and self._arm.lpv is not None:
+            self.get_logger().warning('no gains file is given: the moving horizon observes alone')
+        return SerialSensorMonitor(
             self.get_fully_qualified_name(),
             self._arm,
-            gains,
             self._diagnosis_parameters({}),
+            gains,
+            self.get_parameter('observer').value,
             max_gap=self.get_parameter('max_gap').value,
             initial_samples=self.get_parameter('initial_samples').value,
         )
@@ -267,7 +265,7 @@ class UioNode(ManagedNode):
         self._answered = stamp = answer.stamp
         messages = self._messages
         if answer.restarted:
-            self.get_logger().warning('time went backwards: observer and alarms restart')
+            self.get_logger().warning('the clock of the measurements was set: estimates begin anew')
         if not messages.fill(answer.record):
             self._refusals.add('estimate with values that are not finite')
         if self._alarms is not None and self._alarms.before:

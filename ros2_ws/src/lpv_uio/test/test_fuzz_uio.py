@@ -14,8 +14,7 @@ from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent  # noqa: E402
-from lpv_core.observer.sampled_observer import Mode  # noqa: E402
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode  # noqa: E402
 from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
 from lpv_core.simulation.scenario import load_scenario  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand  # noqa: E402
@@ -120,7 +119,7 @@ def test_given_hostile_parameters_when_set_then_outputs_stay_finite(arm):
     assert run_cases(100, case).refused
     arm.node._on_reset(Trigger.Request(), Trigger.Response())
     assert arm.recover() <= RECOVERY
-    assert np.isfinite(arm.node.get_parameter('diagnosis.dwell').value)
+    assert np.isfinite(arm.node.get_parameter('diagnosis.clear_dwell').value)
 
 
 def alarm(event=AlarmEvent.RAISED, sensor='link2_angle'):

@@ -13,8 +13,8 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_bag.replay.replay import Replay  # noqa: E402
 from lpv_bag.rosbag.reading import open_bag  # noqa: E402
-from lpv_core.monitoring.factory import make_monitor  # noqa: E402
-from lpv_core.serial_arm.arm_file import load_serial_arm  # noqa: E402
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
+from lpv_core.serial_arm.arm_file import load_arm  # noqa: E402
 from lpv_core.serial_arm.simulation import EncoderFault  # noqa: E402
 from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
@@ -81,7 +81,7 @@ def test_given_a_serial_arm_when_observed_then_the_node_publishes_the_bytes_of_a
     node.setup()
     sent = answers(node, bag)
     assert len(sent['alarm']) == 1 and len(sent['corrected']) == len(run.stamps)
-    monitor = make_monitor('/uio', load_serial_arm(crane_file(tmp_path)))
+    monitor = SerialSensorMonitor('/uio', load_arm(crane_file(tmp_path)))
     Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
     with open_bag(tmp_path / 'out') as reader:
         for topic, name in TOPICS.items():
@@ -94,7 +94,7 @@ def test_given_a_serial_arm_when_observed_then_the_node_publishes_the_bytes_of_a
 
 
 def test_given_gains_when_a_node_of_a_serial_arm_starts_then_it_says_why_not(make_node):
-    with pytest.raises(ConfigError, match='leave the gains file out'):
+    with pytest.raises(ConfigError, match='lpv: is missing'):
         make_node(BRINGUP / 'gains' / 'paper.yaml').setup()
 
 

@@ -6,9 +6,11 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from lpv_core.control.path import CartesianPath
-from lpv_core.model.joint_order import JointOrder
-from lpv_core.serial_arm.any_arm import Arm
+import numpy as np
+
+from lpv_core.control.path import TimedPath
+from lpv_core.monitoring.joint_order import JointOrder
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS
@@ -53,9 +55,9 @@ class LiveModel:
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm that is shown.
-    path : CartesianPath, optional
+    path : TimedPath, optional
         Path of the scenario, with its obstacle.
 
     Attributes
@@ -68,7 +70,7 @@ class LiveModel:
         Messages that were left out: of another number of joints than the arm.
     """
 
-    def __init__(self, arm: Arm, path: CartesianPath | None = None) -> None:
+    def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:
         self._arm, self._path = arm, path
         self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
         self.misfits, self._skeleton = 0, Skeleton(arm)
@@ -98,7 +100,7 @@ class LiveModel:
 
     def _fits(self, source: str, message: Any) -> bool:
         """Whether a message is for as many joints as the arm has."""
-        if source == 'reference' and len(message.tip_position) not in (2, 3):
+        if source == 'reference' and len(message.tip_position) != 3:
             return False
         return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
@@ -142,7 +144,10 @@ class LiveModel:
         times = [start + (end - start) * i / 150 for i in range(151)]
         obstacle = self._path.obstacle
         return {
-            'path': [[round(float(v), 4) for v in p] for p in self._path.sample(times).tip],
+            'path': [
+                [round(float(v), 4) for v in point]
+                for point in self._skeleton.drawn(self._path.sample(times).tip)
+            ],
             'obstacle': obstacle
             and {'center': _numbers(obstacle.center), 'radius': obstacle.radius},
         }
@@ -157,8 +162,9 @@ class LiveModel:
             self._latest.get('fault_estimate'),
             max(self._received.values(), default=now),
         )
+        drawn = self._skeleton.drawn
         corners = {
-            name: None if q is None else [_numbers(c, 4) for c in self._skeleton.corners(q)]
+            name: None if q is None else [_numbers(c, 4) for c in drawn(self._skeleton.corners(q))]
             for name, q in self.arms(now).items()
         }
         states = [None] * self._joints if fault is None else [_name(STATES, s) for s in fault.state]
@@ -224,6 +230,8 @@ class LiveModel:
         sample: dict[str, Any] = {'t': None if stamp is None else seconds(stamp)}
         for name, (source, field) in _CHARTS.items():
             sample[name] = self._field(source, field, live) or [None] * self._joints
+        if None not in sample['tip']:
+            sample['tip'] = _numbers(self._skeleton.drawn(np.array(sample['tip'])))
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
                 self._history.clear()  # time restarted

@@ -17,8 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from lpv_bag.rosbag.interfaces import add_type, make_typestore
 from lpv_core.export.urdf import arm_urdf
-from lpv_core.model.arm import ArmParameters
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
@@ -91,10 +90,10 @@ class ViewNode(ManagedNode):
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
         self._arm_file = named_file(self, 'arm_file', 'arms')
-        arm = load_any_arm(self._arm_file)
+        arm = load_arm(self._arm_file)
         scenario = self.get_parameter('scenario_file').value
         path = None
-        if scenario and not isinstance(arm, SerialArm):
+        if scenario:
             path = load_scenario(named_file(self, 'scenario_file', 'scenarios')).path(arm)
         self._model = LiveModel(arm, path)
         typestore = make_typestore()
@@ -129,7 +128,7 @@ class ViewNode(ManagedNode):
         else:
             self._outputs['/tf'] = self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS
 
-    def _open(self, arm: Arm, requests: Requests) -> None:
+    def _open(self, arm: SerialArm, requests: Requests) -> None:
         """Open the ports; says once where they are."""
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
         address = value['address']
@@ -185,10 +184,10 @@ class ViewNode(ManagedNode):
 
         return forward
 
-    def _describe(self, arm: Arm) -> None:
+    def _describe(self, arm: SerialArm) -> None:
         """Robot descriptions: of the arm file, or the URDF that it names, if there is one."""
         try:
-            if isinstance(arm, SerialArm):
+            if arm.urdf:
                 text = urdf_text(arm, self._arm_file)
                 descriptions = [text] * len(_DESCRIPTIONS)
             else:
@@ -199,7 +198,7 @@ class ViewNode(ManagedNode):
         self._described = [self._scene.text(text) for text in descriptions]
         self._describe_again()
 
-    def _urdf(self, arm: ArmParameters, *colours: tuple[str, ...]) -> str:
+    def _urdf(self, arm: SerialArm, *colours: tuple[str, ...]) -> str:
         try:
             return arm_urdf(arm, True, *colours)
         except ConfigError as error:

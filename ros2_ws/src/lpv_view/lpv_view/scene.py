@@ -6,10 +6,9 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from lpv_core.control.path import CartesianPath
-from lpv_core.export.urdf import BASE, transforms
-from lpv_core.model.arm import ArmParameters
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.control.path import TimedPath
+from lpv_core.export.urdf import BASE, Transform, transforms
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_view.skeleton import Skeleton
 
@@ -29,15 +28,15 @@ class Scene:
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm.
     typestore : rosbags.typesys.store.Typestore
         As of `lpv_bag.rosbag.interfaces.make_typestore`.
-    path : CartesianPath, optional
+    path : TimedPath, optional
         Path of the scenario, with its obstacle.
     """
 
-    def __init__(self, arm: Arm, typestore: Typestore, path: CartesianPath | None = None) -> None:
+    def __init__(self, arm: SerialArm, typestore: Typestore, path: TimedPath | None = None) -> None:
         self._arm, self._store, self._path = arm, typestore, path
         self._skeleton = Skeleton(arm)
         self._width = 0.025 * self._skeleton.reach
@@ -58,7 +57,7 @@ class Scene:
         for depth, (name, colour) in enumerate(ARMS.items()):
             if (q := arms.get(name)) is None:
                 continue
-            points = _in_space(self._skeleton.corners(q))
+            points = self._skeleton.corners(q)
             # Side by side, or they would hide each other where they agree.
             points[:, 1] += 0.3 * self._width * (1 - depth)
             for kind, width in ((_LINE_STRIP, 1.0), (_SPHERE_LIST, 1.6)):
@@ -69,13 +68,14 @@ class Scene:
             found += self._surroundings(self._path, stamp)
         return self._bytes(MARKERS, markers=found)
 
-    def _surroundings(self, path: CartesianPath, stamp: int) -> list[Any]:
-        tips = _in_space(path.sample(np.linspace(path.start, path.end, 151)).tip)
+    def _surroundings(self, path: TimedPath, stamp: int) -> list[Any]:
+        tips = path.sample(np.linspace(path.start, path.end, 151)).tip
         grey, red = (0.5, 0.5, 0.5, 0.8), (0.8, 0.2, 0.2, 0.5)
         result = [self._marker('path', _LINE_STRIP, grey, stamp, 0.2 * self._width, tips)]
         if (obstacle := path.obstacle) is not None:
             marker = self._marker('obstacle', _CYLINDER, red, stamp, 2.0 * obstacle.radius)
-            marker.pose.position.x, marker.pose.position.z = map(float, obstacle.center)
+            position = marker.pose.position
+            position.x, position.y, position.z = map(float, path.in_base(np.array(obstacle.center)))
             marker.pose.orientation.x = marker.pose.orientation.w = 0.5**0.5
             marker.scale.z = 2.0 * self._width
             result.append(marker)
@@ -96,16 +96,16 @@ class Scene:
     def tree(self, arms: dict[str, Any], stamp: int) -> bytes:
         """Transforms of the true and the estimated arm, in a tf2_msgs/TFMessage.
 
-        Their frames have the names of the arms as prefixes.  There are none for a serial arm, whose
-        links only a robot state publisher with its URDF knows.
+        Their frames have the names of the arms as prefixes, as those of `lpv_core.export.urdf`.
         """
         found = []
         for name in ('true', 'estimated'):
-            if (q := arms.get(name)) is None or not isinstance(self._arm, ArmParameters):
+            if (q := arms.get(name)) is None:
                 continue
-            frames = [(BASE, f'{name}/{BASE}', (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))]
+            frames: list[Transform] = [(BASE, f'{name}/{BASE}', (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))]
             frames += [
-                (f'{name}/{a}', f'{name}/{b}', *rest) for a, b, *rest in transforms(self._arm, q)
+                (f'{name}/{a}', f'{name}/{b}', place, rotation)
+                for a, b, place, rotation in transforms(self._arm, q)
             ]
             for parent, child, position, rotation in frames:
                 one = self._new('geometry_msgs/msg/TransformStamped', child_frame_id=child)
@@ -139,13 +139,6 @@ class Scene:
         if kind != Nodetype.BASE:  # a sequence: all of this file's arrays may be empty
             return np.zeros(0, np.uint8) if value[0][0] == Nodetype.BASE else []
         return {'string': '', 'bool': False}.get(value[0], 0)
-
-
-def _in_space(points: np.ndarray) -> np.ndarray:
-    """Points x, y, z of those that are in the plane, x and up, or in space."""
-    result = np.zeros((len(points), 3))
-    result[:, [0, 2] if points.shape[1] == 2 else [0, 1, 2]] = points
-    return result
 
 
 def _set_header(header: Any, stamp: int, frame: str) -> None:

@@ -21,8 +21,8 @@ from std_msgs.msg import String  # noqa: E402
 from test_view_foxglove import Viewer, connect, decode  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from lpv_core.certificate.gains import save_gains  # noqa: E402
 from lpv_core.export.urdf import arm_urdf  # noqa: E402
+from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_msgs.srv import ClearFaults  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -302,7 +302,7 @@ def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_de
     tips = {name: np.array([p[-1].x, p[-1].z]) for name, p in lines.items()}
     for name in ('true', 'estimated', 'measured'):
         elbow = lines[name][1]
-        assert np.hypot(elbow.x, elbow.z) == pytest.approx(paper_arm.lengths[0])
+        assert np.hypot(elbow.x, elbow.z) == pytest.approx(paper_arm.joints[1].position[0])
         assert np.linalg.norm(tips[name] - tips['true']) < 0.1
     assert tips['true'][1] == pytest.approx(1.5893, abs=0.05), 'the path is a line at this height'
 

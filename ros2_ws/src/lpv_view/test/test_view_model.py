@@ -97,11 +97,11 @@ def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_
         ),
         0.0,
     )
-    # The paper's q1 counts from the x axis.
+    # The paper's q1 counts from the x axis; joint 1 is at the base.
     elbow = np.array([np.cos(1.0), np.sin(1.0)])
     tip = elbow + [np.cos(1.5), np.sin(1.5)]
     corners = np.array(model.frame(0.0)['arms']['measured'])
-    np.testing.assert_allclose(corners, [[0.0, 0.0], elbow, tip], atol=1e-4)
+    np.testing.assert_allclose(corners, [[0.0, 0.0], [0.0, 0.0], elbow, tip], atol=1e-4)
 
 
 def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place():

@@ -11,26 +11,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from lpv_bag.blocks.message_blocks import rows
 
-_NAME, _ARRAY, _SEQUENCE = 2, 3, 4  # rosbags.interfaces.Nodetype; 1 is a plain value
 _SIZES = {
-    'bool': '?',
-    'octet': 'u1',
-    'byte': 'u1',
-    'char': 'u1',
-    'int8': 'i1',
-    'uint8': 'u1',
-    'int16': '<i2',
-    'uint16': '<u2',
-    'int32': '<i4',
-    'uint32': '<u4',
-    'int64': '<i8',
-    'uint64': '<u8',
-    'float32': '<f4',
-    'float64': '<f8',
+    **{'bool': '?', 'octet': 'u1', 'byte': 'u1', 'char': 'u1'},
+    **{
+        f'{sign}int{8 * size}': f'<{sign or "i"}{size}'
+        for sign in ('', 'u')
+        for size in (1, 2, 4, 8)
+    },
+    **{'float32': '<f4', 'float64': '<f8'},
 }
 _HEADER = 4  # the representation identifier; alignment counts from behind it
 _LITTLE_ENDIAN = b'\x00\x01'
@@ -60,13 +53,12 @@ class Layout:
     def __init__(self, data: bytes, msgtype: str, typestore: Typestore) -> None:
         self.size = len(data)
         self.fields: dict[str, Field] = {}
-        self.strings: dict[str, list[str]] = {}
         self._data, self._typestore = bytes(data), typestore
         self._fixed = [(0, 2)]
         if data[:2] != _LITTLE_ENDIAN:
             raise _NoLayout
         self._position = _HEADER
-        self._message('', msgtype)
+        self._node('', (Nodetype.NAME, msgtype))
         if len(data) - self._position > _MOST_PADDING:
             raise _NoLayout
         self._words = self._constant_words()
@@ -103,39 +95,28 @@ class Layout:
         for start, end in self._fixed:
             while start < end:
                 size = next(s for s in (8, 4, 2, 1) if s <= end - start)
-                word = np.frombuffer(self._data, f'<u{size}', 1, start)[0]
-                found.append((start, word))
+                found.append((start, np.frombuffer(self._data, f'<u{size}', 1, start)[0]))
                 start += size
         return found
 
-    def _message(self, path: str, msgtype: str) -> None:
-        for name, node in self._typestore.fielddefs[msgtype][1]:
-            self._node(f'{path}.{name}' if path else name, node)
-
     def _node(self, path: str, node: Any) -> None:
-        kind, what = int(node[0]), node[1]
-        if kind == _NAME:
-            self._message(path, what)
-        elif kind == _ARRAY:
-            self._elements(path, what[0], what[1])
-        elif kind == _SEQUENCE:
-            self._elements(path, what[0], self._length())
+        kind, what = node
+        if kind == Nodetype.NAME:
+            for name, part in self._typestore.fielddefs[what][1]:
+                self._node(f'{path}.{name}' if path else name, part)
+        elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            self._elements(path, what[0], what[1] if kind == Nodetype.ARRAY else self._length())
         elif what[0] == 'string':
-            self._string(path)
+            self._string()
         else:
             self._numbers(path, what[0], 1)
 
     def _elements(self, path: str, node: Any, count: int) -> None:
-        kind, what = int(node[0]), node[1]
-        if kind == _NAME:
-            for i in range(count):
-                self._message(f'{path}.{i}', what)
-        elif what[0] == 'string':
-            self.strings[path] = []
-            for _ in range(count):
-                self._string(path)
+        if node[0] == Nodetype.BASE and node[1][0] != 'string':
+            self._numbers(path, node[1][0], count)
         else:
-            self._numbers(path, what[0], count)
+            for i in range(count):
+                self._node(f'{path}.{i}', node)
 
     def _align(self, size: int) -> None:
         self._position += -(self._position - _HEADER) % size
@@ -152,15 +133,13 @@ class Layout:
         self._fixed.append((start, start + 4))
         return struct.unpack_from('<I', self._data, start)[0]
 
-    def _string(self, path: str) -> None:
+    def _string(self) -> None:
         length = self._length()
         start = self._advance(length)
         if length == 0 or self._data[start + length - 1] != 0:
             raise _NoLayout
         # Joined with its length: fewer and longer pieces are compared faster.
         self._fixed[-1] = (start - 4, start + length)
-        text = self._data[start : start + length - 1].decode()
-        self.strings.setdefault(path, []).append(text)
 
     def _numbers(self, path: str, kind: str, count: int) -> None:
         if kind not in _SIZES:

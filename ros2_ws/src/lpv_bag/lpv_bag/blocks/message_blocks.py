@@ -14,19 +14,10 @@ from lpv_core.support.jit import njit
 T = TypeVar('T')
 BLOCK_SIZE = 2 << 20
 """Of about one block [bytes]: it fits into the caches, and overheads do not count."""
-RECORD = np.dtype(
-    [
-        ('kind', 'u1'),
-        ('length', '<u8'),
-        ('channel', '<u2'),
-        ('sequence', '<u4'),
-        ('log_time', '<u8'),
-        ('publish_time', '<u8'),
-    ]
-)
+RECORD = np.dtype('u1,<u8,<u2,<u4,<u8,<u8')
+RECORD.names = ('kind', 'length', 'channel', 'sequence', 'log_time', 'publish_time')
 """Head of a message's record in an MCAP file."""
-CHANNEL = 9  # where the channel is in it
-MESSAGE, _HEAD = 5, struct.Struct('<BQHIQQ')
+_MESSAGE, _HEAD, _CHANNEL = 5, struct.Struct('<BQHIQQ'), 9  # of records; place of the channel
 
 
 @dataclass
@@ -56,7 +47,7 @@ class Block:
         data = bytearray().join([whole[a:b] for a, b in zip(begins, ends)])
         places = np.cumsum(sizes) - sizes
         array = np.frombuffer(data, np.uint8)
-        rows(array, '<u2')[places + CHANNEL] = channels
+        rows(array, '<u2')[places + _CHANNEL] = channels
         return Block(array, channels, self.time, places + RECORD.itemsize, self.size)
 
     def chosen(self, rows: np.ndarray) -> 'Block':
@@ -76,7 +67,7 @@ def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = 
 def record(channel: int, time: int, data: bytes, publish_time: int | None = None) -> bytes:
     """Record of one message."""
     published = time if publish_time is None else publish_time
-    return _HEAD.pack(MESSAGE, 22 + len(data), channel, 0, time, published) + data
+    return _HEAD.pack(_MESSAGE, 22 + len(data), channel, 0, time, published) + data
 
 
 def from_rows(records: np.ndarray) -> Block:
@@ -143,9 +134,8 @@ def _walk(
 
 def joined(blocks: list[Block]) -> Block:
     """Messages of several blocks as those of one, by log time."""
-    if len(blocks) == 1:
-        block = blocks[0]
-    else:
+    block = blocks[0]
+    if len(blocks) > 1:
         begins = np.cumsum([0] + [len(b.data) for b in blocks[:-1]])
         block = Block(
             np.concatenate([b.data for b in blocks]),

@@ -10,11 +10,11 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import rclpy
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
-from lpv_bag.rosbag.writing import qos_profile
+from lpv_bag.rosbag.metadata import qos_profile
 
 _DEPTH = 20000
 _MOST = 2000
@@ -51,8 +51,7 @@ class Selection(NamedTuple):
         return sorted(
             t
             for t in topics
-            if not any(part.startswith('_') for part in t.split('/'))
-            and not any(fnmatch.fnmatchcase(t, p) for p in self.excluded)
+            if '/_' not in t and not any(fnmatch.fnmatchcase(t, p) for p in self.excluded)
         )
 
 
@@ -102,13 +101,13 @@ class RecorderInput:
 
     def search(self) -> list[tuple[str, str, Qos]]:
         """Subscribe to wanted topics that have a publisher now."""
-        found: list[tuple[str, str, Qos]] = []
+        found = []
         self._searches += 1
+        own = self._node.get_name(), self._node.get_namespace()
         for topic in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
             known = topic in self._subscriptions
             if topic in self._refused or (known and self._searches % _RECHECK):
                 continue
-            own = self._node.get_name(), self._node.get_namespace()
             publishers = [
                 p
                 for p in self._node.get_publishers_info_by_topic(topic)
@@ -116,16 +115,14 @@ class RecorderInput:
             ]
             if known:
                 self._check_match(topic, publishers)
-            elif publishers:
-                self._subscribe(topic, publishers, found)
+            elif publishers and (offered := self._subscribe(topic, publishers)) is not None:
+                found.append((topic, publishers[0].topic_type, offered))
         return found
 
-    def _subscribe(
-        self, topic: str, publishers: list[TopicEndpointInfo], found: list[tuple[str, str, Qos]]
-    ) -> None:
+    def _subscribe(self, topic: str, publishers: list[TopicEndpointInfo]) -> Qos | None:
+        """Subscribe with the QoS that all publishers offer; None if the type is not installed."""
         msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
-        reliable = all(_reliable(p) for p in publishers)
-        latched = all(_latched(p) for p in publishers)
+        reliable, latched = (all(_offer(p)[i] for p in publishers) for i in (0, 1))
         try:
             self._check_type(msgtype)
             package, kind, name = msgtype.split('/')
@@ -133,28 +130,28 @@ class RecorderInput:
         except (ValueError, AttributeError, ImportError) as error:
             self._node.get_logger().error(f'{topic} is not recorded: {error}')
             self._refused.add(topic)
-            return
+            return None
         qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
             depth=_DEPTH,
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
         )
         handle = self._own.create_subscription(message_class, topic, lambda _: None, qos, raw=True)
-        stamped = _starts_with_time(message_class) and topic not in _SYSTEM_TIME
-        self._subscriptions[topic] = _Subscription(handle, stamped, msgtype, reliable, latched)
-        found.append((topic, msgtype, qos_profile(reliable, latched, depth)))
+        first = next(iter(message_class.get_fields_and_field_types().values()), '')
+        timed = first in ('std_msgs/Header', 'builtin_interfaces/Time')
+        self._subscriptions[topic] = _Subscription(
+            handle, timed and topic not in _SYSTEM_TIME, msgtype, reliable, latched
+        )
+        return qos_profile(reliable, latched, depth)
 
     def _check_match(self, topic: str, publishers: list[TopicEndpointInfo]) -> None:
         """A publisher that came later may offer less than was asked for, or another type."""
         ours = self._subscriptions[topic]
         for publisher in publishers:
-            less = (ours.reliable and not _reliable(publisher)) or (
-                ours.latched and not _latched(publisher)
-            )
+            reliable, latched = _offer(publisher)
             if publisher.topic_type != ours.msgtype:
                 why = f'has type {publisher.topic_type}, not {ours.msgtype}'
-            elif less:
+            elif ours.reliable > reliable or ours.latched > latched:
                 why = 'offers a lower quality of service than those before it'
             else:
                 continue
@@ -195,17 +192,13 @@ class RecorderInput:
         return [heard for _, heard in found]
 
 
-def _reliable(publisher: TopicEndpointInfo) -> bool:
-    return publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-
-
-def _latched(publisher: TopicEndpointInfo) -> bool:
-    return publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-
-
-def _starts_with_time(message_class: Any) -> bool:
-    first = next(iter(message_class.get_fields_and_field_types().values()), '')
-    return first in ('std_msgs/Header', 'builtin_interfaces/Time')
+def _offer(publisher: TopicEndpointInfo) -> tuple[bool, bool]:
+    """Whether a publisher is reliable, and keeps its last messages for those who come later."""
+    qos = publisher.qos_profile
+    return (
+        qos.reliability == ReliabilityPolicy.RELIABLE,
+        qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+    )
 
 
 def leading_stamp(data: bytes) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rosbags.interfaces import Qos
 
 from lpv_bag.recorder.input import Heard, RecorderInput, Selection
 from lpv_bag.recorder.stamp_sorter import StampSorter
+from lpv_bag.rosbag.interfaces import add_type
 from lpv_bag.rosbag.message_loss import TopicCount
 from lpv_bag.rosbag.output_folder import (
     GAINS_NAME,
@@ -123,10 +125,12 @@ class RecorderNode(ManagedNode):
             raise ConfigError('topics', 'names no topic, and "all" is not set', self.get_name())
         self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
         self._flush_period = value['flush_period']
-        gains = read_gains_file(value['gains_file']) if value['gains_file'] else None
-        scenario = None
+        files = {}
+        if value['gains_file']:
+            files[GAINS_NAME] = read_gains_file(value['gains_file'])
         if value['scenario_file']:
-            scenario = read_scenario_file(named_file(self, 'scenario_file', 'scenarios'))
+            scenario = named_file(self, 'scenario_file', 'scenarios')
+            files[SCENARIO_NAME] = read_scenario_file(scenario)
         output = required_text(self, 'output')
         path = free_path(output)
         if str(path) != str(Path(output)):
@@ -139,17 +143,17 @@ class RecorderNode(ManagedNode):
             _CHUNK_TIME if self.lockstep else 0,
             value['fsync'],
         )
-        if gains is not None:
-            copy_file(gains, self._writer.path, GAINS_NAME)
-        if scenario is not None:
-            copy_file(scenario, self._writer.path, SCENARIO_NAME)
+        for name, content in files.items():
+            copy_file(content, path, name)
 
     def begin(self) -> None:
         """Listen to the wanted topics."""
         if self._writer is None:
             self.get_logger().error('the bag is closed: a new recording needs a new node')
             return
-        self._input = RecorderInput(self, self._selection, self._writer.check_type)
+        self._input = RecorderInput(
+            self, self._selection, partial(add_type, self._writer.typestore)
+        )
         self._clockwork = [
             self.steady_timer(period, callback)
             for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report))
@@ -172,8 +176,7 @@ class RecorderNode(ManagedNode):
         self._clockwork = []
         if self._input is not None:
             self._poll()
-        if self._writer is not None:
-            self._order.flush()
+        self._order.flush()
         if self._writer is not None:
             self._close(self._writer)
             self._report()
@@ -224,21 +227,18 @@ class RecorderNode(ManagedNode):
         self._write(topic, stamp, data)
 
     def _write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
-        writer = self._writer
-        if writer is None:
+        if self._writer is None:
             return
         try:
-            self._announce_all(writer)
+            # New topics are announced in the order of their names, not of their discovery.
+            for name in sorted(self._announced):
+                msgtype, offered = self._announced.pop(name)
+                self._writer.add_topic(name, msgtype, [offered])
             # A driver that does not know the time may stamp with anything; a bag cannot.
-            writer.write_raw(topic, max(0, stamp), data, None if sent is None else max(0, sent))
+            published = None if sent is None else max(0, sent)
+            self._writer.write_raw(topic, max(0, stamp), data, published)
         except OSError as error:
             self._fail(error.strerror or str(error))
-
-    def _announce_all(self, writer: BagWriter) -> None:
-        """Announce new topics in the order of their names, not of their discovery."""
-        for topic in sorted(self._announced):
-            msgtype, offered = self._announced.pop(topic)
-            writer.add_topic(topic, msgtype, [offered])
 
     def _flush(self, writer: BagWriter) -> None:
         self._flushed = time.monotonic()
@@ -268,9 +268,7 @@ class RecorderNode(ManagedNode):
             self._input.close()
             self._input = None
         total = sum(writer.counts.values())
-        missing = writer.close(
-            {topic: count.known() for topic, count in sorted(self._counts.items())}
-        )
+        missing = writer.close({t: count.known() for t, count in sorted(self._counts.items())})
         self._kept = f'bag closed with {total} messages, {writer.size} bytes'
         if missing:
             self._kept += f', without {missing}: lpv recover repairs it'
@@ -278,21 +276,17 @@ class RecorderNode(ManagedNode):
 
     def _report(self) -> None:
         """State of the recording on /diagnostics."""
-        status = DiagnosticStatus(
-            name=self._label,
-            hardware_id='',
-            values=[KeyValue(key=key, value=str(value)) for key, value in self._values()],
-        )
         lost = sum(count.lost for count in self._counts.values())
         if self._failure:
-            status.level = DiagnosticStatus.ERROR
-            status.message = f'recording stopped: {self._failure}'
+            level, text = DiagnosticStatus.ERROR, f'recording stopped: {self._failure}'
         elif lost or (self._input is not None and self._input.complaints):
-            status.level = DiagnosticStatus.WARN
-            status.message = f'{lost} messages lost' if lost else 'some topics are not recorded'
+            level = DiagnosticStatus.WARN
+            text = f'{lost} messages lost' if lost else 'some topics are not recorded'
         else:
-            status.level = DiagnosticStatus.OK
-            status.message = 'recording' if self._writer is not None else 'bag closed'
+            level = DiagnosticStatus.OK
+            text = 'recording' if self._writer is not None else 'bag closed'
+        values = [KeyValue(key=key, value=str(value)) for key, value in self._values()]
+        status = DiagnosticStatus(name=self._label, level=level, message=text, values=values)
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)

@@ -7,13 +7,8 @@ from rosbags.typesys.store import Typestore
 
 from lpv_bag.blocks.cdr_layout import Layout
 from lpv_bag.blocks.message_blocks import RECORD, record
+from lpv_bag.rosbag.writing import padded_cdr
 from lpv_core.support.timestamps import NANOSECONDS
-
-
-def padded_cdr(typestore: Typestore, message: object, msgtype: str) -> bytes:
-    """CDR of a message, padded to four bytes."""
-    data = bytes(typestore.serialize_cdr(message, msgtype))
-    return data + bytes(-len(data) % 4)
 
 
 class RecordTemplate:

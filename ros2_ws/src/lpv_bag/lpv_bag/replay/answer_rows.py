@@ -1,4 +1,4 @@
-"""Answers of a monitor to all measurements of a block, regular and odd ones."""
+"""Answers of a monitor to all measurements of a block."""
 
 from collections import Counter
 from typing import Any
@@ -7,58 +7,35 @@ import numpy as np
 
 from lpv_bag.run.measurements import Measurements
 from lpv_core.monitoring.answers import Answers
-from lpv_core.monitoring.factory import Monitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.support.errors import SampleError
 
 _ARRAYS = ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault')
 
 
 def take_all(
-    monitor: Monitor, measured: Measurements, torque: np.ndarray | None, rejected: Counter[str]
-) -> Answers:
-    """Answers to the measurements of a block."""
-    effort = measured.effort if torque is None else torque
-    parts, done = [], 0
-    for row in (*sorted(measured.odd), len(effort)):
-        if row > done or not len(effort):
-            parts.append(
-                monitor.take_many(
-                    measured.stamp[done:row],
-                    measured.position[done:row],
-                    measured.velocity[done:row],
-                    effort[done:row],
-                )
-            )
-        if row in measured.odd:
-            given = None if torque is None else list(torque[row])
-            parts.append(_take_one(monitor, measured, row, given, rejected))
-        done = row + 1
-    return parts[0] if len(parts) == 1 else _joined(parts)
-
-
-def _take_one(
-    monitor: Monitor,
+    monitor: SerialSensorMonitor,
     measured: Measurements,
-    row: int,
-    torque: list[float] | None,
+    torque: np.ndarray | None,
     rejected: Counter[str],
 ) -> Answers:
-    """One answer, or none, as arrays of one row."""
-    answer = None
-    try:
-        answer = monitor.take(int(measured.stamp[row]), measured.odd[row], torque)
-    except SampleError as error:
-        rejected[str(error)] += 1
-    record = np.zeros(1, monitor.answer_type).view(np.recarray)
-    arrays: dict[str, Any] = {name: record[name] for name in _ARRAYS}
-    result = Answers(**arrays, events=[], reports=[])
-    if answer is not None:
-        record[0] = answer.record
-        if answer.fault is None:
-            record.fault = np.zeros(1, monitor.answer_type['fault'])
-        result.events = [(0, event) for event in answer.events]
-        result.reports = [(0, answer.status)] if answer.status is not None else []
-    return result
+    """Answers to the measurements of a block; the monitor counts those without use in between."""
+    effort = measured.effort if torque is None else torque
+    arrays = measured.stamp, measured.position, measured.velocity, effort
+    parts, done = [], 0
+    for row in (*sorted(measured.unusable), len(effort)):
+        parts.append(monitor.take_many(*(array[done:row] for array in arrays)))
+        done = row
+        if row in measured.unusable:
+            try:
+                monitor.take(int(measured.stamp[row]), measured.unusable[row])
+            except SampleError as error:
+                rejected[str(error)] += 1
+            zeros = np.zeros(1, monitor.answer_type).view(np.recarray)
+            arrays_of_one: dict[str, Any] = {name: zeros[name] for name in _ARRAYS}
+            parts.append(Answers(**arrays_of_one, events=[], reports=[]))
+            done = row + 1
+    return parts[0] if len(parts) == 1 else _joined(parts)
 
 
 def _joined(parts: list[Answers]) -> Answers:

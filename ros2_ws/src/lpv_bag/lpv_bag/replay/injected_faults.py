@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from lpv_bag.replay.session import ReplayResult
 from lpv_bag.run.streams import RecordedAlarm
-from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.timestamps import NANOSECONDS
 
@@ -38,20 +38,8 @@ class InjectedFault:
 
 
 def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
-    """Compare the alarms of a replay with the faults that were injected.
-
-    Parameters
-    ----------
-    faults : sequence of Fault
-        Their onsets count from the first measurement.
-    result : ReplayResult
-        Of the replay with these faults.
-
-    Returns
-    -------
-    list of InjectedFault
-        In the order of the faults.
-    """
+    """Compare the alarms of a replay with the injected faults, whose onsets count from the first
+    measurement; in the order of the faults."""
     start = result.first_stamp or 0
     events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
     return [_judge(fault, faults, events) for fault in faults]

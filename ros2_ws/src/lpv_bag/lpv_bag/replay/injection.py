@@ -6,9 +6,8 @@ import numpy as np
 
 from lpv_bag.blocks.message_blocks import Block, rows
 from lpv_bag.run.measurements import Measurements
-from lpv_core.model.joints import JointMap
-from lpv_core.monitoring.factory import Monitor
-from lpv_core.serial_arm.description import SerialArm
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.sensor_map import map_rows
 from lpv_core.simulation.faults import FaultInjector, derived_rate_error, rate_bias
 
 CHANGED = ('position', 'velocity')
@@ -20,14 +19,11 @@ _RECENT = 10
 class BlockInjector:
     """Adds faults to the measurements of block after block."""
 
-    def __init__(self, injector: FaultInjector, monitor: Monitor) -> None:
+    def __init__(self, injector: FaultInjector, monitor: SerialSensorMonitor) -> None:
         self._injector, self._arm = injector, monitor.arm
-        # Sensors of a serial arm measure the joints themselves.
-        self._joints: JointMap | None = None
-        if isinstance(self._arm, SerialArm):
-            rates = [joint.sensors.rates for joint in self._arm.joints]
-        else:
-            self._joints, rates = JointMap(self._arm), [self._arm.rates] * 2
+        self._to_sensors = self._arm.joints_to_sensors()
+        self._to_joints = self._arm.sensors_to_joints()
+        rates = [joint.sensors.rates for joint in self._arm.joints]
         self._derived = np.array([rate == 'derived' for rate in rates])
         self._start: int | None = None
         self._active = False
@@ -57,15 +53,15 @@ class BlockInjector:
         # A rate that is a difference of positions shows the end of a fault, too.
         written = after if self._derived.any() else active
         changed = {}
-        for row in map(int, np.flatnonzero(after)):
-            if row in measured.odd:
-                if self._odd(measured.odd[row], times[row]):
-                    changed[row] = measured.odd[row]
-            else:
-                position, velocity = measured.position[row], measured.velocity[row]
-                faulty = self._faulty(position, velocity, times[row])
-                if written[row]:
-                    position[:], velocity[:] = faulty
+        for row in np.flatnonzero(after).tolist():
+            if row in measured.unusable:
+                continue
+            position, velocity = measured.position[row], measured.velocity[row]
+            faulty = self._faulty(position, velocity, times[row])
+            if written[row]:
+                position[:], velocity[:] = faulty
+                if row in measured.single:
+                    changed[row] = self._rewritten(measured.single[row], faulty)
         self._write(block, measured, places, written)
         return changed
 
@@ -83,20 +79,15 @@ class BlockInjector:
         self, position: np.ndarray, velocity: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Position and rate with the faults added."""
-        joints = self._joints
-        reading = np.array(position, float) if joints is None else joints.sensor_position(position)
+        reading = np.array(map_rows(self._to_sensors, position), float)
         faulty = self._injector.apply(float(time), reading, self._arm.sample_time)
         count = len(reading)
         bias = np.array([rate_bias(self._injector.records, i, float(time)) for i in range(count)])
         if self._derived.any():
             bias += np.where(self._derived, self._derived_rate_error(faulty - reading, time), 0.0)
         if np.any(bias):
-            if joints is None:
-                velocity = velocity + bias
-            else:
-                rates = joints.sensor_velocity(velocity) + bias
-                velocity = joints.joint_velocity_from_sensor(rates)
-        return faulty if joints is None else joints.joint_from_sensor(faulty), velocity
+            velocity = map_rows(self._to_joints, map_rows(self._to_sensors, velocity) + bias)
+        return map_rows(self._to_joints, faulty), velocity
 
     def _derived_rate_error(self, fault: np.ndarray, time: float) -> np.ndarray:
         """What faults add to rates that are differences of the positions."""
@@ -108,17 +99,12 @@ class BlockInjector:
             interval, last = self._arm.sample_time, np.zeros_like(fault)
         return np.array([derived_rate_error(*pair, interval) for pair in zip(fault, last)])
 
-    def _odd(self, message: Any, time: float) -> bool:
-        try:
-            columns = [list(message.name).index(name) for name in self._arm.joint_names]
-            rates = message.velocity[columns] if len(message.velocity) else np.zeros(len(columns))
-            faulty = self._faulty(message.position[columns], rates, time)
-        except (ValueError, IndexError):
-            return False  # the monitor will say what is wrong with this message
+    def _rewritten(self, message: Any, faulty: tuple[np.ndarray, np.ndarray]) -> Any:
+        """A message that was read alone, with other values."""
+        columns = [list(message.name).index(name) for name in self._arm.joint_names]
         for name, values in zip(CHANGED, faulty):
-            if not len(getattr(message, name)):
-                continue
-            whole = getattr(message, name).copy()  # what is read from a bag is read-only
-            whole[columns] = values
-            setattr(message, name, whole)
-        return True
+            if len(getattr(message, name)):
+                whole = getattr(message, name).copy()  # what is read from a bag is read-only
+                whole[columns] = values
+                setattr(message, name, whole)
+        return message

@@ -3,6 +3,7 @@
 import importlib
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,13 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
 from lpv_bag.blocks.message_blocks import ahead
 from lpv_bag.replay.writer import DIAGNOSTICS, OUTPUTS
-from lpv_bag.rosbag.offered_qos import offered_qos
+from lpv_bag.rosbag.metadata import offered_qos
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import BagError, find_topic, open_bag
@@ -35,54 +36,34 @@ _LONGEST_NAP = 0.1
 """A player that is told to end is awake at least so often [s]."""
 
 
+@dataclass
 class Player:
-    """Publishes the messages of a bag, byte for byte, at their recorded times.
+    """Publishes the messages of a bag, byte for byte, at their recorded times."""
 
-    Parameters
-    ----------
-    bag : str or pathlib.Path
-        The bag.
-    topics : sequence of str, optional
-        Topics to play; otherwise all but the answers of the diagnosis, which a live one gives.
-    measured : str, optional
-        Topic of the measurements, where there are several.
-    rate : float, optional
-        Speed; 2 is twice as fast as recorded.
-    loop : bool, optional
-        Start again at the end, until interrupted.
-    clock_rate : float, optional
-        Messages on /clock per second of the bag [Hz]; 0 for none.
-    wait : float, optional
-        Longest time to wait for a subscriber before the first message [s].
-    interval : tuple of float or None, optional
-        Start and end, counted from the first message [s].
-    """
+    bag: str | Path
+    # topics to play; otherwise all but the answers of the diagnosis, which a live one gives
+    topics: Sequence[str] | None = None
+    measured: str | None = None  # topic of the measurements, where there are several
+    rate: float = 1.0  # speed; 2 is twice as fast as recorded
+    loop: bool = False  # start again at the end, until interrupted
+    clock_rate: float = 100.0  # messages on /clock per second of the bag [Hz]; 0 for none
+    wait: float = 5.0  # longest time to wait for a subscriber before the first message [s]
+    # start and end, counted from the first message [s]
+    interval: tuple[float | None, float | None] = (None, None)
 
-    def __init__(
-        self,
-        bag: str | Path,
-        topics: Sequence[str] | None = None,
-        measured: str | None = None,
-        rate: float = 1.0,
-        loop: bool = False,
-        clock_rate: float = 100.0,
-        wait: float = 5.0,
-        interval: tuple[float | None, float | None] = (None, None),
-    ) -> None:
+    def __post_init__(self) -> None:
         for name, value, low, high in (
-            ('--rate', rate, 1e-3, 1e3),
-            ('--wait', wait, 0.0, 1e6),
-            ('--clock-rate', clock_rate, 0.0, 1e4),
+            ('--rate', self.rate, 1e-3, 1e3),
+            ('--wait', self.wait, 0.0, 1e6),
+            ('--clock-rate', self.clock_rate, 0.0, 1e4),
         ):
             if not low <= value <= high:
                 raise ConfigError(name, f'must be a number from {low:g} to {high:g}, got {value}')
-        for end in interval:
+        for end in self.interval:
             if end is not None and not 0.0 <= end < 1e9:
                 raise ConfigError('--from, --to', f'must be seconds from 0, got {end}')
-        self._bag, self._topics, self._measured = bag, topics, measured
-        self._rate, self._loop, self._wait = rate, loop, wait
-        self._tick = round(NANOSECONDS / clock_rate) if clock_rate else 0
-        self._interval, self._context = interval, Context()
+        self._tick = round(NANOSECONDS / self.clock_rate) if self.clock_rate else 0
+        self._context = Context()
 
     def run(self, say: Callable[..., Any] = lambda text: None, rounds: int | None = None) -> int:
         """Play until the end, ``rounds`` of a loop, or until the context is shut down.
@@ -90,14 +71,14 @@ class Player:
         ``say`` receives lines for the user.  Returns the number of messages; BagError if the bag
         holds nothing that can be played.
         """
-        with open_bag(self._bag) as reader:
+        with open_bag(self.bag) as reader:
             chosen = self._choose(reader)
             rclpy.init(context=self._context)
             node = rclpy.create_node('lpv_player', context=self._context)
             try:
                 publishers = _publishers(node, chosen, say)
                 if not publishers:
-                    raise BagError(f'{self._bag}: no type of its topics is installed here')
+                    raise BagError(f'{self.bag}: no type of its topics is installed here')
                 clock = node.create_publisher(Clock, _CLOCK, 10) if self._tick else None
                 chosen = [c for c in chosen if c.topic in publishers]
                 self._await([*publishers.values(), *([clock] if clock else [])], say)
@@ -105,7 +86,7 @@ class Player:
                 while True:
                     published += self._play(reader, chosen, publishers, clock)
                     turn += 1
-                    if not self._loop or turn == rounds or not self._context.ok():
+                    if not self.loop or turn == rounds or not self._context.ok():
                         break
                 for publisher in publishers.values():
                     if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
@@ -116,16 +97,16 @@ class Player:
                 rclpy.try_shutdown(context=self._context)
 
     def _choose(self, reader: BagReader) -> list[Connection]:
-        if self._topics is not None:
+        if self.topics is not None:
             there = {c.topic for c in reader.connections}
-            missing = [t for t in self._topics if t not in there]
+            missing = [t for t in self.topics if t not in there]
             if missing:
                 raise BagError(
-                    f'{self._bag}: the bag has no topic {missing[0]!r}; it has '
+                    f'{self.bag}: the bag has no topic {missing[0]!r}; it has '
                     + ', '.join(sorted(there))
                 )
-            return [c for c in reader.connections if c.topic in self._topics]
-        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', self._measured).topic
+            return [c for c in reader.connections if c.topic in self.topics]
+        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', self.measured).topic
         prefix = measured.rsplit('/', 1)[0]
         answers = {f'{prefix}/{name}' for name, _ in OUTPUTS.values()} | {DIAGNOSTICS, _CLOCK}
         return [c for c in reader.connections if c.topic not in answers]
@@ -133,7 +114,7 @@ class Player:
     def _await(self, publishers: list[Publisher], say: Callable[[str], None]) -> None:
         """Wait for a subscriber, and until no more come."""
         counts, since = [0] * len(publishers), time.monotonic()
-        deadline = since + self._wait
+        deadline = since + self.wait
         while (now := time.monotonic()) < deadline:
             before, counts = counts, [p.get_subscription_count() for p in publishers]
             if counts != before:
@@ -141,7 +122,7 @@ class Player:
             if any(counts) and now - since >= _SETTLING:
                 return
             time.sleep(0.02)
-        if self._wait and not any(counts):
+        if self.wait and not any(counts):
             say('there are no subscribers; playing nevertheless')
 
     def _play(
@@ -154,7 +135,7 @@ class Player:
         """Play once; the number of messages."""
         origin, tick, published = -1, 0, 0
         wall = time.monotonic()
-        for block in ahead(reader.blocks(connections, *map(reader.log_time, self._interval))):
+        for block in ahead(reader.blocks(connections, *map(reader.log_time, self.interval))):
             for i, stamp in enumerate(block.time.tolist()):
                 if origin < 0:
                     wall, origin, tick = time.monotonic(), stamp, stamp
@@ -171,7 +152,7 @@ class Player:
     def _sleep(self, wall: float, elapsed: int) -> bool:
         """Sleep until a time of the bag has come; False if the player is to end."""
         while self._context.ok():
-            rest = wall + elapsed / NANOSECONDS / self._rate - time.monotonic()
+            rest = wall + elapsed / NANOSECONDS / self.rate - time.monotonic()
             if rest <= 0.0:
                 return True
             time.sleep(min(rest, _LONGEST_NAP))
@@ -181,30 +162,28 @@ class Player:
 def _publishers(
     node: Node, connections: Sequence[Connection], say: Callable[[str], None]
 ) -> dict[str, Publisher]:
+    """Publishers by topic, with the QoS with which a topic was offered when it was recorded."""
     found: dict[str, Publisher] = {}
     for connection in connections:
+        topic = connection.topic
         try:
             package, _, name = connection.msgtype.split('/')
             message = getattr(importlib.import_module(f'{package}.msg'), name)
         except (ImportError, AttributeError, ValueError):
-            say(f'{connection.topic} is left out: {connection.msgtype} is not installed')
+            say(f'{topic} is left out: {connection.msgtype} is not installed')
             continue
-        if connection.topic not in found:
-            same = [c for c in connections if c.topic == connection.topic]
-            found[connection.topic] = node.create_publisher(
-                message, connection.topic, _recorded_qos(same)
+        offered = [q for c in connections if c.topic == topic for q in offered_qos(c)]
+        reliable = all(q.reliability != QosReliability.BEST_EFFORT for q in offered)
+        latched = offered and all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
+        if topic not in found:
+            qos = QoSProfile(
+                depth=min(max([10, *(q.depth for q in offered)]), _DEEPEST),
+                reliability=(
+                    ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+                ),
+                durability=(
+                    DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+                ),
             )
+            found[topic] = node.create_publisher(message, topic, qos)
     return found
-
-
-def _recorded_qos(connections: Sequence[Connection]) -> QoSProfile:
-    """The QoS with which a topic was offered when it was recorded."""
-    offered = [q for c in connections for q in offered_qos(c)]
-    reliable = not any(q.reliability == QosReliability.BEST_EFFORT for q in offered)
-    latched = bool(offered) and all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=min(max([10, *(q.depth for q in offered)]), _DEEPEST),
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
-    )

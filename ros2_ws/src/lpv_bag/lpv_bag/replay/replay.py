@@ -19,11 +19,10 @@ from lpv_bag.replay.writer import ReplayWriter
 from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
 from lpv_bag.run.record import STREAMS, find_connections, find_topic
-from lpv_bag.run.rows import StreamReader
 from lpv_bag.run.streams import RecordedAlarm
 from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
 from lpv_core.monitoring.answers import Answers
-from lpv_core.monitoring.factory import Monitor
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
@@ -38,25 +37,13 @@ class _Inputs(NamedTuple):
 
 
 class Replay:
-    """Runs a monitor over a bag and writes a bag with its answers.
-
-    Parameters
-    ----------
-    monitor : Monitor
-        Fresh observer and diagnosis.
-    options : ReplayOptions, optional
-        What to read and to write.
-    injector : FaultInjector, optional
-        Faults to add to the measurements, to see what the diagnosis makes of them.
-    on_event : callable, optional
-        Called with every alarm event, and its time since the first measurement [s].
-    **changes
-        Fields of ``options`` by name.
-    """
+    """Runs a fresh monitor over a bag: with other ``options`` (or fields of them by name), with
+    injected faults; ``on_event`` takes every alarm event and its time since the first measurement
+    [s]."""
 
     def __init__(
         self,
-        monitor: Monitor,
+        monitor: SerialSensorMonitor,
         options: ReplayOptions | None = None,
         injector: FaultInjector | None = None,
         on_event: Callable[[RecordedAlarm, float], None] | None = None,
@@ -67,27 +54,11 @@ class Replay:
         self._on_event = on_event or (lambda event, time: None)
 
     def run(self, bag: str | Path, out: str | Path) -> ReplayResult:
-        """Replay one bag.
+        """Replay one bag into another, which is created.
 
-        All topics are copied unless the options say otherwise, except earlier answers of the
-        same monitor, which are replaced.
-
-        Parameters
-        ----------
-        bag, out : str or pathlib.Path
-            Bag to read, bag to create.
-
-        Returns
-        -------
-        ReplayResult
-            What was found.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or lacks measurements.
-        ConfigError
-            If the new bag cannot be made.
+        All topics are copied unless the options say otherwise, except earlier answers of the same
+        monitor, which are replaced.  BagError if the bag cannot be read or lacks measurements,
+        ConfigError if the new one cannot be made.
         """
         result, options = ReplayResult(), self._options
         with open_bag(bag) as reader:
@@ -108,7 +79,11 @@ class Replay:
                         written.result()
                 _check(bag, inputs, result)
                 if not result.answered and result.rejected:
-                    raise _unusable(bag, result)
+                    (reason, count), *_ = result.rejected.most_common(1)
+                    raise BagError(
+                        f'{bag}: none of its {result.measurements} measurements can be used '
+                        f'({count} of them: {reason})'
+                    )
                 with result.stage('writing'):
                     writer.close()
             except BaseException:
@@ -117,47 +92,24 @@ class Replay:
                 raise
         return result
 
-    def watch(
-        self, bag: str | Path, take: Callable[..., Any], streams: Sequence[str] = ()
-    ) -> ReplayResult:
-        """Run over one bag and write nothing.
+    def watch(self, bag: str | Path, take: Callable[..., Any]) -> ReplayResult:
+        """Run over one bag and write nothing; errors as of `run`.
 
-        Parameters
-        ----------
-        bag : str or pathlib.Path
-            Bag to read.
-        take : callable
-            Called block by block with measurements, answers, and a dict of other streams: header
-            stamps and fields, or None where a block has no message.
-        streams : sequence of str, optional
-            Other streams of the bag, names of `lpv_bag.run.record.STREAMS`.
-
-        Returns
-        -------
-        ReplayResult
-            What was found.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or lacks measurements.
+        ``take`` is called block by block with measurements and answers.
         """
         result = ReplayResult()
         with open_bag(bag) as reader:
             inputs = self._inputs(reader)
-            topics, readers = {}, {}
-            for name in streams:
-                found = find_connections(reader, STREAMS[name][0], name, namespace=inputs.prefix)
-                if found:
-                    topics[name], readers[name] = found[0].topic, StreamReader(reader, name)
-            result.topic, result.streams = inputs.measured, set(topics)
-            wanted = self._wanted(reader, inputs, set(topics.values()))
-            for batch in ahead(self._batches(reader, inputs, wanted, result)):
-                other: dict[str, Any] = {}
-                for name, topic in topics.items():
-                    rows = readers[name].read(batch.block, _of(batch.block, wanted, topic))
-                    other[name] = rows and rows[1:]
-                take(batch.measured, self._answer(batch, result), other)
+            result.topic = inputs.measured
+            result.streams = {
+                name
+                for name, (msgtype, _) in STREAMS.items()
+                if find_connections(reader, msgtype, name, namespace=inputs.prefix)
+            }
+            for batch in ahead(
+                self._batches(reader, inputs, self._wanted(reader, inputs, set()), result)
+            ):
+                take(batch.measured, self._answer(batch, result))
             result.warnings = list(reader.warnings)
             result.lost = int(reader.known.get(inputs.measured, {}).get('lost', 0))
         _check(bag, inputs, result)
@@ -184,9 +136,9 @@ class Replay:
         self, reader: BagReader, inputs: _Inputs, wanted: Sequence[Connection], result: ReplayResult
     ) -> Iterator[Batch]:
         """Blocks of the bag with the measurements in them, decoded."""
-        joints = self._monitor.arm.joint_names
+        joints, effort = self._monitor.arm.joint_names, inputs.effort
         measurements = MeasurementReader(reader, joints, self._monitor.needs_rates)
-        efforts = inputs.effort and EffortReader(reader, inputs.effort.msgtype, joints)
+        efforts = effort and EffortReader(reader, effort.msgtype, joints)
         injector = self._injector and BlockInjector(self._injector, self._monitor)
         blocks = reader.blocks(wanted, *_limits(reader, self._options))
         while True:
@@ -198,10 +150,9 @@ class Replay:
                 positions = _of(block, wanted, inputs.measured)
                 measured = measurements.read(block, positions)
                 torque, changed = None, {}
-                if efforts and inputs.effort:
-                    torque = efforts.before(
-                        block, _of(block, wanted, inputs.effort.topic), positions
-                    )
+                if effort and efforts:
+                    given = _of(block, wanted, effort.topic)
+                    torque = efforts.before(block, given, positions)
                     result.rejected.update(efforts.rejected)
                     efforts.rejected.clear()
                 if injector:
@@ -230,33 +181,23 @@ def _check(bag: str | Path, inputs: _Inputs, result: ReplayResult) -> None:
         raise BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
 
 
-def _unusable(bag: str | Path, result: ReplayResult) -> BagError:
-    (reason, count), *_ = result.rejected.most_common(1)
-    return BagError(
-        f'{bag}: none of its {result.measurements} measurements can be used '
-        f'({count} of them: {reason})'
-    )
-
-
 def _of(block: Any, connections: Sequence[Connection], topic: str) -> np.ndarray:
     """Positions of a topic's messages in a block."""
     return np.flatnonzero(np.array([c.topic == topic for c in connections])[block.connection])
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:
-    found = [c for c in reader.connections if c.topic == topic]
-    if not found:
+    found = next((c for c in reader.connections if c.topic == topic), None)
+    if found is not None and found.msgtype in EFFORT_TYPES:
+        return found
+    if found is None:
         there = ', '.join(sorted(c.topic for c in reader.connections if c.msgtype in EFFORT_TYPES))
-        raise BagError(
-            f'{reader.paths[0]}: the bag has no topic {topic!r}; topics that may carry '
-            f'torques are {there or "missing"}'
-        )
-    if found[0].msgtype not in EFFORT_TYPES:
-        raise BagError(
-            f'{reader.paths[0]}: {topic} is of type {found[0].msgtype}; torques can be '
-            f'read from ' + ', '.join(EFFORT_TYPES)
-        )
-    return found[0]
+        text = f'the bag has no topic {topic!r}; topics that may carry torques are '
+        text += there or 'missing'
+    else:
+        text = f'{topic} is of type {found.msgtype}; torques can be read from '
+        text += ', '.join(EFFORT_TYPES)
+    raise BagError(f'{reader.paths[0]}: {text}')
 
 
 def _limits(reader: BagReader, options: ReplayOptions) -> tuple[int | None, int | None]:

@@ -39,7 +39,7 @@ class ReplayResult:
     # processor time by stage [s]
     seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     topic: str = ''  # of the measurements
-    streams: set[str] = field(default_factory=set)  # other wanted streams that are there
+    streams: set[str] = field(default_factory=set)  # of `STREAMS`, that are there
     warnings: list[str] = field(default_factory=list)  # tolerated defects of the bag
     lost: int = 0  # measurements that the recorder says it has lost
 

@@ -8,17 +8,17 @@ import numpy as np
 from rosbags.interfaces import Connection
 
 from lpv_bag.blocks.message_blocks import Block, record, split
-from lpv_bag.replay.answer_records import RecordTemplate, as_fields, padded_cdr
+from lpv_bag.replay.answer_records import RecordTemplate, as_fields
 from lpv_bag.replay.session import Batch
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.reading import BagReader
-from lpv_bag.rosbag.writing import BagWriter, qos_profile
+from lpv_bag.rosbag.writing import BagWriter, padded_cdr, qos_profile
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
 from lpv_bag.run.record import CORRECTED
 from lpv_core.monitoring.answers import Answers
-from lpv_core.monitoring.factory import Monitor
 from lpv_core.monitoring.message_fields import alarm_fields
-from lpv_core.observer.sampled_observer import Mode
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.diagnosis.alarms import Mode
 from lpv_core.support.errors import ConfigError
 
 OUTPUTS = {
@@ -39,7 +39,7 @@ class ReplayWriter:
     def __init__(
         self,
         path: str | Path,
-        monitor: Monitor,
+        monitor: SerialSensorMonitor,
         prefix: str,
         preset: str,
         copied: Sequence[Connection],

@@ -3,30 +3,37 @@
 import os
 import site
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReaderError
+from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from lpv_core.support.errors import ConfigError
 
-
-def share_folders(package: str) -> list[Path]:
-    """Folders that may hold a package's interface files, in order of preference."""
-    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix, site.getuserbase())]
-    folders.append(Path(__file__).resolve().parents[3] / package)
-    return folders
+_PADDING = 4
+"""More bytes that some publishers leave behind a message that ends with an empty sequence of
+doubles, as JointState without efforts: room for its alignment, beside the usual 0 to 3."""
+_OWN = (
+    'FaultAlarm',
+    'FaultEstimate',
+    'GroundTruth',
+    'JointReference',
+    'StateEstimate',
+    'TorqueCommand',
+)
 
 
 def message_text(msgtype: str) -> str:
     """Definition of a message type from its ``.msg`` file."""
     package, _, name = msgtype.split('/')
-    for folder in share_folders(package):
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix, site.getuserbase())]
+    for folder in (*folders, Path(__file__).resolve().parents[3] / package):
         path = folder / 'msg' / f'{name}.msg'
         if path.is_file():
             return path.read_text(encoding='utf-8')
@@ -34,11 +41,6 @@ def message_text(msgtype: str) -> str:
         'message type',
         f'{msgtype} is not installed: no {package}/msg/{name}.msg below any sourced prefix',
     )
-
-
-_PADDING = 4
-"""More bytes that some publishers leave behind a message that ends with an empty sequence of
-doubles, as JointState without efforts: room for its alignment, beside the usual 0 to 3."""
 
 
 def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) -> Any:
@@ -56,43 +58,25 @@ def add_type(typestore: Typestore, msgtype: str) -> None:
 
     Raises ConfigError if a definition is not installed.
     """
-    missing = [msgtype]
-    while missing:
-        name = missing.pop()
-        if name in typestore.fielddefs:
-            continue
-        found = get_types_from_msg(message_text(name), name)
+    if msgtype not in typestore.fielddefs:
+        found = get_types_from_msg(message_text(msgtype), msgtype)
         typestore.register(found)
-        missing += [used for used in _used_types(found[name]) if used not in typestore.fielddefs]
+        for _, kind in found[msgtype][1]:
+            for used in _nested(kind):
+                add_type(typestore, used)
 
 
-def _used_types(definition: Any) -> list[str]:
-    """Names of nested message types; a field is (name, (kind, what)) and arrays nest one level."""
-
-    def names(kind: Any) -> list[str]:
-        node, what = kind
-        if int(node) == 2:  # Nodetype.NAME
-            return [what]
-        if int(node) in (3, 4):  # Nodetype.ARRAY, Nodetype.SEQUENCE
-            return names(what[0])
-        return []
-
-    return [name for _, kind in definition[1] for name in names(kind)]
-
-
-LPV_TYPES = (
-    'FaultAlarm',
-    'FaultEstimate',
-    'GroundTruth',
-    'JointReference',
-    'StateEstimate',
-    'TorqueCommand',
-)
+def _nested(kind: Any) -> Iterator[str]:
+    """Message types of a field; elements of arrays are one level below."""
+    if kind[0] == Nodetype.NAME:
+        yield kind[1]
+    elif kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        yield from _nested(kind[1][0])
 
 
 def make_typestore() -> Typestore:
     """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs."""
     typestore = get_typestore(Stores.ROS2_JAZZY)
-    for name in LPV_TYPES:
+    for name in _OWN:
         add_type(typestore, f'lpv_msgs/msg/{name}')
     return typestore

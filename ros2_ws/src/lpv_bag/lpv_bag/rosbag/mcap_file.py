@@ -3,7 +3,7 @@
 import io
 import mmap
 import zlib
-from collections.abc import Iterator
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,37 +17,35 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
-from lpv_bag.blocks.message_blocks import BLOCK_SIZE, Block, record, split
+from lpv_bag.blocks.message_blocks import BLOCK_SIZE, Block, split
 from lpv_bag.errors import BagError, DamageError
 
 MAX_CHUNK = 1 << 27
 """Largest chunk that is read, decompressed [bytes]."""
 _MAX_RECORD = 1 << 28
+_KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 
 
 class Place(NamedTuple):
-    """Where a chunk is, and what is in it."""
+    """Where a chunk is, or messages outside of any, and what is in it."""
 
     start: int  # least log time [ns]
     end: int  # greatest log time [ns]
     offset: int  # [bytes]
     channels: tuple[int, ...]  # none where they are not known
     messages: int
-
-
-class _NoIndex(DamageError):
-    """The file may be whole, but messages can only be found by reading all of it."""
+    length: int = 0  # of messages outside of chunks [bytes]
 
 
 class McapFile:
-    """An open file; topics and chunks are known once `read_summary` or `salvage` has run."""
+    """An open file, whose topics and places are known: from its summary, or from a scan."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.places: list[Place] = []
-        self.counts: dict[int, int] = {}  # messages by channel, as the file says
+        self.counts: dict[int, int] = {}  # messages by channel, as far as is known
         self.attachments = 0
         self.complete = False  # whether the recording was finished
         self.damages: list[str] = []
@@ -63,38 +61,105 @@ class McapFile:
         """Close the file."""
         self._data.close()
 
-    def read_summary(self) -> None:
-        """Learn from the summary where what is; any exception if it is missing or damaged."""
+    def index(self) -> None:
+        """Find out what is where; what is wrong with the file is in ``damages``."""
+        try:
+            if self._read_summary():
+                return
+        except Exception as error:  # of many kinds: the bytes may be anything
+            self.damages.append(error_text(error))
+        self._scan()
+
+    def _read_summary(self) -> bool:
+        """Whether the summary says it all; any exception if it is damaged."""
         summary = SeekingReader(self._data, record_size_limit=_MAX_RECORD).get_summary()
         if summary is None or summary.statistics is None:
-            raise _NoIndex('it has no summary')
+            return False
         footer = self._data[-37:-8]
         start, crc = int.from_bytes(footer[9:17], 'little'), int.from_bytes(footer[25:], 'little')
         if crc and zlib.crc32(self._data[start:-12]) != crc:
             raise DamageError('the checksum of its summary is wrong')
-        self.counts = dict(summary.statistics.channel_message_counts)
-        if any(self.counts.values()) and not summary.chunk_indexes:
-            raise _NoIndex('its summary does not say where the messages are')
+        counts, places = dict(summary.statistics.channel_message_counts), []
+        if any(counts.values()) and not summary.chunk_indexes:
+            return False
         for index in summary.chunk_indexes:
             if not index.message_start_time <= index.message_end_time < 2**63 - 1:
                 raise DamageError('the times of a chunk are wrong')
-            offsets = index.message_index_offsets
-            self.places.append(
-                Place(
-                    index.message_start_time,
-                    index.message_end_time,
-                    index.chunk_start_offset,
-                    tuple(offsets),
-                    max(0, index.message_index_length - 15 * len(offsets)) // 16,
-                )
-            )
-        if not {*self.counts, *(c for p in self.places for c in p.channels)} <= {*summary.channels}:
+            channels = tuple(index.message_index_offsets)
+            messages = max(0, index.message_index_length - 15 * len(channels)) // 16
+            times = index.message_start_time, index.message_end_time
+            places.append(Place(*times, index.chunk_start_offset, channels, messages))
+        if not {*counts, *(c for p in places for c in p.channels)} <= {*summary.channels}:
             raise DamageError('its summary counts messages of unknown topics')
         self.schemas, self.channels = summary.schemas, summary.channels
-        self.attachments, self.complete = summary.statistics.attachment_count, True
+        self.counts, self.places, self.complete = counts, places, True
+        self.attachments = summary.statistics.attachment_count
+        return True
+
+    def _scan(self) -> None:
+        """Find all that is whole from the front."""
+        at, found, loose = 8, Counter[int](), None
+        self._data.seek(0)
+        reader = StreamReader(self._data, emit_chunks=True, record_size_limit=_MAX_RECORD)
+        try:
+            for one in reader.records:
+                after = self._data.tell()
+                if isinstance(one, Message) and one.log_time < 2**63 - 1:
+                    loose = self._add_loose(one, at, after, loose)
+                    found[one.channel_id] += 1
+                elif isinstance(one, Chunk):
+                    found += self._add_chunk(one, at)
+                elif isinstance(one, (Schema, Channel)):
+                    self._define(one)
+                self.complete |= isinstance(one, DataEnd)
+                at = after
+        except Exception as error:  # of many kinds
+            if not self.complete:
+                rest, why = len(self._data) - at, error_text(error)
+                self.damages.append(f'{rest} bytes from byte {at} on are lost ({why})')
+        if unknown := sum(found[number] for number in found if number not in self.channels):
+            self.damages.append(f'{unknown} messages of topics whose definition is lost')
+        self.counts = {number: count for number, count in found.items() if number in self.channels}
+
+    def _add_loose(self, message: Message, at: int, after: int, last: int | None) -> int:
+        """Add a message outside of chunks to the place before, if that ends where it begins."""
+        time, one = message.log_time, (message.channel_id,)
+        if last is not None and self.places[last].offset + self.places[last].length == at:
+            before = self.places[last]
+            if before.length < BLOCK_SIZE:
+                times = min(before.start, time), max(before.end, time)
+                channels = before.channels if one[0] in before.channels else before.channels + one
+                length, count = after - before.offset, before.messages + 1
+                self.places[last] = Place(*times, before.offset, channels, count, length)
+                return last
+        self.places.append(Place(time, time, at, one, 1, after - at))
+        return len(self.places) - 1
+
+    def _add_chunk(self, chunk: Chunk, at: int) -> Counter[int]:
+        try:
+            block, others = split(_content(chunk))
+            for other in others:
+                if other[0] in _KINDS:
+                    self._define(_KINDS[other[0]].read(ReadDataStream(io.BytesIO(other[9:]))))
+        except Exception as error:  # of many kinds
+            self.damages.append(f'the chunk at byte {at} is damaged ({error_text(error)})')
+            return Counter()
+        found = Counter(block.connection.tolist())
+        if len(block):
+            times = int(block.time.min()), int(block.time.max())
+            self.places.append(Place(*times, at, tuple(found), len(block)))
+        return found
+
+    def _define(self, found: Schema | Channel) -> None:
+        known: dict[int, Any] = self.channels if isinstance(found, Channel) else self.schemas
+        if known.setdefault(found.id, found) != found:
+            raise DamageError(f'the number {found.id} means two different topics or schemas')
 
     def read(self, place: Place) -> Block:
         """Messages of a chunk; DamageError if they are not what was recorded."""
+        if place.length:
+            data = self._data[place.offset : place.offset + place.length]
+            return split(np.frombuffer(data, np.uint8))[0]
         try:
             self._data.seek(place.offset)
             head = ReadDataStream(self._data)
@@ -113,65 +178,6 @@ class McapFile:
                 f'({error_text(error)}), its {place.messages} messages are left out'
             ) from None
         return block
-
-    def salvage(self) -> Iterator[Block]:
-        """Messages of all that is whole from the front; what is wrong is in ``damages``."""
-        try:
-            self.read_summary()
-        except _NoIndex:
-            pass
-        except Exception as error:  # of many kinds
-            self.damages.append(error_text(error))
-        if self.complete:
-            for place in self.places:
-                try:
-                    yield self.read(place)
-                except DamageError as error:
-                    self.damages.append(str(error))
-            return
-        self.counts, at, loose = {}, 8, b''
-        self._data.seek(0)
-        reader = StreamReader(self._data, emit_chunks=True, record_size_limit=_MAX_RECORD)
-        try:
-            for found in reader.records:
-                if isinstance(found, Chunk):
-                    block = self._scanned(found, at)
-                    if block is not None:
-                        yield block
-                elif isinstance(found, Message):
-                    loose += record(found.channel_id, found.log_time, found.data)
-                elif isinstance(found, (Schema, Channel)):
-                    self._define(found)
-                self.complete |= isinstance(found, DataEnd)
-                at = self._data.tell()
-                if len(loose) > BLOCK_SIZE:
-                    yield split(np.frombuffer(loose, np.uint8))[0]
-                    loose = b''
-        except Exception as error:  # of many kinds
-            if not self.complete:
-                rest = len(self._data) - at
-                self.damages.append(
-                    f'{rest} bytes from byte {at} on are lost ({error_text(error)})'
-                )
-        if loose:
-            yield split(np.frombuffer(loose, np.uint8))[0]
-
-    def _scanned(self, chunk: Chunk, at: int) -> Block | None:
-        try:
-            block, others = split(_content(chunk))
-            for other in others:
-                kind: Any = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(other[0])  # type: ignore[call-overload]
-                if kind is not None:
-                    self._define(kind.read(ReadDataStream(io.BytesIO(other[9:]))))
-            return block
-        except Exception as error:  # of many kinds
-            self.damages.append(f'the chunk at byte {at} is damaged ({error_text(error)})')
-            return None
-
-    def _define(self, found: Schema | Channel) -> None:
-        known: dict[int, Any] = self.channels if isinstance(found, Channel) else self.schemas
-        if known.setdefault(found.id, found) != found:
-            raise DamageError(f'the number {found.id} means two different topics or schemas')
 
 
 def _content(chunk: Chunk) -> np.ndarray:

@@ -1,11 +1,21 @@
-"""metadata.yaml of rosbag2 bags."""
+"""metadata.yaml of rosbag2 bags, and the quality of service that is stored beside a topic."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from lpv_bag.errors import DamageError
@@ -18,6 +28,32 @@ VERSION = 9
 """Of the format that is written, that of rosbag2 since Jazzy."""
 _MAX_BYTES = 1 << 26
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+_FOREVER = QosTime(2147483647, 4294967295)
+
+
+def qos_profile(reliable: bool, transient_local: bool, depth: int) -> Qos:
+    """Offered QoS as stored beside a topic."""
+    return Qos(
+        QosHistory.KEEP_LAST,
+        depth,
+        QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
+        _FOREVER,
+        _FOREVER,
+        QosLiveliness.AUTOMATIC,
+        _FOREVER,
+        False,
+    )
+
+
+def offered_qos(connection: Connection) -> list[Qos]:
+    """QoS profiles with which a topic was offered when it was recorded; none of ROS 1 bags."""
+    return list(getattr(connection.ext, 'offered_qos_profiles', None) or ())
+
+
+def qos_text(connection: Connection) -> str:
+    """Offered QoS as a channel's metadata have them."""
+    return dump(dump_qos_v9(offered_qos(connection))).strip()
 
 
 @dataclass(frozen=True)
@@ -29,19 +65,13 @@ class BagMetadata:
     compressed: bool  # by rosbag2 itself, beside what a storage does
     counts: dict[str, int]  # messages by topic
     hashes: dict[str, str]  # type description hash by message type
-    custom: dict[str, str]  # custom data
-
-    @property
-    def known(self) -> Known:
-        """What the recorder knew of each topic."""
-        return known_from_text(self.custom.get(RECORD_NAME, '{}'))
+    known: Known  # what the recorder knew of each topic
 
 
-def read_metadata(folder: str | Path) -> BagMetadata:
+def read_metadata(folder: Path) -> BagMetadata:
     """Read the metadata of a bag; DamageError if they are none."""
     try:
-        data = load_yaml(Path(folder) / FILE_NAME, _MAX_BYTES)['rosbag2_bagfile_information']
-        return _parse(data)
+        return _parse(load_yaml(folder / FILE_NAME, _MAX_BYTES)['rosbag2_bagfile_information'])
     except ConfigError as error:
         raise DamageError(f'{FILE_NAME} {error.reason}') from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -66,13 +96,8 @@ def _parse(data: Any) -> BagMetadata:
         str(data.get('compression_mode') or 'none').lower() not in ('none', 'storage'),
         counts,
         hashes,
-        {str(k): str(v) for k, v in (data.get('custom_data') or {}).items()},
+        known_from_text(str((data.get('custom_data') or {}).get(RECORD_NAME, '{}'))),
     )
-
-
-def qos_text(profiles: Any) -> str:
-    """Offered QoS as a channel's metadata have them."""
-    return dump(dump_qos_v9(list(profiles))).strip()
 
 
 def dump(data: object) -> str:
@@ -81,12 +106,14 @@ def dump(data: object) -> str:
 
 
 def bag_information(
-    files: list[tuple[str, int, int, int]], topics: list[tuple[Any, ...]], custom: dict[str, str]
+    files: Sequence[tuple[str, int, int, int]],
+    topics: Sequence[Connection],
+    counts: dict[str, int],
+    custom: dict[str, str],
 ) -> dict[str, Any]:
     """Content of metadata.yaml.
 
-    Of each file name, first and last log time and number of messages; of each topic name, type,
-    QoS, hash and number of messages.
+    Of each file name, first and last log time [ns] and number of messages; messages by topic.
     """
     start = min((first for _, first, _, count in files if count), default=0)
     end = max((last for _, _, last, count in files if count), default=0)
@@ -99,15 +126,15 @@ def bag_information(
         'topics_with_message_count': [
             {
                 'topic_metadata': {
-                    'name': name,
-                    'type': msgtype,
+                    'name': c.topic,
+                    'type': c.msgtype,
                     'serialization_format': 'cdr',
-                    'offered_qos_profiles': dump_qos_v9(list(profiles)),
-                    'type_description_hash': digest,
+                    'offered_qos_profiles': dump_qos_v9(offered_qos(c)),
+                    'type_description_hash': c.digest,
                 },
-                'message_count': count,
+                'message_count': counts[c.topic],
             }
-            for name, msgtype, profiles, digest, count in topics
+            for c in topics
         ],
         'compression_format': '',
         'compression_mode': '',

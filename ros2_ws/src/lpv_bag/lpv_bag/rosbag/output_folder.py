@@ -4,10 +4,10 @@ import os
 from itertools import count
 from pathlib import Path
 
-from lpv_core.certificate.gains import load_gains
 from lpv_core.serial_arm.certificate.loop_gains import load_loop_gains, serial_parameters
-from lpv_core.simulation.any_scenario import load_any_scenario
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
+from lpv_core.uio.certificate.gains import load_gains
 
 GAINS_NAME = 'gains.yaml'
 """Of the copy of the gains that a run was answered with."""
@@ -18,10 +18,8 @@ SCENARIO_NAME = 'scenario.yaml'
 def free_path(path: str | Path) -> Path:
     """The path itself, or the first of ``path_1``, ``path_2``, ... that does not exist."""
     path = Path(path)
-    if not os.path.lexists(path):
-        return path
-    names = (path.with_name(f'{path.resolve().name}_{number}') for number in count(1))
-    return next(name for name in names if not os.path.lexists(name))
+    others = (path.with_name(f'{path.resolve().name}_{number}') for number in count(1))
+    return path if not os.path.lexists(path) else next(p for p in others if not os.path.lexists(p))
 
 
 def read_gains_file(path: str | Path) -> bytes:
@@ -34,17 +32,17 @@ def read_gains_file(path: str | Path) -> bytes:
     return _content(path)
 
 
+def read_scenario_file(path: str | Path) -> bytes:
+    """Text of a scenario file, for `copy_file`."""
+    load_scenario(path)
+    return _content(path)
+
+
 def _content(path: str | Path) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
         raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
-
-
-def read_scenario_file(path: str | Path) -> bytes:
-    """Text of a scenario file, for `copy_file`."""
-    load_any_scenario(path)
-    return _content(path)
 
 
 def copy_file(data: bytes, folder: Path, name: str) -> None:

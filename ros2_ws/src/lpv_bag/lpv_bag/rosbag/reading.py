@@ -1,53 +1,67 @@
 """Opening of bags by rosbags; the messages of MCAP files are read a chunk at a time.
 
-A bag that is damaged or was not finished is read from a copy of what is whole in it.
+Of a bag that is damaged or was not finished, a scan finds what is whole.
 """
 
 import contextlib
 import functools
 import logging
-import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys.store import Typestore
 
-from lpv_bag.blocks.message_blocks import BLOCK_SIZE, RECORD, Block, joined, record
+from lpv_bag.blocks.message_blocks import BLOCK_SIZE, Block, joined, record, split
 from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import decode, make_typestore
 from lpv_bag.rosbag.mcap_file import McapFile, error_text
 from lpv_bag.rosbag.message_loss import Known
 from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
-from lpv_bag.rosbag.recovery import mcap_files, recover
+from lpv_bag.rosbag.topics import connections_of, types_of
 from lpv_core.support.errors import LpvError
 from lpv_core.support.timestamps import NANOSECONDS
 
 _LOG = logging.getLogger(__name__)
 _LARGEST_GROUP = 1 << 29
 """Chunks whose times overlap are sorted together up to this size [bytes]."""
-_ARRAYS = (3, 4)  # rosbags.interfaces.Nodetype: of a fixed length, sequences
 _STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
 
 
 class BagReader:
-    """A bag that is open for reading."""
+    """A bag that is open for reading: MCAP files, or another ``source`` by rosbags."""
 
-    def __init__(self, path: Path, source: AnyReader, files: Sequence[McapFile] = ()) -> None:
-        self.paths, self.source, self.files = [path], source, files
+    def __init__(
+        self,
+        path: Path,
+        connections: list[Connection],
+        files: Sequence[McapFile] = (),
+        source: AnyReader | None = None,
+    ) -> None:
+        self.paths, self.connections, self.files, self.source = [path], connections, files, source
         self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
         self.known: Known = {}  # what the recorder knew of each topic
-        self.connections: list[Connection] = source.connections
-        self.typestore: Typestore = source.typestore  # of the types as the bag defines them
-        self.start_time, self.end_time = source.start_time, source.end_time
-        if files:  # messages are looked for where the files say, whatever metadata.yaml says
-            self.start_time = min((p.start for f in files for p in f.places), default=2**63 - 1)
-            self.end_time = max((p.end + 1 for f in files for p in f.places), default=0)
+        self.said: Counter[str] = Counter()  # messages that there should be, by topic
+        self.finished = True  # whether the recording was ended in order
+        places = [place for file in files for place in file.places]
+        self.start_time = min((place.start for place in places), default=2**63 - 1)
+        self.end_time = max((place.end + 1 for place in places), default=0)
+        if source is not None:
+            self.start_time, self.end_time = source.start_time, source.end_time
+
+    @functools.cached_property
+    def typestore(self) -> Typestore:
+        """Types as the bag defines them; BagError if it defines none that make sense."""
+        if self.source is not None:
+            return self.source.typestore
+        with damage(self.paths[0]):
+            return types_of(self.connections)
 
     def warn(self, text: str) -> None:
         """Note, and log, what is wrong with the bag."""
@@ -61,28 +75,12 @@ class BagReader:
     def blocks(
         self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
     ) -> Iterator[Block]:
-        """Messages in the order of their log times, thousands at once.
-
-        Parameters
-        ----------
-        connections : sequence of rosbags.interfaces.Connection
-            Wanted ones; the blocks hold their indices.
-        start, stop : int, optional
-            First log time, and the one before which to end [ns].
-
-        Yields
-        ------
-        Block
-            Not empty.
-
-        Raises
-        ------
-        BagError
-            If the bag is damaged so that it cannot be read on.
-        """
+        """Messages of some topics in the order of their log times, thousands at once, from the
+        first log time to before the last one [ns]; the blocks hold indices of connections, and are
+        not empty. BagError if the bag is damaged so that it cannot be read on."""
         low, high = start if start is not None else 0, stop if stop is not None else 2**63 - 1
         with damage(self.paths[0]):
-            if self.files:
+            if self.source is None:
                 yield from self._mcap_blocks(connections, low, high)
             elif connections:
                 messages = self.source.messages(connections, start=start, stop=stop)
@@ -99,11 +97,11 @@ class BagReader:
             if place.end >= low and place.start < high
             if not place.channels or (wanted[part][list(place.channels)] >= 0).any()
         )
-        group: list[tuple[int, int, Block]] = []
+        group: list[tuple[int, int, Block]] = []  # chunks that overlap
         end, size, bad = -1, 0, 0
         for first, part, place in places:
             if group and first > end and size >= BLOCK_SIZE:
-                yield from _sorted(group, low, high)
+                yield from _sorted(group)
                 group, size = [], 0
             try:
                 block = self.files[part].read(place)
@@ -112,12 +110,12 @@ class BagReader:
                 bad += 1
                 continue
             block.connection = wanted[part][block.connection]
-            kept = block.connection >= 0
+            kept = (block.connection >= 0) & (block.time >= low) & (block.time < high)
             group.append((part, place.offset, block if kept.all() else block.chosen(kept)))
             end, size = max(end, place.end), size + len(block.data)
             if size > _LARGEST_GROUP and len(group) > 1:
                 raise DamageError(f'more than {_LARGEST_GROUP >> 20} MiB overlap in time')
-        yield from _sorted(group, low, high)
+        yield from _sorted(group)
         if bad and bad == len(places):
             raise DamageError('no chunk of it is whole')
 
@@ -137,7 +135,9 @@ class BagReader:
     def deserialize(self, rawdata: bytes, typ: str) -> Any:
         """Decode a message; BagError if it does not fit the type."""
         with damage(self.paths[0]):
-            return decode(self.source.deserialize, rawdata, typ)
+            source = self.source
+            method = source.deserialize if source else self.typestore.deserialize_cdr
+            return decode(method, rawdata, typ)
 
     def typestore_of(self, msgtype: str) -> Typestore:
         """Typestore, shared, of the types as this bag defines them.
@@ -174,7 +174,7 @@ class BagReader:
 
 def _element(kind: Any) -> Any:
     """Type of a field, whatever the length of an array."""
-    if kind is not None and int(kind[0]) in _ARRAYS:
+    if kind is not None and kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         return 'array', kind[1][0]
     return kind
 
@@ -189,34 +189,26 @@ def _wanted(file: McapFile, connections: Sequence[Connection]) -> np.ndarray:
     return found
 
 
-def _sorted(group: list[tuple[int, int, Block]], low: int, high: int) -> Iterator[Block]:
+def _sorted(group: list[tuple[int, int, Block]]) -> Iterator[Block]:
     """Messages of chunks that overlap; those of one time keep the order of the files."""
-    if group:
-        block = joined([block for *_, block in sorted(group, key=lambda entry: entry[:2])])
-        kept = (block.time >= low) & (block.time < high)
-        block = block if kept.all() else block.chosen(kept)
-        if len(block):
-            yield block
+    if any(len(block) for *_, block in group):
+        yield joined([block for *_, block in sorted(group, key=lambda entry: entry[:2])])
 
 
 def _collect(
     messages: Iterable[tuple[Connection, int, bytes]], connections: Sequence[Connection]
 ) -> Iterator[Block]:
     """Blocks of messages that come one by one."""
-    index = {id(connection): i for i, connection in enumerate(connections)}
-    table: list[tuple[int, int, int, int]] = []
-    data = bytearray()
+    numbers = {(c.topic, c.id): i for i, c in enumerate(connections)}
+    data, found = bytearray(), list[int]()
     for connection, time, content in messages:
-        number = index.get(id(connection))
-        if number is None:
-            number = index[id(connection)] = connections.index(connection)
-        table.append((number, time, len(data) + RECORD.itemsize, len(content)))
         data += record(0, max(0, time), content)
+        found.append(numbers[connection.topic, connection.id])
         if len(data) >= BLOCK_SIZE:
-            yield Block(np.frombuffer(data, np.uint8), *np.array(table, np.int64).T)
-            table, data = [], bytearray()
-    if table:
-        yield Block(np.frombuffer(data, np.uint8), *np.array(table, np.int64).T)
+            yield replace(split(np.frombuffer(data, np.uint8))[0], connection=np.array(found))
+            data, found = bytearray(), []
+    if found:
+        yield replace(split(np.frombuffer(data, np.uint8))[0], connection=np.array(found))
 
 
 @contextlib.contextmanager
@@ -236,26 +228,12 @@ def damage(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def open_bag(path: str | Path) -> Iterator[BagReader]:
-    """Open a bag; whatever goes wrong in reading is a BagError with a message.
+    """Open a rosbag2 directory or a single ``.mcap`` or ``.db3`` file; whatever goes wrong in
+    reading is a BagError with a message.
 
     MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
     and in ``warnings`` of the reader) and read as far as their checksums are right.  Bags without
     message definitions are read with the standard types and lpv_msgs.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory or single ``.mcap`` or ``.db3`` file.
-
-    Yields
-    ------
-    BagReader
-        Open reader.
-
-    Raises
-    ------
-    BagError
-        If there is no such bag, or nothing of it can be read.
     """
     path = Path(path)
     if not path.exists():
@@ -267,54 +245,69 @@ def open_bag(path: str | Path) -> Iterator[BagReader]:
 
 
 def _opened(path: Path, stack: ExitStack) -> BagReader:
-    def by_rosbags(bag: Path) -> AnyReader:
-        return stack.enter_context(AnyReader([bag], default_typestore=standard_types()))
-
-    def files_of(paths: Sequence[Path]) -> list[McapFile]:
-        files = [stack.enter_context(contextlib.closing(McapFile(one))) for one in paths]
-        for file in files:
-            file.read_summary()
-        return files
-
     metadata, damages = None, list[str]()
-    if (path / FILE_NAME).exists():
-        with contextlib.suppress(DamageError):  # which is said below
-            metadata = read_metadata(path)
+    try:
+        metadata = read_metadata(path) if (path / FILE_NAME).exists() else None
+        if metadata is None and path.is_dir():
+            damages.append(f'it has no {FILE_NAME}, its recording was not finished')
+    except DamageError as error:
+        damages.append(str(error))
     other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
     if other or not (path.is_dir() or path.suffix == '.mcap'):
-        return BagReader(path, by_rosbags(path))
-    paths = mcap_files(path, damages)[1]
-    try:
-        if damages:
-            raise DamageError(damages[0])
-        files = files_of(paths)
-        reader = BagReader(path, by_rosbags(path), files)
-        topics = {channel.topic for file in files for channel in file.channels.values()}
-        if metadata is not None and topics != set(metadata.counts):
-            raise DamageError(f'the files have other topics than {FILE_NAME}')
-    except Exception:  # of many kinds: what is whole in it is found by reading all of it
-        copy = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='lpv_bag_'))) / 'bag'
-        damages = recover(path, copy, 'none').damages
-        reader = BagReader(path, by_rosbags(copy), files_of(list(copy.glob('*.mcap'))))
+        source = stack.enter_context(AnyReader([path], default_typestore=standard_types()))
+        return BagReader(path, source.connections, source=source)
+    files = []
+    for one in _files(path, metadata, damages):
+        try:
+            files.append(stack.enter_context(contextlib.closing(McapFile(one))))
+        except BagError as error:
+            damages.append(str(error))
+    for file in files:
+        file.index()
+        for number, text in enumerate(file.damages):
+            if number == 0 and not file.complete:
+                text = f'the recording was not finished, its end may be missing ({text})'
+            damages.append(f'{file.path.name}: {text}')
+    connections = connections_of(files, metadata.hashes if metadata else {})
+    if damages and not any(connection.msgcount for connection in connections):
+        raise BagError(
+            f'{path}: cannot be read, the bag is damaged or incomplete: {damages[-1]}, and '
+            'nothing in it can be recovered'
+        )
+    reader = BagReader(path, connections, files)
+    reader.finished = metadata is not None or all(file.complete for file in files)
     for text in damages:
         reader.warn(text)
     _compare_counts(reader, metadata)
-    reader.known = metadata.known if metadata else {}
     return reader
 
 
 def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
-    there: Counter[str] = Counter()
-    for file in reader.files:
-        for number, count in file.counts.items():
-            there[file.channels[number].topic] += count
-    for topic, count in (metadata.counts if metadata else {}).items():
-        if there[topic] != count:
-            reader.warn(
-                f'{topic}: {FILE_NAME} says {count} messages, the files hold {there[topic]}'
-            )
-    # All publishers of a topic are one.
-    reader.connections[:] = [c._replace(msgcount=there.pop(c.topic, 0)) for c in reader.connections]
+    """Messages that there should be, by files and metadata; warn where these differ."""
+    for connection in reader.connections:
+        reader.said[connection.topic] += connection.msgcount
+    if metadata is not None:
+        reader.known, there = metadata.known, reader.said
+        for topic, count in metadata.counts.items():
+            if there[topic] != count:
+                said = f'{FILE_NAME} says {count} messages, the files hold {there[topic]}'
+                reader.warn(f'{topic}: {said}')
+        reader.said = there | Counter(metadata.counts)
+
+
+def _files(path: Path, metadata: BagMetadata | None, damages: list[str]) -> list[Path]:
+    """MCAP files of a bag; what is missing is added to the damages."""
+    if not path.is_dir():
+        return [path]
+    paths = sorted(path.glob('*.mcap'), key=lambda p: (len(p.name), p.name))
+    if metadata is not None:
+        named = [path / name for name in metadata.files]
+        paths = [one for one in named if one.is_file()]
+        if missing := [one.name for one in named if one not in paths]:
+            damages.append(f'{FILE_NAME} names files that are missing: {", ".join(missing)}')
+    if not paths:
+        raise BagError(f'{path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files')
+    return paths
 
 
 @functools.lru_cache(maxsize=1)

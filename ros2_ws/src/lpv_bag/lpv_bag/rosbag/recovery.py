@@ -6,23 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-)
-from rosbags.rosbag2.metadata import parse_qos
 
-from lpv_bag.errors import BagError, DamageError
-from lpv_bag.rosbag.mcap_file import McapFile
-from lpv_bag.rosbag.message_loss import Known
-from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
+from lpv_bag.errors import BagError
 from lpv_bag.rosbag.output_folder import copy_run_files
+from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
-
-_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
 
 
 @dataclass
@@ -56,156 +45,42 @@ class Recovery:
 
 
 def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
-    """Write what can be read of a bag into a new one, chunk by chunk.
+    """Write what can be read of an MCAP bag into a new one, or examine it only.
 
     A chunk whose checksum is wrong is left out as a whole: one of its messages is wrong, and there
     is no telling which.  Of a file without a whole index, what comes before the first byte that
-    makes no sense is kept.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory with MCAP files, or one MCAP file.
-    out : str or pathlib.Path, optional
-        Bag to create; without, the bag is examined only.
-    preset : str, optional
-        Compression of the new bag, a key of `lpv_bag.rosbag.writing.PRESETS`.
-
-    Returns
-    -------
-    Recovery
-        What was recovered and what was lost.
-
-    Raises
-    ------
-    BagError
-        If nothing can be read, or it is no MCAP bag.
-    ConfigError
-        If the new bag cannot be made.
-    OSError
-        If it cannot be written.
+    makes no sense is kept.  BagError if nothing can be read, ConfigError or OSError if the new bag
+    cannot be written.
     """
     path, result = Path(path), Recovery()
-    metadata, paths = mcap_files(path, result.damages)
-    known: Known = metadata.known if metadata else {}
-    found, said = Counter[str](), Counter(metadata.counts if metadata else {})
     with contextlib.ExitStack() as stack:
+        reader = stack.enter_context(open_bag(path))
+        if not reader.files:
+            raise BagError(f'{path}: only MCAP bags can be recovered')
         writer = None if out is None else stack.enter_context(BagWriter(out, preset))
-        complete, failures = True, []
-        for one in paths:
-            try:
-                file = stack.enter_context(contextlib.closing(McapFile(one)))
-            except BagError as error:
-                failures.append(str(error))
-                continue
-            counts = _copy(file, metadata, writer, found, result)
-            said |= counts
-            complete &= file.complete
-        result.damages += failures
-        if not found and (result.damages or failures):
-            raise BagError(
-                f'{path}: cannot be read, the bag is damaged or incomplete: {result.damages[-1]}, '
-                'and nothing in it can be recovered'
-            )
+        topics = [connection.topic for connection in reader.connections]
+        found, channels = np.zeros((2, len(topics)), np.int64)
+        for block in reader.blocks(reader.connections):
+            counts = np.bincount(block.connection, minlength=len(topics))
+            if writer is not None:
+                for number in np.flatnonzero((counts > 0) & (found == 0)):
+                    writer.copy_topic(reader.connections[number])
+                    channels[number] = writer.channel(topics[number])
+                writer.write_chunk(block.copied(channels[block.connection]))
+            found += counts
+            result.end = max(result.end, int(block.time.max()))
+        recovered = Counter(dict(zip(topics, found.tolist())))
+        said = reader.said
         result.topics = {
-            topic: TopicRecovery(found[topic], max(0, said[topic] - found[topic]))
-            for topic in sorted({*found, *said})
+            topic: TopicRecovery(recovered[topic], max(0, said[topic] - recovered[topic]))
+            for topic in sorted({*recovered, *said})
         }
-        result.end_missing = metadata is None and not complete
+        result.damages = list(reader.warnings)
+        result.end_missing = not reader.finished
+        result.attachments = sum(file.attachments for file in reader.files)
         if writer is not None:
-            missing = writer.close(known)
+            missing = writer.close(reader.known)
             if missing:
                 raise ConfigError('--out', f'cannot be written as a whole: {missing}', str(out))
             result.damages += copy_run_files(path, writer.path)
     return result
-
-
-def mcap_files(path: Path, damages: list[str]) -> tuple[BagMetadata | None, list[Path]]:
-    """Metadata and files of an MCAP bag; what is wrong with them is added to the damages."""
-    if not path.is_dir():
-        if path.suffix != '.mcap':
-            raise BagError(f'{path}: only MCAP bags can be recovered')
-        return None, [path]
-    metadata = None
-    try:
-        metadata = read_metadata(path) if (path / FILE_NAME).exists() else None
-        if metadata is None:
-            damages.append(f'it has no {FILE_NAME}, its recording was not finished')
-    except DamageError as error:
-        damages.append(str(error))
-    if metadata is not None and (metadata.storage != 'mcap' or metadata.compressed):
-        raise BagError(f'{path}: only MCAP bags can be recovered')
-    paths = sorted(path.glob('*.mcap'), key=lambda p: (len(p.name), p.name))
-    if metadata is not None:
-        named = [path / name for name in metadata.files]
-        paths = [one for one in named if one.is_file()]
-        if missing := [one.name for one in named if one not in paths]:
-            damages.append(f'{FILE_NAME} names files that are missing: {", ".join(missing)}')
-    if not paths:
-        raise BagError(f'{path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files')
-    return metadata, paths
-
-
-def _copy(
-    file: McapFile,
-    metadata: BagMetadata | None,
-    writer: BagWriter | None,
-    found: Counter[str],
-    result: Recovery,
-) -> Counter[str]:
-    """Copy the messages of a file, and count them; what the file itself says that there are."""
-    unknown, table = 0, np.zeros(65536, np.int64)
-    for block in file.salvage():
-        for number in np.unique(block.connection).tolist():
-            if writer is not None and number in file.channels and not table[number]:
-                connection = _connection(file, number, metadata)
-                writer.copy_topic(connection)
-                table[number] = writer.channel(connection.topic)
-        counts = np.bincount(block.connection, minlength=1)
-        for number in np.flatnonzero(counts).tolist():
-            channel = file.channels.get(number)
-            if channel is None:
-                unknown += int(counts[number])
-            else:
-                found[channel.topic] += int(counts[number])
-        if len(block):
-            result.end = max(result.end, int(block.time.max()))
-        if writer is not None:
-            block = block.chosen(table[block.connection] > 0)
-            writer.write_chunk(block.copied(table[block.connection]))
-    name = file.path.name
-    for number, text in enumerate(file.damages):
-        if number == 0 and not file.complete:
-            text = f'the recording was not finished, its end may be missing ({text})'
-        result.damages.append(text if text.startswith(name) else f'{name}: {text}')
-    if unknown:
-        result.damages.append(f'{name}: {unknown} messages of topics whose definition is lost')
-    result.attachments += file.attachments
-    return Counter({file.channels[number].topic: count for number, count in file.counts.items()})
-
-
-def _connection(file: McapFile, number: int, metadata: BagMetadata | None) -> Connection:
-    """Topic of a channel, as rosbags has it."""
-    channel = file.channels[number]
-    schema, text = file.schemas.get(channel.schema_id), ''
-    if schema is not None and schema.encoding in _FORMATS:
-        text = schema.data.decode(errors='replace')
-    try:
-        profiles = parse_qos(channel.metadata.get('offered_qos_profiles', ''))
-    except Exception:  # many kinds; no result depends on it
-        profiles = []
-    name = schema.name if schema is not None else ''
-    kind = (
-        _FORMATS[schema.encoding] if schema is not None and text else MessageDefinitionFormat.NONE
-    )
-    hashes = metadata.hashes if metadata else {}
-    return Connection(
-        number,
-        channel.topic,
-        name,
-        MessageDefinition(kind, text),
-        channel.metadata.get('topic_type_hash') or hashes.get(name, ''),
-        0,
-        ConnectionExtRosbag2(channel.message_encoding, profiles),
-        None,
-    )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
@@ -81,35 +81,12 @@ def import_csv(
     topic: str = '/joint_states',
     delimiter: str = ',',
 ) -> tuple[int, list[str]]:
-    """Write a bag of sensor_msgs/JointState from a CSV file with a header line.
+    """Write a bag of sensor_msgs/JointState from a CSV file with a header line; number of messages,
+    and warnings.
 
     Empty cells become NaN: the observer has modes for missing values, and nothing recorded is
-    left out.  Without any effort column the messages carry no effort.
-
-    Parameters
-    ----------
-    source : str or pathlib.Path
-        CSV file.
-    columns : ColumnMap
-        Meaning of its columns.
-    out : str or pathlib.Path
-        Bag to create.
-    topic : str, optional
-        Topic of the messages.
-    delimiter : str, optional
-        Between cells.
-
-    Returns
-    -------
-    tuple
-        Number of messages, and a list of warnings.
-
-    Raises
-    ------
-    CsvError
-        If a column is missing, or a cell is no number.
-    ConfigError
-        If the bag cannot be made.
+    left out.  Without any effort column the messages carry no effort.  CsvError if a column is
+    missing or a cell is no number, ConfigError if the bag cannot be made.
     """
     count, warnings = 0, list[str]()
     try:
@@ -148,23 +125,23 @@ def _samples(
                 + (', '.join(header) or 'no columns at all')
             )
         fault, last, offset, backwards = None, -1, 0, 0
-        for cells in reader:
-            if not cells:
-                continue
+        for cells in filter(None, reader):
             if fault is not None:
                 raise fault
             line = f'{source}: line {reader.line_num}'
             try:
                 if len(cells) < len(header):
                     raise CsvError(f'{line} has too few cells')
-                texts = {name: cells[header.index(name)].strip() for name in columns.columns}
-                vectors = _vectors(texts, columns, line)
-                time = _time(texts[columns.time], columns, line)
+                row = _Row({name: cells[header.index(name)] for name in columns.columns}, line)
+                vectors = _vectors(row, columns)
+                # Decimal: a float of epoch seconds is 200 ns off.
+                unit = TIME_UNITS[columns.time_unit]
+                time = int(row.number(columns.time, Decimal, unit).to_integral_value())
                 if last < 0 and columns.start is not None:
                     offset = round(columns.start * 1e9) - time
                 stamp = time + offset
                 if not 0 <= stamp < _LATEST:
-                    raise _no_number(line, columns.time, texts[columns.time])
+                    raise row.error(columns.time)
             except CsvError as error:
                 # In the very last line it is that of a recording that was cut off.
                 fault = error
@@ -182,28 +159,32 @@ def _samples(
         warnings.append(f'time stands still or runs backwards {backwards} times')
 
 
-def _vectors(texts: dict[str, str], columns: ColumnMap, line: str) -> list[list[float]]:
+class _Row(NamedTuple):
+    """Cells of one line."""
+
+    cells: dict[str, str]
+    line: str  # for error messages
+
+    def number(self, name: str, kind: Any, unit: Any) -> Any:
+        try:
+            value = kind(self.cells[name].strip()) * unit
+        except (ArithmeticError, ValueError):
+            raise self.error(name) from None
+        if kind is Decimal and not value.is_finite():
+            raise self.error(name)
+        return value
+
+    def error(self, name: str) -> CsvError:
+        text = self.cells[name].strip()[:40]
+        return CsvError(f'{self.line}, column {name!r}: {text!r} is not a number that can be used')
+
+
+def _vectors(row: _Row, columns: ColumnMap) -> list[list[float]]:
     """Positions, rates and efforts; NaN where a cell is empty."""
     angle, vectors = ANGLE_UNITS[columns.angle_unit], []
-    for names, factor in zip(zip(*columns.joints.values()), (angle, angle, 1.0)):
-        values = []
-        for name in names:
-            text = texts.get(name, '')
-            try:
-                values.append(factor * float(text) if text else math.nan)
-            except ValueError:
-                raise _no_number(line, name, text) from None
+    for names, unit in zip(zip(*columns.joints.values()), (angle, angle, 1.0)):
+        filled = [name and row.cells[name].strip() for name in names]
+        pairs = zip(names, filled)
+        values = [row.number(name, float, unit) if text else math.nan for name, text in pairs]
         vectors.append(values if any(names) else [])
     return vectors
-
-
-def _time(text: str, columns: ColumnMap, line: str) -> int:
-    try:
-        # Decimal: a float of epoch seconds is 200 ns off.
-        return int((Decimal(text) * TIME_UNITS[columns.time_unit]).to_integral_value())
-    except (ArithmeticError, ValueError):
-        raise _no_number(line, columns.time, text) from None
-
-
-def _no_number(line: str, name: str, text: str) -> CsvError:
-    return CsvError(f'{line}, column {name!r}: {text[:40]!r} is not a number that can be used')

@@ -9,8 +9,8 @@ import numpy as np
 from lpv_bag.blocks.message_blocks import Block
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.decoder import Decoder
-from lpv_bag.run.streams import stamp_of
-from lpv_core.model.joint_order import JointOrder
+from lpv_core.monitoring.joint_order import JointOrder
+from lpv_core.support.errors import SampleError
 
 MEASUREMENT_TYPE = 'sensor_msgs/msg/JointState'
 _VECTORS = ('position', 'velocity', 'effort')
@@ -21,12 +21,13 @@ class Measurements:
     """Measurements of a block; n of them, joints in the order of the arm file."""
 
     stamp: np.ndarray  # header stamps [ns]; shape (n,)
-    position: np.ndarray  # [rad]; zero for the odd ones; shape (n, joints)
+    position: np.ndarray  # [rad]; zero for those without use; shape (n, joints)
     velocity: np.ndarray  # [rad/s]; likewise, NaN where a message carries none
     effort: np.ndarray  # [N m]; likewise
-    # deserialised messages by row, where joints are not those of the arm, sizes are wrong, or the
-    # message is not like those before
-    odd: dict[int, Any] = field(default_factory=dict)
+    # messages by row: those without use, whose joints are not the arm's or whose sizes are wrong
+    unusable: dict[int, Any] = field(default_factory=dict)
+    # and those that are not like the ones before
+    single: dict[int, Any] = field(default_factory=dict)
 
 
 class MeasurementReader:
@@ -37,7 +38,7 @@ class MeasurementReader:
     ) -> None:
         self._joints = len(joint_names)
         self._order = JointOrder(joint_names, needs_rates)
-        self._decoder = Decoder(reader, MEASUREMENT_TYPE, self._columns)
+        self._decoder = Decoder(reader, MEASUREMENT_TYPE, _VECTORS, self._columns)
 
     def _columns(self, message: Any) -> list[int]:
         self._order.pick(message)
@@ -45,19 +46,18 @@ class MeasurementReader:
 
     def read(self, block: Block, positions: np.ndarray) -> Measurements:
         """Measurements at some positions of a block."""
-        count = len(positions)
-        vectors = np.zeros((3, count, self._joints))
-        result = Measurements(np.zeros(count, np.int64), *vectors)
-        for rows, layout, found in self._decoder.read(block, positions):
-            if layout is None:
-                row = int(rows[0])
-                result.stamp[row], result.odd[row] = stamp_of(found.header.stamp), found
+        vectors = np.zeros((3, len(positions), self._joints))
+        result = Measurements(np.zeros(len(positions), np.int64), *vectors)
+        for part in self._decoder.read(block, positions):
+            result.stamp[part.rows] = part.stamps
+            if isinstance(part.learnt, SampleError):
+                result.unusable[int(part.rows[0])] = part.message
                 continue
-            starts = block.start[positions[rows]]
-            result.stamp[rows] = layout.stamps(block.data, starts)
+            if part.message is not None:
+                result.single[int(part.rows[0])] = part.message
             for name, vector in zip(_VECTORS, vectors):
-                values = layout.read(block.data, starts, name)
-                vector[rows] = values[:, found] if values.shape[1] else np.nan
+                values = part.values[name]
+                vector[part.rows] = values[:, part.learnt] if values.shape[1] else np.nan
         return result
 
     def places(self, block: Block, positions: np.ndarray, name: str) -> np.ndarray:

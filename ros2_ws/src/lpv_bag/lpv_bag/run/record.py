@@ -72,12 +72,11 @@ def find_connections(
     found = [c for c in reader.connections if c.msgtype == msgtype]
     if namespace is not None:
         parent = '/' + namespace.strip('/')
-        found = [c for c in found if _parent(c.topic) == parent]
-    if not wanted:
-        found = [c for c in found if c.topic.rsplit('/', 1)[-1] != CORRECTED]
+        found = [c for c in found if (c.topic.rsplit('/', 1)[0] or '/') == parent]
     if wanted:
         found = [c for c in found if c.topic == wanted]
-    elif len(found) > 1:
+    else:
+        found = [c for c in found if c.topic.rsplit('/', 1)[-1] != CORRECTED]
         found = [c for c in found if c.topic.rsplit('/', 1)[-1] == name] or found
     topics = sorted({c.topic for c in found})
     if len(topics) > 1:
@@ -88,24 +87,6 @@ def find_connections(
     if found:
         reader.check_definition(msgtype, _NEEDED.get(msgtype, ()))
     return found
-
-
-def _parent(topic: str) -> str:
-    return topic.rsplit('/', 1)[0] or '/'
-
-
-def _find_streams(
-    reader: BagReader, namespace: str | None, answers_only: bool
-) -> dict[str, list[Connection]]:
-    """Connections by stream, of those that the bag has."""
-    if not answers_only:
-        find_topic(reader, STREAMS['joint_states'][0], 'joint_states', namespace=namespace)
-    types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
-    found = {
-        name: find_connections(reader, msgtype, name, namespace=namespace)
-        for name, msgtype in types.items()
-    }
-    return {name: connections for name, connections in found.items() if connections}
 
 
 def load_run(
@@ -127,11 +108,6 @@ def load_run(
     answers_only : bool, optional
         Whether the bag may lack measurements.
 
-    Returns
-    -------
-    RunRecord
-        Its arrays.
-
     Raises
     ------
     BagError
@@ -139,7 +115,14 @@ def load_run(
         arm.
     """
     with open_bag(path) as reader:
-        chosen = _find_streams(reader, namespace, answers_only)
+        if not answers_only:
+            find_topic(reader, STREAMS['joint_states'][0], 'joint_states', namespace=namespace)
+        types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
+        found = {
+            name: find_connections(reader, msgtype, name, namespace=namespace)
+            for name, msgtype in types.items()
+        }
+        chosen = {name: connections for name, connections in found.items() if connections}
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:
             before = record.counts.get(connection.topic, 0)

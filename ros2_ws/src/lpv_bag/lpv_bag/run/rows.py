@@ -11,8 +11,7 @@ from lpv_bag.errors import BagError
 from lpv_bag.rosbag.reading import BagReader
 from lpv_bag.run.decoder import Decoder
 from lpv_bag.run.streams import ALARMS, SCALARS, STREAMS, RecordedAlarm, RunRecord, stamp_of
-from lpv_core.decision.diagnosis import AlarmEvent
-from lpv_core.observer.sampled_observer import Mode
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent, Mode
 from lpv_core.support.errors import SampleError
 
 Rows = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
@@ -29,7 +28,7 @@ class StreamReader:
         self.misfits = 0
         self._name, (msgtype, self._fields) = name, STREAMS[name]
         self._lengths: dict[str, int] = {}
-        self._decoder = Decoder(reader, msgtype, self._columns)
+        self._decoder = Decoder(reader, msgtype, self._fields, self._columns)
 
     def _columns(self, message: Any) -> Any:
         """Columns that are taken of a message's arrays; None for messages of other joints.
@@ -65,23 +64,12 @@ class StreamReader:
     def read(self, block: Block, positions: np.ndarray) -> Rows | None:
         """Messages at some positions of a block, or None."""
         parts = []
-        for rows, layout, what in self._decoder.read(block, positions):
-            if layout is not None:
-                columns = what
-                starts = block.start[positions[rows]]
-                stamps = layout.stamps(block.data, starts)
-                values = {name: layout.read(block.data, starts, name) for name in self._fields}
-            else:
-                try:
-                    columns = self._columns(what)
-                except SampleError:
-                    self.misfits += 1
-                    continue
-                stamps = np.array([stamp_of(what.header.stamp)])
-                values = {name: np.atleast_1d(getattr(what, name))[None] for name in self._fields}
-            if columns is not None:
-                chosen = {name: _picked(name, v, *columns) for name, v in values.items()}
-                parts.append((positions[rows], stamps, chosen))
+        for part in self._decoder.read(block, positions):
+            if isinstance(part.learnt, SampleError):
+                self.misfits += 1
+            elif part.learnt is not None:
+                chosen = {name: _picked(name, v, *part.learnt) for name, v in part.values.items()}
+                parts.append((positions[part.rows], part.stamps, chosen))
         if not parts:
             return None
         places, stamps = (np.concatenate([part[i] for part in parts]) for i in (0, 1))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.decision.diagnosis import Alarm
+from lpv_core.serial_arm.diagnosis.alarms import Alarm
 from lpv_core.support.timestamps import NANOSECONDS
 
 # Stream: (message type, array fields); the name is the last part of the topic's usual name.

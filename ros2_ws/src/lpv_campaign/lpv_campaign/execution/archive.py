@@ -12,13 +12,13 @@ from typing import Any
 
 from lpv_bag.replay.replay import Replay, ReplayOptions
 from lpv_campaign.execution.bag_figures import BagFigures
-from lpv_campaign.plan.campaign import arm_content, parse_content
-from lpv_core.certificate.gains import Gains, gains_to_dict, parse_gains
-from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.monitoring.factory import Monitor, make_monitor
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.arm_file import parse_arm, to_mapping
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.uio.certificate.gains import Gains, gains_to_dict, parse_gains
 
 _METADATA, _STORAGE = 'metadata.yaml', ('.mcap', '.db3')
 _UNIT = ('serial', 'unit')
@@ -28,17 +28,17 @@ _LONGEST_ERROR = 500
 
 def archive_text(
     root: str | Path,
-    arm: Arm,
+    arm: SerialArm,
     gains: Gains | None,
     diagnosis: DiagnosisParameters | None = None,
     options: ReplayOptions | None = None,
     **sampling: Any,
 ) -> str:
     """Text of an `Archive`: its folder, the arm of all bags, what observes them; ``sampling`` as of
-    `lpv_core.monitoring.factory.make_monitor`."""
+    `SerialSensorMonitor`."""
     content = {
         'root': str(Path(root).resolve()),
-        'arm': arm_content(arm),
+        'arm': to_mapping(arm),
         'gains': gains and gains_to_dict(gains),
         'diagnosis': asdict(diagnosis or DiagnosisParameters()),
         'options': asdict(options or ReplayOptions()),
@@ -52,7 +52,7 @@ class Archive:
 
     def __init__(self, text: str) -> None:
         self.text, data = text, json.loads(text)
-        self.root, self.arm = Path(data['root']), parse_content(data['arm'])
+        self.root, self.arm = Path(data['root']), parse_arm(data['arm'])
         self._gains = data['gains'] and parse_gains(data['gains'])
         self._diagnosis = DiagnosisParameters(**data['diagnosis'])
         self._options, self._sampling = ReplayOptions(**data['options']), data['sampling']
@@ -63,9 +63,9 @@ class Archive:
         data = json.loads(self.text)
         return sha256_of({name: data[name] for name in data if name != 'root'})
 
-    def monitor(self) -> Monitor:
+    def monitor(self) -> SerialSensorMonitor:
         """A fresh monitor."""
-        return make_monitor('/uio', self.arm, self._gains, self._diagnosis, **self._sampling)
+        return SerialSensorMonitor('/uio', self.arm, self._diagnosis, self._gains, **self._sampling)
 
     def row(self, name: str) -> dict[str, Any]:
         """Replay a bag and measure it; ``error`` says why it could not be read."""
@@ -84,21 +84,21 @@ class Archive:
         monitor = self.monitor()
         found = BagFigures(self.arm, self._sampling.get('max_gap', 0.1))
         with _quiet():
-            result = Replay(monitor, self._options).watch(path, found.take, BagFigures.STREAMS)
-        rejected = sum(result.rejected.values())
-        if rejected >= result.measurements:
-            raise LpvError('no measurement could be used: ' + next(iter(result.rejected)))
-        warnings = [*found.warnings, *result.warnings]
+            result = Replay(monitor, self._options).watch(path, found.take)
+            rejected = sum(result.rejected.values())
+            if rejected >= result.measurements:
+                raise LpvError('no measurement could be used: ' + next(iter(result.rejected)))
+            row = found.row(result.events, path, result)
         return {
             'topic': result.topic,
             'measurements': result.measurements,
             'rejected': rejected,
             'recorder_lost': result.lost,
             **vars(monitor.counters),
-            'warnings': _line('; '.join(warnings)),
+            'warnings': _line('; '.join([*found.warnings, *result.warnings])),
             'has_truth': 'ground_truth' in result.streams,
             'has_reference': 'reference' in result.streams,
-            **found.row(result.events, path / 'scenario.yaml'),
+            **row,
         }
 
 
@@ -120,29 +120,12 @@ def _line(text: str) -> str:
 
 
 def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> dict[str, list[str]]:
-    """All rosbag2 bags below a folder, as the chunks of a campaign.
+    """All rosbag2 bags below a folder, as the chunks of a campaign: path of each relative to it, by
+    a hash of names, sizes and times of its files.
 
     A folder with storage files and a metadata.yaml is one bag, and so is one without metadata
     whose MCAP files have its name, as an unfinished recording leaves it; other storage files are
     bags of their own.  Hidden folders and links to folders are left out.
-
-    Parameters
-    ----------
-    root : str or pathlib.Path
-        Archive.
-    leave_out : sequence of pathlib.Path, optional
-        Folders that are no part of it.
-
-    Returns
-    -------
-    dict of str to list of str
-        Path of each bag relative to the archive, by a hash of names, sizes and times of its files:
-        a bag that was changed has another one.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such folder.
     """
     root = Path(root)
     if not root.is_dir():

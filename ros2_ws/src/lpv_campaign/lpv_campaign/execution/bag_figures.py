@@ -1,42 +1,36 @@
 """Figures of one bag: sums over the answers while it is replayed, and those against its truth."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from lpv_bag.replay.session import ReplayResult
+from lpv_bag.run.record import load_run
 from lpv_campaign.execution.run_metrics import figures
-from lpv_core.decision.diagnosis import Alarm, AlarmEvent, SensorState
-from lpv_core.simulation.any_scenario import load_any_scenario
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, SensorState
 from lpv_core.simulation.faults import Fault
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import LpvError
 from lpv_core.support.timestamps import NANOSECONDS
 
 STATES = tuple(state.name.lower() for state in SensorState)
 """Names of the states of a sensor, in the order of their numbers."""
 MOST_SAMPLES = 1_000_000
-"""Longest truth that is held in memory: half an hour at 500 Hz."""
+"""Most answers that are held in memory, to be compared with a truth: half an hour at 500 Hz."""
 _DIAGNOSED = (int(SensorState.OK), int(SensorState.WARN), int(SensorState.ERROR))
 _STALE = int(SensorState.STALE)
 
 
 class BagFigures:
-    """Sums over the answers to one bag's measurements; memory does not grow without a truth.
+    """Sums over the answers to one bag's measurements, in bounded memory.
 
-    A sample counts for the time until the next one, at most ``max_gap``: what was not recorded was
-    not observed.
-
-    Parameters
-    ----------
-    arm : ArmParameters or SerialArm
-        The arm.
-    max_gap : float
-        Longest interval that counts [s].
+    A sample counts for the time until the next one, at most ``max_gap`` [s]: what was not recorded
+    was not observed.
     """
-
-    STREAMS = ('ground_truth', 'reference', 'torque_command')
 
     def __init__(self, arm: Any, max_gap: float) -> None:
         self._arm, self._max_gap, self.warnings = arm, max_gap, list[str]()
@@ -45,15 +39,15 @@ class BagFigures:
         self._score, self._largest, self._sums = np.zeros(n), np.zeros(n), np.zeros((4, n))
         self._pending: np.ndarray | None = None
         self._stamps: list[int] = []
-        self._truth: dict[str, list[dict[str, np.ndarray]]] = {}
-        self._true_samples = 0
+        self._answers: list[dict[str, np.ndarray]] = []
+        self._samples = 0
 
-    def take(self, measured: Any, answers: Any, streams: dict[str, Any]) -> None:
+    def take(self, measured: Any, answers: Any) -> None:
         """Count a block, as `lpv_bag.replay.replay.Replay.watch` hands it on."""
         stamps = measured.stamp
         if len(stamps):
-            self._stamps = [f([*self._stamps, f(stamps)]) for f in (min, max)]
-            self._stamps = [int(stamp) for stamp in self._stamps]
+            both = [*self._stamps, *stamps.tolist()]
+            self._stamps = [min(both), max(both)]
         rows = np.flatnonzero(answers.answered)
         state = np.where(answers.has_fault[rows, None], answers.fault.state[rows], _STALE)
         doubtful = [answers.inconsistent[rows], ~answers.state.trustworthy[rows]]
@@ -64,10 +58,23 @@ class BagFigures:
             time = np.clip(np.diff(table[:, 0]) / NANOSECONDS, 0.0, self._max_gap)
             self._add_time(table[:-1], time)
             self._pending = table[-1:]
-        fault = answers.fault[answers.answered & answers.has_fault]
-        if len(fault):
+        rows = np.flatnonzero(answers.answered & answers.has_fault)
+        fault, state = answers.fault[rows], answers.state[rows]
+        if len(rows):
             self._add_faults(fault.estimate, fault.threshold, fault.state)
-        self._keep_truth(measured, answers, streams)
+        self._samples += len(rows)
+        if self._samples > MOST_SAMPLES:
+            self._answers.clear()
+        else:
+            kept = {
+                'stamp': stamps[rows],
+                'estimate': state.position,
+                'estimated_velocity': state.velocity,
+                'fault_estimate': fault.estimate,
+                'threshold': fault.threshold,
+                'inconsistent': answers.inconsistent[rows],
+            }
+            self._answers.append({name: np.array(values) for name, values in kept.items()})
 
     def _add_time(self, table: np.ndarray, time: np.ndarray) -> None:
         self._doubtful += time @ table[:, 1:3]
@@ -84,31 +91,7 @@ class BagFigures:
         parts = (diagnosed, sure, sure**2, np.where(diagnosed, threshold, 0.0))
         self._sums += [part.sum(axis=0) for part in parts]
 
-    def _keep_truth(self, measured: Any, answers: Any, streams: dict[str, Any]) -> None:
-        if 'ground_truth' not in streams:
-            return
-        if streams['ground_truth'] is not None:
-            self._true_samples += len(streams['ground_truth'][0])
-        if self._true_samples > MOST_SAMPLES:
-            self._truth.clear()
-            self.warnings = ['too long to be compared with its ground truth']
-            return
-        rows = np.flatnonzero(answers.answered & answers.has_fault)
-        state, fault = answers.state[rows], answers.fault[rows]
-        known = {
-            'estimate': state.position,
-            'estimated_velocity': state.velocity,
-            'fault_estimate': fault.estimate,
-            'threshold': fault.threshold,
-            'inconsistent': answers.inconsistent[rows],
-        }
-        parts = {name: part for name, part in streams.items() if part is not None}
-        for name, (stamps, values) in {**parts, 'answers': (measured.stamp[rows], known)}.items():
-            table = {'stamp': stamps, **values}
-            kept = {field: np.array(array) for field, array in table.items()}
-            self._truth.setdefault(name, []).append(kept)
-
-    def row(self, events: Sequence[Alarm], scenario: Path) -> dict[str, Any]:
+    def row(self, events: Sequence[Alarm], bag: Path, result: ReplayResult) -> dict[str, Any]:
         """Figures of the bag, by column; None where there is nothing to be measured."""
         if self._pending is not None:
             self._add_time(self._pending, np.array([self._arm.sample_time]))
@@ -116,7 +99,7 @@ class BagFigures:
         start, end = self._stamps or (0, 0)
         count = np.where(self._sums[0] > 0, self._sums[0], np.nan)
         mean, square, threshold = self._sums[1:] / count
-        row: dict[str, Any] = self._against_truth(events, scenario)
+        row: dict[str, Any] = self._against_truth(events, bag, result)
         raised = [event.sensor for event in events if event.event == AlarmEvent.RAISED]
         row.update(
             start=start,
@@ -141,27 +124,48 @@ class BagFigures:
             row[f'alarms_{i + 1}'] = raised.count(sensor)
         return row
 
-    def _against_truth(self, events: Sequence[Alarm], scenario: Path) -> dict[str, Any]:
+    def _against_truth(
+        self, events: Sequence[Alarm], bag: Path, result: ReplayResult
+    ) -> dict[str, Any]:
         """What `figures` finds of a run, where the truth is there."""
-        if not {'ground_truth', 'answers'} <= set(self._truth):
+        if 'ground_truth' not in result.streams or not self._samples:
             return {}
-        tables = {name: _sorted(parts) for name, parts in self._truth.items()}
-        truth = tables['ground_truth']
-        stamps = truth.pop('stamp')
-        del tables['ground_truth']
-        held = {name: _held(table, stamps) for name, table in tables.items()}
-        run = SimpleNamespace(time=(stamps - stamps[0]) / NANOSECONDS, **truth, **held['answers'])
-        run.reference = held.get('reference', {}).get(
-            'position', np.full_like(run.position, np.nan)
+        if self._samples > MOST_SAMPLES:
+            self.warnings = ['too long to be compared with its ground truth']
+            return {}
+        place = result.topic.rsplit('/', 1)[0]
+        record = load_run(bag, place, self._arm.joint_names, answers_only=True)
+        stamps = record.stamps['ground_truth']
+        seen = (stamps >= self._stamps[0]) & (stamps <= self._stamps[1])
+        truth = {name: values[seen] for name, values in record.streams['ground_truth'].items()}
+        stamps = stamps[seen]
+        answers = {
+            name: np.concatenate([p[name] for p in self._answers]) for name in self._answers[0]
+        }
+        # Of several answers with one stamp the last one counts.
+        known, last = np.unique(answers.pop('stamp')[::-1], return_index=True)
+        answers = {name: values[::-1][last] for name, values in answers.items()}
+        run = SimpleNamespace(
+            time=(stamps - stamps[0]) / NANOSECONDS, **truth, **_held(known, answers, stamps)
         )
+        held = {
+            name: _held(record.stamps[name], record.streams[name], stamps)
+            for name in {'reference', 'torque_command'} & set(record.streams)
+        }
+        unknown = {'position': np.full_like(run.position, np.nan)}
+        run.reference = held.get('reference', unknown)['position']
         stop = held.get('torque_command', {}).get('safe_stop', np.zeros(len(stamps)))
-        run.braked = stop.reshape(-1).astype(bool)
-        run.alarms = [_moved(event, int(stamps[0])) for event in events]
-        faults, seed = self._faults(run, scenario)
+        run.braked = stop.astype(bool)
+        start = int(stamps[0])
+        run.alarms = [
+            replace(event, onset=event.onset - start, detected=event.detected - start)
+            for event in events
+        ]
+        faults, seed = self._faults(run, bag / 'scenario.yaml')
         what = SimpleNamespace(faults=faults, seed=seed)
         with np.errstate(invalid='ignore', divide='ignore'):
             found = figures(SimpleNamespace(arm=self._arm, scenario=what), run)
-        if 'reference' not in tables:
+        if 'reference' not in held:
             found['stable'] = None
         return found
 
@@ -170,7 +174,7 @@ class BagFigures:
         ``unknown``, what the truth shows of a sensor from its first faulty sample to the last."""
         names = self._arm.sensor_names
         try:
-            stored = load_any_scenario(scenario, self._arm)
+            stored = load_scenario(scenario)
             if {fault.sensor for fault in stored.faults} <= set(names):
                 return stored.faults, stored.seed
         except (LpvError, OSError):
@@ -186,29 +190,17 @@ class BagFigures:
         return faults, -1
 
 
-def _sorted(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    # Of several messages with one stamp the last one counts.
-    stamps, last = np.unique(table['stamp'][::-1], return_index=True)
-    rows = len(table['stamp']) - 1 - last
-    return {name: stamps if name == 'stamp' else values[rows] for name, values in table.items()}
-
-
-def _held(table: dict[str, np.ndarray], stamps: np.ndarray) -> dict[str, np.ndarray]:
+def _held(
+    known: np.ndarray, table: dict[str, np.ndarray], stamps: np.ndarray
+) -> dict[str, np.ndarray]:
     """Values at other stamps: what is not said again stays as it was; before the first one the
     drives brake, and all else is zero or the first value."""
-    last = np.searchsorted(table['stamp'], stamps, side='right') - 1
-    held = {name: array[np.maximum(last, 0)] for name, array in table.items() if name != 'stamp'}
+    last = np.searchsorted(known, stamps, side='right') - 1
+    held = {name: array[np.maximum(last, 0)] for name, array in table.items()}
     for name, values in held.items():
         if name == 'safe_stop' or 'threshold' in held:
             values[last < 0] = name == 'safe_stop'
     return held
-
-
-def _moved(event: Alarm, start: int) -> SimpleNamespace:
-    found = SimpleNamespace(**vars(event))
-    found.onset, found.detected = event.onset - start, event.detected - start
-    return found
 
 
 def _number(value: float) -> float | None:

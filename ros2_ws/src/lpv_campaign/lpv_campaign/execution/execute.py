@@ -73,32 +73,20 @@ def chunks_of(campaign: Campaign, size: int = CHUNK) -> dict[str, list[int]]:
 def worker_pool(
     workers: int | None = None, scheduler: str | None = None
 ) -> Iterator[Callable[[Work, dict[str, list[Any]]], Iterator[tuple[str, list[dict[str, Any]]]]]]:
-    """Workers that serve one campaign after another.
+    """Workers that serve one campaign after another: processes on this machine (0: none, all in
+    this process; by default as many as there are cores), or those of a Dask scheduler.
 
-    Parameters
-    ----------
-    workers : int, optional
-        Processes of a cluster on this machine; 0: none, all in this process; by default as many as
-        there are cores.
-    scheduler : str, optional
-        Address of a Dask scheduler to use instead.
-
-    Yields
-    ------
-    callable
-        Takes a campaign and its chunks by name, and yields name and rows of each, as they are
-        done, in any order; the rows are the same whoever computes them.
-
-    Raises
-    ------
-    WorkerError
-        If a worker runs other software, or workers die of the same chunk again and again.
+    Yields a function that takes a campaign and its chunks by name, and yields name and rows of each
+    as they are done; the rows are the same whoever computes them.  WorkerError if a worker runs
+    other software, or workers die of the same chunk again and again.
     """
     if scheduler is None and workers == 0:
         yield _here
         return
     with ExitStack() as stack:
-        client = stack.enter_context(_client(workers, scheduler, stack))
+        client = stack.enter_context(
+            _local(workers, stack) if scheduler is None else _remote(scheduler)
+        )
         yield lambda work, chunks: _mapped(client, work, chunks)
 
 
@@ -107,20 +95,30 @@ def _here(work: Work, chunks: dict[str, list[Any]]) -> Iterator[tuple[str, list[
         yield name, run_chunk(work.text, name, tasks)[2]
 
 
-def _client(workers: int | None, scheduler: str | None, stack: ExitStack) -> Any:
+def _local(workers: int | None, stack: ExitStack) -> Any:
+    """A cluster of processes, which leave Ctrl-C to the one that started them."""
     from distributed import Client, LocalCluster
 
-    if scheduler is None:
-        with _interrupts_ignored():
-            cluster = LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)),
-                threads_per_worker=1,
-                host='127.0.0.1',
-                dashboard_address='127.0.0.1:0',
-                memory_limit=0,
-                silence_logs=logging.ERROR,
-            )
-        return Client(stack.enter_context(cluster))
+    is_main = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
+    try:
+        cluster = LocalCluster(
+            n_workers=workers or len(os.sched_getaffinity(0)),
+            threads_per_worker=1,
+            host='127.0.0.1',
+            dashboard_address='127.0.0.1:0',
+            memory_limit=0,
+            silence_logs=logging.ERROR,
+        )
+    finally:
+        if is_main:
+            signal.signal(signal.SIGINT, before)
+    return Client(stack.enter_context(cluster))
+
+
+def _remote(scheduler: str) -> Any:
+    from distributed import Client
+
     try:
         client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, ValueError, ImportError) as error:
@@ -133,77 +131,49 @@ def _client(workers: int | None, scheduler: str | None, stack: ExitStack) -> Any
     return client
 
 
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Processes that are started within ignore Ctrl-C: the one that started them ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _mapped(
     client: Any, work: Work, chunks: dict[str, list[Any]]
 ) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     from distributed import wait
     from distributed.scheduler import KilledWorker
 
-    names, own = list(chunks), software()
-    for first in range(0, len(names), _BATCH):
-        batch = names[first : first + _BATCH]
-        tasks = [chunks[name] for name in batch]
+    left, own = list(chunks.items()), software()
+    pending: set[Any] = set()
+    while left or pending:
+        names, tasks = zip(*left[:_BATCH]) if left and not pending else ((), ())
+        left = left[len(names) :]
         # Not pure: a key by content would hash the text again for each chunk.
-        pending = set(client.map(run_chunk, [work.text] * len(batch), batch, tasks, pure=False))
-        while pending:
+        pending |= set(client.map(run_chunk, [work.text] * len(names), names, tasks, pure=False))
+        try:
+            done, pending = wait(pending, _NO_WORKER_TIMEOUT, return_when='FIRST_COMPLETED')
+        except TimeoutError:
+            if client.nthreads():
+                continue
+            raise WorkerError(
+                f'no worker has been left for {_NO_WORKER_TIMEOUT:g} s; finished work is '
+                'kept: start workers and run the command again'
+            ) from None
+        for future in done:
             try:
-                done, pending = wait(pending, _NO_WORKER_TIMEOUT, return_when='FIRST_COMPLETED')
-            except TimeoutError:
-                if client.nthreads():
-                    continue
-                raise WorkerError(
-                    f'no worker has been left for {_NO_WORKER_TIMEOUT:g} s; finished work is '
-                    'kept: start workers and run the command again'
-                ) from None
-            for future in done:
-                try:
-                    name, version, rows = future.result()
-                except KilledWorker as error:
-                    raise WorkerError(f'workers died of the same work again: {error}') from error
-                if version != own:
-                    raise WorkerError(
-                        'a worker runs another version of this software: install the same one '
-                        'everywhere'
-                    )
-                yield name, rows
+                name, version, rows = future.result()
+            except KilledWorker as error:
+                raise WorkerError(f'workers died of the same work again: {error}') from error
+            if version != own:
+                text = 'a worker runs another version of this software: install the same one '
+                raise WorkerError(text + 'everywhere')
+            yield name, rows
 
 
 class ResultsFolder:
-    """Results on disk: one Parquet file a chunk, and one of all rows in the end.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The folder; made when something is written.
-    name : str
-        Name of the file of all rows.
-    """
+    """Results on disk: one Parquet file a chunk, and one of all rows, ``name``, in the end."""
 
     def __init__(self, path: str | Path, name: str = 'runs') -> None:
         self.path = Path(path)
         self.file, self._chunks = self.path / f'{name}.parquet', self.path / 'chunks'
 
     def begin(self, work: Work) -> None:
-        """Keep what is run, so that it can be resumed after a crash.
-
-        Raises
-        ------
-        ConfigError
-            If something else was begun here.
-        """
+        """Keep what is run, so that it can be resumed after a crash; ConfigError if something else
+        was begun here."""
         begun = self.load()
         if begun is not None and begun.key != work.key:
             raise ConfigError(

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from lpv_campaign.plan.arms import kind_of
 from lpv_campaign.plan.spec import BOTH, NO_FAULT
-from lpv_core.decision.diagnosis import AlarmEvent
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv_core.simulation.faults import Fault
 
 DIVERGED = 1.0
@@ -21,8 +20,8 @@ _EARLY = 0.1
 
 def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     """Figures of one run, and of its healthy twin if there is one; NaN where there is nothing to be
-    measured. Names, meaning and units are in docs/campaign.md; of the plan ``arm`` and ``scenario``
-    are used."""
+    measured. Names, meaning and units are in docs/scenario-file.md; ``arm`` and ``scenario``
+    of the plan are used."""
     scheduled = plan.scenario.faults
     faults = [f for f in scheduled if f.kind != 'rate_bias']
     begin, end = _interval(plan.scenario)
@@ -126,11 +125,10 @@ def _estimate_figures(arm: Any, run: Any, before: np.ndarray, during: np.ndarray
     # A loop that runs away ends in infinities, and its last scores are none.
     with np.errstate(invalid='ignore'):
         score = np.abs(run.fault_estimate) / run.threshold
-    angles = kind_of(arm).angles
     result = {
         'fault_rms_before': _rms(error[before & settled]),
         'fault_rms_during': _rms(error[during]),
-        'angle_rms': _rms((angles(arm, run.position) - angles(arm, run.estimate))[settled]),
+        'angle_rms': _rms((run.position - run.estimate)[settled]),
     }
     for i in range(error.shape[1]):
         number = i + 1
@@ -142,8 +140,7 @@ def _estimate_figures(arm: Any, run: Any, before: np.ndarray, during: np.ndarray
 
 
 def _tracking_figures(plan: Any, run: Any, twin: Any, during: np.ndarray) -> dict[str, Any]:
-    angles = kind_of(plan.arm).angles
-    error = angles(plan.arm, run.position) - angles(plan.arm, run.reference)
+    error = run.position - run.reference
     largest = float(np.abs(error).max())
     finite = bool(np.isfinite(run.position).all() and np.isfinite(run.torque).all())
     braked, period = run.braked, plan.arm.sample_time
@@ -158,7 +155,7 @@ def _tracking_figures(plan: Any, run: Any, twin: Any, during: np.ndarray) -> dic
         'inconsistent_time': float(run.inconsistent.sum() * period),
     }
     if twin is not None and during.any():
-        healthy = angles(plan.arm, twin.position) - angles(plan.arm, twin.reference)
+        healthy = twin.position - twin.reference
         result['tracking_ratio'] = result['tracking_rms_during'] / _rms(healthy[during])
     return result
 

@@ -15,13 +15,14 @@ from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_bag.run.record import load_run
 from lpv_campaign.execution.runs import RunPlan
-from lpv_core.certificate.gains import save_gains
-from lpv_core.decision.diagnosis import Alarm
-from lpv_core.monitoring.factory import make_monitor
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.simulation.any_scenario import load_any_scenario, new_path
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.diagnosis.alarms import Alarm
+from lpv_core.simulation.closed_loop import Run
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError, LpvError
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_core.uio.certificate.gains import save_gains
 
 NAMESPACE = '/lpv'
 START = NANOSECONDS
@@ -36,32 +37,17 @@ _ANSWERS = {
 """Signals of a run that must be those of its bag, bit by bit."""
 
 
-def stamps_of(run: Any) -> np.ndarray:
+def stamps_of(run: Run) -> np.ndarray:
     """Header stamps of a run's samples in its bag [ns]."""
     return START + np.array([round(t * 1e9) for t in run.time.tolist()], np.int64)
 
 
-def write_run_bag(plan: RunPlan, run: Any, out: str | Path) -> None:
+def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
     """Write a run as a bag, with the files that repeat it.
 
     Measurements, commands, references and truth come from the run; the answers of observer and
-    diagnosis from a replay of these measurements, which must give what the run had.
-
-    Parameters
-    ----------
-    plan : RunPlan
-        What was simulated.
-    run : Run or SerialLoopRun
-        What came out.
-    out : str or pathlib.Path
-        Bag to create.
-
-    Raises
-    ------
-    ConfigError
-        If it exists already or cannot be made.
-    LpvError
-        If the replay does not answer as the run did.
+    diagnosis from a replay of these measurements, which must give what the run had: else LpvError.
+    ConfigError if the bag exists already or cannot be made.
     """
     out = Path(out)
     if out.exists():
@@ -74,7 +60,7 @@ def write_run_bag(plan: RunPlan, run: Any, out: str | Path) -> None:
     with folder as name:
         measured, whole = Path(name) / 'measured', Path(name) / out.name
         _write_signals(plan, run, measured)
-        monitor = make_monitor(f'{NAMESPACE}/uio', plan.arm, plan.gains, plan.parameters)
+        monitor = SerialSensorMonitor(f'{NAMESPACE}/uio', plan.arm, plan.parameters, plan.gains)
         Replay(monitor, preset='zstd_fast').run(measured, whole)
         check_answers(run, whole)
         write_run_files(plan, whole)
@@ -97,32 +83,26 @@ def write_run_files(plan: RunPlan, folder: str | Path) -> None:
     if plan.gains is not None:
         text = f'Gains of run {plan.number} ({plan.scenario.name}).'
         save_gains(plan.gains, Path(folder) / 'gains.yaml', text)
-    if load_any_arm(arm) != plan.arm or load_any_scenario(scenario, plan.arm) != plan.scenario:
+    if load_arm(arm) != plan.arm or load_scenario(scenario) != plan.scenario:
         raise LpvError(f'{folder}: the files do not describe what was simulated')
 
 
-def check_answers(run: Any, bag: str | Path) -> None:
+def check_answers(run: Run, bag: str | Path) -> None:
     """Compare the answers in the bag of a run with those that the run had."""
-    record, stamps = load_run(bag), stamps_of(run)[~_lost(run)]
+    record, stamps = load_run(bag), stamps_of(run)[~run.lost]
     for name, (stream, field) in _ANSWERS.items():
         found = record.stamps.get(stream, np.empty(0, np.int64))
         # Nothing is estimated before the first usable measurement.
         first = np.searchsorted(stamps, found[0]) if len(found) else len(stamps)
         if not np.array_equal(found, stamps[first:]):
             raise LpvError(f'{bag}: {stream} has other samples than the run')
-        expected = getattr(run, name, None)
         answers = record.get(stream, field)
-        if expected is None or answers is None:
+        if answers is None:
             continue
-        if not np.array_equal(answers, expected[~_lost(run)][first:], equal_nan=True):
+        if not np.array_equal(answers, getattr(run, name)[~run.lost][first:], equal_nan=True):
             raise LpvError(f'{bag}: the replay gives another {name} than the run')
     if [_alarm(a, 0) for a in record.alarms] != [_alarm(a, START) for a in run.alarms]:
         raise LpvError(f'{bag}: the replay gives other alarms than the run')
-
-
-def _lost(run: Any) -> np.ndarray:
-    """Measurements that never reached the observer; a serial arm's loop loses none."""
-    return getattr(run, 'lost', np.zeros(len(run.time), bool))
 
 
 def _alarm(alarm: Alarm, shift: int) -> tuple[Any, ...]:
@@ -142,31 +122,20 @@ def _same(one: Any, two: Any) -> bool:
     return one == two
 
 
-def _reference(plan: RunPlan, run: Any) -> dict[str, np.ndarray]:
-    """Fields of the references; a two-link run keeps those that it followed after a stop, too."""
-    names = ('position', 'velocity', 'acceleration', 'tip_position')
-    if hasattr(run, 'path'):
-        return dict(zip(names, run.path[:, run.place]))
-    way = new_path(plan.arm, plan.scenario)
-    wanted = way.sample(run.place * plan.arm.sample_time)
-    values = run.reference, wanted.velocity, wanted.acceleration, way.tip(run.reference)
-    return dict(zip(names, values))
-
-
-def _write_signals(plan: RunPlan, run: Any, path: Path) -> None:
-    effort = np.vstack([np.zeros_like(run.torque[:1]), run.torque[:-1]])
-    stop = getattr(run, 'safe_stop', run.stop_reason != 0)
-    command = np.where(stop[:, None], 0.0, getattr(run, 'command', run.torque))
+def _write_signals(plan: RunPlan, run: Run, path: Path) -> None:
+    stop = run.safe_stop
+    command = np.where(stop[:, None], 0.0, run.command)
     truth = {
         'position': run.position,
         'velocity': run.velocity,
-        'torque': effort,
+        'torque': run.effort,
         'fault': run.fault,
-        'disturbance': getattr(run, 'disturbance', np.zeros(len(run.time))),
+        'disturbance': run.disturbance,
     }
-    reference = _reference(plan, run)
-    kept, everywhere = ~_lost(run), np.ones(len(run.time), bool)
-    measured = {'position': run.measured, 'velocity': run.measured_velocity, 'effort': effort}
+    names = ('position', 'velocity', 'acceleration')
+    reference = dict(zip(names, run.path[:, run.place])) | {'tip_position': run.tip[run.place]}
+    kept, everywhere = ~run.lost, np.ones(len(run.time), bool)
+    measured = {'position': run.measured, 'velocity': run.measured_velocity, 'effort': run.effort}
     topics = (
         ('ground_truth', 'lpv_msgs/msg/GroundTruth', everywhere, truth),
         ('joint_states', 'sensor_msgs/msg/JointState', kept, measured),

@@ -7,13 +7,17 @@ from typing import Any
 import numpy as np
 
 from lpv_campaign.execution.run_metrics import figures
-from lpv_campaign.plan.arms import ArmKind
 from lpv_campaign.plan.campaign import Campaign
+from lpv_campaign.plan.random_paths import random_path
 from lpv_campaign.plan.spec import BOTH, NO_FAULT, TUNING
-from lpv_core.certificate.gains import Gains
-from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.simulation.any_scenario import AnyScenario, parse_any_scenario
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.serial_arm.arm_file import to_mapping
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.simulation.closed_loop import Run, run_closed_loop
+from lpv_core.simulation.scenario import Scenario, parse_scenario
+from lpv_core.simulation.transport import Transport
 from lpv_core.support.errors import LpvError
+from lpv_core.uio.certificate.gains import Gains
 
 _PLANT = {
     'plant': 'model',
@@ -32,21 +36,28 @@ class RunPlan:
 
     number: int  # Number of the run
     values: dict  # Of the factors
-    kind: ArmKind  # How the arm is simulated
-    arm: Any  # Nominal arm, with the run's sample time
+    arm: SerialArm  # Nominal arm, with the run's sample time
     gains: Gains | None  # Its gains, if it needs any
     files: dict  # Content of the run's ``arm`` and ``scenario`` files
-    scenario: AnyScenario  # The latter, parsed
+    scenario: Scenario  # The latter, parsed
     parameters: DiagnosisParameters  # Tuning of the diagnosis
     compensation: str  # What the loop closes on
     substeps: int  # Least number of plant steps per sample
     delay: int  # Samples from a measurement to the effect of its command
     loss: float  # Probability that a measurement is lost
 
-    def simulate(self, faults: bool = True) -> Any:
+    def simulate(self, faults: bool = True) -> Run:
         """Run the closed loop; ``faults=False``: its healthy twin."""
         scenario = self.scenario if faults else replace(self.scenario, faults=())
-        return self.kind.simulate(self, scenario)
+        return run_closed_loop(
+            self.arm,
+            scenario,
+            self.gains,
+            self.compensation,
+            parameters=self.parameters,
+            substeps=self.substeps,
+            transport=Transport(self.delay, self.loss),
+        )
 
 
 def plan_run(campaign: Campaign, number: int) -> RunPlan:
@@ -62,28 +73,28 @@ def plan_run(campaign: Campaign, number: int) -> RunPlan:
     content['duration'] = duration = spec.duration or content['duration']
     path = values['path']
     if path == 'random':
-        content['path'] = campaign.kind.random_path(arm, rng, duration)
+        content['path'] = random_path(arm, rng, duration)
     elif path != 'scenario':
         content['path'] = campaign.content['scenarios'][path]['path']
     plant = content.setdefault('plant', {})
+    if isinstance(plant, str):
+        plant = content['plant'] = {'model': plant}
     plant.update({_PLANT[name]: values[name] for name in _PLANT if values[name] is not None})
     for name in ('mass', 'inertia'):
-        given = [values[f'{name}_{i}'] for i in (1, 2)]
-        if given != [None, None]:
-            old = np.broadcast_to(plant.get(f'{name}_factors', 1.0), 2).tolist()
-            pair = [before if new is None else new for new, before in zip(given, old)]
-            plant[f'{name}_factors'] = pair
+        given = {i: values[f'{name}_{i + 1}'] for i in (0, 1) if values[f'{name}_{i + 1}']}
+        if given:
+            links = list(plant.get(f'{name}_factors', [1.0] * len(arm.joints)))
+            plant[f'{name}_factors'] = [given.get(i, before) for i, before in enumerate(links)]
     if 'fault.kind' in spec.factors:
         content['faults'] = _faults(arm.sensor_names, values, rng)
     tuning = {field: values[name] for name, field in TUNING.items() if name in values}
     return RunPlan(
         number,
         values,
-        campaign.kind,
         arm,
         campaign.gains(values['design'], time),
-        {'arm': {**campaign.content['arm'], 'sample_time': time}, 'scenario': content},
-        parse_any_scenario(content, f'run {number}', arm),
+        {'arm': to_mapping(arm), 'scenario': content},
+        parse_scenario(content, f'run {number}'),
         DiagnosisParameters(**tuning),
         values['compensation'],
         spec.substeps,

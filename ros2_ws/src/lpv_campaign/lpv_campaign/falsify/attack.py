@@ -1,9 +1,9 @@
 """Attacks from numbers in [-1, 1]: everything that an arm file allows a healthy arm to do.
 
-The estimate of a healthy serial arm is, nearly, linear in its parameters, and the monitor knows
+The estimate of a healthy arm is, nearly, linear in its parameters, and the monitor knows
 with which factors.  So the attacker first runs the nominal arm, reads those factors at the moment
-that it aims at, and then takes the corner of the arm file that they point to.  Of a two-link arm
-the corner is searched like everything else.
+that it aims at, and then takes the corner of the arm file that they point to.  Against the bound of
+a designed observer the corner is searched like everything else.
 """
 
 from __future__ import annotations
@@ -27,15 +27,11 @@ from lpv_campaign.falsify.healthy_run import (
     Sensing,
     simulate,
 )
-from lpv_core.certificate.gains import Gains
-from lpv_core.decision.diagnosis import DiagnosisParameters, SensorState
-from lpv_core.model.arm import ArmParameters
-from lpv_core.model.joints import J, JointMap
-from lpv_core.monitoring.monitor import SensorMonitor
-from lpv_core.residual.dead_reckoning import RATE_BIAS as RATE_BIAS_FACTOR
-from lpv_core.serial_arm.any_arm import Arm
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
+from lpv_core.serial_arm.description import RATE_BIAS as RATE_BIAS_FACTOR
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import SensorState
 from lpv_core.serial_arm.diagnosis.healthy_balance import generator_count
 from lpv_core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
@@ -46,13 +42,15 @@ from lpv_core.serial_arm.diagnosis.parameter_set import (
     payload_generator,
 )
 from lpv_core.serial_arm.simulation import integration_step, plant_scratch
-from lpv_core.serial_arm.two_link import two_link_chain
 from lpv_core.support.errors import ConfigError
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.model.joints import J, JointMap
+from lpv_core.uio.planar import planar_model, serial_from_planar
 
 LARGEST = 1.5
 """Thresholds above are no evidence [rad]."""
 _LOOK_EVERY = 0.25
-"""Time between two looks at a serial arm's thresholds [s]."""
+"""Time between two looks at the thresholds of a horizon [s]."""
 _SLOWEST, _FASTEST = 0.2, 8.0
 """Circular frequencies of the motion [rad/s]."""
 _SLOW_SWITCH, _FAST_SWITCH = 0.3, 60.0
@@ -60,7 +58,7 @@ _SLOW_SWITCH, _FAST_SWITCH = 0.3, 60.0
 _LARGEST_VALUE = 1e6
 """Values beyond are of a simulation that diverged."""
 _REACH, _SPEED = 0.97, 0.5
-"""Shares of a two-link arm's certified region and velocity limit that motions use."""
+"""Shares of a certified region and velocity limit that motions use."""
 _MOTION, _SHARED = 4, 4
 """Numbers of a candidate for each joint's motion; those of rest and switching."""
 
@@ -100,40 +98,20 @@ class Finding:
 
 
 class Attacker:
-    """Healthy runs of one arm against its own thresholds.
+    """Healthy runs of one arm, of some length [s], against its own thresholds.
 
-    Parameters
-    ----------
-    arm : ArmParameters or SerialArm
-        What a healthy arm may be; its file states the ranges.
-    duration : float
-        Of a run [s].
-    gains : Gains, optional
-        Of a two-link arm; method ``exact`` only has a guaranteed bound.
-    monitored : SerialArm, optional
-        What the monitor of a serial arm is told; ``arm`` by default.
-
-    Attributes
-    ----------
-    numbers : int
-        Numbers of a candidate, each in [-1, 1].
-    samples : ndarray, shape (N, 3, n)
-        Positions, rates and efforts of the last run.
-
-    Raises
-    ------
-    ConfigError
-        If the file states no ranges.
+    ``arm`` is what a healthy arm may be; its file states the ranges, and ConfigError says that it
+    does not.  ``monitored`` is what the monitor is told, by default the same.  A
+    candidate has so many ``numbers``, each in [-1, 1]; ``samples``, shape (N, 3, n), are positions,
+    rates and efforts of the last run.
     """
 
     def __init__(
-        self, arm: Arm, duration: float, gains: Gains | None = None, monitored: Any = None
+        self, arm: SerialArm, duration: float, gains: Gains | None = None, monitored: Any = None
     ) -> None:
         self.arm = arm
-        self.range: _TwoLinkRange | _SerialRange = (
-            _SerialRange(arm, monitored or arm)
-            if isinstance(arm, SerialArm)
-            else _TwoLinkRange(arm, gains)
+        self.range: _DesignedRange | _StatedRange = (
+            _StatedRange(arm, monitored or arm) if gains is None else _DesignedRange(arm, gains)
         )
         n = len(arm.joint_names)
         self.numbers = _MOTION * n + _SHARED + self.range.own
@@ -224,18 +202,17 @@ def _stamps(samples: FloatArray, period: float) -> np.ndarray:
     return 10**9 + round(period * 1e9) * np.arange(len(samples))
 
 
-class _TwoLinkRange:
-    """Model error, payload, friction, disturbance and rate errors of a two-link arm's file."""
+class _DesignedRange:
+    """Model error, payload, friction, disturbance and rate errors that gains are designed for."""
 
     own = count = 11  # numbers of a candidate beside motion, rest and switching; shares
     finer = 1  # steps of the plant for each that the nominal arm needs
 
-    def __init__(self, arm: ArmParameters, gains: Gains | None) -> None:
-        if gains is None:
-            raise ConfigError('gains', 'are needed for a two-link arm', arm.name)
-        self.arm, self.chain = arm, two_link_chain(arm)
+    def __init__(self, described: SerialArm, gains: Gains) -> None:
+        self.arm, self.chain = planar_model(described), compile_chain(described)
+        arm = self.arm
         joints = JointMap(arm)
-        to_joint = joints.joint_velocity_from_sensor(np.eye(2)).T
+        to_joint = described.sensors_to_joints()
         self.sensing = Sensing(
             to_joint, np.linalg.inv(to_joint), np.full(2, arm.position_noise),
             np.full(2, arm.velocity_noise), np.zeros(2), np.zeros(2), arm.sample_time,
@@ -245,7 +222,7 @@ class _TwoLinkRange:
         self._reach = _REACH * np.arccos(arm.cos_min)
         # Joint positions are linear in the absolute angles but for their zero.
         upright = 0.0 if arm.sign > 0 else np.pi
-        self._monitor = SensorMonitor('', arm, gains)
+        self._monitor = SerialSensorMonitor('', described, gains=gains, observer='uio')
         self._middle = np.linalg.solve(J, joints.joint_position(np.full(2, upright)))
 
     def motion(self, numbers: FloatArray) -> FloatArray:
@@ -268,13 +245,13 @@ class _TwoLinkRange:
     def member(self, shares: FloatArray) -> Chain:
         """The nominal arm where the corner is not physical."""
         arm, error = self.arm, 1.0 + self.arm.model_error * shares
-        factor = 1.0 + DiagnosisParameters().friction_uncertainty * shares[5]
+        factor = 1.0 + arm.friction_error * shares[5]
         other = replace(
             arm.scaled(error[:2].tolist(), error[2:4].tolist()),
             viscous=tuple(factor * v for v in arm.viscous),
             coulomb=tuple(factor * v for v in arm.coulomb),
         ).with_payload(0.5 * (shares[4] + 1.0) * arm.payload)
-        return two_link_chain(other) if other.is_physical() else self.chain
+        return compile_chain(serial_from_planar(other)) if other.is_physical() else self.chain
 
     def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         self._monitor.reset()
@@ -291,8 +268,8 @@ class _TwoLinkRange:
         return ratio[row, both], threshold[row, both], row * self.arm.sample_time, blamed
 
 
-class _SerialRange:
-    """What the file of a serial arm states in ``uncertainty`` and of its sensors."""
+class _StatedRange:
+    """What an arm file states in ``uncertainty`` and of its sensors."""
 
     finer = 2  # corners are stiffer
 
@@ -313,10 +290,8 @@ class _SerialRange:
             arm.sample_time, np.array(arm.torque_limit))  # fmt: skip
 
     def motion(self, numbers: FloatArray) -> FloatArray:
-        limits = [joint.limits for joint in self.arm.joints]
-        low = np.array([max(one.lower, -np.pi) for one in limits])
-        high = np.array([min(one.upper, np.pi) for one in limits])
-        fastest = np.array([min(one.velocity, 4.0) for one in limits])
+        low, high = np.array([joint.range for joint in self.arm.joints]).T
+        fastest = np.array([min(joint.limits.velocity, 4.0) for joint in self.arm.joints])
         away = numbers[0] * 0.5 * (high - low)
         swing = 0.5 * (numbers[1] + 1.0) * (0.5 * (high - low) - np.abs(away))
         speed = _geometric(numbers[2], _SLOWEST, _FASTEST)

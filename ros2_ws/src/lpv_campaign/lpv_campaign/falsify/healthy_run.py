@@ -80,29 +80,12 @@ def simulate(
     scratch: tuple[FloatArray, FloatArray, FloatArray],
     samples: FloatArray,
 ) -> bool:
-    """Fill the samples of a run.
+    """Fill the samples of a run; False if the mass matrix was not positive definite.
 
-    Parameters
-    ----------
-    true_arm : Chain
-        The arm; the loop that moves it knows it.
-    course : Course
-        What it does.
-    sensing : Sensing
-        Its sensors and drives.
-    substeps : tuple
-        Step [s] and number of steps of integration a sample.
-    noise : numpy.random.Generator
-        Of sensors and disturbance.
-    scratch : tuple of ndarray
-        As of `plant_step`, and a workspace.
-    samples : ndarray, shape (N, 3, n)
-        Written: joint positions, rates and efforts as measured.
-
-    Returns
-    -------
-    bool
-        False if the mass matrix was not positive definite.
+    The loop that moves the true arm knows it.  ``substeps`` are step [s] and number of steps of
+    integration a sample, ``noise`` is that of sensors and disturbance, ``scratch`` as of
+    `plant_step` and a workspace; ``samples``, shape (N, 3, n), become joint positions, rates and
+    efforts as measured.
     """
     n = samples.shape[2]
     state, goal, wanted, friction = np.zeros((2, n)), np.zeros((3, n)), np.zeros(n), np.zeros(n)

@@ -31,23 +31,10 @@ def search(
     seed: int = 0,
     progress: Callable[[int, Finding], None] | None = None,
 ) -> list[Finding]:
-    """Find the worst attack.
+    """Find the worst attack among so many runs; all of them, the worst first.
 
-    Parameters
-    ----------
-    attacker : Attacker
-        Arm and thresholds.
-    evaluations : int
-        Runs.
-    seed : int, optional
-        Of the search.
-    progress : callable, optional
-        Called with the number of runs and the worst finding whenever there is a worse one.
-
-    Returns
-    -------
-    list of Finding
-        All of them, the worst first.
+    ``progress`` is called with the number of runs and the worst finding whenever there is a worse
+    one.
     """
     rng, found = np.random.default_rng(seed), list[Finding]()
 

@@ -7,67 +7,46 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lpv_campaign.plan.arms import SERIAL, TWO_LINKS, ArmKind, kind_of
 from lpv_campaign.plan.factors import ByKind, Choice
 from lpv_campaign.plan.spec import BOTH, DEFAULTS, PATHS, CampaignSpec, Plan, parse_spec
-from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import Gains, gains_to_dict, load_gains, parse_gains
-from lpv_core.model.arm import ArmParameters, arm_from_json, parse_arm
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
-from lpv_core.serial_arm.arm_file import is_serial_arm, parse_serial_arm, to_mapping
+from lpv_core.serial_arm.arm_file import load_arm, parse_arm, to_mapping
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.simulation.any_scenario import new_path, parse_any_scenario
-from lpv_core.simulation.scenario import expanded_plant
+from lpv_core.simulation.scenario import PAPER_PLANTS, PLANTS, parse_scenario
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import Gains, gains_to_dict, load_gains, parse_gains
+from lpv_core.uio.planar import is_planar, planar_model
+
+_OF_GAINS = ('design', 'disturbance')
+"""Factors of arms with a region for which gains are designed."""
 
 
 def resolve(
     data: dict[str, Any], source: str, folder: str | Path, designed: bool = True
 ) -> Campaign:
-    """Inline all files that a campaign names, and design its gains.
+    """Inline all files that a campaign names, relative to a folder, and design its gains.
 
-    Parameters
-    ----------
-    data : dict
-        Content of the campaign file.
-    source : str
-        Its name.
-    folder : str or pathlib.Path
-        Where relative names of files count from.
-    designed : bool, optional
-        Whether gains are found, too; if not, `Campaign.with_gains` gives them.
-
-    Returns
-    -------
-    Campaign
-        Ready to be run.
-
-    Raises
-    ------
-    LpvError
-        If anything is missing, wrong, or cannot be designed.
+    Without ``designed``, `Campaign.with_gains` gives these.  LpvError if anything is missing,
+    wrong, or cannot be designed.
     """
     spec = parse_spec(data, source)
     arm_file = _file('arms', spec.arm, folder)
-    arm = load_any_arm(arm_file)
+    arm = load_arm(arm_file)
     paths = [spec.scenario if path == 'scenario' else path for path in _values(spec, 'path')]
     names = {spec.scenario, *(path for path in paths if path not in PATHS)}
     content: dict[str, Any] = {
         'spec': data,
-        'arm': to_mapping(arm) if isinstance(arm, SerialArm) else read_yaml(arm_file),
-        'scenarios': {
-            name: expanded_plant(read_yaml(_file('scenarios', name, folder)))
-            for name in sorted(names)
-        },
+        'arm': to_mapping(arm),
+        'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
         'gains': {},
     }
     for name in names:
-        scenario = parse_any_scenario(content['scenarios'][name], name, arm)
+        scenario = parse_scenario(content['scenarios'][name], name)
         if name in paths:
-            new_path(arm, scenario)
-    if isinstance(arm, ArmParameters) and designed:
+            scenario.path(arm)
+    if arm.lpv is not None and designed:
         for time in _values(spec, 'sample_time'):
             at = replace(arm, sample_time=time or arm.sample_time)
             for design in spec.designs:
@@ -88,60 +67,32 @@ def _values(spec: CampaignSpec, name: str) -> tuple[Any, ...]:
     return factor.values if isinstance(factor, Choice) else (DEFAULTS[name],)
 
 
-def find_gains(name: str, arm: ArmParameters, folder: str | Path = '.') -> Gains:
+def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:
     """Gains of a gains file, checked, or designed for a requirement, a file or a shipped one."""
-    path = Path(folder) / name
+    path, planar = Path(folder) / name, planar_model(arm)
     if path.is_file() and 'ros__parameters' in path.read_text(encoding='utf-8', errors='ignore'):
         gains = load_gains(path)
-        require(arm, gains, name)
+        require(planar, gains, name)
         return gains
     # Only here: workers never design, and need no solver.
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
-    return design(arm, load_requirement(path if path.is_file() else name)).gains
-
-
-def arm_content(arm: Arm) -> Any:
-    """An arm as plain data; `parse_content` reads it back exactly."""
-    return to_mapping(arm) if isinstance(arm, SerialArm) else arm.to_json()
-
-
-def parse_content(data: Any) -> Arm:
-    """Arm of `arm_content`, or of the mapping of an arm file."""
-    if isinstance(data, str):
-        return arm_from_json(data)
-    return parse_serial_arm(data) if is_serial_arm(data) else parse_arm(data)
+    return design(planar, load_requirement(path if path.is_file() else name)).gains
 
 
 class Campaign:
-    """Simulated runs, from one text.
+    """Simulated runs, from one text: JSON, as `resolve` makes it.
 
-    Parameters
-    ----------
-    text : str
-        JSON, as `resolve` makes it.
-
-    Attributes
-    ----------
-    text : str
-        The same.
-    content : dict
-        The same, parsed: ``spec``, ``arm``, ``scenarios``, ``gains``.
-    spec : CampaignSpec
-        What varies.
-    arm : ArmParameters or SerialArm
-        Nominal arm of the arm file.
-    kind : ArmKind
-        How it is simulated.
+    Parsed it is the ``content``: ``spec`` (what varies), ``arm``, ``scenarios``, ``gains``.
     """
 
     def __init__(self, text: str) -> None:
         self.text = text
         self.content: dict[str, Any] = json.loads(text)
         self.spec = parse_spec(self.content['spec'])
-        self.arm: Any = parse_content(self.content['arm'])
-        self.kind: ArmKind = kind_of(self.arm)
+        self.arm: SerialArm = parse_arm(self.content['arm'])
+        self.designed = self.arm.lpv is not None
         gains = self.content['gains']
         self._gains = {name: parse_gains(gains[name], name) for name in gains}
         self._plan = Plan(self.spec)
@@ -163,7 +114,7 @@ class Campaign:
 
     def gains(self, design: str | None, sample_time: float) -> Gains | None:
         """Gains of a design at a sample time [s]; None for an arm that has none."""
-        return self._gains[f'{design}@{sample_time!r}'] if self.kind.designed else None
+        return self._gains[f'{design}@{sample_time!r}'] if self.designed else None
 
     def with_gains(self, gains: Gains, **changes: Any) -> Campaign:
         """The same campaign with other gains, and with other fields of its file."""
@@ -176,7 +127,7 @@ class Campaign:
         """Value of every factor in one run; None: what scenario and arm say."""
         units = dict(zip(self.spec.factors, self._plan.point(number).tolist()))
         values: dict[str, Any] = dict(DEFAULTS)
-        if self.kind.designed:
+        if self.designed:
             values['design'] = self.spec.designs[0]
         kind_first = sorted(units, key=lambda name: name != 'fault.kind')
         for name in kind_first:
@@ -189,15 +140,15 @@ class Campaign:
     def check(self) -> None:
         """Refuse what needs the arm to be seen as wrong."""
         spec, given = self.spec, self.content['spec']
-        other = SERIAL if self.kind is TWO_LINKS else TWO_LINKS
-        if 'designs' in given and not self.kind.designed:
-            raise ConfigError('designs', 'must be left out: a serial arm has no designed gains')
-        for name in other.factors:
-            if name in spec.factors:
+        if 'designs' in given and not self.designed:
+            raise ConfigError('designs', 'must be left out: the arm has no lpv region')
+        for name in _OF_GAINS:
+            if name in spec.factors and not self.designed:
                 raise ConfigError(f'factors.{name}', f'is none of arms like {self.arm.name}')
+        plants = [p for p in PLANTS if p not in PAPER_PLANTS or is_planar(self.arm)]
         for name, known in (
             ('fault.sensor', (*self.arm.sensor_names, BOTH)),
-            ('plant', self.kind.plants),
+            ('plant', plants),
             ('design', spec.designs),
         ):
             for value in _values(spec, name):

@@ -9,7 +9,7 @@ import numpy as np
 
 from lpv_campaign.plan.factors import ByKind, Choice, Range, parse_factor
 from lpv_core.control.tracking import COMPENSATION
-from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_core.monitoring.parameters import DiagnosisParameters
 from lpv_core.simulation.faults import KINDS
 from lpv_core.simulation.scenario import PLANTS
 from lpv_core.support.config import Section, read_yaml
@@ -35,7 +35,7 @@ NUMBERS = {
     'command_delay': (0.0, 63.0),
     'sample_loss': (0.0, 0.999),
 }
-"""Factors that are numbers, and their ranges; units and meaning in docs/campaign.md."""
+"""Factors that are numbers, and their ranges; units and meaning in docs/scenario-file.md."""
 _BY_KIND = ('fault.size', 'fault.rate', 'fault.duration')
 TEXTS = ('design', 'path', 'plant', 'compensation', 'fault.kind', 'fault.sensor')
 """Factors that are texts."""
@@ -80,18 +80,13 @@ class CampaignSpec:
 
 
 def load_spec(path: str | Path) -> CampaignSpec:
-    """Read a campaign file; see ``docs/campaign.md``."""
+    """Read a campaign file; see ``docs/scenario-file.md``."""
     return parse_spec(read_yaml(path), str(path))
 
 
 def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
-    """Build a campaign from the mapping of its file, validated as far as possible without the arm.
-
-    Raises
-    ------
-    ConfigError
-        Naming the offending field.
-    """
+    """Build a campaign from the mapping of its file, validated as far as possible without the arm;
+    ConfigError names the offending field."""
     top = Section(data, source)
     plan = top.section('plan')
     method = plan.text('method', choices=METHODS)

@@ -31,23 +31,10 @@ DOSES = {
 
 
 class Results:
-    """Rows of a campaign, or of a part of it.
+    """Rows of a campaign, or of a part of it; columns may be missing or empty.
 
-    Parameters
-    ----------
-    table : pyarrow.Table
-        Rows; columns may be missing or empty.
-    sensors : tuple of str
-        Names of the sensors.
-
-    Attributes
-    ----------
-    count : int
-        Number of rows.
-    kind, sensor : ndarray of str, shape (count,)
-        Injected fault; '' where it is not known.
-    faulty : ndarray of bool, shape (count,)
-        Whether there was any.
+    ``kind`` and ``sensor`` are those of the injected fault, '' where it is not known; ``faulty``
+    says whether there was any.
     """
 
     def __init__(self, table: pa.Table, sensors: tuple[str, ...]) -> None:

@@ -34,7 +34,7 @@ from lpv_campaign.report.statistics import (
 )
 from lpv_core.simulation.faults import KINDS
 from lpv_core.support.formatting import number, seconds
-from lpv_report.page import embedded, environment
+from lpv_report.page import embedded, environment, finite
 
 _CLASSES, _LEVELS = 8, 12
 _MOST = 10
@@ -54,26 +54,9 @@ class CampaignReport:
 def write_report(
     work: Any, table: pa.Table, folder: str | Path, planned: int, healthy: bool = False
 ) -> CampaignReport:
-    """Write the report of a campaign of runs or of bags.
-
-    Parameters
-    ----------
-    work : Campaign or Archive
-        What was run.
-    table : pyarrow.Table
-        Results, of all runs or bags or of some.
-    folder : str or pathlib.Path
-        Folder of the results; gets ``report.html`` and ``report.json``.
-    planned : int
-        How many there should be.
-    healthy : bool, optional
-        Whether all alarms of bags without ground truth are false.
-
-    Returns
-    -------
-    CampaignReport
-        What was written.
-    """
+    """Write ``report.html`` and ``report.json`` of a campaign of runs or of bags, all or some of
+    those that are planned, into the folder of its results.  With ``healthy`` all alarms of bags
+    without ground truth are false."""
     folder = Path(folder)
     numbers = report_numbers(work, table, folder, planned, healthy)
     pictures = draw_all(numbers)
@@ -123,7 +106,7 @@ def report_numbers(
         'trends': trends(results) if bags else [],
     }
     numbers['tiles'] = _tiles(numbers, bags)
-    return _finite(numbers)
+    return finite(numbers)
 
 
 def _head(work: Any, results: Results, planned: int, failed: int) -> dict[str, Any]:
@@ -428,16 +411,6 @@ def _tiles(numbers: dict[str, Any], bags: bool) -> list[tuple[str, Any, str]]:
         clear = sum(trend['clear'] for trend in numbers['trends'])
         tiles.append(('clear trends', clear, f'{head["failed"]} bags could not be read'))
     return tiles
-
-
-def _finite(data: Any) -> Any:
-    """Plain data without numbers that are none: JSON has no word for them."""
-    data = data.item() if isinstance(data, np.generic) else data
-    if isinstance(data, dict):
-        return {key: _finite(value) for key, value in data.items()}
-    if isinstance(data, (list, tuple)):
-        return [_finite(value) for value in data]
-    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def percent(share: dict[str, Any]) -> str:

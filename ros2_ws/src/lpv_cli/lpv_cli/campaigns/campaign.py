@@ -11,6 +11,7 @@ from lpv_campaign.execution.execute import ResultsFolder, chunks_of, worker_pool
 from lpv_campaign.execution.run_metrics import figures
 from lpv_campaign.execution.runs import plan_run
 from lpv_campaign.plan.campaign import Campaign, resolve
+from lpv_cli.options import flag
 from lpv_cli.progress import counted
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError, LpvError
@@ -25,9 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'is written again, or with --run one of its runs as a bag',
     )
     add_execution(parser, 'out/campaign/NAME')
-    parser.add_argument(
-        '--no-report', action='store_true', help='put the results together, and write no report'
-    )
+    flag(parser, '--no-report', 'put the results together, and write no report')
     parser.add_argument(
         '--run',
         type=int,

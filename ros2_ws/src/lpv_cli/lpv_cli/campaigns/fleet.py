@@ -8,6 +8,7 @@ from rich.console import Console
 from lpv_campaign.execution.archive import Archive, archive_text, find_bags
 from lpv_campaign.execution.execute import ResultsFolder
 from lpv_cli.campaigns.campaign import add_execution, check_workers, execute
+from lpv_cli.options import flag
 from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
@@ -15,8 +16,9 @@ from lpv_cli.replaying.observing import (
     diagnosis_parameters,
     reading_options,
 )
-from lpv_core.certificate.conditions import require
 from lpv_core.support.errors import ConfigError
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.planar import planar_model
 
 FAILED = 3
 """Exit code where a bag could not be read."""
@@ -30,9 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='every rosbag2 bag below this folder is replayed; code 3 says that one could not be '
         'read',
     )
-    parser.add_argument(
-        '--healthy', action='store_true', help='the arms were healthy: all alarms are false'
-    )
+    flag(parser, '--healthy', 'the arms were healthy: all alarms are false')
     add_execution(parser, 'out/fleet/NAME')
     add_diagnosis(parser)
     add_reading(parser)
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError('DIR', 'holds no rosbag2 bag', str(root))
     arm, gains = arm_and_gains(arguments, console)
     if gains is not None:
-        require(arm, gains, arguments.gains or 'gains')  # type: ignore[arg-type]
+        require(planar_model(arm), gains, arguments.gains or 'gains')
     diagnosis, sampling = diagnosis_parameters(arguments.parameters)
     options = reading_options(arguments)
     archive = Archive(archive_text(root, arm, gains, diagnosis, options, **sampling))

@@ -22,12 +22,14 @@ from lpv_campaign.execution.execute import chunks_of, software, worker_pool
 from lpv_campaign.plan.campaign import Campaign, resolve
 from lpv_campaign.plan.spec import NO_FAULT
 from lpv_cli.campaigns.campaign import add_execution, check_workers
-from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import Gains, load_gains, save_gains
-from lpv_core.decision.diagnosis import DiagnosisParameters
+from lpv_cli.options import number
+from lpv_core.monitoring.parameters import DiagnosisParameters
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import Gains, load_gains, save_gains
+from lpv_core.uio.planar import planar_model
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement, parse_requirement
 from lpv_design.solve import InfeasibleError
@@ -46,7 +48,7 @@ _RATES, _LEAST_RATE = ('missed', 'unstable', 'wrong_alarms', 'false_alarms'), 0.
 """Figures that may be zero before the search, and what they count over then."""
 _TOLERANCE, _LEAST_GAIN, _RESAMPLES = 0.02, 0.02, 2000
 _MOST_TRIALS = 10_000
-_DIAGNOSIS = {'threshold_factor': 1.0, 'sigmas': 3.0, 'dwell': 1e-3, 'false_alarm_hours': 1.0}
+_DIAGNOSIS = {'sigmas': 3.0, 'hours_between_false_alarms': 1.0, 'probability_of_wrong_name': 1e-6}
 """Least values: below its bound a threshold means nothing, whatever a campaign says."""
 _FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')
 
@@ -54,21 +56,21 @@ _FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        'campaign', help='campaign of a two-link arm, file or shipped name; its first design is '
-        'what the search begins from'
+        'campaign', help='campaign of an arm with designed gains, file or shipped name; its first '
+        'design is what the search begins from'
     )  # fmt: skip
     parser.add_argument(
         '--search', action='append', required=True, metavar='FIELD=LOW:HIGH',
         help='number of the requirement (observer.decay, controller.FIELD[0]) or of the diagnosis '
-        '(diagnosis.dwell) to search, on a logarithmic scale; may be repeated',
+        '(diagnosis.sigmas) to search, on a logarithmic scale; may be repeated',
     )  # fmt: skip
     parser.add_argument(
         '--cost', action='append', metavar='COLUMN=WEIGHT',
         help='column of the results whose mean counts, and its weight; may be repeated '
         f'({", ".join(f"{name}={weight:g}" for name, weight in COSTS.items())})',
     )  # fmt: skip
-    parser.add_argument('--trials', type=int, default=40, help='designs to try (%(default)s)')
-    parser.add_argument('--seed', type=int, default=1, help='of the search (%(default)s)')
+    number(parser, '--trials', 40, 'designs to try')
+    number(parser, '--seed', 1, 'of the search')
     add_execution(parser, 'out/tune/NAME')
 
 
@@ -83,8 +85,9 @@ class _Bench:
         self._designed: dict[tuple[Any, ...], Gains] = {}
         self.campaign: Campaign = resolve(read_yaml(path), str(path), path.parent, designed=False)
         self.arm = self.campaign.arm
-        if not self.campaign.kind.designed:
-            raise ConfigError('arm', f'{self.arm.name} is a serial arm, without a design to tune')
+        if not self.campaign.designed:
+            raise ConfigError('arm', f'{self.arm.name} has no lpv region: no design to tune')
+        self._planar = planar_model(self.arm)
         if len(self.campaign.spec.designs) > 1 or 'sample_time' in self.campaign.spec.factors:
             raise ConfigError('designs', 'must be one, at one sample time')
         name = self.campaign.spec.designs[0]
@@ -150,8 +153,8 @@ class _Bench:
         """Certified gains; InfeasibleError or ConfigError where there are none."""
         key = tuple(values.items())
         if key not in self._designed:
-            gains = design(self.arm, parse_requirement(self.content(values), self.name)).gains
-            require(self.arm, gains, self.name)
+            gains = design(self._planar, parse_requirement(self.content(values), self.name)).gains
+            require(self._planar, gains, self.name)
             self._designed[key] = gains
         return self._designed[key]
 
@@ -347,10 +350,10 @@ def _write(bench: _Bench, values: dict[str, float], folder: Path) -> None:
     for name, data in content.items():
         text = '# Found by lpv tune.\n' + yaml.safe_dump(data, sort_keys=False)
         (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
-    found = design(bench.arm, load_requirement(folder / 'requirement.yaml'))
+    found = design(planar_model(bench.arm), load_requirement(folder / 'requirement.yaml'))
     lines = [f'Gains for arm {bench.arm.name!r}, found by lpv tune.', *found.lines]
     save_gains(found.gains, folder / 'gains.yaml', '\n'.join(lines))
-    require(bench.arm, load_gains(folder / 'gains.yaml'), 'gains.yaml')
+    require(planar_model(bench.arm), load_gains(folder / 'gains.yaml'), 'gains.yaml')
 
 
 def _draw(study: optuna.Study, folder: Path) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lpv_cli.options import flag
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -30,15 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--arm', default='paper', help='arm file, or name of a shipped arm (paper)')
     parser.add_argument('--out', help='folder for comparison.json and pictures')
-    parser.add_argument('--json', action='store_true', help='print JSON in place of tables')
+    flag(parser, '--json', 'print JSON in place of tables')
     for name, (value, what) in _TOLERANCES.items():
         text = f'tolerated {what} ({value:g})'
         parser.add_argument(f'--{name}', type=float, default=value, metavar='X', help=text)
-    parser.add_argument(
-        '--exact',
-        action='store_true',
-        help='tolerate nothing: every bit of every answer must agree',
-    )
+    flag(parser, '--exact', 'tolerate nothing: every bit of every answer must agree')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -48,14 +46,14 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from rich.console import Console
 
-    from lpv_core.serial_arm.any_arm import load_any_arm
+    from lpv_core.serial_arm.arm_file import load_arm
     from lpv_core.support.errors import ConfigError
     from lpv_core.support.resources import bringup_file
     from lpv_report.comparison import Tolerances, compare_runs, draw_comparison, load_pair
 
     chosen = {name: 0.0 if arguments.exact else getattr(arguments, name) for name in _TOLERANCES}
     tolerances = Tolerances(**chosen)
-    arm = load_any_arm(bringup_file('arms', arguments.arm))
+    arm = load_arm(bringup_file('arms', arguments.arm))
     pair = load_pair(arguments.bag, arguments.other, arm)
     result = compare_runs(*pair, arm, tolerances)
     text = json.dumps(result.as_dict(), indent=1, allow_nan=False)

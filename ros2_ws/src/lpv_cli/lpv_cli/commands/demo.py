@@ -16,7 +16,8 @@ from lpv_cli.progress import bar
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lpv_core.simulation.any_scenario import AnyScenario
+    from lpv_core.serial_arm.description import SerialArm
+    from lpv_core.simulation.scenario import Scenario
 
 NAMESPACE = '/lpv'
 COMPENSATION = ('off', 'confirmed', 'always')
@@ -31,12 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--requirement',
         default='paper',
-        help='shipped requirement or requirement file (paper); serial arms need none',
+        help='shipped requirement or file (paper); arms without an lpv region need none',
     )
     parser.add_argument(
         '--scenario',
-        help='shipped scenario or scenario file (two_faults, or that of the same name as a '
-        'serial arm)',
+        help="shipped scenario or scenario file (two_faults, or that of the arm's name)",
     )
     parser.add_argument(
         '--mode',
@@ -67,20 +67,20 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from rich.console import Console
 
-    from lpv_core.serial_arm.any_arm import load_any_arm
-    from lpv_core.simulation.any_scenario import load_any_scenario, new_path
+    from lpv_core.serial_arm.arm_file import load_arm
+    from lpv_core.simulation.scenario import load_scenario
     from lpv_core.support.resources import bringup_file
 
     require_ros()
     console = Console(soft_wrap=True, highlight=False)
     # Files first, and what needs time only when they are right.
     files = {'arm': bringup_file('arms', arguments.arm)}
-    arm = load_any_arm(files['arm'])
-    is_designed = hasattr(arm, 'links')
+    arm = load_arm(files['arm'])
+    is_designed = arm.lpv is not None
     default = 'two_faults' if is_designed else Path(arguments.arm).stem
     files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
-    scenario = load_any_scenario(files['scenario'], arm)
-    new_path(arm, scenario)
+    scenario = load_scenario(files['scenario'])
+    scenario.path(arm)
     out = _fresh_folder(arguments.out)
     gains = _gains(arm, arguments.requirement if is_designed else None, out, console)
     if gains is None and is_designed:
@@ -115,10 +115,10 @@ def _fresh_folder(name: str) -> Path:
     return out
 
 
-def _gains(arm: Any, requirement: str | None, out: Path, console: 'Console') -> Path | None:
+def _gains(arm: 'SerialArm', requirement: str | None, out: Path, console: 'Console') -> Path | None:
     """Gains for the arm: designed for a requirement, or shipped if they are certified for it."""
-    from lpv_core.certificate.gains import save_gains
     from lpv_core.support.resources import shipped_files
+    from lpv_core.uio.certificate.gains import save_gains
     from lpv_report.certificate import examine
 
     if requirement is None:
@@ -132,13 +132,14 @@ def _gains(arm: Any, requirement: str | None, out: Path, console: 'Console') -> 
             f'{text}; its loop has no certificate: lpv design --arm {arm.name} writes one'
         )
         return None
+    from lpv_core.uio.planar import planar_model
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
 
     console.print(f'designing gains for arm {arm.name!r} ...')
     try:
-        result = design(arm, load_requirement(requirement))
+        result = design(planar_model(arm), load_requirement(requirement))
     except InfeasibleError as error:
         console.print(f'[red]lpv demo: {error}')
         return None
@@ -182,7 +183,7 @@ def _run_graph(
     arguments: argparse.Namespace,
     files: dict[str, Path],
     out: Path,
-    scenario: 'AnyScenario',
+    scenario: 'Scenario',
     console: 'Console',
 ) -> None:
     domain = arguments.domain_id

@@ -7,7 +7,7 @@ from lpv_cli.progress import wrapped
 from lpv_design import main as design
 
 if TYPE_CHECKING:
-    from lpv_core.model.arm import ArmParameters
+    from lpv_core.uio.model.arm import ArmParameters
     from lpv_design.guarantee import Guarantee
 
 

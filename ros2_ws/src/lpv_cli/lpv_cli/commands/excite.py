@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from lpv_cli import arm_choice
+from lpv_cli.options import number
 from lpv_core.support.errors import ConfigError
 
 
@@ -15,8 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help='folder to create: trajectory.csv, trajectory.yaml, reference bag, scenario.yaml',
     )
-    parser.add_argument('--duration', type=float, default=30.0, help='in seconds (30)')
-    parser.add_argument('--rate', type=float, default=100.0, help='samples per second (100)')
+    number(parser, '--duration', 30.0, 'in seconds')
+    number(parser, '--rate', 100.0, 'samples per second')
     parser.add_argument(
         '--center',
         nargs='+',
@@ -24,24 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='ANGLE',
         help="middle of the motion (that of the joints' ranges) [rad]",
     )
-    parser.add_argument(
-        '--reach',
-        type=float,
-        default=1.5,
-        help='largest way of a joint from the middle (1.5) [rad]',
-    )
-    parser.add_argument(
-        '--speed-share',
-        type=float,
-        default=0.6,
-        help='share of the velocity limits that is used (0.6)',
-    )
-    parser.add_argument(
-        '--torque-share',
-        type=float,
-        default=0.8,
-        help='share of the torque limits that is used (0.8)',
-    )
+    number(parser, '--reach', 1.5, 'largest way of a joint from the middle [rad]')
+    number(parser, '--speed-share', 0.6, 'share of the velocity limits that is used')
+    number(parser, '--torque-share', 0.8, 'share of the torque limits that is used')
     parser.add_argument(
         '--lowest', type=float, help='height above the base that joints and tip keep [m]'
     )
@@ -50,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="distance from the base's vertical axis that they keep within [m]",
     )
-    parser.add_argument('--trials', type=int, default=300, help='motions that are tried (300)')
-    parser.add_argument('--seed', type=int, default=1, help='of the search (1)')
+    number(parser, '--trials', 300, 'motions that are tried')
+    number(parser, '--seed', 1, 'of the search')
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -15,13 +15,14 @@ from lpv_campaign.falsify.search import (
     write_worst,
 )
 from lpv_cli.completion import shipped
-from lpv_core.certificate.conditions import require
-from lpv_core.certificate.gains import load_gains
-from lpv_core.monitoring.factory import refuse_gains
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_cli.options import number
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import load_gains
+from lpv_core.uio.planar import planar_model
 
 EXIT_CROSSED = 1
 
@@ -31,20 +32,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arm = parser.add_argument('--arm', required=True, help='arm file, or name of a shipped arm')
     arm.completer = shipped('arms')  # type: ignore[attr-defined]
     parser.add_argument('--gains', help='gains file, or name of a shipped one; two-link arms only')
-    parser.add_argument(
-        '--evaluations', type=int, default=20_000, help='runs (default: %(default)s)'
-    )
-    parser.add_argument(
-        '--duration', type=float, default=6.0, help='of a run [s] (default: %(default)s)'
-    )
-    parser.add_argument('--seed', type=int, default=0, help='of the search (default: %(default)s)')
+    number(parser, '--evaluations', 20_000, 'runs')
+    number(parser, '--duration', 6.0, 'of a run [s]')
+    number(parser, '--seed', 0, 'of the search')
     parser.add_argument('--repeat', metavar=SCENARIO, help='only run this attack again')
     parser.add_argument('--out', default='out/falsify', help='folder (default: %(default)s)')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the worst run, and say whether a threshold was crossed."""
-    arm = load_any_arm(bringup_file('arms', arguments.arm))
+    arm = load_arm(bringup_file('arms', arguments.arm))
     if arguments.repeat:
         attack, duration = read_attack(arguments.repeat)
         attacker = _attacker(arm, arguments.gains, duration)
@@ -61,14 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
     return _conclude(attacker, found)
 
 
-def _attacker(arm: Arm, gains_file: str | None, duration: float) -> Attacker:
-    refuse_gains(arm, bool(gains_file))
-    if isinstance(arm, SerialArm):
-        return Attacker(arm, duration)
+def _attacker(arm: SerialArm, gains_file: str | None, duration: float) -> Attacker:
     if not gains_file:
-        raise ConfigError('--gains', 'must be given for a two-link arm')
+        return Attacker(arm, duration)
     gains = load_gains(bringup_file('gains', gains_file))
-    require(arm, gains, gains_file)
+    require(planar_model(arm), gains, gains_file)
     if gains.observer.method != 'exact':
         raise ConfigError('gains', "must be of method 'exact': 'paper' has no guaranteed bound")
     return Attacker(arm, duration, gains)

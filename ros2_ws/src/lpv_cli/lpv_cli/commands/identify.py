@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpv_cli import arm_choice
+from lpv_cli.options import flag, number
 from lpv_cli.progress import steps
 from lpv_core.support.errors import ConfigError
 
@@ -30,17 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--report', metavar='DIR', help='folder for the report with pictures')
     _add_arm_arguments(parser)
     _add_recording_arguments(parser)
-    parser.add_argument(
+    number(
+        parser,
         '--train-share',
-        type=float,
-        default=0.6,
-        help='share of each recording that is fitted, the rest is held back (0.6)',
+        0.6,
+        'share of each recording that is fitted, the rest is held back',
     )
-    parser.add_argument(
-        '--refit',
-        action='store_true',
-        help='write the parameters of a fit to all samples, after the test',
-    )
+    flag(parser, '--refit', 'write the parameters of a fit to all samples, after the test')
     parser.add_argument(
         '--test',
         action='append',
@@ -49,17 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='recording to test on, instead of the part held back',
     )
     task = parser.add_mutually_exclusive_group()
-    task.add_argument(
+    flag(
+        task,
         '--calibrate',
-        action='store_true',
-        help='the arm of --arm is known: find noise, steps and rates of its sensors and the torque '
+        'the arm of --arm is known: find noise, steps and rates of its sensors and the torque '
         'that its model misses, from some 10 s of any healthy motion; parameters stay',
     )
-    task.add_argument(
-        '--payload',
-        action='store_true',
-        help='the arm of --arm is known: find mass and centre of its tool only',
-    )
+    flag(task, '--payload', 'the arm of --arm is known: find mass and centre of its tool only')
     parser.add_argument(
         '--known-mass',
         type=float,
@@ -90,14 +83,12 @@ def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         help='joint torque per unit of effort, one for all joints or one each',
     )
     weight = parser.add_mutually_exclusive_group()
-    weight.add_argument(
+    flag(
+        weight,
         '--without-gravity',
-        action='store_true',
-        help='efforts do not contain the torque that holds the weight (found from the data)',
+        'efforts do not contain the torque that holds the weight (found from the data)',
     )
-    weight.add_argument(
-        '--with-gravity', action='store_true', help='efforts contain it, whatever the data say'
-    )
+    flag(weight, '--with-gravity', 'efforts contain it, whatever the data say')
 
 
 def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
@@ -222,9 +213,9 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
         factor = arguments.known_mass / found.mass
         result, what = rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
     if arguments.out:
-        from lpv_core.serial_arm.arm_file import save_serial_arm
+        from lpv_core.serial_arm.arm_file import save_arm
 
-        save_serial_arm(result, arguments.out)
+        save_arm(result, arguments.out)
         print(f'{what} written to {arguments.out}')
     return 0
 
@@ -232,9 +223,9 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
 def _calibrate(
     arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']
 ) -> int:
+    from lpv_core.serial_arm.arm_file import save_arm
     from lpv_identify.estimation.mistakes import find_mistakes
     from lpv_identify.estimation.torque_error import calibrate
-    from lpv_identify.results.starting_arm import save_like
     from lpv_identify.results.summary import calibration_table
 
     found = calibrate(arm, recordings)
@@ -242,7 +233,7 @@ def _calibrate(
     for text in (*found.warnings, *(m.text for m in find_mistakes(arm, recordings))):
         print(f'warning: {text}', file=sys.stderr)
     if arguments.out:
-        save_like(arguments.arm, found.arm, Path(arguments.out))
+        save_arm(found.arm, arguments.out)
         print(f'arm file: {arguments.out}')
     return 0
 
@@ -257,9 +248,9 @@ def _print(result: 'Identification') -> None:
 
 def _write(arguments: argparse.Namespace, result: 'Identification') -> None:
     if arguments.out:
-        from lpv_identify.results.starting_arm import save_like
+        from lpv_core.serial_arm.arm_file import save_arm
 
-        save_like(arguments.arm, result.arm, Path(arguments.out))
+        save_arm(result.arm, arguments.out)
         print(f'arm file: {arguments.out}')
     if arguments.report:
         from lpv_identify.results.report import write_report

@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the report and show its table."""
     from rich.console import Console
 
-    from lpv_core.simulation.any_scenario import load_any_scenario
+    from lpv_core.simulation.scenario import load_scenario
     from lpv_core.support.errors import ConfigError
     from lpv_core.support.resources import bringup_file
     from lpv_report.certificate import find_arm_and_gains
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = None
     if arguments.scenario:
         scenario = bringup_file('scenarios', arguments.scenario)
-        load_any_scenario(scenario, arm)  # one that was given must be right
+        load_scenario(scenario)  # one that was given must be right
         path = planned_path(scenario, arm)
     title = f'{Path(arguments.bag).name}, arm “{arm.name}”'
     found = load(arguments.bag, arm, path, title, gains, source)

@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print or write the URDF."""
     from lpv_core.export.urdf import arm_urdf
-    from lpv_core.model.arm import load_arm
+    from lpv_core.serial_arm.arm_file import load_arm
     from lpv_core.support.resources import bringup_file
 
     text = arm_urdf(load_arm(bringup_file('arms', arguments.arm)))

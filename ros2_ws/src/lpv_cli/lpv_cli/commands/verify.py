@@ -2,6 +2,8 @@
 
 import argparse
 
+from lpv_cli.options import flag
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -11,11 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='arm that the gains are to be used with: file or name of a '
         'shipped one; without, the arm that the file itself describes',
     )
-    parser.add_argument(
-        '--proof',
-        action='store_true',
-        help='also prove the inequalities in exact rational arithmetic',
-    )
+    flag(parser, '--proof', 'also prove the inequalities in exact rational arithmetic')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -24,14 +22,14 @@ def run(arguments: argparse.Namespace) -> int:
     Exit code: 0; 1 if an inequality does not hold.
     """
     from lpv_cli.progress import wrapped
-    from lpv_core.serial_arm.any_arm import load_any_arm
+    from lpv_core.serial_arm.arm_file import load_arm
     from lpv_core.support.errors import ConfigError
     from lpv_core.support.resources import bringup_file
     from lpv_report.certificate import load_certified
 
     found = load_certified(arguments.gains)
     name = arguments.arm
-    arm = load_any_arm(bringup_file('arms', name)) if name else found.arm()
+    arm = load_arm(bringup_file('arms', name)) if name else found.arm()
     if arm is None:
         raise ConfigError('--arm', 'is needed: the gains do not describe theirs', arguments.gains)
     checks, proved = found.checks(arm), found.prove(arm) if arguments.proof else {}

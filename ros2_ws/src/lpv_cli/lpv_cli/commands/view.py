@@ -4,6 +4,7 @@ import argparse
 import os
 
 from lpv_cli.needs import require_ros
+from lpv_cli.options import number
 from lpv_core.support.discovery import stay_local
 from lpv_core.support.resources import bringup_file, executable
 
@@ -22,13 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '0.0.0.0: everywhere, the buttons then need the token that is printed, '
         'or the one in the environment variable LPV_VIEW_TOKEN',
     )
-    parser.add_argument('--port', type=int, default=8090, help='port of the page (8090)')
-    parser.add_argument(
-        '--foxglove-port',
-        type=int,
-        default=8765,
-        help='port of the Foxglove WebSocket protocol; 0: off (8765)',
-    )
+    number(parser, '--port', 8090, 'port of the page')
+    number(parser, '--foxglove-port', 8765, 'port of the Foxglove WebSocket protocol; 0: off')
     parser.add_argument(
         '--domain-id', type=int, help="ROS_DOMAIN_ID of the graph; otherwise the environment's"
     )

@@ -4,9 +4,11 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
+from lpv_cli.options import flag
+
 if TYPE_CHECKING:
     from lpv_cli.doctor.finding import Finding
-    from lpv_core.serial_arm.any_arm import Arm
+    from lpv_core.serial_arm.description import SerialArm
 
 FOUND = 3
 """Exit code where something was found."""
@@ -19,11 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--gains', help='gains file that should fit the arm')
     parser.add_argument('--scenario', help='scenario file, or name of a shipped one')
-    parser.add_argument('--offline', action='store_true', help='leave the running graph alone')
+    flag(parser, '--offline', 'leave the running graph alone')
     parser.add_argument(
         '--seconds', type=_seconds, default=3.0, help='how long to watch the graph (3)'
     )
-    parser.add_argument('--json', action='store_true', help='findings as JSON')
+    flag(parser, '--json', 'findings as JSON')
 
 
 def _seconds(text: str) -> float:
@@ -53,7 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if is_ok else FOUND
 
 
-def _check_graph(arm: 'Arm | None', arguments: argparse.Namespace, alone: bool) -> 'list[Finding]':
+def _check_graph(
+    arm: 'SerialArm | None', arguments: argparse.Namespace, alone: bool
+) -> 'list[Finding]':
     try:
         import rclpy  # noqa: F401
 

@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from lpv_cli.doctor.finding import Finding, error, ok, warn
 from lpv_core.support.errors import LpvError
@@ -45,14 +45,11 @@ print('lpv', spec.origin, flush=True)
 from rclpy.utilities import get_rmw_implementation_identifier
 print('lpv', get_rmw_implementation_identifier(), flush=True)
 """
-_PROBE_TIMEOUT = 60.0
-"""[s]"""
 _LARGEST_DOMAIN, _SAFE_DOMAIN = 232, 101
 """Domains above the second have ports that the operating system also gives to others."""
 
 
-@dataclass(frozen=True)
-class RosProbe:
+class RosProbe(NamedTuple):
     """What another process found: rclpy ends a process whose middleware is missing."""
 
     file: str  # of rclpy; empty where it cannot be imported
@@ -82,11 +79,10 @@ def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
 
     bad = []
     for wanted in map(Requirement, requirements):
-        version = _version(wanted.name) or _version(_SAME.get(wanted.name, ''))
-        if version is None:
+        version = _version(wanted.name) or _version(_SAME.get(wanted.name, wanted.name))
+        if not version:
             bad.append(f'{wanted.name} is missing')
-            continue
-        if not wanted.specifier.contains(version, prereleases=True):
+        elif not wanted.specifier.contains(version, prereleases=True):
             bad.append(f'{wanted.name} is {version}, {wanted.specifier} is needed')
     if bad:
         remedy = 'make setup, or pip install -r requirements/base.txt'
@@ -94,11 +90,11 @@ def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
     return ok('packages', f'{len(requirements)} packages in the versions that are needed')
 
 
-def _version(name: str) -> str | None:
+def _version(name: str) -> str:
     try:
-        return importlib.metadata.version(name) if name else None
+        return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        return None
+        return ''
 
 
 def check_compiler() -> Finding:
@@ -114,8 +110,8 @@ def check_compiler() -> Finding:
 def probe_ros() -> RosProbe:
     """Import rclpy in another process."""
     line = [sys.executable, '-c', _PROBE]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=_PROBE_TIMEOUT)
-    lines = [line.split(' ', 1)[1] for line in done.stdout.splitlines() if line[:4] == 'lpv ']
+    done = subprocess.run(line, capture_output=True, text=True, timeout=60.0)
+    lines = [line[4:] for line in done.stdout.splitlines() if line.startswith('lpv ')]
     printed = [line for line in done.stderr.splitlines() if line.strip()]
     problem = re.sub(r', at /.*', '', printed[-1].split(']: ')[-1]) if printed else ''
     file, middleware = (lines + ['', ''])[:2]
@@ -130,12 +126,11 @@ def check_ros(probe: RosProbe | None = None) -> Finding:
         return error('ros', text, 'make setup, or source the ROS 2 that it was run with')
     inside = os.path.realpath(probe.file).startswith(os.path.realpath(sys.prefix) + os.sep)
     if distro and inside and sys.prefix != sys.base_prefix:
-        return error(
-            'ros',
-            f'ROS 2 {distro} is sourced, but rclpy comes from wheels in '
-            f'{sys.prefix}: two builds of the same libraries',
-            'use a shell without ROS 2, or make clean setup with ROS 2 sourced',
+        text = (
+            f'ROS 2 {distro} is sourced, but rclpy comes from wheels in {sys.prefix}: two builds '
         )
+        remedy = 'use a shell without ROS 2, or make clean setup with ROS 2 sourced'
+        return error('ros', text + 'of the same libraries', remedy)
     return ok('ros', f'{distro} is sourced' if distro else 'from wheels')
 
 

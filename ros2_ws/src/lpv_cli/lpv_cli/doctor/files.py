@@ -1,55 +1,44 @@
 """Checks of arm, gains and scenario files; no graph is needed."""
 
-from typing import Any
-
-from lpv_cli.doctor.finding import Finding, error, ok, warn
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_cli.doctor.finding import Finding, error, ok
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 
 
 def check_files(
     arm_name: str | None, gains_name: str | None, scenario_name: str | None
-) -> tuple[Any, ...]:
+) -> tuple[SerialArm | None, list[Finding]]:
     """Run the checks of the files that are given."""
-    arm, findings = None, []
-    if arm_name:
-        arm, finding = check_arm(arm_name)
-        findings.append(finding)
+    arm, found = check_arm(arm_name) if arm_name else (None, None)
+    findings = [found] if found else []
     if gains_name:
         findings.append(check_gains(gains_name, arm, arm_name))
-    elif arm is not None and needs_gains(arm):
-        remedy = f'lpv design --arm {arm_name} --out gains.yaml; then lpv doctor --arm {arm_name} '
-        findings.append(
-            warn('gains', 'none given: no node starts without', f'{remedy}--gains gains.yaml')
-        )
     elif arm is not None:
-        text = 'it needs none: its bounds are statistical; lpv design certifies its tracking loop'
+        what = 'designs them' if arm.lpv is not None else 'certifies the tracking loop'
+        text = f'none given: the moving horizon observes alone; lpv design {what}'
         findings.append(ok('gains', text))
     if scenario_name:
         findings.append(check_scenario(scenario_name, arm))
     return arm, findings
 
 
-def needs_gains(arm: Arm) -> bool:
-    """Whether an arm is diagnosed with gains: two links in a plane."""
-    return hasattr(arm, 'links')
+def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
+    """Whether an arm file can be read, and the arm be watched."""
 
-
-def check_arm(name: str) -> tuple[Any, ...]:
-    """Whether an arm file can be read."""
     try:
-        arm = load_any_arm(bringup_file('arms', name))
-        if not needs_gains(arm):
-            from lpv_core.monitoring.factory import make_monitor
-
-            make_monitor('doctor', arm)
+        arm = load_arm(bringup_file('arms', name))
+        SerialSensorMonitor('doctor', arm)
     except LpvError as problem:
         return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
 
 
-def check_gains(name: str, arm: Arm | None, arm_name: str | None = 'ARM') -> Finding:
+def check_gains(name: str, arm: SerialArm | None, arm_name: str | None = 'ARM') -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
     from lpv_report.certificate import examine, load_certified
 
@@ -69,14 +58,12 @@ def check_gains(name: str, arm: Arm | None, arm_name: str | None = 'ARM') -> Fin
     return ok('gains', f'certificate of the {found.what} of arm {arm.name!r} holds')
 
 
-def check_scenario(name: str, arm: Arm | None) -> Finding:
+def check_scenario(name: str, arm: SerialArm | None) -> Finding:
     """Whether a scenario can be run with the arm."""
-    from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
-
     try:
-        scenario = load_any_scenario(bringup_file('scenarios', name), arm)
+        scenario = load_scenario(bringup_file('scenarios', name))
         if arm is not None:
-            new_simulator(arm, scenario)
+            ArmSimulator(arm, scenario)
     except LpvError as problem:
         remedy = 'correct the field; docs/scenario-file.md describes all'
         return error('scenario', str(problem), remedy)

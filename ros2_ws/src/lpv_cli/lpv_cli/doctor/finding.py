@@ -2,18 +2,16 @@
 
 from dataclasses import asdict, dataclass
 from enum import Enum
+from functools import partial
 from typing import Any
 
 
 class Level(Enum):
     """How bad it is, and its colour."""
 
-    OK = 'OK'
-    WARN = 'WARN'
-    ERROR = 'ERROR'
-
-
-_STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
+    OK = 'green'
+    WARN = 'yellow'
+    ERROR = 'bold red'
 
 
 @dataclass(frozen=True)
@@ -27,22 +25,10 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data."""
-        return {**asdict(self), 'level': self.level.value}
+        return {**asdict(self), 'level': self.level.name}
 
 
-def ok(check: str, text: str) -> Finding:
-    """A finding that all is well."""
-    return Finding(Level.OK, check, text)
-
-
-def warn(check: str, text: str, remedy: str) -> Finding:
-    """A finding that may be meant, or that may go wrong."""
-    return Finding(Level.WARN, check, text, remedy)
-
-
-def error(check: str, text: str, remedy: str) -> Finding:
-    """A finding that keeps the software from working."""
-    return Finding(Level.ERROR, check, text, remedy)
+ok, warn, error = (partial(Finding, level) for level in Level)
 
 
 def show(findings: list[Finding]) -> None:
@@ -55,7 +41,7 @@ def show(findings: list[Finding]) -> None:
     for _ in range(3):
         table.add_column(overflow='fold')
     for found in findings:
-        level = f'[{_STYLES[found.level]}]{found.level.value}'
+        level = f'[{found.level.value}]{found.level.name}'
         table.add_row(level, escape(found.check), escape(found.text))
         if found.remedy:
             table.add_row('', '', f'  -> {escape(found.remedy)}')

@@ -8,7 +8,8 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from lpv_cli.doctor.finding import Finding, error, ok, warn
 from lpv_cli.doctor.signals import check_measurements
 from lpv_cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file
 
@@ -17,7 +18,7 @@ _SINGLE = ('joint_states', 'torque_command', 'state_estimate', 'ground_truth')
 _DEAD = 'a node that was killed is in the graph for some 20 s more'
 
 
-def check_graph(shot: Snapshot, arm: Arm | None = None, alone: bool = True) -> list[Finding]:
+def check_graph(shot: Snapshot, arm: SerialArm | None = None, alone: bool = True) -> list[Finding]:
     """Run all checks of a graph."""
     if not shot.ours() and not shot.measured:
         return [check_anybody(shot, alone)]
@@ -36,11 +37,11 @@ def check_graph(shot: Snapshot, arm: Arm | None = None, alone: bool = True) -> l
     return [*found, *_gains(shot, arm), *check_measurements(shot, arm)]
 
 
-def running_arm(shot: Snapshot) -> Arm | None:
+def running_arm(shot: Snapshot) -> SerialArm | None:
     """The arm of the running observer, or of any other node of ours; None if it is not known."""
     for _, values in sorted(shot.parameters.items(), key=lambda item: '/uio' not in item[0]):
         try:
-            return load_any_arm(bringup_file('arms', values['arm_file']))
+            return load_arm(bringup_file('arms', values['arm_file']))
         except (KeyError, TypeError, LpvError):
             continue  # a node of another machine, or one that could not read it either
     return None
@@ -57,10 +58,8 @@ def check_anybody(shot: Snapshot, alone: bool = True) -> Finding:
         return warn('nodes', f'{text}, but there are measurements', remedy)
     if not alone:
         return ok('nodes', f'{text}: files were checked')
-    remedy = (
-        'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as its shell has them'
-    )
-    return warn('nodes', text, remedy)
+    remedy = 'start it; or set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as its shell has'
+    return warn('nodes', text, f'{remedy} them')
 
 
 def _states(shot: Snapshot) -> Iterator[Finding]:
@@ -108,7 +107,7 @@ def _modes(shot: Snapshot) -> Iterator[Finding]:
         yield error('mode', f'only some nodes are in lockstep: {stepping}', remedy)
 
 
-def _gains(shot: Snapshot, arm: Arm | None) -> Iterator[Finding]:
+def _gains(shot: Snapshot, arm: SerialArm | None) -> Iterator[Finding]:
     found = {name: values.get('gains.arm_sha256') for name, values in shot.parameters.items()}
     others = sorted(n for n, sha in found.items() if sha and arm and sha != arm.sha256())
     if others and arm is not None:

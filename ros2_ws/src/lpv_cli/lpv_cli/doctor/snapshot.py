@@ -2,9 +2,8 @@
 
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import rclpy
 from lifecycle_msgs.srv import GetState
@@ -30,8 +29,7 @@ _MOST_TOPICS = 8
 """More joint_states topics than these are not listened to."""
 
 
-@dataclass
-class Endpoint:
+class Endpoint(NamedTuple):
     """A publisher or subscription."""
 
     node: str  # full name of its node
@@ -92,17 +90,19 @@ def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
         if not name.endswith('/view')  # it has no lifecycle
         for question in _questions(node, name)
     ]
+    futures: dict[int, Any] = {}  # of requests that were sent, once their service was found
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        for question in questions:
-            question.ask()
+        for k, (_, _, client, request) in enumerate(questions):
+            if k not in futures and client.service_is_ready():
+                futures[k] = client.call_async(request)
         executor.spin_once(timeout_sec=min(0.05, max(0.0, end - time.monotonic())))
-    for question in questions:
-        answer, name = question.answer(), question.name
-        if not question.parameter:
+    for k, (name, parameter, _, _) in enumerate(questions):
+        answer = futures[k].result() if k in futures and futures[k].done() else None
+        if not parameter:
             shot.states[name] = None if answer is None else answer.current_state.label
         elif answer is not None and answer.values:
-            shot.parameters.setdefault(name, {})[question.parameter] = _plain(answer.values[0])
+            shot.parameters.setdefault(name, {})[parameter] = _plain(answer.values[0])
     return shot
 
 
@@ -136,37 +136,22 @@ def _listen(node: Any, shot: Snapshot) -> None:
     node.create_subscription(Clock, '/clock', tick, qos_profile_sensor_data)
 
 
-def _questions(node: Any, name: str) -> 'Sequence[_Question]':
+def _questions(node: Any, name: str) -> list[tuple[str, str, Any, Any]]:
+    """Node, parameter ('' for its state), client and request."""
     state = node.create_client(GetState, f'{name}/get_state')
     values = node.create_client(GetParameters, f'{name}/get_parameters')
     # One by one: a name that a node does not know spoils the answer to the others.
     return [
-        _Question(name, '', state, GetState.Request()),
-        *(_Question(name, p, values, GetParameters.Request(names=[p])) for p in _PARAMETERS),
+        (name, '', state, GetState.Request()),
+        *((name, p, values, GetParameters.Request(names=[p])) for p in _PARAMETERS),
     ]
 
 
-class _Question:
-    """A request to a node, sent once its service has been found."""
-
-    def __init__(self, name: str, parameter: str, client: Any, request: Any) -> None:
-        self.name, self.parameter = name, parameter
-        self._client, self._request, self._future = client, request, None
-
-    def ask(self) -> None:
-        if self._future is None and self._client.service_is_ready():
-            self._future = self._client.call_async(self._request)
-
-    def answer(self) -> Any:
-        return self._future.result() if self._future is not None and self._future.done() else None
-
-
 def _plain(value: Any) -> Any:
-    names = {
-        ParameterType.PARAMETER_BOOL: 'bool_value',
-        ParameterType.PARAMETER_STRING: 'string_value',
-    }
-    return getattr(value, names[value.type]) if value.type in names else None
+    """Value of a parameter that is true or false, or a text."""
+    if value.type == ParameterType.PARAMETER_BOOL:
+        return value.bool_value
+    return value.string_value if value.type == ParameterType.PARAMETER_STRING else None
 
 
 def _endpoints(infos: list[Any]) -> list[Endpoint]:

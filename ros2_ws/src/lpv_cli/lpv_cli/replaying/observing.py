@@ -8,19 +8,16 @@ from rich.console import Console
 
 from lpv_bag.replay.replay import ReplayOptions
 from lpv_bag.rosbag.output_folder import GAINS_NAME
-from lpv_bag.rosbag.reading import open_bag
-from lpv_core.certificate.gains import Gains, load_gains
-from lpv_core.decision.diagnosis import DiagnosisParameters
-from lpv_core.model.arm import ArmParameters
-from lpv_core.monitoring.factory import refuse_gains
-from lpv_core.serial_arm.any_arm import Arm, load_any_arm
+from lpv_core.monitoring.parameters import DiagnosisParameters
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
-
-_ANSWER = 'lpv_msgs/msg/FaultEstimate'
+from lpv_core.uio.certificate.gains import Gains, load_gains
+from lpv_core.uio.model.arm import ArmParameters
+from lpv_core.uio.planar import planar_model
 
 
 def add_diagnosis(parser: argparse._ActionsContainer) -> None:
@@ -87,8 +84,10 @@ def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptio
     )
 
 
-def arm_and_gains(arguments: argparse.Namespace, console: Console) -> tuple[Arm, Gains | None]:
-    """Arm and gains as arguments say, or as the bag says; a serial arm has no gains."""
+def arm_and_gains(
+    arguments: argparse.Namespace, console: Console
+) -> tuple[SerialArm, Gains | None]:
+    """Arm and gains as arguments say, or as the bag says; gains only of an arm with a region."""
     gains = load_gains(bringup_file('gains', arguments.gains)) if arguments.gains else None
     name, kept = arguments.arm or (gains and gains.arm_name), None
     bag = getattr(arguments, 'bag', None)
@@ -100,48 +99,46 @@ def arm_and_gains(arguments: argparse.Namespace, console: Console) -> tuple[Arm,
             name = found
     if not name:
         raise ConfigError('--arm', 'is needed where neither gains nor the bag name an arm')
-    arm = load_any_arm(bringup_file('arms', name))
-    refuse_gains(arm, bool(arguments.gains or arguments.requirement))
-    if isinstance(arm, SerialArm):
+    arm = load_arm(bringup_file('arms', name))
+    if arm.lpv is None and not (gains or arguments.requirement):
         return arm, None
-    if kept and kept.arm_sha256 == arm.sha256():
+    planar = planar_model(arm)
+    if kept and kept.arm_sha256 == planar.sha256():
         gains = kept
     elif kept and not arguments.arm:
-        kept.check_arm(arm, f'{bag}: {GAINS_NAME}')  # another arm of this name: say so
-    return arm, gains or _design(arguments, arm, console)
+        kept.check_arm(planar, f'{bag}: {GAINS_NAME}')  # another arm of this name: say so
+    return arm, gains or _gains_of(arguments, planar, console)
 
 
 def _of_bag(bag: Path) -> tuple[str, Gains | None]:
     """Arm that the gains in a bag, or the recorded answers, name, and the gains; '' without."""
-    file = (bag if bag.is_dir() else bag.parent) / GAINS_NAME
-    if file.is_file() and (bag.is_dir() or (bag.parent / 'metadata.yaml').is_file()):
-        parameters = serial_parameters(file)
-        if parameters is None:
-            gains = load_gains(file)
-            return gains.arm_name, gains
-    with open_bag(bag) as reader:
-        answers = [c for c in reader.connections if c.msgtype == _ANSWER and c.msgcount]
-        for connection, _, data in reader.messages(answers) if answers else ():
-            return str(reader.deserialize(data, connection.msgtype).header.frame_id), None
-    return '', None
+    from lpv_report.certificate import beside_bag, named_arm  # only here: help must not wait
+
+    file = beside_bag(bag, GAINS_NAME)
+    if file is not None and serial_parameters(file) is None:
+        gains = load_gains(file)
+        return gains.arm_name, gains
+    return named_arm(bag), None
 
 
-def _design(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains:
+def _gains_of(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains | None:
+    """Gains that are designed for the requirement, if one is given or shipped."""
     # The solver is imported only where it is needed.
     from lpv_design.design_flow import design
-    from lpv_design.requirement import load_requirement
+    from lpv_design.requirement import load_requirement, shipped_requirements
 
-    requirement = load_requirement(arguments.requirement or arm.name)
+    name = arguments.requirement or arm.name
+    if not arguments.requirement and name not in shipped_requirements():
+        console.print(f'no gains of arm {arm.name!r}: the moving horizon observes alone')
+        return None
+    requirement = load_requirement(name)
     console.print(f'designing gains for arm {arm.name!r} ...')
     return design(arm, requirement).gains
 
 
 def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[str, Any]]:
-    """Tuning of the diagnosis in a parameter file of the node.
-
-    Returns `DiagnosisParameters`, and a dict with what is given of ``max_gap`` and
-    ``initial_samples``.
-    """
+    """Tuning of the diagnosis in a parameter file of the node, and what it gives of ``max_gap`` and
+    ``initial_samples``."""
     if not path:
         return DiagnosisParameters(), {}
     try:

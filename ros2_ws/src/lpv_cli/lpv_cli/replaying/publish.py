@@ -5,34 +5,34 @@ import argparse
 from rich.console import Console
 
 from lpv_cli.needs import require_ros
+from lpv_cli.options import flag, number
 from lpv_core.support.discovery import stay_local
 
 
 def add_publishing(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    flag(
+        parser,
         '--publish',
-        action='store_true',
-        help='play the bag into the live graph, with /clock, and run nothing offline; needs ROS 2',
+        'play the bag into the live graph, with /clock, and run nothing offline; needs ROS 2',
     )
-    parser.add_argument('--rate', type=float, default=1.0, help='with --publish: speed (1)')
-    parser.add_argument('--loop', action='store_true', help='with --publish: again and again')
-    parser.add_argument(
+    number(parser, '--rate', 1.0, 'with --publish: speed')
+    flag(parser, '--loop', 'with --publish: again and again')
+    number(
+        parser,
         '--clock-rate',
-        type=float,
-        default=100.0,
-        help='with --publish: messages on /clock per second of the bag, 0 for none (100)',
+        100.0,
+        'with --publish: messages on /clock per second of the bag, 0 for none',
     )
     parser.add_argument(
         '--topics',
         nargs='+',
         help='with --publish: topics to play; all but the answers of the diagnosis if not given',
     )
-    parser.add_argument(
+    number(
+        parser,
         '--wait',
-        type=float,
-        default=5.0,
-        help='with --publish: longest time to '
-        'wait for a subscriber before the first message [s] (5)',
+        5.0,
+        'with --publish: longest time to wait for a subscriber before the first message [s]',
     )
 
 

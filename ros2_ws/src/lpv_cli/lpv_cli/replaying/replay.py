@@ -3,7 +3,6 @@
 import argparse
 import shutil
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
 from lpv_bag.rosbag.writing import PRESETS
 from lpv_bag.run.streams import RecordedAlarm
+from lpv_cli.options import flag
 from lpv_cli.replaying.observing import (
     add_diagnosis,
     add_reading,
@@ -23,16 +23,16 @@ from lpv_cli.replaying.observing import (
     reading_options,
 )
 from lpv_cli.replaying.publish import add_publishing, publish
-from lpv_core.certificate.gains import save_gains
-from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.monitoring.alarm_text import COUNTER_TEXT, describe
-from lpv_core.monitoring.factory import Monitor, make_monitor
-from lpv_core.serial_arm.any_arm import Arm
-from lpv_core.simulation.faults import Fault, FaultInjector
+from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv_core.simulation.faults import FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
+from lpv_core.uio.certificate.gains import save_gains
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,10 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='YAML file whose list of '
         'faults is added to the measurements: shows what would be found',
     )
-    parser.add_argument(
+    flag(
+        parser,
         '--estimates-only',
-        action='store_true',
-        help='write estimates, alarms and diagnostics alone; otherwise all topics are copied, too',
+        'write estimates, alarms and diagnostics alone; otherwise all topics are copied, too',
     )
     parser.add_argument(
         '--compression',
@@ -79,10 +79,14 @@ def run(arguments: argparse.Namespace) -> int:
     _check_out(out, Path(arguments.bag).resolve())
     arm, gains = arm_and_gains(arguments, console)
     diagnosis, others = diagnosis_parameters(arguments.parameters)
-    monitor = make_monitor('/uio', arm, gains, diagnosis, **others)
-    faults = _faults(arguments.inject)
-    injector = _injector(faults, arm)
-    _remove(out)
+    monitor = SerialSensorMonitor('/uio', arm, diagnosis, gains, **others)
+    faults, injector = None, None
+    if arguments.inject is not None:
+        top = Section(read_yaml(arguments.inject), arguments.inject)
+        faults = parse_faults(top)
+        top.finish()
+        injector = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+    shutil.rmtree(out, ignore_errors=True)
     begin = time.perf_counter()
     result = Replay(
         monitor,
@@ -108,36 +112,15 @@ def _check_out(out: Path, bag: Path) -> None:
         raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
     if out.is_relative_to(bag):
         raise ConfigError('--out', 'is inside the bag that is to be replayed')
-    if out.exists() and not _is_ours(out):
-        raise ConfigError('--out', f'{out} exists already and was not written by this command')
-
-
-def _is_ours(out: Path) -> bool:
+    if not out.exists():
+        return
     try:
         information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
-        return MARK in (information.get('custom_data') or ())
+        is_ours = MARK in (information.get('custom_data') or ())
     except (ConfigError, TypeError, KeyError, AttributeError):
-        return False
-
-
-def _remove(out: Path) -> None:
-    if out.exists():
-        shutil.rmtree(out)
-
-
-def _faults(path: str | None) -> Sequence[Fault] | None:
-    if path is None:
-        return None
-    top = Section(read_yaml(path), path)
-    faults = parse_faults(top)
-    top.finish()
-    return faults
-
-
-def _injector(faults: Sequence[Fault] | None, arm: Arm) -> FaultInjector | None:
-    if faults is None:
-        return None
-    return FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+        is_ours = False
+    if not is_ours:
+        raise ConfigError('--out', f'{out} exists already and was not written by this command')
 
 
 def _alarm_line(event: RecordedAlarm, time: float) -> str:
@@ -163,7 +146,9 @@ def show_injected(found: list[InjectedFault], console: Console) -> None:
         console.print(text)
 
 
-def _summary(result: ReplayResult, monitor: Monitor, seconds: float, console: Console) -> None:
+def _summary(
+    result: ReplayResult, monitor: SerialSensorMonitor, seconds: float, console: Console
+) -> None:
     console.print(
         f'{result.measurements} measurements, {len(result.events)} alarm events, {seconds:.2f} s'
     )
@@ -174,7 +159,7 @@ def _summary(result: ReplayResult, monitor: Monitor, seconds: float, console: Co
         console.print(f'  {count} measurements not used: {text}')
 
 
-def _report(arguments: argparse.Namespace, arm: Arm, out: Path, console: Console) -> None:
+def _report(arguments: argparse.Namespace, arm: SerialArm, out: Path, console: Console) -> None:
     from lpv_report.run import print_table, write_report
 
     folder = Path(arguments.report).resolve()

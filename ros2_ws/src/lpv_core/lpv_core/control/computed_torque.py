@@ -8,6 +8,8 @@ kp = 3 w^2, ki = w^3.  For a wrong model see
 `lpv_core.serial_arm.certificate`.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lpv_core.control.latency import loop_latency
@@ -17,7 +19,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.friction import friction_torque
 from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 
 BANDWIDTH = 10.0
@@ -85,6 +87,14 @@ def computed_torque(
     apply_limits(state, state.limit)
 
 
+class ComputedTorqueParts(NamedTuple):
+    """Arguments of `computed_torque`."""
+
+    chain: Chain
+    state: np.record
+    work: FloatArray
+
+
 class ComputedTorqueController(TrackingLaw):
     """Computed torque with PD and integral action.
 
@@ -95,11 +105,18 @@ class ComputedTorqueController(TrackingLaw):
     bandwidth : float, optional
         Distance of the loop's three poles from zero, with a true model [rad/s].
 
+    Attributes
+    ----------
+    tolerated_latency, integrates_measurement
+        As of `lpv_core.control.tracking.TrackingController`.
+
     Raises
     ------
     ConfigError
         If the sampled loop with this bandwidth is not stable.
     """
+
+    integrates_measurement = False
 
     def __init__(self, arm: SerialArm, bandwidth: float = BANDWIDTH) -> None:
         self._chain = compile_chain(arm)
@@ -119,6 +136,11 @@ class ComputedTorqueController(TrackingLaw):
             limit=arm.torque_limit,
         )
         super().__init__(state)
+
+    @property
+    def parts(self) -> ComputedTorqueParts:
+        """Arguments of `computed_torque`."""
+        return ComputedTorqueParts(self._chain, self.state, self._work)
 
     @property
     def chain(self) -> Chain:

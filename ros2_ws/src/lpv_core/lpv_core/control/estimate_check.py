@@ -10,9 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from lpv_core.serial_arm.any_arm import Arm
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
@@ -75,23 +74,23 @@ def correction_type(joints: int) -> np.dtype:
     )
 
 
-def new_correction(arm: Arm, limited: bool = True) -> np.record:
+def new_correction(arm: SerialArm, limited: bool = True) -> np.record:
     """Record of `limit_correction` before the first sample; not ``limited``, it passes all on."""
     limit = np.array(arm.velocity_limit)
-    if isinstance(arm, SerialArm):
-        sensors = [joint.sensors for joint in arm.joints]
-        position = np.array([_SIGMAS * s.position_noise + 2.0 * s.quantization for s in sensors])
-        rate = np.array([_SIGMAS * s.velocity_noise for s in sensors])
-        rate = np.maximum(rate, position / arm.sample_time)
-    else:  # absolute sensors: the second joint's angle is a difference of two
-        position, rate = 2.0 * _SIGMAS * np.array([[arm.position_noise], [arm.velocity_noise]])
+    sensors = [joint.sensors for joint in arm.joints]
+    position = np.array([_SIGMAS * s.position_noise + 2.0 * s.quantization for s in sensors])
+    rate = np.array([_SIGMAS * s.velocity_noise for s in sensors])
+    # A joint's position is a combination of readings.
+    spread = np.abs(arm.sensors_to_joints())
+    position, rate = spread @ position, spread @ rate
+    rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
     rate = np.maximum(rate, _RATE_SHARE * limit)
     change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])
     return new_record(
         correction_type(len(limit)),
         noise=np.array([position + 0.0 * limit, rate]),
         change=change if limited else np.inf,
-        fading=np.array([np.minimum(change[0], FADING), change[1]]),
+        fading=np.array([np.minimum(change[0], FADING * scale), change[1]]),
         stamp=NEVER,
     )
 
@@ -146,7 +145,7 @@ class CorrectionLimit:
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm.
     limited : bool
         Whether there is a correction: a position that is fed back as measured has none.
@@ -157,7 +156,7 @@ class CorrectionLimit:
         What is to be fed back [rad], [rad/s].
     """
 
-    def __init__(self, arm: Arm, limited: bool = True) -> None:
+    def __init__(self, arm: SerialArm, limited: bool = True) -> None:
         self._memory = memory(new_correction(arm, limited))
         self.position, self.velocity = self._memory['feedback'][0]
 

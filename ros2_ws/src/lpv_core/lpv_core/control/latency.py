@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import expm
 
-from lpv_core.certificate.conditions import controller_loop
-from lpv_core.certificate.gains import Gains
-from lpv_core.model.arm import ArmParameters, arm_from_json
+from lpv_core.uio.certificate.conditions import controller_loop
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.model.arm import ArmParameters
 
 _MOST_SAMPLES = 128
 
@@ -23,13 +23,12 @@ def tolerated_latency(arm: ArmParameters, gains: Gains) -> float:
     """
     controller = gains.controller
     m = np.hstack([controller.m1, controller.m2])
-    return _tolerated(arm.to_json(), controller.method, controller.sinc_min, m.tobytes())
+    return _tolerated(arm, controller.method, controller.sinc_min, m.tobytes())
 
 
 @lru_cache(maxsize=16)
-def _tolerated(arm_json: str, method: str, sinc_min: float, gain: bytes) -> float:
+def _tolerated(arm: ArmParameters, method: str, sinc_min: float, gain: bytes) -> float:
     """Kept: campaigns ask for each of their runs."""
-    arm = arm_from_json(arm_json)
     loops = zip(*controller_loop(arm, method, sinc_min))
     return loop_latency(loops, np.frombuffer(gain).reshape(2, -1), arm.sample_time)
 

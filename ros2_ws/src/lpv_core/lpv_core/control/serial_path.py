@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from lpv_core.control.path import Reference
+from lpv_core.control.path import Obstacle, Reference
 from lpv_core.control.rest_to_rest import checked_times, rest_to_rest
 from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv_core.serial_arm.description import SerialArm
@@ -55,7 +55,7 @@ class SerialPath:
         rate, or torque according to the model) is exceeded anywhere on the path.
     """
 
-    obstacle = None
+    obstacle: Obstacle | None = None
 
     def __init__(self, arm: SerialArm, times: Sequence[float], positions: ArrayLike) -> None:
         knots, joints = checked_times(times), np.asarray(positions, float)
@@ -110,6 +110,10 @@ class SerialPath:
         grid = np.linspace(knots[0], knots[-1], count)
         return cls(arm, grid.tolist(), _solve_poses(arm, knots, waypoints, grid))
 
+    def in_base(self, point: FloatArray) -> FloatArray:
+        """Points of the base frame, as they are: the path has no plane."""
+        return point
+
     def sample(self, times: ArrayLike) -> Reference:
         """References at the given times.
 
@@ -141,16 +145,16 @@ class SerialPath:
         _fill_torques(self._chain, position, rate, bend, workspace(self._chain), torque)
         rate, torque = np.abs(rate), np.abs(torque)
         for i, joint in enumerate(arm.joints):
-            limits = joint.limits
+            limits, (unit, torque_unit) = joint.limits, joint.units
             low, high = position[:, i].min(), position[:, i].max()
             if low < limits.lower or high > limits.upper:
-                reason = f'takes {joint.name} to {low:.3g} .. {high:.3g} rad'
+                reason = f'takes {joint.name} to {low:.3g} .. {high:.3g} {unit}'
                 raise _beyond(reason, f'{limits.lower:g} .. {limits.upper:g}')
             if rate[:, i].max() > limits.velocity:
-                reason = f'needs {rate[:, i].max():.3g} rad/s of {joint.name}'
+                reason = f'needs {rate[:, i].max():.3g} {unit}/s of {joint.name}'
                 raise _beyond(reason, f'{limits.velocity:g}')
             if torque[:, i].max() > limits.torque:
-                reason = f'needs {torque[:, i].max():.3g} N m of {joint.name}'
+                reason = f'needs {torque[:, i].max():.3g} {torque_unit} of {joint.name}'
                 raise _beyond(reason, f'{limits.torque:g}')
 
 

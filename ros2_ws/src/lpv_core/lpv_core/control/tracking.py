@@ -1,16 +1,20 @@
 """Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv_core.certificate.gains import Gains
+from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController
+from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.tracking_law import TrackingLaw, apply_limits
-from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
-from lpv_core.model.dynamics import inverse_dynamics
-from lpv_core.model.joints import JOINT_MAP, JointMap
+from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.jit import njit
 from lpv_core.support.records import memory, new_record, record_type
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.model.arm import ARM_CONSTANTS, ArmParameters
+from lpv_core.uio.model.dynamics import inverse_dynamics
+from lpv_core.uio.model.joints import JOINT_MAP, JointMap
+from lpv_core.uio.planar import planar_model
 
 FEEDBACK_FIELDS = {
     'off': 'measured_position',
@@ -118,6 +122,13 @@ def _feedback(params: np.record, state: np.record, i: int) -> float:
     return total
 
 
+class TrackingParts(NamedTuple):
+    """Memory of constants and state of a `TrackingController`, shape (1,)."""
+
+    constants: np.ndarray
+    state: np.ndarray
+
+
 @njit
 def _track(
     params: np.ndarray,
@@ -141,10 +152,17 @@ class TrackingController(TrackingLaw):
 
     Parameters
     ----------
-    arm : ArmParameters
-        The arm.
+    arm : SerialArm
+        A planar arm.
     gains : Gains
         Designed gains of this arm.
+
+    Attributes
+    ----------
+    tolerated_latency : float
+        Longest constant latency with which the loop is stable [s].
+    integrates_measurement : bool
+        Whether eq. (59) is taken literally: eps integrates the faulty measurement.
 
     Raises
     ------
@@ -152,9 +170,17 @@ class TrackingController(TrackingLaw):
         If the gains belong to another arm.
     """
 
-    def __init__(self, arm: ArmParameters, gains: Gains) -> None:
-        self._params = memory(tracking_constants(arm, gains))
+    def __init__(self, arm: SerialArm, gains: Gains) -> None:
+        planar = planar_model(arm)
+        self._params = memory(tracking_constants(planar, gains))
+        self.tolerated_latency = tolerated_latency(planar, gains)
+        self.integrates_measurement = gains.controller.method == 'paper'
         super().__init__(new_record(TRACKING_STATE))
+
+    @property
+    def parts(self) -> TrackingParts:
+        """Arguments of `designed_torque`."""
+        return TrackingParts(self._params, self._memory)
 
     def answer(
         self,
@@ -180,3 +206,12 @@ def feedback_position(compensation: str, estimate: Any) -> np.ndarray:
     """
     position: np.ndarray = getattr(estimate, FEEDBACK_FIELDS[compensation])
     return position
+
+
+def make_controller(
+    arm: SerialArm, gains: Gains | None = None, bandwidth: float = BANDWIDTH
+) -> ComputedTorqueController | TrackingController:
+    """The tracking law of an arm: the designed one where gains are given, else computed torque."""
+    if gains is not None:
+        return TrackingController(arm, gains)
+    return ComputedTorqueController(arm, bandwidth)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.observer.sampled_observer import Mode
-from lpv_core.serial_arm.any_arm import Arm
-from lpv_core.support.jit import njit
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import Mode
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
@@ -162,6 +162,7 @@ def tracker_watchdog_type(joints: int) -> np.dtype:
         ('tracking_error', 'f8'),  # [rad]
         ('speed_limit', 'f8', (joints,)),  # share of the arm file's velocity limit [rad/s]
         ('rest', 'f8', (joints,)),  # rate below which a joint rests [rad/s]
+        ('scale', 'f8', (joints,)),  # what counts as 1 rad, see `SerialJoint.scale` [rad], [m]
         ('share', 'f8'),  # of the newest latency in the mean
         ('mean_age', 'f8'),  # [ns]
         ('late', 'i8'),  # stamp of the last estimate that was late on average, or NEVER
@@ -192,7 +193,7 @@ def drive_watchdog_type(joints: int) -> np.dtype:
     )
 
 
-def tracker_watchdog(arm: Arm, limits: TrackerLimits) -> np.record:
+def tracker_watchdog(arm: SerialArm, limits: TrackerLimits) -> np.record:
     """Watchdog of the tracker of an arm, see `tracker_watchdog_type`."""
     return new_record(
         tracker_watchdog_type(len(arm.joint_names)),
@@ -205,6 +206,7 @@ def tracker_watchdog(arm: Arm, limits: TrackerLimits) -> np.record:
         tracking_error=limits.tracking_error,
         speed_limit=limits.speed * np.array(arm.velocity_limit),
         rest=_REST_SHARE * np.array(arm.velocity_limit),
+        scale=arm.scales(),
         share=_share(arm),
         late=NEVER,
         usable=NEVER,
@@ -213,7 +215,7 @@ def tracker_watchdog(arm: Arm, limits: TrackerLimits) -> np.record:
     )
 
 
-def drive_watchdog(arm: Arm, limits: DriveLimits) -> np.record:
+def drive_watchdog(arm: SerialArm, limits: DriveLimits) -> np.record:
     """Watchdog of the drives of an arm, see `drive_watchdog_type`."""
     return new_record(
         drive_watchdog_type(len(arm.joint_names)),
@@ -227,7 +229,7 @@ def drive_watchdog(arm: Arm, limits: DriveLimits) -> np.record:
     )
 
 
-def _share(arm: Arm) -> float:
+def _share(arm: SerialArm) -> float:
     return min(1.0, arm.sample_time / MEAN_TIME)
 
 
@@ -314,9 +316,9 @@ def check_motion(dog: np.record, stamp: int, reference: np.ndarray, position: np
         dog.started, dog.moved, dog.in_reach = True, False, stamp
         _set_place(dog, reference, position)
     for i in range(position.shape[0]):
-        error = max(error, abs(reference[i] - position[i]))
-        moved = max(moved, abs(position[i] - dog.arm[i]))
-        led = max(led, abs(reference[i] - dog.reference[i]))
+        error = max(error, abs(reference[i] - position[i]) / dog.scale[i])
+        moved = max(moved, abs(position[i] - dog.arm[i]) / dog.scale[i])
+        led = max(led, abs(reference[i] - dog.reference[i]) / dog.scale[i])
     if error <= dog.tracking_error:
         dog.in_reach = stamp
     elif stamp - dog.in_reach > dog.error_time:
@@ -429,7 +431,7 @@ class TrackerWatchdog(_Watchdog):
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm.
     limits : TrackerLimits
         Limits.
@@ -440,7 +442,7 @@ class TrackerWatchdog(_Watchdog):
         Longest interval between estimates [ns].
     """
 
-    def __init__(self, arm: Arm, limits: TrackerLimits) -> None:
+    def __init__(self, arm: SerialArm, limits: TrackerLimits) -> None:
         super().__init__(tracker_watchdog(arm, limits))
         self.silence = _nanoseconds(limits.silence)
 
@@ -462,7 +464,7 @@ class DriveWatchdog(_Watchdog):
 
     Parameters
     ----------
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         The arm.
     limits : DriveLimits
         Limits.
@@ -473,7 +475,7 @@ class DriveWatchdog(_Watchdog):
         Greatest age of the measurement that was answered last [ns].
     """
 
-    def __init__(self, arm: Arm, limits: DriveLimits) -> None:
+    def __init__(self, arm: SerialArm, limits: DriveLimits) -> None:
         super().__init__(drive_watchdog(arm, limits))
         self.command_age = _nanoseconds(limits.latency.single)
 

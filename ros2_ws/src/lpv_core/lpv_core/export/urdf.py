@@ -1,54 +1,65 @@
-"""The arm as a URDF, and where its links are: for RViz, Foxglove and other simulators.
+"""An arm as a URDF, and where its links are: for RViz, Foxglove and other simulators.
 
-Frames (REP-103): ``base_link`` has z up; the arm moves in its x-z plane, so that x and z are the x
-and y of the paper's Figure 1.  Angles count counter-clockwise in that plane, from x to z, which is
-a rotation about -y.  The x axis of ``link1`` and ``link2`` points along the link.  Joint 1 carries
-the arm's ``zero_angle``: at q1 = 0 link 1 stands at that angle from the upper vertical.
+``base_link`` is the arm's base, ``link1`` to ``linkN`` have the frames of the joints that move
+them, ``tip`` is the reference point of a payload.
 """
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from lpv_core.model.arm import ArmParameters
+from lpv_core.serial_arm.chain import FloatArray
+from lpv_core.serial_arm.description import SerialArm, SerialJoint, rotation_from_rpy
 from lpv_core.support.errors import ConfigError
 
-BASE, LINKS, TIP = 'base_link', ('link1', 'link2'), 'tip'
-"""Names of the URDF's links."""
+BASE, TIP = 'base_link', 'tip'
+"""Names of the URDF's first and last link."""
 COLOURS = ('0.27 0.47 0.67 1', '0.40 0.60 0.80 1')
-"""Default colours of the links: red, green, blue, alpha."""
+"""Default colours of the links, in turn: red, green, blue, alpha."""
 _SLENDER = 1e-3
-"""Inertia about a link's long axis over that across it: the arm file does not know it."""
+"""Least inertia about an axis over the largest: that of a thin rod along its length."""
 _UNLIMITED = 1e8
 """Torque limits from here on mean that there is none."""
+_THICKNESS = 0.04
+"""Radius of the drawn links, over their mean length."""
+
+Transform = tuple[str, str, tuple[Any, ...], tuple[Any, ...]]
+"""Parent, child, translation x, y, z [m], quaternion x, y, z, w."""
 
 
-def frame_angles(arm: ArmParameters, q: np.ndarray) -> np.ndarray:
-    """Angles of the two links in the plane of the arm."""
-    q = np.asarray(q, float)
-    first = q[..., 0] + arm.zero_angle + math.pi / 2
-    return np.stack([first, first + q[..., 1]], axis=-1)
+def link_names(arm: SerialArm) -> list[str]:
+    """Names of the URDF's links from the base to the tip."""
+    return [BASE, *(f'link{i + 1}' for i in range(len(arm.joints))), TIP]
 
 
-def points(arm: ArmParameters, q: np.ndarray) -> np.ndarray:
-    """Elbow and tip."""
-    angles = frame_angles(arm, q)
-    steps = np.array(arm.lengths)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return np.cumsum(steps, axis=-2)
+@lru_cache(maxsize=8)
+def _fixed_parts(arm: SerialArm) -> list[tuple[FloatArray, Rotation, FloatArray]]:
+    """Origin, orientation and axis of each joint."""
+    return [
+        (np.array(j.position), Rotation.from_matrix(rotation_from_rpy(j.orientation)), _axis(j))
+        for j in arm.joints
+    ]
 
 
-def transforms(arm: ArmParameters, q: np.ndarray) -> list[tuple[Any, ...]]:
+def _axis(joint: SerialJoint) -> FloatArray:
+    axis = np.array(joint.axis, float)
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def transforms(arm: SerialArm, q: Sequence[float] | FloatArray) -> list[Transform]:
     """Transforms that a robot state publisher would send for one configuration.
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : SerialArm
         The arm.
-    q : array_like, shape (2,)
-        Joint positions [rad].
+    q : array_like, shape (n,)
+        Joint positions [rad], [m].
 
     Returns
     -------
@@ -56,32 +67,30 @@ def transforms(arm: ArmParameters, q: np.ndarray) -> list[tuple[Any, ...]]:
         ``(parent, child, translation, quaternion)`` from the base to the tip; translations x, y, z
         [m], quaternions x, y, z, w.
     """
-    first = float(frame_angles(arm, q)[0])
-    return [
-        (BASE, LINKS[0], (0.0, 0.0, 0.0), _about_minus_y(first)),
-        (LINKS[0], LINKS[1], (arm.links[0].length, 0.0, 0.0), _about_minus_y(float(q[1]))),
-        (LINKS[1], TIP, (arm.links[1].length, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
-    ]
+    names, result = link_names(arm), []
+    for i, (origin, orientation, axis) in enumerate(_fixed_parts(arm)):
+        if arm.joints[i].is_prismatic:
+            place, turned = origin + orientation.apply(float(q[i]) * axis), orientation
+        else:
+            place, turned = origin, orientation * Rotation.from_rotvec(float(q[i]) * axis)
+        result.append((names[i], names[i + 1], tuple(place), tuple(turned.as_quat())))
+    result.append((names[-2], TIP, tuple(arm.tip), (0.0, 0.0, 0.0, 1.0)))
+    return result
 
 
-def _about_minus_y(angle: float) -> tuple[float, float, float, float]:
-    return 0.0, -math.sin(angle / 2), 0.0, math.cos(angle / 2)
+def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:
+    """URDF of an arm; links are drawn as cylinders from joint to joint.
 
-
-def arm_urdf(arm: ArmParameters, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:
-    """URDF of an arm.
-
-    Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.  The
-    inertia about a link's long axis is not in the arm file and is taken as that of a thin rod.
+    Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.
 
     Parameters
     ----------
-    arm : ArmParameters
+    arm : SerialArm
         The arm.
     inertial : bool, optional
         Whether to write masses and inertias; pictures need none.
-    colours : sequence of two str, optional
-        Red, green, blue and alpha of the links, each 0 to 1.
+    colours : sequence of str, optional
+        Red, green, blue and alpha of the links in turn, each 0 to 1.
 
     Returns
     -------
@@ -94,106 +103,84 @@ def arm_urdf(arm: ArmParameters, inertial: bool = True, colours: Sequence[str] =
         If an inertia about a centre of mass is not positive: identified parameters need not be,
         but a URDF cannot say it.
     """
-    robot = ElementTree.Element('robot', name=arm.name)
-    for name, colour in zip(LINKS, colours):
-        material = ElementTree.SubElement(robot, 'material', name=f'{name}_colour')
+    robot, names = ElementTree.Element('robot', name=arm.name), link_names(arm)
+    for i, colour in enumerate(colours):
+        material = ElementTree.SubElement(robot, 'material', name=f'colour{i + 1}')
         ElementTree.SubElement(material, 'color', rgba=colour)
-    radius = 0.04 * sum(arm.lengths) / 2
-    base = ElementTree.SubElement(robot, 'link', name=BASE)
-    _cylinder(base, 'link1_colour', 1.6 * radius, 3.0 * radius, xyz=(0.0, 0.0, 0.0), pitch=False)
-    for i, name in enumerate(LINKS):
-        _link(robot, name, arm, i, radius, inertial)
+    ends = [np.array(joint.position) for joint in arm.joints] + [np.array(arm.tip)]
+    radius = _THICKNESS * float(np.mean([np.linalg.norm(end) for end in ends]) or 1.0)
+    for i, name in enumerate(names[:-1]):
+        link = ElementTree.SubElement(robot, 'link', name=name)
+        if i > 0 and inertial:
+            _inertial(link, arm, i - 1)
+        colour = f'colour{1 + i % len(colours)}'
+        axis = _axis(arm.joints[i - 1]) if i > 0 else _axis(arm.joints[0])
+        _cylinder(link, colour, 1.4 * radius, 0.0 * axis, 2.6 * radius * axis)
+        if np.linalg.norm(ends[i]) > 0.0:
+            _cylinder(link, colour, radius, 0.5 * ends[i], ends[i])
     ElementTree.SubElement(robot, 'link', name=TIP)
-    _joint(robot, arm, 0, BASE, LINKS[0], (0.0, 0.0, 0.0), -(arm.zero_angle + math.pi / 2))
-    _joint(robot, arm, 1, LINKS[0], LINKS[1], (arm.links[0].length, 0.0, 0.0), 0.0)
+    for i, joint in enumerate(arm.joints):
+        _joint(robot, joint, names[i], names[i + 1])
     fixed = ElementTree.SubElement(robot, 'joint', name='tip_joint', type='fixed')
-    _ends(fixed, LINKS[1], TIP)
-    _origin(fixed, (arm.links[1].length, 0.0, 0.0))
+    _ends(fixed, names[-2], TIP)
+    _origin(fixed, arm.tip)
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding='unicode') + '\n'
 
 
-def _link(
-    robot: ElementTree.Element,
-    name: str,
-    arm: ArmParameters,
-    index: int,
-    radius: float,
-    inertial: bool,
-) -> None:
-    link = ElementTree.SubElement(robot, 'link', name=name)
-    if inertial:
-        _inertial(link, arm, index)
-    length = arm.links[index].length
-    _cylinder(link, f'{name}_colour', radius, length, xyz=(length / 2, 0.0, 0.0), pitch=True)
-    _cylinder(link, f'{name}_colour', 1.4 * radius, 2.6 * radius, (0.0, 0.0, 0.0), pitch=False)
-
-
-def _inertial(link: ElementTree.Element, arm: ArmParameters, index: int) -> None:
-    described = arm.links[index]
-    inertia = described.inertia
-    if arm.inertia_reference == 'joint':
-        inertia -= described.mass * described.center_of_mass**2
-    if inertia <= 0.0:
+def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
+    described = arm.joints[index].link
+    if described.mass == 0.0:
+        return
+    center = np.array(described.first_moment) / described.mass
+    inertia = described.rotational_inertia()
+    inertia -= described.mass * (center @ center * np.eye(3) - np.outer(center, center))
+    values, axes = np.linalg.eigh(inertia)
+    if values[1] <= 0.0:
         raise ConfigError(
-            f'links[{index}].inertia',
+            f'joints[{index}].link.inertia',
             'is not positive about the centre of mass '
-            f'({inertia:.4g} kg m2): a URDF cannot express that',
+            f'({values.min():.4g} kg m2): a URDF cannot express that',
             arm.name,
         )
+    inertia = axes @ np.diag(np.maximum(values, _SLENDER * values[2])) @ axes.T
     element = ElementTree.SubElement(link, 'inertial')
-    _origin(element, (described.center_of_mass, 0.0, 0.0))
+    _origin(element, center)
     ElementTree.SubElement(element, 'mass', value=_text(described.mass))
-    ElementTree.SubElement(
-        element,
-        'inertia',
-        ixx=_text(_SLENDER * inertia),
-        iyy=_text(inertia),
-        izz=_text(inertia),
-        ixy='0',
-        ixz='0',
-        iyz='0',
-    )
+    places = {'ixx': (0, 0), 'iyy': (1, 1), 'izz': (2, 2), 'ixy': (0, 1), 'ixz': (0, 2)}
+    entries = {name: _text(inertia[place]) for name, place in {**places, 'iyz': (1, 2)}.items()}
+    ElementTree.SubElement(element, 'inertia', entries)
 
 
 def _cylinder(
-    link: ElementTree.Element,
-    material: str,
-    radius: float,
-    length: float,
-    xyz: Sequence[float],
-    pitch: bool,
+    link: ElementTree.Element, material: str, radius: float, middle: FloatArray, along: FloatArray
 ) -> None:
-    """A visual along x (``pitch``), or along the joint axis y."""
+    """A visual around a middle, along a vector of its length."""
+    length = float(np.linalg.norm(along))
+    yaw, pitch = math.atan2(along[1], along[0]), math.acos(along[2] / length)
     visual = ElementTree.SubElement(link, 'visual')
-    _origin(visual, xyz, (0.0, math.pi / 2, 0.0) if pitch else (math.pi / 2, 0.0, 0.0))
+    _origin(visual, middle, (0.0, pitch, yaw))
     geometry = ElementTree.SubElement(visual, 'geometry')
     ElementTree.SubElement(geometry, 'cylinder', radius=_text(radius), length=_text(length))
     ElementTree.SubElement(visual, 'material', name=material)
 
 
-def _joint(
-    robot: ElementTree.Element,
-    arm: ArmParameters,
-    index: int,
-    parent: str,
-    child: str,
-    xyz: Sequence[float],
-    pitch: float,
-) -> None:
-    joint = ElementTree.SubElement(robot, 'joint', name=arm.joint_names[index], type='continuous')
-    _ends(joint, parent, child)
-    _origin(joint, xyz, (0.0, pitch, 0.0))
-    ElementTree.SubElement(joint, 'axis', xyz='0 -1 0')
-    if arm.torque_limit[index] < _UNLIMITED:
-        ElementTree.SubElement(
-            joint,
-            'limit',
-            effort=_text(arm.torque_limit[index]),
-            velocity=_text(arm.velocity_limit[index]),
-        )
+def _joint(robot: ElementTree.Element, joint: SerialJoint, parent: str, child: str) -> None:
+    limits = joint.limits
+    bounded = math.isfinite(limits.lower) and math.isfinite(limits.upper)
+    kind = joint.type if bounded or joint.is_prismatic else 'continuous'
+    element = ElementTree.SubElement(robot, 'joint', name=joint.name, type=kind)
+    _ends(element, parent, child)
+    _origin(element, joint.position, joint.orientation)
+    ElementTree.SubElement(element, 'axis', xyz=' '.join(map(_text, joint.axis)))
+    values = {'effort': _text(min(limits.torque, _UNLIMITED)), 'velocity': _text(limits.velocity)}
+    if bounded:
+        values |= {'lower': _text(limits.lower), 'upper': _text(limits.upper)}
+    if bounded or joint.is_prismatic or limits.torque < _UNLIMITED:
+        ElementTree.SubElement(element, 'limit', values)
+    friction = joint.friction
     ElementTree.SubElement(
-        joint, 'dynamics', damping=_text(arm.viscous[index]), friction=_text(arm.coulomb[index])
+        element, 'dynamics', damping=_text(friction.viscous), friction=_text(friction.coulomb)
     )
 
 
@@ -203,7 +190,9 @@ def _ends(joint: ElementTree.Element, parent: str, child: str) -> None:
 
 
 def _origin(
-    element: ElementTree.Element, xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)
+    element: ElementTree.Element,
+    xyz: Sequence[float] | FloatArray,
+    rpy: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
     ElementTree.SubElement(
         element, 'origin', xyz=' '.join(map(_text, xyz)), rpy=' '.join(map(_text, rpy))

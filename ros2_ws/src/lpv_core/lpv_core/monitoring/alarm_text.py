@@ -1,6 +1,6 @@
 """Alarm events and counters of samples in the words of an operator."""
 
-from lpv_core.decision.diagnosis import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
+from lpv_core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 
 _EVENTS = {
     AlarmEvent.RAISED: 'ALARM',
@@ -8,34 +8,32 @@ _EVENTS = {
     AlarmEvent.CLEARED: 'alarm cleared',
 }
 _KINDS = {
-    'unclassified': 'kind not known yet',
     'spike': 'single wrong readings (spike)',
     'stuck': 'reading stands still (stuck)',
     'noise': 'too much noise',
     'rate_bias': 'of the rate sensor',
-    'torque_offset': 'of the torque sensor',
-    'torque_gain': 'of the gain of the torque sensor',
 }
-_UNITS = {'rate_bias': ' rad/s', 'torque_offset': ' N m', 'torque_gain': ''}
+_UNITS = {'rate_bias': ' {}/s'}
 """Of sizes that are no position errors."""
 _CERTAIN = 0.9995
 """Confidence from which on only a lower limit is given."""
 COUNTER_TEXT = {
     'duplicates': 'measurements with the stamp of the one before, ignored',
     'out_of_order': 'measurements older than the one before, ignored',
-    'restarts': 'restarts because the clock was set back',
+    'restarts': 'restarts because the clock was set',
+    'refused_stamps': 'measurements whose stamp fits no stream, ignored',
     'not_finite': 'measurements with NaN or infinite values',
     'implausible': 'measurements with values that this arm cannot reach',
-    'gaps': 'interruptions longer than max_gap',
-    'late_steps': 'intervals with missing measurements, bridged',
+    'gaps': 'interruptions after which the balances begin anew',
+    'without_effort': 'measurements without efforts that had been there before',
 }
-"""Fields of `lpv_core.observer.sampled_observer.Counters`, what they count."""
+"""Fields of `lpv_core.monitoring.serial_monitor.SerialCounters`, what they count."""
 
 
 def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
-    unit = _UNITS.get(event.kind, ' rad')
+    unit = _UNITS.get(event.kind, ' {}').format(event.unit)
     error = f'{event.size:+.3f}{unit} (bound {event.bound:.3f}{unit})'
     if event.kind == 'dropout':
         over = ' is over' if event.event == AlarmEvent.CLEARED else ''
@@ -43,11 +41,6 @@ def describe(event: Alarm) -> str:
     if event.event == AlarmEvent.CLEARED:
         return f'{head}{event.kind} is over, remaining error {error}'
     sure = f'{event.confidence:.1%}' if event.confidence < _CERTAIN else '> 99.9%'
-    if event.kind == 'inconsistent':
-        return (
-            f'{head}inconsistent, cause unknown: rates, torques and model contradict each other; '
-            f'error {error} if it is this sensor, confidence {sure}'
-        )
     kind = _KINDS.get(event.kind, event.kind)
     if event.basis == GUARANTEED:
         return f'{head}error {error}, {kind}, guaranteed: no healthy arm inside its file reads this'

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.decision.diagnosis import Alarm
 from lpv_core.monitoring import message_fields
+from lpv_core.serial_arm.diagnosis.alarms import Alarm
 from lpv_core.support.records import record_type
 
 LONGEST_STALE = 50_000_000
@@ -36,7 +36,7 @@ def answer_type(joints: int) -> np.dtype:
     return record_type(
         ('answered', '?'),  # False for a sample with an old stamp, which needs no answer
         ('has_fault', '?'),  # whether there is a fault estimate; a state there is always
-        ('restarted', '?'),  # the clock was set back: observer and alarms restarted
+        ('restarted', '?'),  # the clock was set: estimates begin anew
         ('has_events', '?'),  # alarms changed
         ('due', '?'),  # a diagnostics report is due
         ('inconsistent', '?'),  # rates, torques and model contradict each other
@@ -58,7 +58,7 @@ class Answer:
         Of the measurement [ns]; of every message, too.
     record : numpy.void
         Of `answer_type`.
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         Names of joints and sensors.
     status : list of dict or None
         diagnostic_msgs/DiagnosticArray's statuses where a report is due.

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
-from lpv_core.support.jit import njit
+from lpv_core.serial_arm.sensor_map import map_vector
+from lpv_core.support.jit import njit_in_place
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 
 BRIDGED = 6
@@ -16,12 +17,13 @@ _LONGEST_STEP = 10.0
 
 
 class Compensation(NamedTuple):
-    """What goes on from sample to sample; arrays of shape (n,)."""
+    """What goes on from sample to sample, by sensor; arrays of shape (n,)."""
 
     applied: FloatArray  # fault that is being removed [rad]
     position: FloatArray  # of the sample before, corrected [rad]
     velocity: FloatArray  # of the sample before, corrected [rad/s]
     change: FloatArray  # of that velocity over the last interval [rad/s]
+    estimate: FloatArray  # of the sample, less the estimated fault [rad]
     bridged: IntArray  # samples for which a reading has been carried on
     stamp: IntArray  # of the sample before [ns], shape (1,)
 
@@ -39,6 +41,7 @@ class Known(NamedTuple):
     is_error: npt.NDArray[np.bool_]  # confirmed
     is_level: npt.NDArray[np.bool_]  # all of fault is confirmed, not only what is removed
     is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
+    to_joints: FloatArray  # S^-1 of y = S q + f, shape (n, n)
 
 
 class Flags(NamedTuple):
@@ -86,12 +89,12 @@ def answer_rows(records: npt.NDArray[np.void]) -> AnswerRows:
 
 def new_compensation(joints: int) -> Compensation:
     """Nothing is removed yet."""
-    applied, position, velocity, change = np.zeros((4, joints))
+    applied, position, velocity, change, estimate = np.zeros((5, joints))
     bridged, stamp = np.zeros(joints, np.int64), np.array([NEVER])
-    return Compensation(applied, position, velocity, change, bridged, stamp)
+    return Compensation(applied, position, velocity, change, estimate, bridged, stamp)
 
 
-@njit
+@njit_in_place
 def fill_answers(
     work: Compensation,
     rows: AnswerRows,
@@ -101,7 +104,7 @@ def fill_answers(
     known: Known,
     flags: Flags,
 ) -> None:
-    """Answers to samples in a row.
+    """Answers to samples in a row: faults by sensor, positions and rates by joint.
 
     What is removed follows the confirmed fault at a limited rate; jumps were added to
     ``work.applied`` by the caller.
@@ -117,7 +120,7 @@ def fill_answers(
     stamps : ndarray of int64, shape (N,)
         [ns].
     samples : ndarray, shape (N, 3, n)
-        Readings, rates, efforts.
+        Readings of the sensors, their rates, efforts.
     known : Known
         Faults.
     flags : Flags
@@ -134,19 +137,22 @@ def fill_answers(
                 drift = known.rate[i] if known.is_derived[i] else 0.0
             measured = samples[k, 0, i], samples[k, 1, i]
             _correct(work, i, measured, (confirmed, drift), known.limit[i], step)
-            rows.compensated[k, i], rows.velocity[k, i] = work.position[i], work.velocity[i]
-            rows.position[k, i] = work.position[i] + work.applied[i] - fault
-            rows.measured[k, i], rows.measured_velocity[k, i] = measured
+            work.estimate[i] = work.position[i] + work.applied[i] - fault
             rows.estimate[k, i], rows.bound[k, i] = fault, known.bound[i]
             rows.threshold[k, i], rows.state[k, i] = known.threshold[i], known.state[i]
             rows.alarm[k, i] = known.is_error[i]
+        map_vector(known.to_joints, work.position, rows.compensated[k])
+        map_vector(known.to_joints, work.velocity, rows.velocity[k])
+        map_vector(known.to_joints, work.estimate, rows.position[k])
+        map_vector(known.to_joints, samples[k, 0], rows.measured[k])
+        map_vector(known.to_joints, samples[k, 1], rows.measured_velocity[k])
         rows.answered[k], rows.has_fault[k] = True, True
         rows.inconsistent[k], rows.mode[k] = flags.inconsistent, flags.mode
         rows.trustworthy[k] = flags.trustworthy
         work.stamp[0] = stamps[k]
 
 
-@njit
+@njit_in_place
 def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
     """The answer to a sample again, for one that was lost."""
     for i in range(rows.state.shape[1]):
@@ -164,7 +170,7 @@ def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
     rows.mode[row], rows.trustworthy[row] = rows.mode[last], rows.trustworthy[last]
 
 
-@njit
+@njit_in_place
 def _step(
     work: Compensation, stamp: int, fading: float, sample_time: float
 ) -> tuple[float, bool, float]:
@@ -174,7 +180,7 @@ def _step(
     return interval, follows and interval < _LONGEST_STEP * sample_time, fading
 
 
-@njit
+@njit_in_place
 def _correct(
     work: Compensation,
     i: int,
@@ -183,7 +189,7 @@ def _correct(
     limit: float,
     step: tuple[float, bool, float],
 ) -> None:
-    """Reading and rate of a joint without the fault; a jump is carried on by the rate."""
+    """Reading and rate of a sensor without the fault; a jump is carried on by the rate."""
     interval, follows, fading = step
     most = (fading + abs(fault[1])) * interval
     work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)

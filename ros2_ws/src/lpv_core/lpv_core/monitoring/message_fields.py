@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.decision.diagnosis import Alarm, SensorState
-from lpv_core.model.arm import ArmParameters
-from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 
 # Levels of diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR, STALE = range(4)
@@ -115,13 +113,13 @@ def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, 
 def alarm_fields(alarm: Alarm) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds."""
     fields = {**asdict(alarm), 'event': int(alarm.event)}
-    del fields['basis']
+    del fields['basis'], fields['unit']
     return fields
 
 
 def diagnostic_fields(
     name: str,
-    arm: ArmParameters | SerialArm,
+    arm: SerialArm,
     state: np.record,
     fault: np.record | None,
     findings: Findings,
@@ -133,7 +131,7 @@ def diagnostic_fields(
     ----------
     name : str
         Fully qualified node name.
-    arm : ArmParameters or SerialArm
+    arm : SerialArm
         Names of arm, joints and sensors.
     state, fault : numpy.record
         `lpv_core.monitoring.monitor.ANSWER`'s; ``fault`` is None without an estimate.
@@ -163,12 +161,13 @@ def diagnostic_fields(
     for i, sensor in enumerate(arm.sensor_names):
         sensor_state, values, above = SensorState.STALE, {}, False
         if fault is not None:
+            unit = arm.joints[i].units[0]
             above = abs(fault.estimate[i]) > fault.threshold[i]
             sensor_state = fault.state[i]
             values = {
-                'fault estimate [rad]': f'{fault.estimate[i]:.6f}',
-                'bound [rad]': f'{fault.bound[i]:.6f}',
-                'threshold [rad]': f'{fault.threshold[i]:.6f}',
+                f'fault estimate [{unit}]': f'{fault.estimate[i]:.6f}',
+                f'bound [{unit}]': f'{fault.bound[i]:.6f}',
+                f'threshold [{unit}]': f'{fault.threshold[i]:.6f}',
                 **(findings.details[i] if findings.details else {}),
             }
         level, message = _LEVELS[sensor_state]

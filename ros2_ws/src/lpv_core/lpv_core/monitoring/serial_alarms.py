@@ -3,10 +3,10 @@
 import numpy as np
 import numpy.typing as npt
 
-from lpv_core.decision.diagnosis import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 from lpv_core.monitoring.stepped_monitor import Snapshot
 from lpv_core.serial_arm.chain import IntArray
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 from lpv_core.serial_arm.diagnosis.monitor import SerialAlarm
 
 BoolArray = npt.NDArray[np.bool_]
@@ -27,6 +27,7 @@ class AlarmConverter:
 
     def __init__(self, arm: SerialArm) -> None:
         self._names = arm.sensor_names
+        self._units = [joint.units[0] for joint in arm.joints]
         self._raised = np.zeros(len(self._names), bool)
         self._missing = np.zeros(len(self._names), bool)
 
@@ -57,7 +58,8 @@ class AlarmConverter:
             i = self._names.index(alarm.sensor)
             events.append(Alarm(
                 AlarmEvent[alarm.event.upper()], i, alarm.sensor, begin, stamp, alarm.size,
-                sigmas * alarm.sigma, alarm.kind, confidence(alarm), basis=basis))  # fmt: skip
+                sigmas * alarm.sigma, alarm.kind, confidence(alarm), basis=basis,
+                unit=self._units[i]))  # fmt: skip
             if alarm.kind != _RATE_BIAS:
                 self._raised[i] = alarm.event != 'cleared'
         return events

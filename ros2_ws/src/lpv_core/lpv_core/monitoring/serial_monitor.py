@@ -1,4 +1,4 @@
-"""Observer and diagnosis of a serial arm of n joints, behind the interface of `SensorMonitor`.
+"""Observers and diagnosis of an arm together: what the observer node and a replay run.
 
 `lpv_core.serial_arm.diagnosis` finds faults in samples that are in order.  What is here decides
 which measurements are, and turns what was found into messages.  The node takes measurements one by
@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv_core.decision.diagnosis import Alarm, DiagnosisParameters, SensorState
-from lpv_core.model.joint_order import JointOrder
 from lpv_core.monitoring import message_fields
 from lpv_core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv_core.monitoring.compensation import (
@@ -25,16 +23,22 @@ from lpv_core.monitoring.compensation import (
     fill_answers,
     new_compensation,
 )
+from lpv_core.monitoring.joint_order import JointOrder
+from lpv_core.monitoring.parameters import DiagnosisParameters
 from lpv_core.monitoring.serial_alarms import AlarmConverter
+from lpv_core.monitoring.stamp_gate import JUMP, StampGate
 from lpv_core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
-from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv_core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv_core.serial_arm.sensor_map import map_rows, mixing
 from lpv_core.support.errors import SampleError
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
+from lpv_core.uio.certificate.gains import Gains
+from lpv_core.uio.unknown_input_observer import CHOICES, UioParts, UnknownInputObserver, uio_answers
 
-METHOD = 'momentum balances'
+METHOD = 'moving horizon'
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
 _LARGEST = (1e3, 1e4, 1e9)
@@ -57,7 +61,8 @@ class SerialCounters:
 
     duplicates: int = 0  # with the stamp of the one before
     out_of_order: int = 0  # with an older stamp
-    restarts: int = 0  # the clock was set back by more than 1 s
+    restarts: int = 0  # the clock was set, or samples were missing for more than 1 s
+    refused_stamps: int = 0  # that fit no stream
     not_finite: int = 0  # NaN or infinite readings, or rates of a sensor of their own
     implausible: int = 0  # values that no arm has
     gaps: int = 0  # intervals after which the balances restart
@@ -80,10 +85,15 @@ class MonitorParts(NamedTuple):
     compensation: Compensation
     known: Known
     flags: Flags
+    uio: UioParts | None  # of the designed observer, if there is one
 
 
 class SerialSensorMonitor:
-    """Diagnosis of the position sensors of a serial arm; bounds are statistical.
+    """Diagnosis of the position sensors of an arm.
+
+    The horizon and the bank of hypotheses watch every arm.  Where gains were designed, the
+    unknown-input observer runs beside them, sample by sample: the estimate with the smaller bound
+    is published, and what its reachable set excludes is a certified alarm.
 
     Degraded modes: without rates, those of sensors that have none of their own are differences of
     the readings; without efforts, jumps are found and offsets are NOT_DIAGNOSABLE; a sample with
@@ -96,8 +106,15 @@ class SerialSensorMonitor:
     arm : SerialArm
         The arm.
     parameters : DiagnosisParameters, optional
-        Tuning; ``sigmas``, ``minimum_threshold``, ``safe_stop_bound`` and ``compensation_rate``
-        are used.
+        Tuning.
+    gains : Gains, optional
+        Of a planar arm with designed gains.
+    observer : {'tightest', 'uio', 'horizon'}, optional
+        Whose estimate of the faults is published, where gains are given.
+    initial_samples : int, optional
+        Samples over which the designed observer's start value is averaged.
+    max_gap : float, optional
+        Longest interval that the designed observer integrates [s].
 
     Attributes
     ----------
@@ -114,13 +131,19 @@ class SerialSensorMonitor:
         If the arm cannot be monitored.
     """
 
-    method = METHOD
     needs_rates = False
 
     def __init__(
-        self, name: str, arm: SerialArm, parameters: DiagnosisParameters | None = None
+        self,
+        name: str,
+        arm: SerialArm,
+        parameters: DiagnosisParameters | None = None,
+        gains: Gains | None = None,
+        observer: str = CHOICES[0],
+        initial_samples: int = 1,
+        max_gap: float = 0.1,
     ) -> None:
-        self.name, self.arm, self.rejected = name, arm, 0
+        self.name, self.arm, self.rejected, self.method = name, arm, 0, METHOD
         self.counters = SerialCounters()
         self._joints = len(arm.joints)
         self.answer_type = answer_type(self._joints)
@@ -128,11 +151,22 @@ class SerialSensorMonitor:
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
         self._is_derived = ~self._independent
+        self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
         self._monitor = SteppedMonitor(arm)
+        self._torque_gain = np.array([joint.torque_gain for joint in arm.joints])
+        self._gains = gains
+        self._uio: UnknownInputObserver | None = None
+        if gains is not None:
+            self._uio = UnknownInputObserver(
+                arm, gains, observer, initial_samples=initial_samples, max_gap=max_gap
+            )
+            self.method = f'{METHOD}, unknown-input observer ({self._uio.method})'
+            if self._uio.certifies:
+                self._monitor.certified_level = self._uio.level
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
         self.retune(parameters or DiagnosisParameters())
-        self.reset()
+        self._begin()
 
     @property
     def log_statistic(self) -> float | None:
@@ -151,13 +185,22 @@ class SerialSensorMonitor:
     def retune(self, parameters: DiagnosisParameters) -> None:
         """Change the tuning while running; alarms stay as they are."""
         self._parameters = parameters
-        self._monitor.tune(parameters.minimum_threshold)
+        self._monitor.tune(parameters)
+        if self._uio is not None:
+            self._uio.retune(parameters.sigmas)
         if hasattr(self, '_snapshot'):
             self._know(self._snapshot, self._flags.stamp)
 
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
         self._monitor.reset()
+        if self._uio is not None:
+            self._uio.reset()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Estimates and alarms of a monitor that has just been reset."""
+        self._gate = StampGate()
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
@@ -172,7 +215,7 @@ class SerialSensorMonitor:
 
     def warm_up(self) -> None:
         """Compile with a made-up motion, and forget it: the first real samples must not wait."""
-        other = SerialSensorMonitor(self.name, self.arm, self._parameters)
+        other = SerialSensorMonitor(self.name, self.arm, self._parameters, self._gains)
         step = round(self.arm.sample_time * NANOSECONDS)
         stamps = 1 + step * np.arange(max(20, round(_WARM_UP / self.arm.sample_time)))
         t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
@@ -182,7 +225,22 @@ class SerialSensorMonitor:
     def take(
         self, stamp: int, message: Any, torque: Sequence[float] | None = None
     ) -> Answer | None:
-        """Use one measurement; as `lpv_core.monitoring.monitor.SensorMonitor.take`."""
+        """Use one measurement; None for an old stamp, which needs no answer.
+
+        Parameters
+        ----------
+        stamp : int
+            Its time [ns].
+        message : sensor_msgs/JointState
+            The measurement; any object with its fields.
+        torque : sequence of float, optional
+            Torques in place of the message's effort [N m].
+
+        Raises
+        ------
+        SampleError
+            If the message does not fit the arm; it is counted.
+        """
         try:
             measured = np.array(self._order.pick(message, torque), dtype=float)
         except SampleError:
@@ -208,9 +266,24 @@ class SerialSensorMonitor:
     def take_many(
         self, stamps: IntArray, position: FloatArray, velocity: FloatArray, effort: FloatArray
     ) -> Answers:
-        """Use many measurements; as `lpv_core.monitoring.monitor.SensorMonitor.take_many`."""
+        """Use many measurements; the same as `take` one by one.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (m,)
+            [ns].
+        position, velocity, effort : ndarray, shape (m, n)
+            Of the joints, in the order of the arm file; NaN where missing [rad], [rad/s], [unit].
+
+        Returns
+        -------
+        Answers
+            One row a measurement.
+        """
         samples = np.empty((len(stamps), 3, self._joints))
-        samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
+        samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
+        samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
+        samples[:, 2] = effort
         records: Any = np.zeros(len(stamps), self.answer_type)
         rows = answer_rows(records)
         stamps, records = np.ascontiguousarray(stamps, np.int64), records.view(np.recarray)
@@ -229,6 +302,9 @@ class SerialSensorMonitor:
         while begin < len(stamps):
             count = self._regular(stamps[begin:], samples[begin:])
             row, first = records[begin : begin + 1], samples[begin]
+            if not (count or self._is_of_stream(int(stamps[begin]), row)):
+                begin += 1
+                continue
             usable = count or self._prepare(int(stamps[begin]), first, row)
             self._watch_dropouts(int(stamps[begin]), first, begin, answers)
             if usable:
@@ -244,9 +320,9 @@ class SerialSensorMonitor:
             return 0
         stamps, samples = stamps[:_MOST_AT_ONCE], samples[:_MOST_AT_ONCE]
         before = np.concatenate([[self._stamp], stamps[:-1]])
-        derives = self._derives(samples)
-        good = (stamps > before) & self._plausible(samples)
-        good &= (stamps - before <= self._gap) | ~derives
+        newest = np.concatenate([[self._gate.last], stamps[:-1]])
+        good = (stamps > newest) & (stamps - newest <= JUMP)
+        good &= (stamps - before <= self._gap) & self._plausible(samples)
         good &= np.isfinite(samples[:, 2]).all(1) != self._blind
         return len(good) if good.all() else int(np.argmin(good))
 
@@ -254,6 +330,32 @@ class SerialSensorMonitor:
         """Whether rates have to be made of the readings."""
         missing = ~np.isfinite(samples[:, 1]) | self._without_rates
         return missing.any(1)
+
+    def _is_of_stream(self, stamp: int, row: np.recarray) -> bool:
+        """Whether a stamp is of the stream, which goes on where it was if its clock was set.
+
+        ``row`` receives the answer to one that is not.
+        """
+        if not self._gate.accept(stamp):
+            self.counters.refused_stamps += 1
+            self._answer_stale(stamp, row)
+            return False
+        if self._gate.shift:
+            self.counters.restarts += 1
+            row.restarted[0] = True
+            self._set_clock(self._gate.shift - 2 * self._gap)
+        return True
+
+    def _set_clock(self, shift: int) -> None:
+        """Move all stamps to a clock that is ahead by ``shift`` [ns]; faults may have ended."""
+        for moments in (self._missing_since, self._compensation.stamp):
+            moments[moments != NEVER] += shift
+        self._next_report = NEVER
+        if self._stamp == NEVER:
+            return
+        self._stamp += shift
+        self._monitor.doubt(shift)
+        self._know(self._monitor.snapshot(), self._stamp)
 
     def _plausible(self, samples: FloatArray) -> np.ndarray:
         """Whether readings, and rates of sensors of their own, are finite and of an arm."""
@@ -269,7 +371,7 @@ class SerialSensorMonitor:
 
         ``row`` receives the answer in this case.
         """
-        if not self._is_new(stamp, row):
+        if not self._is_new(stamp):
             return False
         if not self._plausible(sample[None])[0]:
             needed = np.concatenate([sample[0], sample[1, self._independent]])
@@ -312,15 +414,10 @@ class SerialSensorMonitor:
         if events:
             self._next_report = NEVER
 
-    def _is_new(self, stamp: int, row: np.recarray) -> bool:
-        """Whether a stamp is later than the last one, or of a clock that was set back."""
+    def _is_new(self, stamp: int) -> bool:
+        """Whether a stamp is later than that of the last sample."""
         delta = stamp - self._stamp
         if self._stamp == NEVER or delta > 0:
-            return True
-        if delta < -NANOSECONDS:
-            self.counters.restarts += 1
-            self.reset()
-            row.restarted[0] = True
             return True
         self.counters.duplicates += delta == 0
         self.counters.out_of_order += delta < 0
@@ -331,25 +428,50 @@ class SerialSensorMonitor:
         stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
         self._add_rates(stamps, samples)
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
+        self._gate.follow(self._stamp)
         if self._blind:
             samples[:, 2] = 0.0
-        first = begin
-        for snapshot in self._monitor.run(stamps, samples):
-            # What was decided at a sample counts from this sample on.
-            self._fill(batch, begin, first + snapshot.row, answers)
-            begin = first + snapshot.row
-            self._decide(snapshot, int(batch.stamps[begin]), begin, answers)
-        self._fill(batch, begin, end, answers)
+        filled = begin
+
+        def fill(until: int) -> None:
+            nonlocal filled
+            self._fill(batch, filled, until, answers)
+            filled = until
+
+        def decide(snapshot: Snapshot) -> None:
+            row = begin + snapshot.row
+            self._decide(snapshot, int(batch.stamps[row]), row, answers)
+
+        # What was decided at a sample counts from this sample on; the designed observer has used
+        # all samples before it then.
+        self._monitor.run(stamps, samples, lambda row: fill(begin + row), decide)
+        fill(end)
         self._last = batch.records[end - 1 : end].copy()
 
     @property
     def parts(self) -> MonitorParts:
         """Arguments of the compiled functions, until `note`; for closed-loop simulations."""
-        return MonitorParts(self._monitor, self._compensation, self._arrays, self._flags)
+        return MonitorParts(
+            self._monitor, self._compensation, self._arrays, self._flags, self._uio_parts
+        )
+
+    @property
+    def _uio_parts(self) -> UioParts | None:
+        """The designed observer needs efforts that hold the weight."""
+        usable = self._uio is not None and self._monitor.uses_balances
+        return self._uio.parts if self._uio is not None and usable else None
+
+    @property
+    def last_used(self) -> int:
+        """Stamp of the last sample that was usable [ns]."""
+        return self._stamp
 
     def went_on(self, stamp: int, reading: FloatArray, record: np.recarray) -> None:
         """Samples up to this one were taken with `parts`; ``record`` is its answer, of one row."""
+        if stamp <= self._stamp:
+            return  # the gate has seen later stamps, of samples without use
         self._stamp, self._reading, self._last = stamp, reading.copy(), record.copy()
+        self._gate.follow(stamp)
         self._monitor.went_on(stamp)
 
     def note(self, snapshot: Snapshot, stamp: int) -> list[Alarm]:
@@ -379,6 +501,10 @@ class SerialSensorMonitor:
     def _know(self, snapshot: Snapshot, stamp: int) -> None:
         """What holds from a sample on, in the form of compiled functions."""
         self._snapshot, tuning = snapshot, self._parameters
+        if self._uio is not None:
+            # An offset from the start is not in the set: its estimate is on its way.
+            offset = bool((snapshot.is_error & snapshot.is_level).any())
+            self._uio.rely(not (offset or snapshot.suspects or self._monitor.has_rate_fault))
         self._arrays = Known(
             snapshot.fault,
             snapshot.rate,
@@ -390,6 +516,7 @@ class SerialSensorMonitor:
             snapshot.is_error,
             snapshot.is_level,
             self._is_derived,
+            self._to_joints,
         )
         self._flags = Flags(
             stamp,
@@ -412,6 +539,13 @@ class SerialSensorMonitor:
                 self._arrays,
                 self._flags,
             )
+            uio_answers(
+                self._uio_parts,
+                batch.rows,
+                (begin, end),
+                batch.stamps,
+                batch.samples[:, 2] * self._torque_gain,
+            )
             self._report_due(batch.stamps[begin:end], answers, begin)
 
     def _mode(self) -> Mode:
@@ -423,8 +557,9 @@ class SerialSensorMonitor:
         """Whether what is removed of confirmed faults is known well enough to go on."""
         known = self._snapshot
         sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
-        uncertain = self._parameters.sigmas * sigma > self._parameters.safe_stop_bound
-        return not (known.is_error & uncertain).any()
+        bound = self._parameters.safe_stop_bound * self._monitor.scales
+        uncertain = self._parameters.sigmas * sigma > bound
+        return not (known.is_error & (uncertain | known.unseen)).any()
 
     def _answer_stale(self, stamp: int, row: np.recarray) -> None:
         """Answer an unusable sample with the last estimate; never with silence."""
@@ -433,7 +568,7 @@ class SerialSensorMonitor:
         row.restarted, row.answered = restarted, True
         row.state.mode = Mode.STALE if row.has_fault[0] else Mode.NO_ESTIMATE
         row.fault.state = SensorState.STALE
-        if not row.has_fault[0] or stamp - self._stamp > LONGEST_STALE:
+        if not row.has_fault[0] or abs(stamp - self._stamp) > LONGEST_STALE:
             row.state.trustworthy = False
 
     def _is_due(self, stamp: int) -> bool:
@@ -462,7 +597,7 @@ class SerialSensorMonitor:
         return message_fields.fault_fields(last.fault[0], self.arm.sensor_names)
 
     def status(self, mode: Mode) -> list[dict[str, Any]]:
-        """Statuses for /diagnostics; as `lpv_core.monitoring.monitor.SensorMonitor.status`."""
+        """Statuses for /diagnostics; of the last answer, with a mode."""
         last = self._last.copy()
         last.state.mode = mode
         if mode == Mode.STALE:
@@ -494,7 +629,7 @@ class SerialSensorMonitor:
         stated = self.arm.uncertainty
         if stated.model_error is None:
             return 'none stated: the arm file has no uncertainty.model_error'
-        if self._monitor.healthy is None:
+        if not self._snapshot.is_guaranteed:
             return 'none of offsets after torques from outside or a fault that changes, until reset'
         return (
             f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
@@ -506,13 +641,15 @@ class SerialSensorMonitor:
         known = self._snapshot.guarantee
         if known is None:
             return ()
-        return tuple(
-            {'guaranteed threshold [rad]': f'{threshold:.4f}', 'surely found beyond [rad]': size}
-            if found < _LARGEST_FOUND
-            else {'guaranteed threshold [rad]': 'none: this pose and motion do not show an offset'}
-            for threshold, found in zip(known.threshold, known.smallest_found)
-            for size in [f'{found:.4f}']
-        )
+        result = []
+        for joint, threshold, found in zip(self.arm.joints, known.threshold, known.smallest_found):
+            unit = joint.units[0]
+            one = {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
+            if found < _LARGEST_FOUND * joint.scale:
+                one[f'guaranteed threshold [{unit}]'] = f'{threshold:.4f}'
+                one[f'surely found beyond [{unit}]'] = f'{found:.4f}'
+            result.append(one)
+        return tuple(result)
 
     def _note(self) -> str:
         """What else is to be said of the diagnosis as a whole."""

@@ -1,7 +1,8 @@
-"""The arm file of n joints: reading, writing."""
+"""The arm file: reading, writing."""
 
 import math
-from collections.abc import Mapping
+import sys
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import yaml
 
 from lpv_core.serial_arm.description import (
+    JOINT_TYPES,
     RATE_SOURCES,
     JointFriction,
     JointLimits,
@@ -23,31 +25,33 @@ from lpv_core.serial_arm.description import (
     TorqueTolerance,
     Uncertainty,
 )
+from lpv_core.serial_arm.old_arm_file import parse_two_links
 from lpv_core.serial_arm.urdf_chain import MAX_JOINTS, read_urdf_chain
 from lpv_core.support.config import Section, names_all_errors, read_yaml
 
-KIND = 'serial_arm'
-"""Value of ``kind`` in the arm files of n joints; files of two-link arms have no ``kind``."""
+_OLD_KIND = 'serial_arm'
+_OLD_FORM = (
+    '{} is of the form of two-link arms that the next version does not read; write it anew: '
+    'python -m lpv_core.serial_arm.arm_file OLD.yaml NEW.yaml'
+)
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
 _FAR = 100.0
 """Largest coordinate of a frame, and largest angle of its orientation [m], [rad]."""
+_LARGEST_ENTRY = 1e3
+"""Of a matrix of sensors: gears between joint and sensor stay below."""
 _SMALLEST_DETERMINANT = 1e-6
 """Of a matrix of sensors that tell the joints' positions."""
-_HEADER = '# Arm of n revolute joints; docs/arm-file.md describes the fields.\n'
+_HEADER = '# docs/arm-file.md describes the fields.\n'
 
 
-def is_serial_arm(data: Mapping[str, Any]) -> bool:
-    """Whether the mapping of an arm file describes an arm of n joints."""
-    return data.get('kind') == KIND
-
-
-def load_serial_arm(path: str | Path) -> SerialArm:
-    """Read an arm file of n joints.
+def load_arm(path: str | Path) -> SerialArm:
+    """Read an arm file.
 
     Parameters
     ----------
     path : str or pathlib.Path
-        YAML file; see ``docs/arm-file.md`` for its fields.
+        YAML file; see ``docs/arm-file.md`` for its fields.  Files of two links in the form of
+        older versions are read, too, with a warning.
 
     Returns
     -------
@@ -59,14 +63,11 @@ def load_serial_arm(path: str | Path) -> SerialArm:
     ConfigError
         If a field is missing, unknown, of the wrong type or out of range; it names the field.
     """
-    return parse_serial_arm(read_yaml(path), str(path), Path(path).parent)
+    return parse_arm(read_yaml(path), str(path), Path(path).parent)
 
 
-@names_all_errors
-def parse_serial_arm(
-    data: dict[str, Any], source: str = 'arm', folder: str | Path = '.'
-) -> SerialArm:
-    """Build an arm from the mapping of an arm file.
+def parse_arm(data: dict[str, Any], source: str = 'arm', folder: str | Path = '.') -> SerialArm:
+    """Build an arm from the mapping of an arm file, of the present form or an older one.
 
     Parameters
     ----------
@@ -85,10 +86,19 @@ def parse_serial_arm(
     Raises
     ------
     ConfigError
-        As `load_serial_arm`.
+        As `load_arm`.
     """
+    if isinstance(data, dict) and 'links' in data:
+        warnings.warn(_OLD_FORM.format(source), FutureWarning, stacklevel=2)
+        return parse_two_links(data, source)
+    return _parse(data, source, folder)
+
+
+@names_all_errors
+def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     top = Section(data, source)
-    top.text('kind', choices=(KIND,))
+    if 'kind' in top:  # of files before there was one kind of arm
+        top.text('kind', choices=(_OLD_KIND,))
     name = top.text('name')
     urdf = top.text('urdf') if 'urdf' in top else ''
     locked = _locked(top)
@@ -135,6 +145,8 @@ def _sensor_matrix(top: Section, n: int) -> tuple[tuple[float, ...], ...] | None
     if 'sensor_matrix' not in top:
         return None
     rows = top.rows('sensor_matrix', n, n)
+    if np.abs(rows).max() > _LARGEST_ENTRY:
+        raise top.error('sensor_matrix', f'must lie within +-{_LARGEST_ENTRY:g}')
     if len(rows) != n or abs(np.linalg.det(np.array(rows))) < _SMALLEST_DETERMINANT:
         raise top.error('sensor_matrix', f'must have {n} rows and an inverse')
     return tuple(tuple(row) for row in rows)
@@ -160,8 +172,8 @@ def _lpv(top: Section, n: int) -> LpvRegion | None:
     return region
 
 
-def save_serial_arm(arm: SerialArm, path: str | Path) -> None:
-    """Write an arm file; `load_serial_arm` reads the same arm back, bit by bit.
+def save_arm(arm: SerialArm, path: str | Path) -> None:
+    """Write an arm file; `load_arm` reads the same arm back, bit by bit.
 
     Parameters
     ----------
@@ -185,8 +197,8 @@ def save_serial_arm(arm: SerialArm, path: str | Path) -> None:
 
 
 def to_mapping(arm: SerialArm) -> dict[str, Any]:
-    """Content of the arm file of an arm, for `parse_serial_arm`."""
-    result: dict[str, Any] = {'kind': KIND, 'name': arm.name}
+    """Content of the arm file of an arm, for `parse_arm`."""
+    result: dict[str, Any] = {'name': arm.name}
     if arm.urdf:
         result['urdf'] = arm.urdf
     if arm.locked:
@@ -241,6 +253,10 @@ def _joint_mapping(joint: SerialJoint) -> dict[str, Any]:
     result['limits'] = {
         key: value for key, value in result['limits'].items() if math.isfinite(value)
     }
+    if joint.rotor_coupling == 0.0:
+        del result['rotor_coupling']
+    if not joint.is_prismatic:
+        del result['type']
     if joint.sensors.second_encoder is None:
         del result['sensors']['second_encoder']
     return _lists(result)
@@ -320,12 +336,16 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
         link=link,
         friction=_friction(section),
         rotor_inertia=section.number('rotor_inertia', 0.0, 0.0, 1e5),
+        rotor_coupling=section.number('rotor_coupling', 0.0, -1e5, 1e5),
         torque_gain=section.number('torque_gain', 1.0, -1e6, 1e6),
         effort_delay=section.number('effort_delay', 0.0, -1.0, 1.0),
         limits=limits,
         torque_tolerance=_tolerance(section),
         sensors=_sensors(section, name),
+        type=section.text('type', 'revolute' if base is None else base.type, JOINT_TYPES),
     )
+    if base is not None and joint.type != base.type:
+        raise section.error('type', f'is {base.type} in the URDF')
     if not joint.friction.is_dissipative(limits.velocity):
         raise section.error(
             'friction',
@@ -431,3 +451,7 @@ def _covariance(top: Section, size: int) -> ParameterCovariance | None:
     result = ParameterCovariance(factor, part.integer('determined', low=0))
     part.finish()
     return result
+
+
+if __name__ == '__main__':
+    save_arm(load_arm(sys.argv[1]), sys.argv[2])

@@ -1,7 +1,8 @@
 """The compiled serial chain: arrays that every function of the dynamics takes.
 
-Joint i turns about the z axis of its own frame.  A body's inertial parameters are those of the
-regressor, in Pinocchio's order: mass, first moment m*c, inertia about the frame's origin.
+Joint i turns about the z axis of its own frame, or moves along it.  A body's inertial parameters
+are those of the regressor, in Pinocchio's order: mass, first moment m*c, inertia about the frame's
+origin.
 """
 
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from lpv_core.support.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 MAX_JOINTS = 32
 """Longest chain that is accepted; sizes from files are bounded before anything is allocated."""
@@ -23,12 +25,14 @@ N_INERTIAL = 10
 VISCOUS, COULOMB, LOAD, OFFSET, SLOPE = range(5)
 """Columns of `Chain.friction`."""
 N_FRICTION = 5
-WORK_COLUMNS = 40
+WORK_COLUMNS = 43
 """Columns of the scratch array of `workspace`."""
+PLACE = 40
+"""First of its columns with the origin of frame i in frame i-1 [m]."""
 
 
 class Chain(NamedTuple):
-    """A serial chain of n revolute joints; all arrays float64, C-contiguous."""
+    """A serial chain of n joints; arrays float64 but the last, C-contiguous."""
 
     # orientation of joint frame i in frame i-1 (the base for i = 0) at q_i = 0, shape (n, 3, 3)
     rotation: FloatArray
@@ -44,6 +48,7 @@ class Chain(NamedTuple):
     gravity: FloatArray  # acceleration of free fall in the base frame, shape (3,) [m/s2]
     tip_rotation: FloatArray  # orientation of the tip in the last joint frame, shape (3, 3)
     tip_translation: FloatArray  # origin of the tip in the last joint frame, shape (3,) [m]
+    prismatic: BoolArray  # which joints move along z instead of turning about it, shape (n,)
 
 
 def make_chain(
@@ -54,6 +59,7 @@ def make_chain(
     friction: npt.ArrayLike | None = None,
     gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
     tip: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    prismatic: npt.ArrayLike | None = None,
 ) -> Chain:
     """Chain from inline parameters.
 
@@ -69,6 +75,8 @@ def make_chain(
         In the base frame [m/s2].
     tip : tuple of array_like, optional
         Orientation (3, 3) and origin (3,) of the tip in the last joint frame.
+    prismatic : array_like of bool, shape (n,), optional
+        As `Chain.prismatic`; all joints are revolute by default.
 
     Returns
     -------
@@ -96,6 +104,7 @@ def make_chain(
         _array('gravity', gravity, (3,)),
         _array('tip_rotation', tip_rotation, (3, 3)),
         _array('tip_translation', tip_translation, (3,)),
+        _array('prismatic', [0.0] * count if prismatic is None else prismatic, (count,)) != 0.0,
     )
     for name, matrices in (
         ('rotation', chain.rotation),
@@ -170,9 +179,20 @@ def compile_chain(arm: SerialArm) -> Chain:
         [f.viscous, f.coulomb, f.load, f.offset, f.coulomb_slope]
         for f in (joint.friction for joint in arm.joints)
     ]
-    motor = [joint.rotor_inertia for joint in arm.joints]
+    motor = np.diag([joint.rotor_inertia for joint in arm.joints])
+    for i, joint in enumerate(arm.joints[1:], 1):
+        motor[i, i - 1] = motor[i - 1, i] = joint.rotor_coupling
     tip = before.T, before.T @ np.array(arm.tip)
-    return make_chain(rotations, translations, bodies, motor, friction, arm.gravity_vector(), tip)
+    return make_chain(
+        rotations,
+        translations,
+        bodies,
+        motor,
+        friction,
+        arm.gravity_vector(),
+        tip,
+        [joint.is_prismatic for joint in arm.joints],
+    )
 
 
 def axis_frame(axis: FloatArray) -> FloatArray:

@@ -1,4 +1,7 @@
-"""Description of a serial arm of n revolute joints: what its file says."""
+"""Description of a serial arm of n joints: what its file says.
+
+Units are those of revolute joints: for a prismatic one, read m for rad, N for N m, kg for kg m2.
+"""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,6 +13,10 @@ from lpv_core.support.config import sha256_of
 N_INERTIAL = 10
 """Inertial parameters of a link: mass, 3 first moments, 6 entries of its inertia."""
 
+JOINT_TYPES = ('revolute', 'prismatic')
+"""A joint turns about its axis, or moves along it."""
+RATE_BIAS = 0.1
+"""Bias of a rate sensor, over the standard deviation of its noise."""
 RATE_SOURCES = ('independent', 'derived', 'none')
 """Where measured rates come from: a sensor of their own, differences of positions, nowhere."""
 
@@ -141,10 +148,11 @@ class JointSensors:
 
 @dataclass(frozen=True)
 class SerialJoint:
-    """A revolute joint, the link that it moves, its drive and its sensors.
+    """A joint, the link that it moves, its drive and its sensors.
 
     At q = 0 the joint's frame stands at ``position`` and ``orientation`` in the frame of the joint
-    before it (of the base, for the first one); the joint turns it about ``axis``.
+    before it (of the base, for the first one); the joint turns it about ``axis``, or moves it along
+    ``axis`` (see `JOINT_TYPES`).
     """
 
     name: str  # as in sensor_msgs/JointState
@@ -154,11 +162,47 @@ class SerialJoint:
     link: LinkInertia
     friction: JointFriction = JointFriction()
     rotor_inertia: float = 0.0  # reflected to the joint [kg m2]
+    # of the rotor, if the link before carries it: -rotor_inertia/gear_ratio where the axes of both
+    # joints are parallel; couples the joint with the one before it [kg m2]
+    rotor_coupling: float = 0.0
     torque_gain: float = 1.0  # joint torque per unit of the reported effort [N m/unit]
     effort_delay: float = 0.0  # of reported efforts behind the motion [s]
     limits: JointLimits = JointLimits()
     torque_tolerance: TorqueTolerance = TorqueTolerance()
     sensors: JointSensors = JointSensors('encoder')
+    type: str = 'revolute'  # one of JOINT_TYPES
+
+    @property
+    def is_prismatic(self) -> bool:
+        """Whether the joint moves its link along the axis."""
+        return self.type == 'prismatic'
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Positions of usual motions [rad]: the limits within half a turn to each side.
+
+        Of a prismatic joint, the limits, or 1 m where there are none.
+        """
+        low, high = self.limits.lower, self.limits.upper
+        if not self.is_prismatic:
+            return max(low, -math.pi), min(high, math.pi)
+        if math.isinf(low):
+            low = high - 1.0 if math.isfinite(high) else -0.5
+        return low, low + 1.0 if math.isinf(high) else high
+
+    @property
+    def scale(self) -> float:
+        """What counts as much as 1 rad in thresholds: of a prismatic joint, at most 1 m.
+
+        The whole range of a prismatic joint counts as one turn.
+        """
+        low, high = self.range
+        return min((high - low) / (2.0 * math.pi), 1.0) if self.is_prismatic else 1.0
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of position and torque."""
+        return ('m', 'N') if self.is_prismatic else ('rad', 'N m')
 
 
 @dataclass(frozen=True)
@@ -210,7 +254,7 @@ class LpvRegion:
 
 @dataclass(frozen=True)
 class SerialArm:
-    """A serial arm of n revolute joints, its sensors and what may vary."""
+    """A serial arm of n joints, its sensors and what may vary."""
 
     name: str  # name of the arm
     joints: tuple[SerialJoint, ...]  # from the base to the tip
@@ -254,6 +298,10 @@ class SerialArm:
         """Largest joint torques, one for each joint [N m]."""
         return tuple(joint.limits.torque for joint in self.joints)
 
+    def scales(self) -> np.ndarray:
+        """What counts as much as 1 rad in thresholds, shape (n,); see `SerialJoint.scale`."""
+        return np.array([joint.scale for joint in self.joints])
+
     def joints_to_sensors(self) -> np.ndarray:
         """S of y = S q + f: readings of the position sensors by joint positions, shape (n, n)."""
         n = len(self.joints)
@@ -293,9 +341,15 @@ class SerialArm:
         for name in ('torque_error', 'torque_error_speed', 'torque_error_time'):
             if content['uncertainty'][name] is None:
                 del content['uncertainty'][name]
+        for joint in content['joints']:
+            if joint['rotor_coupling'] == 0.0:
+                del joint['rotor_coupling']
         for name in ('sensor_matrix', 'lpv'):
             if content[name] is None:
                 del content[name]
+        for joint in content['joints']:
+            if joint['type'] == 'revolute':
+                del joint['type']
         return sha256_of(content)
 
 

@@ -25,7 +25,7 @@ from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.dynamics.momentum import forward_dynamics
 from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv_core.support.errors import ConfigError
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 FAULT_KINDS = ('bias', 'drift', 'scale', 'stuck')
 MAX_SUBSTEPS = 64
@@ -69,6 +69,7 @@ def plant_step(
     count: int,
     scratch: FloatArray,
     matrix: FloatArray,
+    push: FloatArray | None = None,
 ) -> bool:
     """Advance the arm by Runge-Kutta steps with held torques.
 
@@ -88,6 +89,8 @@ def plant_step(
         Scratch: the workspace in the first n rows, vectors behind.
     matrix : ndarray, shape (n, n)
         Scratch.
+    push : ndarray, shape (n,), optional
+        Accelerations by a disturbance, held, too [rad/s2].
 
     Returns
     -------
@@ -116,6 +119,9 @@ def plant_step(
                 chain, position, rate, net, work, matrix, slopes[2 * stage + 1]
             ):
                 return False
+            if push is not None:
+                for i in range(n):
+                    slopes[2 * stage + 1, i] += push[i]
         for part in range(2):
             for i in range(n):
                 state[part, i] += (step / 6.0) * (
@@ -158,8 +164,7 @@ class SerialSimulator:
             Centres (n,) [rad], amplitudes and frequencies, (n, harmonics) [rad], [rad/s].
         """
         n, rng = self.joints, self._rng
-        low = np.array([max(joint.limits.lower, -np.pi) for joint in self.arm.joints])
-        high = np.array([min(joint.limits.upper, np.pi) for joint in self.arm.joints])
+        low, high = np.array([joint.range for joint in self.arm.joints]).T
         rate = np.array([min(joint.limits.velocity, 4.0) for joint in self.arm.joints])
         frequency = rng.uniform(0.5, 3.0, (n, _HARMONICS))
         share = rng.dirichlet(np.ones(_HARMONICS), n)

@@ -57,7 +57,8 @@ def read_urdf_chain(
     Raises
     ------
     ConfigError
-        If the file cannot be read, or the joints that move are no chain of revolute ones.
+        If the file cannot be read, or the joints that move are no chain of revolute and prismatic
+        ones.
     """
     urdf = read_urdf_text(Path(path))
     model, held = _read_model(urdf, str(path), locked, joints, tip)
@@ -145,13 +146,11 @@ def _quiet() -> Iterator[None]:
 def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> SerialJoint:
     import pinocchio
 
-    name = model.names[index]
-    joint = model.joints[index]
-    refused = ''
+    name, refused = model.names[index], ''
     if name in urdf.mimics:
         refused = f'follows {urdf.mimics[name].joint!r} (mimic)'
-    elif joint.nq != 1 or not joint.shortname().startswith('JointModelR'):
-        refused = f'is {urdf.kinds[name]}, not revolute'
+    elif urdf.kinds[name] not in ('revolute', 'continuous', 'prismatic'):
+        refused = f'is {urdf.kinds[name]}, neither revolute nor prismatic'
     elif model.parents[index] != index - 1:
         refused = f'branches off {model.names[model.parents[index]]!r}: the arm is not a chain'
     if refused:
@@ -172,7 +171,9 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
     data = model.createData()
     pinocchio.computeJointJacobians(model, data, np.zeros(model.nq))
     jacobian = pinocchio.getJointJacobian(model, data, index, pinocchio.LOCAL)
-    axis = np.reshape(jacobian, (6, -1))[3:, index - 1]
+    kind = 'prismatic' if urdf.kinds[name] == 'prismatic' else 'revolute'
+    rows = slice(0, 3) if kind == 'prismatic' else slice(3, 6)
+    axis = np.reshape(jacobian, (6, -1))[rows, index - 1]
     if not abs(np.linalg.norm(axis) - 1.0) < 1e-6:
         raise ConfigError('urdf', f'joint {name!r} has an axis without a direction', source)
     return SerialJoint(
@@ -183,6 +184,7 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
         link=LinkInertia.from_vector(inertia),
         limits=limits,
         sensors=JointSensors(f'{name}_encoder'),
+        type=kind,
     )
 
 

@@ -1,116 +1,129 @@
-"""The simulated arm with its sensors: plant, disturbance, noise and faults, step by step.
+"""A simulated arm with its sensors: plant, disturbance, noise and faults, step by step.
 
-All functions take constants (`PLANT_CONSTANTS`) and state (`PLANT_STATE`).
+All compiled functions take constants (`plant_type`) and state (`state_type`).
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lpv_core.model.arm import ARM_CONSTANTS, ArmParameters
-from lpv_core.model.dynamics import inverse_dynamics, rk4_step
-from lpv_core.model.joints import JOINT_MAP, JointMap, joint_angle, row_dot
-from lpv_core.model.polytope import sinc_box
-from lpv_core.model.state_space import LPV_PLANT, lpv_rk4_step, vertex_matrices
+from lpv_core.serial_arm.chain import OFFSET, Chain, FloatArray, workspace
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.dynamics.newton_euler import gravity_torque
+from lpv_core.serial_arm.sensor_map import map_vector
+from lpv_core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv_core.simulation.faults import (
     FaultInjector,
     apply_faults,
-    derived_rate_error,
     draw_chances,
     is_frozen,
     rate_bias,
 )
-from lpv_core.simulation.mujoco_plant import MujocoPlant
-from lpv_core.simulation.scenario import Scenario
-from lpv_core.support.jit import njit
-from lpv_core.support.records import memory, new_record, plain, record_type
+from lpv_core.simulation.mujoco_chain import MujocoChain
+from lpv_core.simulation.paper_plant import PaperPlant
+from lpv_core.simulation.scenario import Scenario, disturbance_of
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.jit import njit_in_place as njit
+from lpv_core.support.records import memory, new_record, record_type
 
-PLANT_CONSTANTS = record_type(
-    ('joints', JOINT_MAP),
-    ('arm', ARM_CONSTANTS),  # constants of the true arm
-    ('is_lpv', '?'),
-    ('lpv', LPV_PLANT),  # the paper's plant
-    ('sample_time', 'f8'),  # [s]
-    ('substeps', 'i8'),  # Runge-Kutta steps per sample
-    ('torque_limit', 'f8', (2,)),  # [N m]
-    ('direction', 'f8', (2,)),  # Bd of the disturbance d
-    ('push_mean', 'f8'),  # of d
-    ('push_deviation', 'f8'),  # standard deviation of d
-    ('disturbed', '?'),
-    ('noisy', '?'),
-    ('position_noise', 'f8'),  # standard deviation [rad]
-    ('velocity_noise', 'f8'),  # standard deviation [rad/s]
-    ('derived', '?'),  # rates are differences of the positions: faults are in both
-)
-SIGNALS = ('position', 'velocity', 'fault', 'measured_position', 'measured_velocity')
-PLANT_STATE = record_type(
-    ('state', 'f8', (4,)),  # absolute angles and rates [rad], [rad/s]
-    ('step_count', 'i8'),  # number of the present sample
-    ('torque', 'f8', (2,)),  # joint torque over the step before [N m]
-    ('disturbance', 'f8'),  # d over the step before
-    ('position', 'f8', (2,)),  # true joint positions [rad]
-    ('velocity', 'f8', (2,)),  # true joint rates [rad/s]
-    ('measured_position', 'f8', (2,)),  # [rad]
-    ('measured_velocity', 'f8', (2,)),  # [rad/s]
-    ('fault', 'f8', (2,)),  # of the physical sensors, NaN in a dropout [rad]
-    ('reading', 'f8', (2,)),  # work space: readings of the physical sensors [rad]
-    ('draw', 'f8', (4,)),  # standard normal numbers for the noise of the present readings
-    ('rho', 'f8', (8,)),  # work space of the LPV plant
-)
+
+def plant_type(joints: int) -> np.dtype:
+    """Record type of the constants."""
+    return record_type(
+        ('sample_time', 'f8'),  # [s]
+        ('step', 'f8'),  # of integration [s]
+        ('substeps', 'i8'),  # steps per sample
+        ('torque_limit', 'f8', (joints,)),  # [N m]
+        ('effort_gain', 'f8', (joints,)),  # joint torque per unit of effort [N m/unit]
+        ('position_noise', 'f8', (joints,)),  # standard deviation, 0 without noise [rad]
+        ('velocity_noise', 'f8', (joints,)),  # of independent rates [rad/s]
+        ('quantization', 'f8', (joints,)),  # step of the readings, 0: none [rad]
+        ('derived', 'u1', (joints,)),  # 1: the rate is the difference of the readings
+        ('sensor', 'f8', (joints, joints)),  # S of y = S q + f
+        ('to_joint', 'f8', (joints, joints)),  # S^-1
+        ('direction', 'f8', (joints,)),  # accelerations per unit of the disturbance d [rad/s2]
+        ('push_mean', 'f8'),  # of d
+        ('push_deviation', 'f8'),  # standard deviation of d
+    )
+
+
+def state_type(joints: int) -> np.dtype:
+    """Record type of the state."""
+    return record_type(
+        ('motion', 'f8', (2, joints)),  # true joint positions and rates [rad], [rad/s]
+        ('step_count', 'i8'),  # number of the present sample
+        ('torque', 'f8', (joints,)),  # joint torque over the step before [N m]
+        ('position', 'f8', (joints,)),  # true, at the last reading [rad]
+        ('velocity', 'f8', (joints,)),  # true, at the last reading [rad/s]
+        ('measured_position', 'f8', (joints,)),  # [rad]
+        ('measured_velocity', 'f8', (joints,)),  # [rad/s]
+        ('fault', 'f8', (joints,)),  # of the sensors, NaN in a dropout [rad]
+        ('reading', 'f8', (joints,)),  # of the sensors [rad]
+        ('rate', 'f8', (joints,)),  # of the sensors [rad/s]
+        ('before', 'f8', (joints,)),  # readings of the sample before [rad]
+        ('disturbance', 'f8'),  # d over the step before
+        ('push', 'f8', (joints,)),  # accelerations by d over the step before [rad/s2]
+        ('effort', 'f8', (joints,)),  # measured, in its own unit
+        ('draw', 'f8', (joints, 2)),  # standard normal numbers for the noise of readings and rates
+        ('failed', '?'),  # the mass matrix was not positive definite
+    )
+
+
+class Engine(Protocol):
+    """Integrates an arm in place of `integrate`."""
+
+    def advance(
+        self, motion: FloatArray, torque: FloatArray, push: FloatArray, interval: float, steps: int
+    ) -> None:
+        """Advance positions and rates, shape (2, n), over an interval [s] in so many steps.
+
+        ``torque`` of the drives and the accelerations ``push`` of a disturbance are held, shape
+        (n,) [N m], [rad/s2].
+        """
 
 
 @njit
 def set_torque(
-    params: np.record,
-    state: np.record,
-    torque_1: float,
-    torque_2: float,
-    generator: np.random.Generator,
+    params: np.record, state: np.record, torque: FloatArray, generator: np.random.Generator
 ) -> None:
     """Set joint torques [N m] for the coming step, within limits, and draw the disturbance."""
-    draw = generator.standard_normal() if params.disturbed else 0.0
-    _set_inputs(params, state, torque_1, torque_2, draw)
+    draw = generator.standard_normal() if params.push_deviation > 0.0 else 0.0
+    _set_inputs(params, state, torque, draw)
 
 
 @njit
-def _set_inputs(
-    params: np.record, state: np.record, torque_1: float, torque_2: float, draw: float
+def _set_inputs(params: np.record, state: np.record, torque: FloatArray, draw: float) -> None:
+    state.disturbance = params.push_mean + params.push_deviation * draw
+    for i in range(torque.shape[0]):
+        limit = params.torque_limit[i]
+        state.torque[i] = min(max(torque[i], -limit), limit)
+        state.push[i] = params.direction[i] * state.disturbance
+
+
+@njit
+def integrate(
+    chain: Chain, params: np.record, state: np.record, scratch: FloatArray, matrix: FloatArray
 ) -> None:
-    state.torque[0] = min(max(torque_1, -params.torque_limit[0]), params.torque_limit[0])
-    state.torque[1] = min(max(torque_2, -params.torque_limit[1]), params.torque_limit[1])
-    state.disturbance = 0.0
-    if params.disturbed:
-        state.disturbance = params.push_mean + params.push_deviation * draw
-
-
-@njit
-def integrate(params: np.record, state: np.record) -> None:
-    """Advance the plant by one sample time."""
-    torque = state.torque[0] - state.torque[1], state.torque[1]  # Q = J^T tau
-    d, x = state.disturbance, state.state
-    push = params.direction[0] * d, params.direction[1] * d
-    now, dt = (x[0], x[1], x[2], x[3]), params.sample_time / params.substeps
-    for _ in range(params.substeps):
-        if params.is_lpv:
-            now = lpv_rk4_step(now, torque, push, dt, params.lpv, state.rho)
-        else:
-            now = rk4_step(now, torque, push, dt, params.arm)
-    x[0], x[1], x[2], x[3] = now
+    """Advance the plant by one sample time; scratch memory as of `plant_step`."""
+    if not plant_step(
+        chain, state.motion, state.torque, params.step, params.substeps, scratch, matrix, state.push
+    ):
+        state.failed = True
     state.step_count += 1
 
 
 @njit
-def brake(params: np.record, state: np.record) -> None:
-    """Let one sample time pass with the brakes engaged: no motion, no disturbance felt.
-
-    The torque sensors then read what holds the arm.
-    """
-    x = state.state
-    x[2] = x[3] = 0.0
-    q_1, q_2 = inverse_dynamics(x[0], x[1], 0.0, 0.0, 0.0, 0.0, params.arm)
-    state.torque[0], state.torque[1] = q_1 + q_2, q_2
+def brake(chain: Chain, state: np.record, work: FloatArray) -> None:
+    """Let one sample time pass with the brakes engaged; efforts then read what holds the arm."""
+    n = state.torque.shape[0]
+    for i in range(n):
+        state.motion[1, i] = 0.0
+    gravity_torque(chain, state.motion[0], work, state.torque)
+    for i in range(n):
+        state.torque[i] += chain.friction[i, OFFSET]
     state.disturbance = 0.0
     state.step_count += 1
 
@@ -125,8 +138,8 @@ def read_sensors(
 ) -> None:
     """Read the sensors at the present sample, with noise and faults from two generators."""
     # Drawn with or without noise, so that both runs share the later numbers.
-    for i in range(4):
-        state.draw[i] = noise.standard_normal()
+    for i in range(state.draw.shape[0]):
+        state.draw[i, 0], state.draw[i, 1] = noise.standard_normal(), noise.standard_normal()
     draw_chances(faults, state.step_count * params.sample_time, chance)
     _take_readings(params, state, faults)
 
@@ -134,78 +147,63 @@ def read_sensors(
 @njit
 def _take_readings(params: np.record, state: np.record, faults: np.ndarray) -> None:
     """Read the sensors with the random numbers that have been drawn."""
-    x, joints, time = state.state, params.joints, state.step_count * params.sample_time
-    for i in range(2):
-        state.position[i] = joint_angle(joints, joints.j, i, x[0], x[1])
-        state.velocity[i] = row_dot(joints.j, i, x[2], x[3])
-        state.reading[i] = row_dot(joints.sensor, i, x[0], x[1])
-    true_1, true_2 = state.reading[0], state.reading[1]
-    before_1, before_2 = state.fault[0], state.fault[1]
-    apply_faults(faults, time, state.reading, params.sample_time)
-    state.fault[0], state.fault[1] = state.reading[0] - true_1, state.reading[1] - true_2
-    rate_1 = row_dot(joints.sensor, 0, x[2], x[3]) + rate_bias(faults, 0, time)
-    rate_2 = row_dot(joints.sensor, 1, x[2], x[3]) + rate_bias(faults, 1, time)
-    if params.derived and state.step_count > 0:
-        rate_1 += derived_rate_error(state.fault[0], before_1, params.sample_time)
-        rate_2 += derived_rate_error(state.fault[1], before_2, params.sample_time)
-    if params.noisy:
-        if not is_frozen(faults, 0, time):
-            state.reading[0] += params.position_noise * state.draw[0]
-        if not is_frozen(faults, 1, time):
-            state.reading[1] += params.position_noise * state.draw[1]
-        rate_1 += params.velocity_noise * state.draw[2]
-        rate_2 += params.velocity_noise * state.draw[3]
-    for i in range(2):
-        state.measured_position[i] = joint_angle(
-            joints, joints.to_joint, i, state.reading[0], state.reading[1]
-        )
-        state.measured_velocity[i] = row_dot(joints.to_joint, i, rate_1, rate_2)
-
-
-# Python calls the following with the memory of records: `lpv_core.support.records.memory`.
-
-
-@njit
-def _act(
-    params: np.ndarray,
-    state: np.ndarray,
-    torque: tuple[float, float],
-    draw: float,
-    integrates: bool,
-) -> None:
-    _set_inputs(params[0], state[0], torque[0], torque[1], draw)
-    if integrates:
-        integrate(params[0], state[0])
-
-
-@njit
-def _brake(params: np.ndarray, state: np.ndarray) -> None:
-    brake(params[0], state[0])
+    time, reading = state.step_count * params.sample_time, state.reading
+    n = reading.shape[0]
+    for i in range(n):
+        state.position[i], state.velocity[i] = state.motion[0, i], state.motion[1, i]
+        state.before[i] = reading[i]
+        state.effort[i] = state.torque[i] / params.effort_gain[i]
+    map_vector(params.sensor, state.position, reading)
+    map_vector(params.sensor, state.velocity, state.rate)
+    for i in range(n):
+        state.fault[i] = reading[i]
+    apply_faults(faults, time, reading, params.sample_time)
+    for i in range(n):
+        state.fault[i] = reading[i] - state.fault[i]
+        if not is_frozen(faults, i, time):
+            reading[i] += params.position_noise[i] * state.draw[i, 0]
+        quantum = params.quantization[i]
+        if quantum > 0.0:
+            reading[i] = np.round(reading[i] / quantum) * quantum
+        rate = state.rate[i] + rate_bias(faults, i, time)
+        if not params.derived[i]:
+            rate += params.velocity_noise[i] * state.draw[i, 1]
+        elif state.step_count > 0 and not math.isnan(state.before[i]):
+            rate += (reading[i] - state.before[i]) / params.sample_time - state.rate[i]
+        elif math.isnan(reading[i]):
+            rate = math.nan
+        state.rate[i] = rate
+    map_vector(params.to_joint, reading, state.measured_position)
+    map_vector(params.to_joint, state.rate, state.measured_velocity)
 
 
 @njit
 def _sense(params: np.ndarray, state: np.ndarray, faults: np.ndarray) -> None:
+    """For Python: with the memory of records."""
     _take_readings(params[0], state[0], faults)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Readings of the sensors, in ROS joint coordinates."""
+    """Readings of the sensors, as sensor_msgs/JointState has them."""
 
-    position: np.ndarray  # faulty, noisy joint positions, shape (2,) [rad]
-    velocity: np.ndarray  # noisy joint rates, shape (2,) [rad/s]
-    effort: np.ndarray  # joint torque that acted over the step before, shape (2,) [N m]
+    position: np.ndarray  # faulty, noisy joint positions, shape (n,) [rad]
+    velocity: np.ndarray  # noisy joint rates, shape (n,) [rad/s]
+    effort: np.ndarray  # of the torque that acted over the step before, shape (n,), in its own unit
 
 
 @dataclass(frozen=True)
 class Truth:
     """True state of the arm, which no observer may know."""
 
-    position: np.ndarray  # true joint positions, shape (2,) [rad]
-    velocity: np.ndarray  # true joint rates, shape (2,) [rad/s]
-    # reading minus truth before noise, of the physical sensors, shape (2,) [rad]; NaN in a dropout
+    position: np.ndarray  # true joint positions, shape (n,) [rad]
+    velocity: np.ndarray  # true joint rates, shape (n,) [rad/s]
+    # reading minus truth before noise, of the physical sensors, shape (n,) [rad]; NaN in a dropout
     fault: np.ndarray
     disturbance: float  # d over the step before
+
+
+SIGNALS = ('position', 'velocity', 'fault', 'measured_position', 'measured_velocity', 'effort')
 
 
 class ArmSimulator:
@@ -213,105 +211,115 @@ class ArmSimulator:
 
     Parameters
     ----------
-    arm : ArmParameters
-        Nominal arm (sensors, limits, disturbance).
+    arm : SerialArm
+        Nominal arm (sensors, limits).
     scenario : Scenario
-        Path, plant, noise, disturbance and faults.
+        Path, plant, noise and faults.
     substeps : int, optional
-        Runge-Kutta steps per sample.
+        Least number of Runge-Kutta steps per sample; stiff friction gets more.
 
     Attributes
     ----------
     injector : FaultInjector
         Faults, scheduled and injected while running.
+    chain : Chain
+        The true arm.
     constants, state : numpy.record
-        Of types `PLANT_CONSTANTS` and `PLANT_STATE`.
-    noise, push : numpy.random.Generator
-        Of the sensors' noise and of the disturbance.
-    engine : MujocoPlant or None
+        Of `plant_type` and `state_type`.
+    noise : numpy.random.Generator
+        Of the sensors' noise.
+    push : numpy.random.Generator
+        Of the disturbance.
+    engine : Engine or None
         Integrates the arm in place of `integrate`.
+    scratch, matrix : ndarray
+        Scratch memory of `integrate`.
     signals : dict
-        Arrays of shape (2,), the disturbance's of (1,), that `read` writes: true ``position``,
-        ``velocity``, ``fault`` and ``disturbance``, ``measured_position``,
-        ``measured_velocity`` and ``effort``.
+        Arrays of shape (n,), the disturbance's of (1,), that `read` writes: true ``position``,
+        ``velocity``, ``fault`` and ``disturbance``, ``measured_position``, ``measured_velocity``
+        and ``effort``.
     """
 
-    def __init__(self, arm: ArmParameters, scenario: Scenario, substeps: int = 2) -> None:
+    def __init__(self, arm: SerialArm, scenario: Scenario, substeps: int = 2) -> None:
         self.arm, self.scenario = arm, scenario
         self.sample_time = arm.sample_time
-        self.joints = JointMap(arm)
+        self.chain = scenario.true_chain(arm)
         streams = np.random.SeedSequence(scenario.seed).spawn(3)
         # One stream per purpose: injecting a fault must not change noise and disturbance.
-        self.noise, self.push, fault_stream = (np.random.default_rng(s) for s in streams)
-        self.injector = FaultInjector(arm.sensor_names, scenario.faults, fault_stream)
-        true_arm = scenario.true_arm(arm)
-        self.constants = _plant_constants(arm, true_arm, scenario, substeps)
-        self.engine: MujocoPlant | None = None
-        if scenario.plant == 'mujoco':
-            self.engine = MujocoPlant(true_arm, scenario.coulomb)
-        self.state = new_record(PLANT_STATE)
-        self._memory, self._shown = (memory(self.constants), memory(self.state)), plain(self.state)
+        self.noise, self.push, chance = (np.random.default_rng(stream) for stream in streams)
+        self.injector = FaultInjector(arm.sensor_names, scenario.faults, chance)
+        n = len(arm.joints)
+        self.constants = _constants(arm, scenario, self.chain, substeps)
+        self.state = new_record(state_type(n))
+        self.state.motion[0] = scenario.path(arm).sample(0.0).position
+        self.engine = _engine(arm, scenario, self.chain)
+        self.scratch, self.matrix = plant_scratch(self.chain), np.empty((n, n))
+        self._work = workspace(self.chain)
+        self._memory = memory(self.constants), memory(self.state)
         self.signals = {name: memory(self.state)[name][0] for name in SIGNALS}
-        self.signals['effort'] = self._shown['torque']
-        self.signals['disturbance'] = memory(self.state)['disturbance']
-        self.state.state[:2] = self.joints.absolute_position(
-            scenario.path(arm).sample(0.0).position
-        )
-        self._step_count = memory(self.state)['step_count']
-        self._disturbed = bool(self.constants.disturbed)
+        self.signals['disturbance'] = self._memory[1]['disturbance']
         self._sensed = False
 
     @property
     def step_count(self) -> int:
         """Number of the present sample."""
-        return int(self._step_count[0])
+        return int(self._memory[1]['step_count'][0])
 
     @property
     def time(self) -> float:
         """Time of the present sample [s]."""
         return self.step_count * self.sample_time
 
-    def step(self, joint_torque: Sequence[float] | np.ndarray) -> None:
+    def step(self, joint_torque: ArrayLike) -> None:
         """Apply a torque over one sample time.
 
         Parameters
         ----------
-        joint_torque : sequence of float, shape (2,)
+        joint_torque : array_like, shape (n,)
             Commanded joint torques [N m]; clipped to the arm's limits.
 
         Raises
         ------
         ValueError
             If a torque is not finite.
+        ConfigError
+            If the true arm is not physical.
         """
-        if len(joint_torque) != 2 or not all(map(math.isfinite, joint_torque)):
-            raise ValueError(f'torque must be two finite numbers, got {joint_torque!r}')
-        torque = float(joint_torque[0]), float(joint_torque[1])
-        draw = self.push.standard_normal() if self._disturbed else 0.0
-        _act(*self._memory, torque, draw, self.engine is None)
-        if self.engine is not None:
-            self.advance()
+        torque = np.asarray(joint_torque, float)
+        if torque.shape != self.state.torque.shape or not np.isfinite(torque).all():
+            raise ValueError(
+                f'torque must be {len(self.state.torque)} finite numbers, got {joint_torque!r}'
+            )
+        set_torque(self.constants, self.state, torque, self.push)
+        self.advance()
         self._sensed = False
 
     def advance(self) -> None:
-        """Advance the plant by one sample time under the torque that was set."""
+        """Advance the plant by one sample time under the torque that was set.
+
+        Raises
+        ------
+        ConfigError
+            If the true arm is not physical.
+        """
         params, state = self.constants, self.state
         if self.engine is None:
-            integrate(params, state)
-            return
-        torque = self.joints.absolute_torque(state.torque)
-        push = params.direction * state.disturbance
-        state.state[:] = self.engine.advance(
-            state.state, torque, push, self.sample_time, int(params.substeps)
-        )
-        state.step_count += 1
+            integrate(self.chain, params, state, self.scratch, self.matrix)
+        else:
+            self.engine.advance(
+                state.motion,
+                state.torque,
+                state.push,
+                float(params.sample_time),
+                int(params.substeps),
+            )
+            state.step_count += 1
+        if state.failed:
+            raise ConfigError('plant', 'has a mass matrix that is not positive definite')
 
     def hold(self) -> None:
-        """Let one sample time pass with the brakes engaged, see `brake`.
-
-        Drives brake until the first command and after a safe stop.
-        """
-        _brake(*self._memory)
+        """Let one sample time pass with the brakes engaged, see `brake`."""
+        brake(self.chain, self.state, self._work)
         self._sensed = False
 
     def sense(self) -> tuple[Measurement, Truth]:
@@ -322,7 +330,7 @@ class ArmSimulator:
     def read(self) -> None:
         """Read the sensors into `signals`, if that was not done at the present sample."""
         if not self._sensed:
-            self.noise.standard_normal(out=self._shown['draw'])
+            self.noise.standard_normal(out=self._memory[1]['draw'][0])
             self.injector.draw(self.time)
             _sense(*self._memory, self.injector.records)
             self._sensed = True
@@ -337,27 +345,34 @@ def copy_signals(signals: dict[str, np.ndarray]) -> tuple[Measurement, Truth]:
     )
 
 
-def _plant_constants(
-    arm: ArmParameters, true_arm: ArmParameters, scenario: Scenario, substeps: int
-) -> np.record:
-    params = new_record(
-        PLANT_CONSTANTS,
-        joints=JointMap(arm).record(),
-        arm=true_arm.constants(scenario.plant in ('nonlinear', 'mujoco')),
+def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:
+    """What integrates the arm in place of `integrate`, if the scenario asks for it."""
+    if scenario.plant == 'nonlinear':
+        return None
+    if scenario.plant == 'mujoco':
+        return MujocoChain(chain)
+    return PaperPlant(scenario.true_arm(arm), scenario)
+
+
+def _constants(arm: SerialArm, scenario: Scenario, chain: Chain, substeps: int) -> np.record:
+    joints = arm.joints
+    _, needed = integration_step(chain, arm.sample_time)
+    count, noise = max(substeps, needed), scenario.noise_factor if scenario.noise else 0.0
+    direction, mean, deviation = disturbance_of(arm, scenario)
+    return new_record(
+        plant_type(len(joints)),
         sample_time=arm.sample_time,
-        substeps=substeps,
+        step=arm.sample_time / count,
+        substeps=count,
         torque_limit=arm.torque_limit,
-        direction=arm.disturbance_direction,
-        push_mean=scenario.disturbance_factor * arm.disturbance_mean,
-        push_deviation=scenario.disturbance_factor * math.sqrt(arm.disturbance_variance),
-        disturbed=scenario.disturbance,
-        noisy=scenario.noise,
-        position_noise=scenario.noise_factor * arm.position_noise,
-        velocity_noise=scenario.noise_factor * arm.velocity_noise,
-        derived=arm.rates == 'derived',
+        effort_gain=[joint.torque_gain for joint in joints],
+        position_noise=[noise * joint.sensors.position_noise for joint in joints],
+        velocity_noise=[noise * joint.sensors.velocity_noise for joint in joints],
+        quantization=[joint.sensors.quantization for joint in joints],
+        derived=[joint.sensors.rates != 'independent' for joint in joints],
+        sensor=arm.joints_to_sensors(),
+        to_joint=arm.sensors_to_joints(),
+        direction=direction,
+        push_mean=mean,
+        push_deviation=deviation,
     )
-    if scenario.plant == 'lpv':
-        box = sinc_box(scenario.sinc_min)
-        a, b = vertex_matrices(box, true_arm.constants(False))
-        params.is_lpv, params.lpv = True, new_record(LPV_PLANT, box=box, a=a, b=b)
-    return params

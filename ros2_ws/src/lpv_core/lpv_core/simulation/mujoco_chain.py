@@ -1,14 +1,17 @@
 """A serial arm in MuJoCo: a plant with independent dynamics and integration."""
 
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from lpv_core.export.chain_mjcf import chain_mjcf
+from lpv_core.export.mjcf import chain_mjcf
 from lpv_core.serial_arm.chain import Chain, FloatArray
 from lpv_core.serial_arm.dynamics.friction import friction_torque
-from lpv_core.simulation.mujoco_plant import load_mujoco
 from lpv_core.support.errors import LpvError
+
+REQUIREMENT = 'mujoco>=3.3.1,<4'
+"""What pip installs; armatures of tendons are younger than version 3.3."""
 
 
 class MujocoChain:
@@ -40,10 +43,12 @@ class MujocoChain:
         self._data = self._mujoco.MjData(self._model)
         self._chain = chain
         self._friction = np.zeros(len(chain.translation))
-        self._torque = np.zeros(len(chain.translation))
+        self._torque, self._push, self._forces = np.zeros((3, len(chain.translation)))
 
-    def advance(self, motion: FloatArray, torque: FloatArray, interval: float, steps: int) -> None:
-        """Integrate with torques held.
+    def advance(
+        self, motion: FloatArray, torque: FloatArray, push: FloatArray, interval: float, steps: int
+    ) -> None:
+        """Integrate with torques and disturbance held.
 
         Parameters
         ----------
@@ -51,6 +56,8 @@ class MujocoChain:
             Positions and rates, changed [rad], [rad/s].
         torque : ndarray, shape (n,)
             Of the drives [N m].
+        push : ndarray, shape (n,)
+            Accelerations by the disturbance [rad/s2].
         interval : float
             Time to advance [s].
         steps : int
@@ -59,6 +66,7 @@ class MujocoChain:
         data = self._data
         data.qpos[:], data.qvel[:] = motion
         data.qfrc_applied[:] = self._torque[:] = torque
+        self._push[:] = push
         self._model.opt.timestep = interval / steps
         # The call is one for the whole process: it is put back for other users of MuJoCo.
         before = self._mujoco.get_mjcb_passive()
@@ -73,3 +81,18 @@ class MujocoChain:
         rates = np.array(data.qvel)
         friction_torque(self._chain, rates, self._torque, self._friction)
         data.qfrc_passive -= self._friction
+        if self._push.any():
+            self._mujoco.mj_mulM(model, data, self._forces, self._push)
+            data.qfrc_passive += self._forces
+
+
+def load_mujoco() -> ModuleType:
+    """The module; LpvError with what to install where it is missing."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise LpvError(
+            'the plant model mujoco needs MuJoCo, which is not part of the set-up: '
+            f"pip install '{REQUIREMENT}' ({error})"
+        ) from error
+    return mujoco

@@ -12,77 +12,72 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpv_core.certificate.gains import load_gains
-from lpv_core.control.tracking import TrackingController
+from lpv_core.control.tracking import make_controller
 from lpv_core.control.watchdog import DriveLimits, DriveWatchdog, TrackerLimits, TrackerWatchdog
-from lpv_core.model.arm import ArmParameters
-from lpv_core.monitoring.monitor import SensorMonitor
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.observer.sampled_observer import Mode
-from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv_core.simulation.any_scenario import load_any_scenario
 from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.scenario import load_scenario
-from lpv_core.simulation.serial_closed_loop import run_serial_loop
-from lpv_core.simulation.serial_scenario import SerialScenario
-from lpv_core.simulation.serial_simulator import SerialArmSimulator
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import COMPILED, on_compile
 from lpv_core.support.resources import bringup_file
+from lpv_core.uio.certificate.gains import Gains, load_gains
 
+_SCENARIOS = {'paper': 'two_faults'}
+"""Shipped scenarios of arms that have none of their name."""
 _FIRST_DECISIONS = 1.0
-"""Length of a run after which the diagnosis of a serial arm has decided [s]."""
+"""Length of a run after which the diagnosis has decided [s]."""
 
 
-def two_link_parts(arm: ArmParameters) -> Iterator[str]:
-    """Run what the nodes of a two-link arm and a replay compile; name each part before it."""
-    gains = load_gains(bringup_file('gains', arm.name))
-    scenario = load_scenario(bringup_file('scenarios', 'two_faults'))
-    yield 'plant and sensors'
+def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
+    """Run what the nodes of an arm compile, and name each part before it.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm; some functions are compiled per number of joints.
+    name : str
+        Its name among the shipped ones, or its file.
+    """
+    yield 'plant, tracking, observers and diagnosis'
+    gains = _shipped_gains(arm, name)
+    SerialSensorMonitor('precompile', arm, gains=gains).warm_up()
+    try:
+        scenario = load_scenario(bringup_file('scenarios', _SCENARIOS.get(name, name)))
+    except ConfigError:  # an arm of the user's own
+        return
     plant = ArmSimulator(arm, scenario)
     plant.sense()
-    plant.step((0.0, 0.0))
+    plant.step(np.zeros(len(arm.joints)))
     plant.hold()
-    yield 'tracking'
-    still = np.zeros(2)
-    controller = TrackingController(arm, gains)
-    controller.answer(np.zeros((3, 2)), still + 0.1, still, still + 0.1, 0.0)
+    still = np.zeros(len(arm.joints))
+    make_controller(arm, gains).answer(
+        np.zeros((3, len(still))), still + 0.1, still, still + 0.1, 0.0
+    )
     watchdog = TrackerWatchdog(arm, TrackerLimits())
     watchdog.check_estimate(1, 0, 0, True, still, still)
     watchdog.check_motion(1, still, still)
     DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
-    yield 'observer and diagnosis'
-    monitor = SensorMonitor('precompile', arm, gains)
-    monitor.warm_up()
-    monitor.status(Mode.NO_ESTIMATE)
-    yield 'replay'
-    stamps = np.arange(1, 4, dtype=np.int64) * round(1e9 * arm.sample_time)
-    monitor.take_many(stamps, *np.zeros((3, 3, 2)))
-
-
-def serial_parts(arm: SerialArm) -> Iterator[str]:
-    """Run what the nodes of a serial arm compile; some functions are per number of joints."""
-    yield 'plant, computed torque, observer and diagnosis'
-    try:
-        scenario = load_any_scenario(bringup_file('scenarios', arm.name), arm)
-    except ConfigError:  # an arm of the user's own
-        SerialSensorMonitor('precompile', arm).warm_up()
-        return
-    if not isinstance(scenario, SerialScenario):
-        return
-    plant = SerialArmSimulator(arm, scenario)
-    plant.sense()
-    plant.hold()
-    run = run_serial_loop(arm, replace(scenario, duration=_FIRST_DECISIONS))
     yield 'diagnosis of a fault'  # the first one must not wait for this in a node
+    run = run_closed_loop(arm, replace(scenario, duration=_FIRST_DECISIONS, faults=()), gains)
     diagnosis = SerialMonitor(arm)
     stamps = (1e9 * run.time).astype('int64')
-    rows = np.stack([run.measured, run.measured_velocity, run.torque], axis=1)
+    rows = np.stack([run.measured, run.measured_velocity, run.effort], axis=1)
     diagnosis.update_many(stamps, rows)
     diagnosis.warm_up()
-    SerialSensorMonitor('precompile', arm).warm_up()
+
+
+def _shipped_gains(arm: SerialArm, name: str) -> Gains | None:
+    """Gains of an arm with a region for which they were designed, if they are shipped."""
+    if arm.lpv is None:
+        return None
+    try:
+        return load_gains(bringup_file('gains', name))
+    except ConfigError:
+        return None
 
 
 @contextmanager
@@ -113,8 +108,7 @@ def precompile(name: str) -> None:
     name : str
         Shipped arm, or arm file.
     """
-    arm = load_any_arm(bringup_file('arms', name))
-    parts = two_link_parts(arm) if isinstance(arm, ArmParameters) else serial_parts(arm)
+    parts = parts_of(load_arm(bringup_file('arms', name)), name)
     part = next(parts, None)
     while part is not None:
         with _progress(f'compiling for arm {name!r}: {part}'):

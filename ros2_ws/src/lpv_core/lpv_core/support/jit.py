@@ -179,11 +179,24 @@ def njit(function: Callable[..., Any]) -> Callable[..., Any]:
     Called by compiled code, it is compiled without the wrapper that unpacks Python's arguments:
     for nested records these are a third of the code, and few functions are called from Python.
     """
+    return _compiled(function)
+
+
+def njit_in_place(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `njit`, for functions that make no arrays: all memory is the caller's.
+
+    References are not counted, which takes as long as the arithmetic does where small functions
+    hand large tuples of arrays on.
+    """
+    return _compiled(function, _nrt=False)
+
+
+def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
     if _numba is None:
         return function
-    called = _dispatcher(function, 'python')
+    called = _dispatcher(function, 'python', **options)
     if not _numba.config.CACHE_DIR:  # a cache that is given has no room for two kinds
-        inner = _dispatcher(function, 'compiled', no_cpython_wrapper=True)
+        inner = _dispatcher(function, 'compiled', no_cpython_wrapper=True, **options)
         called.get_call_template = inner.get_call_template
         called.get_overload = inner.get_overload
     return called

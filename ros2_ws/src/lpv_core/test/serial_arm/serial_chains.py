@@ -8,7 +8,7 @@ from lpv_core.serial_arm.description import rotation_from_rpy
 
 
 def random_chain(seed: int, joints: int) -> Chain:
-    """Physical bodies of any shape, joints in any direction, a base in any orientation."""
+    """Physical bodies of any shape, joints of any type and direction, a base in any orientation."""
     rng = np.random.default_rng(seed)
     rotation = [rotation_from_rpy(rng.uniform(-3.0, 3.0, 3)) for _ in range(joints)]
     bodies = []
@@ -28,6 +28,7 @@ def random_chain(seed: int, joints: int) -> Chain:
         rng.uniform(0.0, 0.5, joints),
         gravity=gravity,
         tip=tip,
+        prismatic=rng.integers(0, 2, joints),
     )
 
 
@@ -36,7 +37,8 @@ def pinocchio_model(chain: Chain) -> pinocchio.Model:
     model = pinocchio.Model()
     for i in range(len(chain.translation)):
         place = pinocchio.SE3(chain.rotation[i], chain.translation[i])
-        model.addJoint(i, pinocchio.JointModelRZ(), place, f'joint{i}')
+        joint = pinocchio.JointModelPZ if chain.prismatic[i] else pinocchio.JointModelRZ
+        model.addJoint(i, joint(), place, f'joint{i}')
         body = pinocchio.Inertia.FromDynamicParameters(chain.inertial[i])
         model.appendBodyToJoint(i + 1, body, pinocchio.SE3.Identity())
     model.armature = np.diag(chain.motor).copy()

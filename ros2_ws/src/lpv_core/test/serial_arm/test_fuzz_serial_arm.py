@@ -5,7 +5,7 @@ import pytest
 from fuzzing import Tally, cases, mutate_text, mutate_xml, peak_memory
 from serial_arms import shoulder_arm
 
-from lpv_core.serial_arm.arm_file import load_serial_arm, save_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm, save_arm
 from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
@@ -67,14 +67,14 @@ def fuzz(path, mutate, read):
 @pytest.fixture
 def good(tmp_path):
     """A good arm file."""
-    save_serial_arm(shoulder_arm(), tmp_path / 'arm.yaml')
-    use(load_serial_arm(tmp_path / 'arm.yaml'))  # what compiles takes its time
+    save_arm(shoulder_arm(), tmp_path / 'arm.yaml')
+    use(load_arm(tmp_path / 'arm.yaml'))  # what compiles takes its time
     return tmp_path / 'arm.yaml'
 
 
 def test_given_mutated_arm_files_when_used_then_torques_are_finite_or_the_field_is_named(good):
     text = good.read_text()
-    fuzz(good, lambda seed: mutate_text(text, seed), load_serial_arm)
+    fuzz(good, lambda seed: mutate_text(text, seed), load_arm)
 
 
 def test_given_mutated_urdfs_when_used_then_torques_are_finite_or_the_reason_is_said(good):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm
 
-from lpv_core.decision.diagnosis import GUARANTEED, STATISTICAL
 from lpv_core.monitoring.alarm_text import describe
 from lpv_core.monitoring.message_fields import alarm_fields
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.serial_arm.certificate.jump_bound import jump_bound
 from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.description import Uncertainty
+from lpv_core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL
 from lpv_core.serial_arm.simulation import (
     EncoderFault,
     Push,

@@ -7,7 +7,7 @@ import pytest
 from places import BRINGUP
 from scipy.linalg import eigh
 
-from lpv_core.serial_arm.arm_file import load_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.certificate.conditions import error_bound, require_loop, verify_loop
 from lpv_core.serial_arm.certificate.disturbance import MotionRange, missed_torque
 from lpv_core.serial_arm.certificate.exact_proof import prove_loop
@@ -28,7 +28,7 @@ ARMS = ('ur10', 'panda')
 
 def shipped(name):
     """A shipped arm and its certificate."""
-    arm = load_serial_arm(BRINGUP / 'arms' / f'{name}.yaml')
+    arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
     return arm, load_loop_gains(BRINGUP / 'gains' / f'{name}.yaml')
 
 

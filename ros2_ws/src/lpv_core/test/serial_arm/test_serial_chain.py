@@ -127,8 +127,7 @@ def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(
         ('</joint>\n<joint name="mount"', '<mimic joint="a"/></joint>\n<joint name="mount"',
          "'b' follows 'a'"),
         ('<joint name="b" type="revolute">', '<joint name="b" type="floating">', "'b' is floating"),
-        ('<joint name="b" type="revolute">', '<joint name="b" type="prismatic">',
-         "'b' is prismatic"),
+        ('<joint name="b" type="revolute">', '<joint name="b" type="planar">', "'b' is planar"),
         ('</joint>\n<joint name="mount"', '<mimic joint="a" offset="1e99"/></joint>\n<joint name='
          '"mount"', "'b': multiplier"),
     ],

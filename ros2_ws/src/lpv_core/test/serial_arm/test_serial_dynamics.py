@@ -9,13 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from serial_chains import pinocchio_model, random_chain, random_motion
 
-from lpv_core.model.arm import ArmParameters, Link
-from lpv_core.model.dynamics import inverse_dynamics as two_link_inverse_dynamics
-from lpv_core.model.joints import JointMap
+from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.dynamics.payload import payload_parameters, with_payload
-from lpv_core.serial_arm.two_link import two_link_chain
 from lpv_core.support.errors import SampleError
+from lpv_core.uio.model.arm import ArmParameters, Link
+from lpv_core.uio.model.dynamics import inverse_dynamics as two_link_inverse_dynamics
+from lpv_core.uio.model.joints import JointMap
+from lpv_core.uio.planar import serial_from_planar
 
 CASES = given(st.integers(0, 2**31), st.integers(2, 9))
 
@@ -86,6 +87,15 @@ def test_payload_adds_its_column_of_the_regressor(seed, joints):
     assert_equal(loaded, SerialModel(chain).inverse_dynamics(q, v, a) + column)
 
 
+def planar_chain(arm):
+    return compile_chain(serial_from_planar(arm))
+
+
+def rotor_terms(inertia, ratio):
+    """The rotor of motor 2 turns at q1' - r q2'; that of motor 1 at r q1'."""
+    return inertia * (ratio**2 + 1.0), -inertia * ratio, inertia * ratio**2
+
+
 @given(st.integers(0, 2**31))
 def test_two_link_chain_equals_the_two_link_formulas(seed):
     rng = np.random.default_rng(seed)
@@ -102,8 +112,7 @@ def test_two_link_chain_equals_the_two_link_formulas(seed):
         'random',
         links,
         gravity=rng.uniform(1.0, 20.0),
-        rotor_inertia=rng.uniform(0.0, 0.01),
-        gear_ratio=rng.uniform(1.0, 50.0),
+        rotor=rotor_terms(rng.uniform(0.0, 0.01), rng.uniform(1.0, 50.0)),
         viscous=(0.3, 0.2),
         coulomb=(0.5, 0.4),
         zero_angle=rng.uniform(-math.pi, math.pi),
@@ -118,7 +127,7 @@ def test_two_link_chain_equals_the_two_link_formulas(seed):
     )
     expected = joints.joint_torque(np.array(absolute))
     np.testing.assert_allclose(
-        SerialModel(two_link_chain(arm)).torque(q, v, a),
+        SerialModel(planar_chain(arm)).torque(q, v, a),
         expected,
         rtol=0.0,
         atol=1e-10 * max(1.0, np.abs(expected).max()),
@@ -146,4 +155,4 @@ def test_wrong_sample_is_named(paper_like_chain):
 @pytest.fixture
 def paper_like_chain():
     links = Link(10.0, 1.0, 0.5, 0.83), Link(5.0, 1.0, 0.5, 0.41)
-    return two_link_chain(ArmParameters('paper', links))
+    return planar_chain(ArmParameters('paper', links))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
 
-from lpv_core.serial_arm.arm_file import load_serial_arm, save_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm, save_arm
 from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.description import Uncertainty
 from lpv_core.serial_arm.diagnosis.learning import learned_arm
@@ -44,8 +44,8 @@ def test_learned_arm_is_read_again_and_needs_less_learning(tmp_path):
     arm = shoulder_arm()
     plant = with_payload(compile_chain(arm), 0.4)
     learned = watched(arm, plant).learned()
-    save_serial_arm(learned_arm(arm, learned), tmp_path / 'arm.yaml')
-    again = load_serial_arm(tmp_path / 'arm.yaml')
+    save_arm(learned_arm(arm, learned), tmp_path / 'arm.yaml')
+    again = load_arm(tmp_path / 'arm.yaml')
     assert again.joints[2].link.mass == pytest.approx(3.0 + learned.payload)
     assert abs(watched(again, plant).learned().payload) < 0.15
     assert set(learned.values()) >= {'learned_payload', 'learned_viscous', 'learned_noise'}

@@ -8,18 +8,18 @@ from serial_arms import shoulder_arm
 
 from lpv_core.control.computed_torque import ComputedTorqueController
 from lpv_core.control.watchdog import BrakeReason, StopReason
-from lpv_core.decision.diagnosis import AlarmEvent
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.faults import Fault
-from lpv_core.simulation.serial_closed_loop import run_serial_loop
-from lpv_core.simulation.serial_scenario import SerialScenario
-from lpv_core.simulation.serial_simulator import SerialArmSimulator
+from lpv_core.simulation.scenario import Scenario
 from lpv_core.simulation.transport import Stall, Transport
 from lpv_core.support.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 
-SCENARIO = SerialScenario(
+SCENARIO = Scenario(
     name='test',
     duration=4.0,
     seed=1,
@@ -43,12 +43,12 @@ def arm():
 
 @pytest.fixture(scope='module')
 def healthy(arm):
-    return run_serial_loop(arm, SCENARIO)
+    return run_closed_loop(arm, SCENARIO)
 
 
 @pytest.fixture(scope='module')
 def faulty(arm):
-    return run_serial_loop(arm, replace(SCENARIO, faults=(STEP,)))
+    return run_closed_loop(arm, replace(SCENARIO, faults=(STEP,)))
 
 
 def test_given_a_wrong_model_when_nothing_fails_then_the_arm_follows_and_nothing_is_said(healthy):
@@ -65,20 +65,20 @@ def test_given_a_step_when_it_comes_then_its_sensor_is_named_within_20_ms(faulty
 
 def test_given_a_step_when_compensated_then_the_true_arm_stays_on_its_path(arm, faulty):
     assert np.abs(faulty.position - faulty.reference).max() < 0.06
-    off = run_serial_loop(arm, replace(SCENARIO, faults=(STEP,)), compensation='off')
+    off = run_closed_loop(arm, replace(SCENARIO, faults=(STEP,)), compensation='off')
     assert np.abs(off.position[-200:, 1] - off.reference[-200:, 1]).min() > 0.08
 
 
 def test_given_one_seed_when_run_twice_then_every_number_is_the_same(arm, healthy):
-    again = run_serial_loop(arm, SCENARIO)
+    again = run_closed_loop(arm, SCENARIO)
     np.testing.assert_array_equal(again.torque, healthy.torque)
-    other = run_serial_loop(arm, replace(SCENARIO, seed=2))
+    other = run_closed_loop(arm, replace(SCENARIO, seed=2))
     assert np.abs(other.torque - healthy.torque).max() > 0.1
 
 
 def test_given_a_fault_beyond_all_limits_when_fed_back_then_the_arm_is_stopped_for_good(arm):
     wild = replace(STEP, size=2.0, sensor='encoder1')
-    run = run_serial_loop(arm, replace(SCENARIO, faults=(wild,)), compensation='off')
+    run = run_closed_loop(arm, replace(SCENARIO, faults=(wild,)), compensation='off')
     last = run.stop_reason[-1], run.brake_reason[-1]
     assert StopReason(last[0]) in (StopReason.TRACKING_ERROR, StopReason.OVERSPEED)
     assert BrakeReason(last[1]) in (BrakeReason.SAFE_STOP, BrakeReason.OVERSPEED)
@@ -110,7 +110,7 @@ def test_given_a_run_when_the_node_gets_its_samples_then_it_answers_the_same(
 ):
     scenario = replace(SCENARIO, duration=1.6, faults=FAULTS[faults])
     arm = shoulder_arm(rates)
-    run = run_serial_loop(arm, scenario, transport=TRANSPORTS[transport])
+    run = run_closed_loop(arm, scenario, transport=TRANSPORTS[transport])
     stamps = np.round(run.time * 1e9).astype(np.int64)[~run.lost]
     rows = (one[~run.lost] for one in (run.measured, run.measured_velocity, run.effort))
     answers = SerialSensorMonitor('node', arm).take_many(stamps, *rows)
@@ -122,7 +122,7 @@ def test_given_a_run_when_the_node_gets_its_samples_then_it_answers_the_same(
 
 
 def test_given_a_dropout_when_it_lasts_then_it_is_raised_after_50_ms_and_cleared_at_its_end(arm):
-    run = run_serial_loop(arm, replace(SCENARIO, duration=1.2, faults=FAULTS['dropout']))
+    run = run_closed_loop(arm, replace(SCENARIO, duration=1.2, faults=FAULTS['dropout']))
     told = [(one.event, one.sensor, one.kind, one.detected) for one in run.alarms]
     assert told == [
         (AlarmEvent.RAISED, 'encoder3', 'dropout', 552_000_000),
@@ -133,7 +133,7 @@ def test_given_a_dropout_when_it_lasts_then_it_is_raised_after_50_ms_and_cleared
 @pytest.mark.parametrize('part', ['observer', 'tracker'])
 def test_given_a_part_that_stalls_when_it_lasts_then_the_tracker_stops_for_silence(arm, part):
     stall = Transport(stalls=(Stall(part, 1.0, 0.5),))
-    run = run_serial_loop(arm, replace(SCENARIO, duration=1.6), transport=stall)
+    run = run_closed_loop(arm, replace(SCENARIO, duration=1.6), transport=stall)
     silent = run.stop_reason == StopReason.SILENCE
     assert silent[600:740].any() and not silent[:500].any()
     assert run.lost.any() == (part == 'observer')
@@ -141,7 +141,7 @@ def test_given_a_part_that_stalls_when_it_lasts_then_the_tracker_stops_for_silen
 
 def test_given_commands_that_stall_when_they_are_late_then_the_drives_brake(arm):
     stall = Transport(stalls=(Stall('commands', 1.0, 0.5),))
-    run = run_serial_loop(arm, replace(SCENARIO, duration=1.6), transport=stall)
+    run = run_closed_loop(arm, replace(SCENARIO, duration=1.6), transport=stall)
     assert (run.brake_reason[500:] == BrakeReason.LATE).any()
     assert not run.brake_reason[:500].any()
 
@@ -149,7 +149,7 @@ def test_given_commands_that_stall_when_they_are_late_then_the_drives_brake(arm)
 @pytest.mark.parametrize(('rates', 'jump'), [('derived', 50.0), ('independent', 0.0)])
 def test_given_a_derived_rate_when_its_encoder_jumps_then_it_jumps_too(rates, jump):
     scenario = replace(SCENARIO, faults=(replace(STEP, onset=0.01),))
-    simulator = SerialArmSimulator(shoulder_arm(rates), scenario)
+    simulator = ArmSimulator(shoulder_arm(rates), scenario)
     readings = [simulator.sense()[0]]
     for _ in range(5):
         simulator.hold()
@@ -159,7 +159,7 @@ def test_given_a_derived_rate_when_its_encoder_jumps_then_it_jumps_too(rates, ju
 
 
 def test_given_brakes_when_they_hold_then_the_arm_stands_and_efforts_carry_it(arm):
-    simulator = SerialArmSimulator(arm, SCENARIO)
+    simulator = ArmSimulator(arm, SCENARIO)
     simulator.hold()
     measurement, truth = simulator.sense()
     np.testing.assert_array_equal(truth.velocity, 0.0)
@@ -167,7 +167,7 @@ def test_given_brakes_when_they_hold_then_the_arm_stands_and_efforts_carry_it(ar
 
 
 def test_given_a_torque_beyond_the_limit_when_applied_then_it_is_clipped(arm):
-    simulator = SerialArmSimulator(arm, SCENARIO)
+    simulator = ArmSimulator(arm, SCENARIO)
     simulator.step([1e3, -1e3, 0.0])
     np.testing.assert_array_equal(simulator.sense()[0].effort, [60.0, -80.0, 0.0])
     with pytest.raises(ValueError, match='3 finite numbers'):
@@ -182,5 +182,5 @@ def test_given_a_bandwidth_when_the_samples_are_too_few_for_it_then_it_is_refuse
 
 def test_given_mujoco_as_the_plant_when_run_then_it_agrees_with_the_built_in_one(arm, healthy):
     pytest.importorskip('mujoco')
-    other = run_serial_loop(arm, replace(SCENARIO, plant='mujoco', duration=1.0))
+    other = run_closed_loop(arm, replace(SCENARIO, plant='mujoco', duration=1.0))
     np.testing.assert_allclose(other.position, healthy.position[:501], atol=1e-6)

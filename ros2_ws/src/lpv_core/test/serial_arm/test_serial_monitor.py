@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
 
-from lpv_core.serial_arm.arm_file import load_serial_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
 from lpv_core.serial_arm.dynamics.kinematics import jacobian
@@ -162,7 +162,7 @@ def jumps_only(arm, samples):
 
 
 def test_given_repeated_samples_when_an_encoder_jumps_at_one_then_it_alone_is_named():
-    arm = replace(load_serial_arm(bringup_file('arms', 'ur10')), sample_time=0.03)
+    arm = replace(load_arm(bringup_file('arms', 'ur10')), sample_time=0.03)
     rate = np.linspace(1.0, 2.0, 6)
     phase = rate * 0.03 * np.arange(120)[:, None] + rate
     samples = np.stack([0.5 * np.sin(phase), 0.5 * rate * np.cos(phase), 0.0 * phase], 1)

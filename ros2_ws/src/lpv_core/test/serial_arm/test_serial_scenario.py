@@ -8,11 +8,10 @@ from places import BRINGUP
 from serial_arms import shoulder_arm
 
 from lpv_core.control.serial_path import PoseWaypoints
-from lpv_core.model.arm import load_arm
-from lpv_core.serial_arm.any_arm import load_any_arm
+from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.chain import compile_chain
-from lpv_core.simulation.any_scenario import load_any_scenario, new_simulator
-from lpv_core.simulation.serial_scenario import parse_serial_scenario
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.scenario import load_scenario, parse_scenario
 from lpv_core.support.errors import ConfigError
 
 DATA = {
@@ -39,24 +38,24 @@ POSES = {
 
 @pytest.mark.parametrize('name', ['ur10', 'panda'])
 def test_given_a_shipped_arm_when_its_scenario_is_read_then_the_arm_can_do_it(name):
-    arm = load_any_arm(BRINGUP / 'arms' / f'{name}.yaml')
-    scenario = load_any_scenario(BRINGUP / 'scenarios' / f'{name}.yaml', arm)
+    arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
+    scenario = load_scenario(BRINGUP / 'scenarios' / f'{name}.yaml')
     assert scenario.path(arm).end <= scenario.duration
     assert {fault.kind for fault in scenario.faults} == {'bias', 'drift'}
-    new_simulator(arm, scenario)
+    ArmSimulator(arm, scenario)
 
 
 def test_given_errors_when_the_true_arm_is_drawn_then_by_the_seed_and_within_them():
-    arm, scenario = shoulder_arm(), parse_serial_scenario(DATA)
-    true, nominal = scenario.true_arm(arm), compile_chain(arm)
+    arm, scenario = shoulder_arm(), parse_scenario(DATA)
+    true, nominal = scenario.true_chain(arm), compile_chain(arm)
     factor = true.inertial[:2, 0] / nominal.inertial[:2, 0]
     assert np.all(np.abs(factor - 1.0) <= 0.05) and np.ptp(factor) > 0.0
-    np.testing.assert_array_equal(true.inertial, scenario.true_arm(arm).inertial)
+    np.testing.assert_array_equal(true.inertial, scenario.true_chain(arm).inertial)
     np.testing.assert_allclose(true.friction[:, 1], 1.2 * nominal.friction[:, 1])
 
 
 def test_given_poses_when_read_then_position_orientation_and_posture_are_kept():
-    scenario = parse_serial_scenario({**DATA, 'path': POSES})
+    scenario = parse_scenario({**DATA, 'path': POSES})
     assert isinstance(scenario.waypoints, PoseWaypoints)
     assert scenario.waypoints.start == (0.0, 0.6, -1.2)
     assert scenario.waypoints.orientations[1] == (0.0, 0.0, 0.1)
@@ -78,26 +77,30 @@ def change(data, *keys, value):
         (change(DATA, 'path', 'waypoints', 1, 't', value=0.1), 'path.waypoints'),
         (change(DATA, 'path', 'waypoints', 0, value={'t': 0.0}), r'waypoints\[0\].joints'),
         (change(DATA, 'plant', 'parameter_error', value=0.9), 'plant.parameter_error'),
-        (change(DATA, 'plant', 'model', value='lpv'), 'plant.model'),
-        (change(DATA, 'plant', 'mass_factors', value=1.0), 'plant.mass_factors'),
-        (change(DATA, 'disturbance', value=True), 'disturbance'),
+        (change(DATA, 'plant', 'model', value='linear'), 'plant.model'),
+        (change(DATA, 'plant', 'mass_factors', value=[1.0, 0.0]), 'plant.mass_factors'),
+        (change(DATA, 'disturbance', value=3), 'disturbance'),
         ({**DATA, 'path': {**POSES, 'start': 'anywhere'}}, 'path.start'),
     ],
 )
 def test_given_a_bad_value_when_read_then_its_field_is_named(data, field):
     with pytest.raises(ConfigError, match=field):
-        parse_serial_scenario(data)
+        parse_scenario(data)
 
 
 def test_given_a_path_of_another_arm_when_made_then_the_waypoint_is_named():
     data = change(DATA, 'path', 'waypoints', 1, 'joints', value=[0.0, 0.1])
     with pytest.raises(ConfigError, match=r'path.waypoints\[1\].joints'):
-        parse_serial_scenario(data).path(shoulder_arm())
+        parse_scenario(data).path(shoulder_arm())
 
 
-def test_given_arm_and_scenario_of_two_kinds_when_read_then_the_kind_is_refused():
-    arm = load_arm(BRINGUP / 'arms' / 'paper.yaml')
-    with pytest.raises(ConfigError, match='kind: is of a scenario for a serial arm'):
-        load_any_scenario(BRINGUP / 'scenarios' / 'ur10.yaml', arm)
-    with pytest.raises(ConfigError, match='kind: is of a scenario for the two-link arm'):
-        load_any_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml', shoulder_arm())
+@pytest.mark.parametrize('plant', ['lpv', 'nonlinear_without_coriolis'])
+def test_given_a_plant_of_the_paper_when_the_arm_is_not_planar_then_it_is_refused(plant):
+    with pytest.raises(ConfigError, match='planar arms of two links: it has 3 joints'):
+        ArmSimulator(shoulder_arm(), parse_scenario({**DATA, 'plant': plant}))
+
+
+def test_given_factors_for_another_number_of_links_when_the_arm_is_made_then_they_are_named():
+    data = change(DATA, 'plant', 'mass_factors', value=[1.0, 1.1])
+    with pytest.raises(ConfigError, match='plant.mass_factors: must have 3 numbers'):
+        parse_scenario(data).true_arm(shoulder_arm())

@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
 
-from lpv_core.decision.diagnosis import AlarmEvent, DiagnosisParameters, SensorState
-from lpv_core.monitoring.factory import make_monitor
-from lpv_core.monitoring.monitor import SensorMonitor
+from lpv_core.monitoring.parameters import DiagnosisParameters
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.observer.sampled_observer import Mode
 from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.simulation import EncoderFault, SerialSimulator
 from lpv_core.support.errors import ConfigError, SampleError
 
 ARM = shoulder_arm()
-STEP = EncoderFault(1, 'bias', 1.0, 0.05)
+STEP, LARGE = EncoderFault(1, 'bias', 1.0, 0.05), EncoderFault(1, 'bias', 1.0, 0.3)
 
 
 @pytest.fixture(scope='module')
@@ -80,7 +78,7 @@ def test_given_a_recording_when_taken_in_any_parts_then_every_answer_is_the_same
     assert np.isfinite(whole.state.position).all() and np.isfinite(whole.fault.bound).all()
     counted = {name for name, count in vars(monitor.counters).items() if count}
     spoils = {'duplicates', 'out_of_order', 'not_finite', 'gaps', 'without_effort', 'restarts'}
-    assert counted == (spoils if spoil else set())
+    assert counted == (spoils | {'refused_stamps'} if spoil else set())
 
 
 def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corrected(recording):
@@ -193,15 +191,9 @@ def test_given_a_fault_that_is_not_known_well_enough_when_confirmed_then_it_is_n
     assert answers.state.trustworthy[2000] and not answers.state.trustworthy[-1]
 
 
-def test_given_arms_of_either_kind_when_a_monitor_is_made_then_gains_are_for_two_links_alone(
-    paper_arm, paper_gains
-):
-    assert isinstance(make_monitor('/uio', paper_arm, paper_gains), SensorMonitor)
-    assert isinstance(make_monitor('/uio', ARM), SerialSensorMonitor)
-    with pytest.raises(ConfigError, match='leave the gains file out'):
-        make_monitor('/uio', ARM, paper_gains)
-    with pytest.raises(ConfigError, match='needed for a two-link arm'):
-        make_monitor('/uio', paper_arm)
+def test_given_gains_when_the_arm_has_no_region_then_they_are_refused(paper_gains):
+    with pytest.raises(ConfigError, match='lpv: is missing'):
+        SerialSensorMonitor('/uio', ARM, gains=paper_gains)
 
 
 def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_at_once(recording):
@@ -210,3 +202,70 @@ def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_at_once(recording)
     stamps, samples = recording[0][-1:] + 2_000_000, recording[1][-1:]
     after = monitor.take_many(stamps, *(samples[:, k] for k in range(3)))
     np.testing.assert_allclose(after.fault.bound[0], 0.5 * answers.fault.bound[-1])
+
+
+HOUR = 3600 * 10**9
+
+
+@pytest.mark.parametrize('odd', [0, 2**31 * 10**9 - 1])
+def test_given_one_stamp_of_another_clock_when_observed_then_its_sample_alone_is_stale(
+    recording, odd
+):
+    stamps, samples = recording[0].copy(), recording[1]
+    stamps[800] = odd
+    monitor, [answers] = observe((stamps, samples))
+    assert (answers.state.mode[799:802] == [Mode.OBSERVING, Mode.STALE, Mode.OBSERVING]).all()
+    assert not answers.state.trustworthy[800] and answers.state.trustworthy[801:].all()
+    assert np.isfinite(answers.state.position).all() and not answers.restarted.any()
+    assert (answers.fault.alarm[600:] == [0, 1, 0]).all()
+    assert [event.event for _, event in answers.events] == [AlarmEvent.RAISED]
+    assert monitor.counters.refused_stamps == 1 and monitor.counters.restarts == 0
+
+
+@pytest.fixture(scope='module')
+def long_recording():
+    """8 s with a larger step, which gravity shows."""
+    run = SerialSimulator(ARM, wrong_plant(ARM, 1), 1).run(8.0, [LARGE], ())
+    return run.stamps + 5, run.samples, run.position
+
+
+@pytest.mark.parametrize('shift', [HOUR, -HOUR])
+def test_given_a_confirmed_fault_when_the_clock_is_set_then_it_stays_untrusted_until_seen(
+    long_recording, shift
+):
+    stamps, samples, position = long_recording
+    stamps = stamps + np.where(np.arange(len(stamps)) < 1000, 2 * HOUR, 2 * HOUR + shift)
+    monitor, [answers] = observe((stamps, samples))
+    assert [event.event for _, event in answers.events] == [AlarmEvent.RAISED]
+    assert (answers.fault.alarm[600:] == [0, 1, 0]).all()
+    error = answers.state.compensated_position - position
+    assert np.abs(error[600:1000]).max() < 5e-3 and np.abs(error[1002:]).max() < 5e-3
+    assert list(np.nonzero(answers.restarted)[0]) == [1002]
+    trusted = answers.state.trustworthy
+    assert trusted[999] and not trusted[1000:1050].any() and trusted[-1]
+    assert np.isfinite(answers.state.position).all() and np.isfinite(answers.fault.bound).all()
+
+
+def test_given_a_fault_that_ended_while_the_clock_was_set_when_shown_then_it_is_cleared(
+    long_recording,
+):
+    stamps, samples = long_recording[0].copy(), long_recording[1].copy()
+    samples[1000:, 0, 1] -= LARGE.size
+    stamps[1000:] += HOUR
+    _, [answers] = observe((stamps, samples))
+    (_, raised), (row, cleared) = answers.events
+    assert (raised.event, cleared.event) == (AlarmEvent.RAISED, AlarmEvent.CLEARED)
+    assert not answers.state.trustworthy[1000:row].any() and answers.state.trustworthy[row:].all()
+
+
+@pytest.mark.parametrize('shift', [HOUR, -HOUR, 100_000_000])
+def test_given_a_confirmed_offset_when_stamps_make_a_gap_then_it_stays_removed(shift):
+    fault = EncoderFault(1, 'bias', 0.0, 0.3)
+    run = SerialSimulator(ARM, wrong_plant(ARM, 1), 1).run(12.0, [fault], ())
+    stamps = run.stamps + 2 * HOUR
+    stamps[4000:] += shift
+    _, [answers] = observe((stamps, run.samples))
+    assert {event.sensor for _, event in answers.events} == {'encoder2'}
+    assert answers.fault.alarm[3999:, 1].all()
+    error = answers.state.compensated_position[3999:, 1] - run.position[3999:, 1]
+    assert np.abs(error).max() < 0.15

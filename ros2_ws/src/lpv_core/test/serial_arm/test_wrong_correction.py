@@ -8,10 +8,10 @@ from lpv_core.control.computed_torque import ComputedTorqueController
 from lpv_core.control.estimate_check import FADING, CorrectionLimit
 from lpv_core.control.path_follower import PathFollower
 from lpv_core.control.watchdog import StopReason, TrackerLimits, TrackerWatchdog
-from lpv_core.observer.sampled_observer import Mode
-from lpv_core.serial_arm.any_arm import load_any_arm
-from lpv_core.simulation.any_scenario import load_any_scenario
-from lpv_core.simulation.serial_simulator import SerialArmSimulator
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.diagnosis.alarms import Mode
+from lpv_core.simulation.arm_simulator import ArmSimulator
+from lpv_core.simulation.scenario import load_scenario
 
 pytestmark = pytest.mark.slow
 DT, STEP, JOINT, SIZE = 0.002, 2_000_000, 1, 0.5
@@ -32,9 +32,9 @@ class Loop:
 
     def __init__(self, correction, corrects_rates):
         path = BRINGUP / 'scenarios' / 'ur10.yaml'
-        self.arm = load_any_arm(BRINGUP / 'arms' / 'ur10.yaml')
-        scenario = load_any_scenario(path, self.arm)
-        self.simulator = SerialArmSimulator(self.arm, scenario)
+        self.arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+        scenario = load_scenario(path)
+        self.simulator = ArmSimulator(self.arm, scenario)
         self.follower = PathFollower(scenario.path(self.arm))
         self.law = ComputedTorqueController(self.arm)
         self.limit = CorrectionLimit(self.arm)

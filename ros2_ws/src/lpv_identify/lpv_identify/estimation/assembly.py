@@ -16,19 +16,21 @@ from lpv_identify.model.base_parameters import BaseParameters
 from lpv_identify.model.consistency import Quadratic, nearest_consistent
 from lpv_identify.model.friction import TERMS
 from lpv_identify.model.prior import LOAD_WIDTH, structural_prior
+from lpv_identify.model.rigid_body import STANDARD
 
-_DRIVE = ('rotor', *TERMS)
+
+def _columns(term: str, joints: int) -> np.ndarray:
+    """Places of a friction term of all joints in `SerialArm.parameter_vector`."""
+    return (STANDARD + TERMS.index(term)) * joints + np.arange(joints)
 
 
 def parameter_map(base: BaseParameters, joints: int) -> np.ndarray:
     """Matrix T that leads from `SerialArm.parameter_vector` to the parameters of a `Fit`."""
-    terms = len(TERMS)
-    result = np.zeros((base.size + terms * joints, (N_INERTIAL + len(_DRIVE)) * joints))
-    structural = (N_INERTIAL + 1) * joints
+    terms, structural = len(TERMS), STANDARD * joints
+    result = np.zeros((base.size + terms * joints, structural + terms * joints))
     result[: base.size, :structural] = base.combination
-    for k in range(terms):
-        for j in range(joints):
-            result[base.size + terms * j + k, structural + joints * k + j] = 1.0
+    for k, term in enumerate(TERMS):
+        result[base.size + terms * np.arange(joints) + k, _columns(term, joints)] = 1.0
     return result
 
 
@@ -38,8 +40,7 @@ def prior_of_all(arm: SerialArm, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     size = np.maximum(np.abs(fit.friction), 10.0 * np.maximum(fit.scale, 1e-6)[:, None])
     width = 10.0 * size
     width[:, TERMS.index('load')] = LOAD_WIDTH
-    friction = width.T.ravel()
-    return (np.concatenate([mean, np.zeros(friction.size)]), np.concatenate([sigma, friction]))
+    return np.append(mean, np.zeros(width.size)), np.append(sigma, width.T)
 
 
 def consistent_parameters(
@@ -53,18 +54,13 @@ def consistent_parameters(
     n = len(arm.joints)
     mean, sigma = prior_of_all(arm, fit)
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
-    lower[N_INERTIAL * n : (N_INERTIAL + 1) * n] = 0.0  # rotors
-    for k, name in enumerate(TERMS):
-        part = slice((N_INERTIAL + 1 + k) * n, (N_INERTIAL + 2 + k) * n)
-        if name != 'offset':
-            lower[part] = 0.0
-        if name == 'load':
-            upper[part] = np.where(fit.used_load, 1.0, 0.0)
+    lower[N_INERTIAL * n :] = 0.0  # rotors and friction
+    lower[_columns('offset', n)] = -np.inf
+    upper[_columns('load', n)] = np.where(fit.used_load, 1.0, 0.0)
     passive = np.eye(len(mean))
-    viscous = (N_INERTIAL + 1 + TERMS.index('viscous')) * n + np.arange(n)
-    coulomb = (N_INERTIAL + 1 + TERMS.index('coulomb')) * n + np.arange(n)
     # Friction may fall with speed, but drives at none up to the limit.
-    passive[viscous, coulomb] = [-1.0 / joint.limits.velocity for joint in arm.joints]
+    limits = np.array([joint.limits.velocity for joint in arm.joints])
+    passive[_columns('viscous', n), _columns('coulomb', n)] = -1.0 / limits
     data = Quadratic(parameter_map(base, n) @ passive, fit.normal / strength, fit.right / strength)
     return passive @ nearest_consistent(data, mean, sigma, n, (lower, upper))
 
@@ -73,20 +69,13 @@ def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> Se
     """Arm with other parameters; ``values`` as `SerialArm.parameter_vector` gives them."""
     n = len(arm.joints)
     links = values[: N_INERTIAL * n].reshape(n, N_INERTIAL)
-    rotor, viscous, coulomb, load, offset = values[N_INERTIAL * n :].reshape(len(_DRIVE), n)
+    drives = values[N_INERTIAL * n :].reshape(-1, n).T.tolist()
     joints = []
-    for j, joint in enumerate(arm.joints):
-        friction = JointFriction(
-            float(offset[j]), float(viscous[j]), float(coulomb[j]), float(slope[j]), float(load[j])
-        )
-        joints.append(
-            replace(
-                joint,
-                link=LinkInertia.from_vector(links[j]),
-                friction=friction,
-                rotor_inertia=float(rotor[j]),
-            )
-        )
+    for joint, link, drive, bend in zip(arm.joints, links, drives, slope.tolist()):
+        rotor, viscous, coulomb, load, offset = drive
+        friction = JointFriction(offset, viscous, coulomb, bend, load)
+        body = LinkInertia.from_vector(link)
+        joints.append(replace(joint, link=body, friction=friction, rotor_inertia=rotor))
     return replace(arm, joints=tuple(joints))
 
 
@@ -99,21 +88,17 @@ def covariance_of_all(
     """
     n = len(arm.joints)
     _, sigma = prior_of_all(arm, fit)
-    transform = parameter_map(base, n) * sigma
     known = np.flatnonzero(np.diag(fit.covariance) > 0.0)
     scale = np.sqrt(np.diag(fit.covariance)[known])
-    correlation = fit.covariance[np.ix_(known, known)] / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(correlation)
+    values, vectors = np.linalg.eigh(fit.covariance[np.ix_(known, known)] / np.outer(scale, scale))
     values = np.maximum(values, 1e-9 * values[-1])
-    root = (vectors / np.sqrt(values)).T @ (transform[known] / scale[:, None])
-    information = root.T @ root + np.eye(len(sigma))
-    lower = np.linalg.cholesky(information)
+    transform = (parameter_map(base, n) * sigma)[known] / scale[:, None]
+    root = (vectors / np.sqrt(values)).T @ transform
+    lower = np.linalg.cholesky(root.T @ root + np.eye(len(sigma)))
     factor = np.linalg.solve(lower, np.diag(sigma))
-    held = np.ones(len(sigma), bool)
-    held[(N_INERTIAL + 1 + TERMS.index('load')) * n :][:n] = fit.used_load
-    factor[:, ~held] = 0.0
-    rounded = [[float(f'{v:.6g}') for v in row] for row in factor]
-    return ParameterCovariance(tuple(tuple(row) for row in rounded), determined)
+    factor[:, _columns('load', n)[~fit.used_load]] = 0.0
+    rounded = (tuple(float(f'{v:.6g}') for v in row) for row in factor)
+    return ParameterCovariance(tuple(rounded), determined)
 
 
 def fit_of(arm: SerialArm, base: BaseParameters, fit: Fit) -> Fit:

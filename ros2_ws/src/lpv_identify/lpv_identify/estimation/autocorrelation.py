@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import correlate
 
 _DRAWS = 20
 _ROUNDS = 2
@@ -40,44 +41,40 @@ def residual_autocovariances(
     Weighted ``rows``, shape (samples, n, parameters), and ``residual``, shape (samples, n), are
     made of stretches of some ``lengths``; ``inverse`` is that of the normal matrix.
     """
-    n = residual.shape[1]
+    count, n = residual.shape
     most = max(2, int(0.15 * max(lengths)))
-    found = [_raw(residual[:, j], lengths, most) for j in range(n)]
-    ends = [_end(gamma, len(residual)) for gamma in found]
-    found = [gamma[:end] for gamma, end in zip(found, ends)]
-    errors = [gamma.copy() for gamma in found]
-    rng = np.random.default_rng(3)
+    found = [_ended(autocovariance(_stretches(r, lengths), most), count) for r in residual.T]
+    errors, rng = found, np.random.default_rng(3)
+    flat = rows.reshape(count * n, -1)
     for _ in range(_ROUNDS):
-        windowed = [_windowed(gamma) for gamma in errors]
-        left = [np.zeros(end) for end in ends]
+        left = [np.zeros(len(gamma)) for gamma in found]
         for _ in range(_DRAWS):
-            drawn = np.stack([_draw(gamma, len(residual), rng) for gamma in windowed], axis=1)
-            scores = np.einsum('ijk,ij->k', rows, drawn)
-            rest = drawn - rows @ (inverse @ scores)
-            for j in range(n):
-                change = _raw(drawn[:, j], lengths, ends[j]) - _raw(rest[:, j], lengths, ends[j])
-                left[j] += change / _DRAWS
+            drawn = np.stack([_draw(_windowed(gamma), count, rng) for gamma in errors], axis=1)
+            rest = drawn - rows @ (inverse @ (flat.T @ drawn.ravel()))
+            for lost, before, after in zip(left, drawn.T, rest.T):
+                both = [autocovariance(_stretches(e, lengths), len(lost)) for e in (before, after)]
+                lost += (both[0] - both[1]) / _DRAWS
         errors = [gamma + lost for gamma, lost in zip(found, left)]
     return [_windowed(gamma) for gamma in errors]
+
+
+def autocovariance(stretches: Sequence[np.ndarray], most: int) -> np.ndarray:
+    """Mean products of what is some samples apart, from lag 0 on, shape (most,)."""
+    sums = np.zeros(most)
+    for part in stretches:
+        lags = min(most, len(part))
+        sums[:lags] += correlate(part, part, method='fft')[len(part) - 1 :][:lags]
+    return sums / max(sum(len(part) for part in stretches), 1)
 
 
 def _stretches(values: np.ndarray, lengths: Sequence[int]) -> list[np.ndarray]:
     return np.split(values, np.cumsum(lengths)[:-1])
 
 
-def _raw(residual: np.ndarray, lengths: Sequence[int], most: int) -> np.ndarray:
-    sums, count = np.zeros(most), 0
-    for part in _stretches(residual, lengths):
-        count += len(part)
-        for lag in range(min(most, len(part))):
-            sums[lag] += part[lag:] @ part[: len(part) - lag]
-    return sums / max(count, 1)
-
-
-def _end(gamma: np.ndarray, samples: int) -> int:
+def _ended(gamma: np.ndarray, samples: int) -> np.ndarray:
     small = np.abs(gamma) < 2.0 * gamma[0] / np.sqrt(samples)
     runs = np.flatnonzero(np.convolve(small, np.ones(_RUN), 'valid') >= _RUN)
-    return min(len(gamma), 2 * (int(runs[0]) + 1)) if len(runs) else len(gamma)
+    return gamma[: 2 * (int(runs[0]) + 1)] if len(runs) else gamma
 
 
 def _windowed(gamma: np.ndarray) -> np.ndarray:

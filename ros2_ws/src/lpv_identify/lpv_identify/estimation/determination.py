@@ -4,13 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.estimation.regression import Fit
 from lpv_identify.model.base_parameters import BaseParameters
 from lpv_identify.model.friction import TERMS
 from lpv_identify.model.prior import structural_prior
 
 _LINK = ('mass', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
+_REMEDIES = (
+    (_LINK[:4], 'hold it, and those before it, in more different postures'),
+    ((*_LINK[4:], 'rotor'), 'accelerate it more'),
+    (TERMS, 'move it at more different speeds, both ways'),
+)
 
 
 @dataclass(frozen=True)
@@ -26,46 +31,19 @@ class Determination:
         """What motion is missing, one sentence for each joint of which much is unknown."""
         texts = []
         for name in joints:
-            missing = [
-                n.split(': ')[1]
-                for n, d in zip(self.names, self.determined)
-                if not d and n.startswith(f'{name}: ')
-            ]
-            inertial = [m for m in missing if m[0] in 'I' or m == 'rotor']
-            moments = [m for m in missing if m in ('mx', 'my', 'mz', 'mass')]
-            friction = [m for m in missing if m in TERMS]
-            if moments:
-                texts.append(
-                    f'{name}: {", ".join(moments)} not determined; hold it, and those '
-                    'before it, in more different postures'
-                )
-            if inertial:
-                texts.append(f'{name}: {", ".join(inertial)} not determined; accelerate it more')
-            if friction:
-                texts.append(
-                    f'{name}: {", ".join(friction)} not determined; move it at more '
-                    'different speeds, both ways'
-                )
+            whose = [one.partition(': ') for one, d in zip(self.names, self.determined) if not d]
+            for terms, remedy in _REMEDIES:
+                missing = [term for joint, _, term in whose if joint == name and term in terms]
+                if missing:
+                    texts.append(f'{name}: {", ".join(missing)} not determined; {remedy}')
         return texts
 
 
 def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
-    """Compare the uncertainty that data leave with that of the prior.
+    """Compare the uncertainty that data leave, of a fit without a prior, with that of the arm's.
 
-    Parameters
-    ----------
-    base : BaseParameters
-        Of the fit.
-    fit : Fit
-        Fit without a prior.
-    arm : SerialArm
-        Arm of the prior.
-
-    Returns
-    -------
-    Determination
-        A base parameter counts as determined if its standard deviation is below half of the
-        prior's, a friction parameter if it is below half of the joint's friction.
+    A base parameter counts as determined if its standard deviation is below half of the prior's, a
+    friction parameter if it is below half of the joint's friction.
     """
     names = parameter_names(base, arm.joint_names)
     used = np.diag(fit.normal) > 0.0
@@ -87,10 +65,7 @@ def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
 
 def parameter_names(base: BaseParameters, joints: tuple[str, ...]) -> list[str]:
     """Names of a fit's parameters; a base parameter has that of the column that stands for it."""
-    names = []
-    for column in base.columns:
-        if column >= N_INERTIAL * len(joints):
-            names.append(f'{joints[column - N_INERTIAL * len(joints)]}: rotor')
-        else:
-            names.append(f'{joints[column // N_INERTIAL]}: {_LINK[column % N_INERTIAL]}')
-    return names + [f'{joint}: {term}' for joint in joints for term in TERMS]
+    structural = [f'{joint}: {part}' for joint in joints for part in _LINK]
+    structural += [f'{joint}: rotor' for joint in joints]
+    friction = [f'{joint}: {term}' for joint in joints for term in TERMS]
+    return [structural[column] for column in base.columns] + friction

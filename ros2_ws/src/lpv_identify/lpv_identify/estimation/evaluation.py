@@ -7,6 +7,7 @@ import numpy as np
 
 from lpv_identify.estimation.regression import Filters, Fit, Rows, model_torque
 from lpv_identify.recordings.filters import causal_low_pass, low_pass
+from lpv_identify.recordings.motion import Motion
 
 
 @dataclass(frozen=True)
@@ -25,82 +26,38 @@ class Prediction:
     """Measured and predicted torque along a recording, arrays of shape (samples, n)."""
 
     time: np.ndarray  # shape (samples,) [s]
-    measured: np.ndarray  # [N m]
+    measured: np.ndarray  # not filtered [N m]
     predicted: np.ndarray  # [N m]
     residual_band: np.ndarray  # after the causal low-pass [N m]
     position: np.ndarray  # [rad]
     velocity: np.ndarray  # [rad/s]
 
+    @property
+    def residual(self) -> np.ndarray:
+        """Measured less predicted torque [N m]."""
+        return self.measured - self.predicted
 
-def predict(
-    rows: Rows, fit: Fit, filters: Filters, time: np.ndarray, position: np.ndarray
-) -> Prediction:
-    """Prediction over the counted samples of a segment.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of the segment.
-    fit : Fit
-        Parameters.
-    filters : Filters
-        The effort sensor's bandwidth and that of the analysis.
-    time, position : ndarray
-        Of all samples of the segment.
-
-    Returns
-    -------
-    Prediction
-        The measured torque is not filtered.
-    """
+def predict(rows: Rows, fit: Fit, filters: Filters, motion: Motion) -> Prediction:
+    """Prediction over the counted samples of a segment's rows and motion."""
     predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
     band = causal_low_pass(rows.effort - predicted, filters.test, rows.step)
-    part = rows.part
-    return Prediction(
-        time[part],
-        rows.effort[part],
-        predicted[part],
-        band[part],
-        position[part],
-        rows.velocity[part],
-    )
+    signals = motion.time, rows.effort, predicted, band, motion.position, rows.velocity
+    return Prediction(*(signal[rows.part] for signal in signals))
 
 
 def figures(predictions: Sequence[Prediction], filters: Filters, step: float) -> Figures:
-    """Figures over several stretches.
-
-    Parameters
-    ----------
-    predictions : sequence of Prediction
-        Stretches.
-    filters : Filters
-        Those of the predictions.
-    step : float
-        Sample time [s].
-
-    Returns
-    -------
-    Figures
-        Of every joint.
-    """
+    """Figures over several stretches of some sample time [s]."""
     measured = np.concatenate([p.measured for p in predictions])
-    residual = measured - np.concatenate([p.predicted for p in predictions])
+    square = np.mean(np.concatenate([p.residual for p in predictions]) ** 2, axis=0)
     band = np.concatenate([p.residual_band for p in predictions])
-    rms = np.sqrt(np.mean(residual**2, axis=0))
-    spread = np.maximum(np.ptp(measured, axis=0), 1e-12)
-    variance = np.maximum(np.var(measured, axis=0), 1e-24)
     lag = max(1, int(round(0.5 / (min(filters.test, 0.5 / step) * step))))
     centred = band - band.mean(axis=0)
-    power = np.maximum(np.mean(centred**2, axis=0), 1e-24)
-    correlation = (
-        np.mean(centred[lag:] * centred[:-lag], axis=0) / power
-        if len(centred) > lag
-        else np.zeros(len(rms))
-    )
+    products = centred[lag:] * centred[:-lag] if len(centred) > lag else 0.0 * centred
     return Figures(
-        rms,
+        np.sqrt(square),
         np.sqrt(np.mean(band**2, axis=0)),
-        rms / spread,
-        1.0 - np.mean(residual**2, axis=0) / variance,
-        correlation,
+        np.sqrt(square) / np.maximum(np.ptp(measured, axis=0), 1e-12),
+        1.0 - square / np.maximum(np.var(measured, axis=0), 1e-24),
+        np.mean(products, axis=0) / np.maximum(np.mean(centred**2, axis=0), 1e-24),
     )

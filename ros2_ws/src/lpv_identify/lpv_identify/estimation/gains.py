@@ -5,17 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.estimation.regression import (
-    Filters,
-    Prior,
-    Problem,
-    Rows,
-    fit_parameters,
-    invert_normal,
-    join_columns,
-    normal_matrix,
-)
+from lpv_core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv_identify.estimation.assembly import with_parameters
+from lpv_identify.estimation.regression import Filters, Problem, Rows, fit_parameters
+from lpv_identify.estimation.robust import invert_normal, normal_equations
+from lpv_identify.model.friction import TERMS
+from lpv_identify.model.prior import Prior
 
 _ROUNDS = 12
 _STEP = 0.4  # largest relative change of a gain in a round
@@ -44,21 +39,16 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
         found = _sizes(rows, fit.parameters)
         common = float(np.linalg.norm(expected) / max(float(np.linalg.norm(found)), 1e-12))
         problem = Problem(scaled, filters, np.zeros(n, bool))
-        design = join_columns(problem.base, problem.friction(fit.slope, None))
-        column = (design @ fit.parameters)[:, :, None] * np.eye(n)
-        full = np.concatenate([design, column], axis=2)
+        design = problem.design(fit.slope, None)
+        full = np.concatenate([design, (design @ fit.parameters)[:, :, None] * np.eye(n)], axis=2)
         weight = np.broadcast_to(1.0 / fit.scale**2, problem.effort.shape)
-        matrix = normal_matrix(full, weight)
-        right = np.einsum('ijk,ij->k', full, weight * problem.effort)
-        size = len(fit.parameters)
-        matrix[:size, :size] += prior.information
-        right[:size] += prior.information @ prior.mean
-        matrix[size:, size:] += np.diag(held)
-        right[size:] += held * np.log(gains / start)
+        matrix, right = normal_equations(full, problem.effort, weight, prior)
+        matrix[-n:, -n:] += np.diag(held)
+        right[-n:] += held * np.log(gains / start)
         # Ratios only: the scale of all, by the joints that carry most, is held.
         share = found / max(float(found.sum()), 1e-12)
-        matrix[size:, size:] += 1e3 * np.trace(matrix[size:, size:]) * np.outer(share, share)
-        step = (invert_normal(matrix) @ right)[size:]
+        matrix[-n:, -n:] += 1e3 * np.trace(matrix[-n:, -n:]) * np.outer(share, share)
+        step = (invert_normal(matrix) @ right)[-n:]
         change = np.clip(step, -_STEP, _STEP) - np.clip(np.log(common), -_STEP, _STEP)
         gains = gains * np.exp(-change)
         if np.max(np.abs(change)) < 1e-3:
@@ -95,31 +85,18 @@ def _start(rows: Sequence[Rows], prior: Prior) -> tuple[np.ndarray, np.ndarray]:
 
 def rescaled(arm: SerialArm, factor: float) -> SerialArm:
     """Arm whose torques, masses and inertias are all larger by a factor."""
+    factors = np.full((N_INERTIAL + 1 + len(TERMS), len(arm.joints)), factor)
+    factors[N_INERTIAL + 1 + TERMS.index('load')] = 1.0  # has no unit
+    slope = np.array([joint.friction.coulomb_slope for joint in arm.joints])
+    scaled = with_parameters(arm, factors.ravel() * arm.parameter_vector(), slope)
     joints = []
-    for joint in arm.joints:
-        friction = joint.friction
+    for joint in scaled.joints:
         tolerance = joint.torque_tolerance
-        joints.append(
-            replace(
-                joint,
-                link=type(joint.link).from_vector(factor * joint.link.to_vector()),
-                friction=replace(
-                    friction,
-                    offset=factor * friction.offset,
-                    viscous=factor * friction.viscous,
-                    coulomb=factor * friction.coulomb,
-                ),
-                rotor_inertia=factor * joint.rotor_inertia,
-                torque_gain=factor * joint.torque_gain,
-                torque_tolerance=replace(
-                    tolerance, torque=tuple(factor * t for t in tolerance.torque)
-                ),
-            )
-        )
+        tolerance = replace(tolerance, torque=tuple(factor * t for t in tolerance.torque))
+        gain = factor * joint.torque_gain
+        joints.append(replace(joint, torque_gain=gain, torque_tolerance=tolerance))
     covariance = arm.covariance
     if covariance is not None:
-        rows = np.array(covariance.factor) * factor
-        n = len(joints)
-        rows[:, 13 * n : 14 * n] /= factor  # load-dependent friction has no unit
-        covariance = replace(covariance, factor=tuple(tuple(row) for row in rows.tolist()))
-    return replace(arm, joints=tuple(joints), covariance=covariance)
+        rows = np.array(covariance.factor) * factors.ravel()
+        covariance = replace(covariance, factor=tuple(map(tuple, rows.tolist())))
+    return replace(scaled, joints=tuple(joints), covariance=covariance)

@@ -101,18 +101,13 @@ def identify(
     fit, strength = workshop.fit(share)
     found = workshop.arm_of(fit, strength)
     held_back = workshop.test_rows(share, tests)
-    predictions = [
-        predict(
-            rows, fit_of(found, workshop.base, fit), workshop.filters, motion.time, motion.position
-        )
-        for rows, motion in held_back
-    ]
-    before = [
-        predict(
-            rows, fit_of(arm, workshop.base, fit), workshop.filters, motion.time, motion.position
-        )
-        for rows, motion in held_back
-    ]
+    predictions, before = (
+        [
+            predict(rows, fit_of(one, workshop.base, fit), workshop.filters, motion)
+            for rows, motion in held_back
+        ]
+        for one in (found, arm)
+    )
     if options.refit:
         fit, _ = workshop.fit(1.0)
         found = workshop.arm_of(fit, strength)
@@ -151,26 +146,17 @@ def _finish(
 ) -> SerialArm:
     """The arm with sensors, tolerances, delays and covariance."""
     speed = np.concatenate([p.velocity for p in predictions])
-    residual = np.concatenate([p.measured - p.predicted for p in predictions])
+    residual = np.concatenate([p.residual for p in predictions])
     joints = []
-    for j, joint in enumerate(arm.joints):
-        joints.append(
-            replace(
-                joint,
-                sensors=sensing.of_joint(j, joint.sensors),
-                effort_delay=float(workshop.effort_delay[j]),
-                torque_tolerance=torque_tolerance(speed[:, j], residual[:, j]),
-            )
-        )
-    covariance = covariance_of_all(
-        workshop.arm, workshop.base, fit, int(determination.determined.sum())
-    )
-    stretches = [p.measured - p.predicted for p in predictions]
+    for joint, delay, rate, rest in zip(arm.joints, workshop.effort_delay, speed.T, residual.T):
+        tolerance = torque_tolerance(rate, rest)
+        joints.append(replace(joint, effort_delay=float(delay), torque_tolerance=tolerance))
+    determined = int(determination.determined.sum())
+    stretches = [p.residual for p in predictions]
     error = torque_error([p.velocity for p in predictions], stretches, workshop.step)
     return replace(
-        error.on(arm),
-        joints=tuple(joints),
-        covariance=covariance,
+        error.on(sensing.on(replace(arm, joints=tuple(joints)))),
+        covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),
         sample_time=workshop.step,
         effort_bandwidth=workshop.filters.effort,
     )

@@ -11,24 +11,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.model.base_parameters import BaseParameters, find_base_parameters
-from lpv_identify.model.friction import friction_columns
-from lpv_identify.model.prior import structural_prior
-from lpv_identify.model.rigid_body import build_model, torque_regressor
+from lpv_identify.estimation.robust import robust_fit
+from lpv_identify.model.base_parameters import find_base_parameters
+from lpv_identify.model.friction import friction_columns, join_columns
+from lpv_identify.model.prior import Prior, base_prior
+from lpv_identify.model.rigid_body import RigidBody
 from lpv_identify.recordings.filters import derivative, low_pass, shifted
 from lpv_identify.recordings.motion import Segment, find_bandwidths, split
 from lpv_identify.recordings.recording import Recording
 
 _SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named
+_COST = 2.0  # logarithm of how much less likely a mistake is than none, of one joint
 _MOST = 3  # mistakes that are looked for, one after another
 _SLOPE = 50.0  # of the Coulomb term [s/rad]
-_HUBER = 3.0
+_FREE = 1e-6  # information on friction before the data
 _LEAST_TILT = np.radians(1.5)
-_LEAST_DELAY = 0.02  # what filters of drivers do is no mistake [s]
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
 _FACTOR = 2.0  # within which efforts may be N m
-_DELAYS = (-0.05, *np.arange(0.02, 0.11, 0.01))  # [s]
+_DELAYS = (-0.05, *np.arange(0.02, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
 _MOST_SAMPLES = 1500
+_Tried = Iterator[tuple[str, '_Setup']]
 
 
 @dataclass(frozen=True)
@@ -66,10 +68,7 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     list of Mistake
         Empty if the data fit what the file says, or do not tell.
     """
-    gain = np.array([joint.torque_gain for joint in arm.joints])
-    delay = np.array([joint.effort_delay for joint in arm.joints])
-    segments = [s for one in recordings for s in split(one)]
-    slow = _slow([_corrected(s, gain, delay) for s in segments])
+    slow = _slow(arm, [s for one in recordings for s in split(one)])
     judge = _Judge(arm, slow)
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
     setup = judge.setup(slow, gravity)
@@ -77,8 +76,8 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     before, _ = judge.evidence(setup)
     for _ in range(_MOST):
         best: tuple[float, Mistake, _Setup] | None = None
-        for kind, text, other, cost in judge.hypotheses(setup, {m.kind for m in found}):
-            value = judge.evidence(other)[0] - cost - before
+        for kind, text, other in judge.hypotheses(setup, {m.kind for m in found}):
+            value = judge.evidence(other)[0] - judge.cost - before
             if best is None or value > best[0]:
                 best = value, Mistake(kind, text, value), other
         if best is None or best[0] < _SURE:
@@ -88,24 +87,21 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     return found
 
 
-def _corrected(segment: Segment, gain: np.ndarray, delay: np.ndarray) -> Segment:
-    return replace(segment, effort=shifted(segment.effort * gain, -delay, segment.step))
-
-
-def _slow(segments: Sequence[Segment]) -> tuple[Segment, ...]:
-    """The segments below the bandwidth of the analysis, in no more samples than that needs."""
+def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    """Torques below the bandwidth of the analysis, in no more samples than that needs."""
+    gain = np.array([joint.torque_gain for joint in arm.joints])
+    delay = np.array([joint.effort_delay for joint in arm.joints])
     bands = find_bandwidths(list(segments))
     total = sum(len(s.time) for s in segments)
     result = []
     for one in segments:
         every = max(1, int(1.0 / (8.0 * bands.analysis * one.step)), total // _MOST_SAMPLES)
         cutoff = min(bands.analysis, 0.25 / (every * one.step))
-        position, effort = (low_pass(x, cutoff, one.step) for x in (one.position, one.effort))
-        velocity = derivative(position, one.step)
+        torque = shifted(one.effort * gain, -delay, one.step)
+        position, effort = (low_pass(x, cutoff, one.step) for x in (one.position, torque))
+        signals = one.time, position, derivative(position, one.step), effort
         cut = slice(every, len(one.time) - every, every)
-        result.append(
-            Segment(every * one.step, one.time[cut], position[cut], velocity[cut], effort[cut])
-        )
+        result.append(Segment(every * one.step, *(signal[cut] for signal in signals)))
     return tuple(result)
 
 
@@ -113,30 +109,26 @@ class _Judge:
     """Evidence of set-ups of one arm."""
 
     def __init__(self, arm: SerialArm, segments: Sequence[Segment]):
-        self._arm, self._model = arm, build_model(arm)
-        self._base: BaseParameters = find_base_parameters(self._model)
-        mean, sigma = structural_prior(arm)
-        base = self._base.combination
-        covariance = (base * sigma**2) @ base.T
-        self._mean, self._information = base @ mean, np.linalg.inv(covariance)
+        self._arm, self._model = arm, RigidBody(arm)
+        self._base = find_base_parameters(self._model)
+        self._size = size = self._base.size
+        prior = base_prior(arm, self._base)
+        self._mean, self._information = prior.mean[:size], prior.information[:size, :size]
         duration = sum(s.time[-1] - s.time[0] for s in segments)
         self._samples = 2.0 * find_bandwidths(list(segments)).test * duration
+        self.cost = _COST + np.log(len(arm.joints))
 
     def setup(self, segments: tuple[Segment, ...], gravity: np.ndarray) -> _Setup:
-        n, model = self._model.nv, self._model.copy()
-        parts: list[list[np.ndarray]] = [[], [], [], []]
+        """A set-up with its regressors."""
+        parts = []
         for one in segments:
             assert one.velocity is not None  # segments are those of a filtered recording
-            q, v, a = one.position, one.velocity, derivative(one.velocity, one.step)
-            still = np.zeros(n)
-            rotors = a[:, :, None] * np.eye(n)
-            for k in range(4):
-                model.gravity.linear = np.eye(4)[k][1:]
-                motion = (q, v, a) if k == 0 else (q, still, still)
-                rigid = torque_regressor(model, *motion)
-                full = np.concatenate([rigid, rotors if k == 0 else 0.0 * rotors], axis=2)
-                parts[k].append(full[:, :, self._base.columns])
-        return _Setup(segments, gravity, tuple(np.concatenate(part) for part in parts))
+            still = np.zeros_like(one.position)
+            motion = one.velocity, derivative(one.velocity, one.step)
+            full = [self._model.regressor(one.position, *motion, np.zeros(3))]
+            full += [self._model.regressor(one.position, still, still, axis) for axis in np.eye(3)]
+            parts.append([part[:, :, self._base.columns] for part in full])
+        return _Setup(segments, gravity, tuple(np.concatenate(part) for part in zip(*parts)))
 
     def _regressor(self, setup: _Setup) -> np.ndarray:
         return setup.rigid[0] + sum(g * part for g, part in zip(setup.gravity, setup.rigid[1:]))
@@ -145,7 +137,7 @@ class _Judge:
         """Logarithm of the evidence but for a constant, and the base parameters."""
         regressor = self._regressor(setup)
         solution, scale = self._fit(setup, regressor)
-        beta = solution[: len(self._mean)]
+        beta = solution[: self._size]
         # Single parameters may be far off, hardly the torques of the whole arm.
         sizes = [float(np.linalg.norm(regressor @ b)) + 1e-9 for b in (beta, self._mean)]
         common = float(np.log(sizes[0] / sizes[1])) / _SCALE
@@ -158,51 +150,34 @@ class _Judge:
         effort = np.concatenate([s.effort for s in setup.segments])
         rates = np.concatenate([s.velocity for s in setup.segments])
         count, n, size = columns.shape
-        friction = friction_columns(rates, np.full(n, _SLOPE), np.zeros_like(rates))[
-            :, :, [0, 1, 3]
-        ]
-        spread = np.zeros((count, n, n, 3))
-        spread[:, np.arange(n), np.arange(n)] = friction
-        design = np.concatenate([columns, spread.reshape(count, n, 3 * n)], axis=2)
-        prior = np.zeros((design.shape[2],) * 2)
-        known = len(self._mean)
-        prior[:known, :known] = self._information
-        right = prior[:, :known] @ self._mean
-        prior[range(size, len(prior)), range(size, len(prior))] = 1e-6
-        least = 1e-3 * np.std(effort, axis=0) + 1e-9
-        scale, weight = np.maximum(np.std(effort, axis=0), least), np.ones_like(effort)
-        # As many samples as are independent of each other.
-        share = self._samples / count
-        for _ in range(4):
-            weights = share * weight / scale**2
-            flat = (design * np.sqrt(weights)[:, :, None]).reshape(count * n, -1)
-            matrix = flat.T @ flat + prior
-            solution = np.linalg.lstsq(
-                matrix, np.einsum('ijk,ij->k', design, weights * effort) + right, rcond=1e-13
-            )[0]
-            residual = effort - design @ solution
-            scale = np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, least)
-            weight = _HUBER / np.maximum(np.abs(residual) / scale, _HUBER)
+        friction = friction_columns(rates, np.full(n, _SLOPE), np.zeros_like(rates))
+        design = join_columns(columns, friction[:, :, [0, 1, 3]])
+        information = np.diag(np.where(np.arange(design.shape[2]) < size, 0.0, _FREE))
+        information[: self._size, : self._size] = self._information
+        mean = np.append(self._mean, np.zeros(len(information) - self._size))
+        spread = np.std(effort, axis=0)
+        least = 1e-3 * spread + 1e-9
+        solution, _, scale = robust_fit(
+            design, effort, np.maximum(spread, least), Prior(mean, information),
+            rounds=4, share=self._samples / count, least=least,
+        )  # fmt: skip
         return solution, scale
 
-    def hypotheses(
-        self, setup: _Setup, without: set[str]
-    ) -> Iterator[tuple[str, str, _Setup, float]]:
-        """Kind, text, set-up, and logarithm of the price of each mistake."""
-        names, n = self._arm.joint_names, self._model.nv
+    def hypotheses(self, setup: _Setup, without: set[str]) -> Iterator[tuple[str, str, _Setup]]:
+        """Kind, text and set-up of each mistake."""
         for kind, tried in (
-            ('gravity', self._gravities(setup)),
-            ('weight', self._weightless(setup)),
-            ('sign', self._signs(setup)),
-            ('names', self._swaps(setup)),
-            ('delay', self._delays(setup)),
-            ('unit', self._units(setup)),
+            ('gravity', self._gravities),
+            ('weight', self._weightless),
+            ('sign', self._signs),
+            ('names', self._swaps),
+            ('delay', self._delays),
+            ('unit', self._units),
         ):
             if kind not in without:
-                for text, other in tried:
-                    yield kind, text, other, 2.0 + np.log(max(n, len(names)))
+                for text, other in tried(setup):
+                    yield kind, text, other
 
-    def _gravities(self, setup: _Setup) -> Iterator[tuple[str, _Setup]]:
+    def _gravities(self, setup: _Setup) -> _Tried:
         size = self._arm.gravity
         if not size > 0.0:
             return
@@ -224,7 +199,7 @@ class _Judge:
                 found,
             )
 
-    def _weightless(self, setup: _Setup) -> Iterator[tuple[str, _Setup]]:
+    def _weightless(self, setup: _Setup) -> _Tried:
         if setup.gravity.any():
             text = 'efforts do not contain the torque that holds the weight (--without-gravity)'
             yield text, replace(setup, gravity=np.zeros(3))
@@ -236,11 +211,8 @@ class _Judge:
             _, beta = self.evidence(setup)
             down = setup.gravity / size
             across = np.linalg.svd(down[None])[2][1:]  # two directions that turn it
-            slopes = [
-                sum(a * (part @ beta) for a, part in zip(size * axis, setup.rigid[1:]))
-                for axis in across
-            ]
-            columns = np.concatenate([self._regressor(setup), np.stack(slopes, axis=2)], axis=2)
+            pulls = np.stack([part @ beta for part in setup.rigid[1:]], axis=2)
+            columns = np.concatenate([self._regressor(setup), size * pulls @ across.T], axis=2)
             solution, _ = self._fit(setup, columns)
             turn = np.clip(solution[len(beta) : len(beta) + 2], -0.5, 0.5) @ across
             setup = replace(setup, gravity=size * (down + turn) / np.linalg.norm(down + turn))
@@ -252,7 +224,7 @@ class _Judge:
         pairs = zip(setup.segments, efforts)
         return replace(setup, segments=tuple(replace(s, effort=e) for s, e in pairs))
 
-    def _signs(self, setup: _Setup) -> Iterator[tuple[str, _Setup]]:
+    def _signs(self, setup: _Setup) -> _Tried:
         names = self._arm.joint_names
         for j, name in enumerate((*names, None)):
             sign = np.where(np.arange(len(names)) == j, -1.0, 1.0) if name else -1.0
@@ -262,24 +234,16 @@ class _Judge:
                 self._changed(setup, [sign * s.effort for s in setup.segments]),
             )
 
-    def _swaps(self, setup: _Setup) -> Iterator[tuple[str, _Setup]]:
+    def _swaps(self, setup: _Setup) -> _Tried:
         names = self._arm.joint_names
         for j in range(len(names) - 1):
             order = np.arange(len(names))
             order[[j, j + 1]] = j + 1, j
-            swapped = tuple(
-                replace(
-                    s,
-                    position=s.position[:, order],
-                    velocity=None if s.velocity is None else s.velocity[:, order],
-                    effort=s.effort[:, order],
-                )
-                for s in setup.segments
-            )
+            swapped = tuple(s.with_joints(order) for s in setup.segments)
             text = f'signals of {names[j]} and {names[j + 1]} are swapped: their names are wrong'
             yield text, replace(self.setup(swapped, setup.gravity), gain=setup.gain)
 
-    def _delays(self, setup: _Setup) -> Iterator[tuple[str, _Setup]]:
+    def _delays(self, setup: _Setup) -> _Tried:
         for delay in _DELAYS:
             how = 'late' if delay > 0.0 else 'early'
             yield (
@@ -287,7 +251,7 @@ class _Judge:
                 self._changed(setup, [shifted(s.effort, -delay, s.step) for s in setup.segments]),
             )
 
-    def _units(self, setup: _Setup) -> Iterator[tuple[str, _Setup]]:
+    def _units(self, setup: _Setup) -> _Tried:
         expected = np.std(self._regressor(setup) @ self._mean, axis=0)
         measured = np.std(np.concatenate([s.effort for s in setup.segments]), axis=0)
         carries = expected > 0.1 * expected.max()

@@ -5,15 +5,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lpv_core.serial_arm.chain import body_parameters
 from lpv_core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
 from lpv_identify.errors import IdentificationError
+from lpv_identify.estimation.robust import huber, robust_fit
 from lpv_identify.estimation.torque_error import model_residual
-from lpv_identify.model.rigid_body import build_model, torque_regressor
+from lpv_identify.model.rigid_body import RigidBody
 from lpv_identify.recordings.filters import derivative, low_pass
 from lpv_identify.recordings.motion import Segment, find_bandwidths, split
 from lpv_identify.recordings.recording import Recording
 
 _HUBER = 2.0
+_BLOCKS = 20
+_Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -21,9 +25,9 @@ class Payload:
     """What was found of a tool."""
 
     mass: float  # [kg]
-    center: tuple[float, float, float]  # in the frame of the last joint [m]
+    center: _Triple  # in the frame of the last joint [m]
     mass_sigma: float  # standard deviation [kg]
-    center_sigma: tuple[float, float, float]  # [m]
+    center_sigma: _Triple  # [m]
     rms_before: float  # torque residual without the tool [N m]
     rms_after: float  # with it [N m]
     warnings: tuple[str, ...] = ()
@@ -52,44 +56,37 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     IdentificationError
         If the recordings do not show the tool.
     """
-    rows, target = [], []
-    for recording in recordings:
-        for segment in split(recording):
-            design, rest = _balance(arm, segment)
-            rows.append(design)
-            target.append(rest)
-    design, rest = np.concatenate(rows), np.concatenate(target)
+    parts = [_balance(arm, segment) for one in recordings for segment in split(one)]
+    design, rest = (np.concatenate(part) for part in zip(*parts))
     scale = np.maximum(np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-6)
-    linear = np.delete(design, np.s_[4:N_INERTIAL], axis=2)
-    solution, covariance, residual = _solve(linear, rest, scale)
-    for _ in range(3):  # the inertia of a point mass at the centre is known with it
+    linear, turning = np.delete(design, np.s_[4:N_INERTIAL], axis=2), 0.0 * rest
+    for _ in range(4):  # the inertia of a point mass at the centre is known with it
+        solution, residual, last = robust_fit(linear, rest - turning, scale, bound=_HUBER)
         mass = max(float(solution[0]), 1e-6)
-        inertia = _point_mass(mass, solution[1:4] / mass)[4:]
-        turning = design[:, :, 4:N_INERTIAL] @ inertia
-        solution, covariance, residual = _solve(linear, rest - turning, scale)
-    mass, first = float(solution[0]), solution[1:4]
-    sigma = np.sqrt(np.diag(covariance))
+        point = body_parameters(mass, solution[1:4] / mass, np.zeros((3, 3)))
+        turning = design[:, :, 4:N_INERTIAL] @ point[4:]
+    mass, center = float(solution[0]), solution[1:4] / solution[0]
+    sigma = _deviations(linear, residual, last)
     if not mass > 2.0 * sigma[0]:
         raise IdentificationError(
             f'the recording shows no tool: mass {mass:.3f} kg within '
             f'{2 * sigma[0]:.3f} kg; move the joints that carry its weight'
         )
-    center = first / mass
-    center_sigma = np.sqrt(sigma[1:4] ** 2 + (center * sigma[0]) ** 2) / mass
+    spread = np.sqrt(sigma[1:4] ** 2 + (center * sigma[0]) ** 2) / mass
     warnings = [
         f'{axis} of the centre is not determined: turn the wrist to other postures'
-        for axis, s in zip('xyz', center_sigma)
+        for axis, s in zip('xyz', spread)
         if s > 0.1
     ]
+    before, after = (float(np.sqrt(np.mean(error**2))) for error in (rest, residual))
     return Payload(
-        mass,
-        (float(center[0]), float(center[1]), float(center[2])),
-        float(sigma[0]),
-        (float(center_sigma[0]), float(center_sigma[1]), float(center_sigma[2])),
-        float(np.sqrt(np.mean(rest**2))),
-        float(np.sqrt(np.mean(residual**2))),
-        tuple(warnings),
-    )
+        mass, _triple(center), float(sigma[0]), _triple(spread), before, after, tuple(warnings)
+    )  # fmt: skip
+
+
+def _triple(values: np.ndarray) -> _Triple:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
@@ -97,47 +94,32 @@ def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
     n = len(arm.joints)
     motion, residual = model_residual(arm, segment)
     acceleration = derivative(motion.velocity, motion.step)
-    regressor = torque_regressor(build_model(arm), motion.position, motion.velocity, acceleration)
-    tool = regressor[:, :, N_INERTIAL * (n - 1) :]
+    regressor = RigidBody(arm).regressor(motion.position, motion.velocity, acceleration)
+    tool = regressor[:, :, N_INERTIAL * (n - 1) : N_INERTIAL * n]
     cutoff = find_bandwidths([segment]).analysis
     thin = max(1, int(1.0 / (8.0 * cutoff * motion.step)))
     cut = slice(len(tool) // 20, len(tool) - len(tool) // 20, thin)
     filtered = low_pass(tool, arm.effort_bandwidth, motion.step, cutoff)[cut]
     offsets = np.broadcast_to(np.eye(n), (len(filtered), n, n))
-    return (
-        np.concatenate([filtered, offsets], axis=2), low_pass(residual, cutoff, motion.step)[cut]
-    )  # fmt: skip
+    design = np.concatenate([filtered, offsets], axis=2)
+    return design, low_pass(residual, cutoff, motion.step)[cut]
 
 
-def _solve(
-    design: np.ndarray, rest: np.ndarray, scale: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Huber's estimate and its covariance, clustered over blocks of time."""
-    weight = np.ones_like(rest)
-    for _ in range(8):
-        root = np.sqrt(weight) / scale
-        flat = (design * root[:, :, None]).reshape(-1, design.shape[2])
-        solution = np.linalg.lstsq(flat, (rest * root).ravel(), rcond=1e-10)[0]
-        residual = rest - design @ solution
-        scale = np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, 1e-9)
-        weight = _HUBER / np.maximum(np.abs(residual / scale), _HUBER)
+def _deviations(design: np.ndarray, residual: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Standard deviations of a robust fit, clustered over blocks of time."""
+    weight = huber(residual / scale, _HUBER) / scale**2
+    flat = (design * np.sqrt(weight)[:, :, None]).reshape(-1, design.shape[2])
     inverse = np.linalg.pinv(flat.T @ flat)
-    scores = np.einsum('ijk,ij->ik', design, weight / scale**2 * residual)
-    blocks = np.array_split(scores, min(20, len(scores)))
+    scores = np.einsum('ijk,ij->ik', design, weight * residual)
+    blocks = np.array_split(scores, min(_BLOCKS, len(scores)))
     sums = np.array([block.sum(axis=0) for block in blocks])
     meat = sums.T @ sums * len(blocks) / max(1, len(blocks) - 1)
-    return solution, inverse @ meat @ inverse, residual
+    return np.sqrt(np.diag(inverse @ meat @ inverse))
 
 
 def with_payload(arm: SerialArm, payload: Payload) -> SerialArm:
     """The arm with the tool on its last link, a point mass at its centre."""
-    tool = _point_mass(payload.mass, np.array(payload.center))
-    last = arm.joints[-1]
+    tool = body_parameters(payload.mass, payload.center, np.zeros((3, 3)))
+    *others, last = arm.joints
     link = LinkInertia.from_vector(last.link.to_vector() + tool)
-    return replace(arm, joints=(*arm.joints[:-1], replace(last, link=link)))
-
-
-def _point_mass(mass: float, center: np.ndarray) -> np.ndarray:
-    """Standard inertial parameters of a point mass."""
-    inertia = mass * (center @ center * np.eye(3) - np.outer(center, center))
-    return np.concatenate([[mass], mass * center, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    return replace(arm, joints=(*others, replace(last, link=link)))

@@ -5,14 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpv_identify.estimation.regression import (
-    Filters,
-    Fit,
-    Prior,
-    Rows,
-    fit_parameters,
-    model_torque,
-)
+from lpv_identify.estimation.regression import Filters, Fit, Rows, fit_parameters, model_torque
+from lpv_identify.estimation.robust import bounded_mean_square
+from lpv_identify.model.prior import Prior
 from lpv_identify.recordings.filters import causal_low_pass, low_pass
 
 Estimator = Callable[[Sequence[Rows]], Fit]
@@ -35,21 +30,6 @@ def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
     return replace(rows, part=slice(start, middle)), replace(rows, part=slice(middle, stop))
 
 
-def _folds(rows: Sequence[Rows]) -> list[tuple[list[Rows], list[Rows]]]:
-    """Training and validation rows of each block."""
-    result = []
-    for block in range(BLOCKS):
-        train, valid = [], []
-        for one in rows:
-            start, stop, _ = one.part.indices(len(one.effort))
-            edges = np.linspace(start, stop, BLOCKS + 1).astype(int)
-            before, after = slice(start, edges[block]), slice(edges[block + 1], stop)
-            train += [replace(one, part=p) for p in (before, after) if p.stop - p.start > 10]
-            valid.append(replace(one, part=slice(edges[block], edges[block + 1])))
-        result.append((train, valid))
-    return result
-
-
 def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.inf) -> np.ndarray:
     """Effort minus prediction over the counted samples, shape (samples, n) [N m].
 
@@ -66,13 +46,18 @@ def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator
     In the band of the analysis; ``rows`` are the training data.
     """
     total, count = np.zeros(rows[0].effort.shape[1]), 0
-    for train, valid in _folds(rows):
+    parts = [one.part.indices(len(one.effort))[:2] for one in rows]
+    edges = [np.linspace(*part, BLOCKS + 1).astype(int) for part in parts]
+    for block in range(BLOCKS):
+        train, valid = [], []
+        for one, (start, stop), edge in zip(rows, parts, edges):
+            rest = slice(start, edge[block]), slice(edge[block + 1], stop)
+            train += [replace(one, part=p) for p in rest if p.stop - p.start > 10]
+            valid.append(replace(one, part=slice(edge[block], edge[block + 1])))
         fit = estimate(train)
         for one in valid:
             error = residuals(one, fit, filters, filters.test)
-            # A contact must not decide.
-            bound = 4.0 * np.median(np.abs(error), axis=0) / 0.6745
-            total += np.sum(np.clip(error, -bound, bound) ** 2, axis=0)
+            total += len(error) * bounded_mean_square(error)
             count += len(error)
     return total / max(count, 1)
 
@@ -85,23 +70,23 @@ def choose_effort_band(
     Drivers report torques that are filtered.  Where the spectrum of the efforts ends below that
     of the model, a filter on the model explains what friction at reversals cannot.
     """
-    step = rows[0].step
-    errors: dict[float, np.ndarray] = {}
-    for band in (np.inf, *[b for b in EFFORT_BANDS[::-1] if b < 0.15 / step and _ends(rows, b)]):
+    errors: dict[float, float] = {}  # mean logarithms
+    bands = [b for b in EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
+    for band in (np.inf, *bands):
         trial = replace(filters, effort=band)
         fit = fit_parameters(rows, trial, use_load, prior, sweeps=3)
-        errors[band] = _raw_error(rows, fit, trial)
-        tried = [float(np.sum(np.log(e))) for e in errors.values()]
+        error = np.concatenate([residuals(one, fit, trial) for one in rows])
+        errors[band] = float(np.mean(np.log(bounded_mean_square(error))))
+        tried = list(errors.values())
         if len(tried) > 4 and min(tried[-3:]) > min(tried):
             break
-    best = min(errors, key=lambda band: float(np.sum(np.log(errors[band]))))
-    gain = np.exp(np.mean(np.log(errors[best] / errors[np.inf])))
-    return best if gain < _GAIN else np.inf
+    best = min(errors, key=lambda band: errors[band])
+    return best if errors[best] - errors[np.inf] < np.log(_GAIN) else np.inf
 
 
 def _ends(rows: Sequence[Rows], band: float) -> bool:
     """Whether efforts carry next to nothing beyond three times a bandwidth."""
-    beyond = total = 0.0
+    beyond = 0.0
     for one in rows:
         effort = one.effort[one.part]
         window = np.hanning(len(effort))[:, None]
@@ -109,24 +94,13 @@ def _ends(rows: Sequence[Rows], band: float) -> bool:
         power = power / np.maximum(power.sum(axis=0), 1e-300)
         high = np.fft.rfftfreq(len(effort), one.step) > 3.0 * band
         beyond += float(power[high].sum(axis=0).max())
-        total += 1.0
-    return beyond < _NOTHING * total
-
-
-def _raw_error(rows: Sequence[Rows], fit: Fit, filters: Filters) -> np.ndarray:
-    error = np.concatenate([residuals(one, fit, filters) for one in rows])
-    bound = 4.0 * np.median(np.abs(error), axis=0) / 0.6745
-    return np.mean(np.clip(error, -bound, bound) ** 2, axis=0)
+    return beyond < _NOTHING * len(rows)
 
 
 def choose_prior(
     rows: Sequence[Rows], filters: Filters, estimator_of: Callable[[float], Estimator]
 ) -> float:
     """Strength of the prior that predicts best; the largest of those that do equally well."""
-    errors = np.array(
-        [
-            np.mean(np.log(validation_error(rows, filters, estimator_of(strength))))
-            for strength in STRENGTHS
-        ]
-    )
+    found = [validation_error(rows, filters, estimator_of(strength)) for strength in STRENGTHS]
+    errors = np.mean(np.log(found), axis=1)
     return STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]

@@ -8,7 +8,8 @@ from scipy.optimize import nnls
 
 from lpv_core.serial_arm.description import SerialArm, TorqueTolerance
 from lpv_identify.errors import IdentificationError
-from lpv_identify.motions.simulation import joint_torques
+from lpv_identify.estimation.autocorrelation import autocovariance
+from lpv_identify.model.rigid_body import joint_torques
 from lpv_identify.recordings.filters import derivative, low_pass
 from lpv_identify.recordings.motion import Motion, Segment, find_bandwidths, smooth, split
 from lpv_identify.recordings.recording import Recording
@@ -31,10 +32,11 @@ class TorqueError:
 
     def on(self, arm: SerialArm) -> SerialArm:
         """The arm with this uncertainty."""
+        rest, growth = (tuple(float(f'{v:.4g}') for v in x) for x in (self.rest, self.growth))
         stated = replace(
             arm.uncertainty,
-            torque_error=tuple(float(f'{v:.4g}') for v in self.rest),
-            torque_error_speed=tuple(float(f'{v:.4g}') for v in self.growth),
+            torque_error=rest,
+            torque_error_speed=growth,
             torque_error_time=float(f'{self.time:.4g}'),
         )
         return replace(arm, uncertainty=stated)
@@ -54,54 +56,43 @@ class Calibration:
 def torque_error(
     rates: Sequence[np.ndarray], residuals: Sequence[np.ndarray], step: float
 ) -> TorqueError:
-    """Fit the size of what a model misses.
+    """Fit the size of what a model misses by least squares of the squares.
 
-    Parameters
-    ----------
-    rates, residuals : sequence of ndarray, shape (samples, n)
-        Joint rates [rad/s], and efforts minus the model's torques [N m], of stretches that did not
-        serve to identify the model.
-    step : float
-        Sample time [s].
-
-    Returns
-    -------
-    TorqueError
-        Rest and growth by least squares of the squares, twice weighted by what they say.
+    Of ``rates`` and ``residuals``, shape (samples, n) each [rad/s], [N m], of stretches that did
+    not serve to identify the model; ``step`` is the sample time [s].
     """
     noise = noise_deviation(residuals)
     speed, size = np.concatenate(rates) ** 2, np.concatenate(residuals) ** 2
-    rest, growth, times = [], [], []
-    for j in range(size.shape[1]):
+    n = size.shape[1]
+    rest, growth, times = np.zeros((3, n))
+    for j in range(n):
         least = max(1e-4 * float(np.mean(size[:, j])), 1e-18)
         target = np.maximum(size[:, j] - noise[j] ** 2, 0.0)
+        rows = np.column_stack([np.ones(len(target)), speed[:, j], target])
         variance = np.full(len(target), 1.0)
-        for _ in range(3):
-            design = np.column_stack([np.ones(len(target)), speed[:, j]]) / variance[:, None]
-            rows = np.column_stack([design, target / variance])
-            upper = np.asarray(np.linalg.qr(rows, mode='r'))
+        for _ in range(3):  # twice weighted by what the squares say
+            upper = np.asarray(np.linalg.qr(rows / variance[:, None], mode='r'))
             (constant, slope), _ = nnls(upper[:, :2], upper[:, 2])
             variance = np.maximum(constant + slope * speed[:, j], least)
             variance = variance / variance.mean()
-        rest.append(np.sqrt(max(constant, least)))
-        growth.append(np.sqrt(slope))
-        times.append(_correlation_time([r[:, j] for r in residuals], float(noise[j]), step))
-    return TorqueError(np.array(rest), np.array(growth), float(np.median(times)), noise)
+        rest[j], growth[j] = np.sqrt(max(constant, least)), np.sqrt(slope)
+        times[j] = step * _correlation_length([r[:, j] for r in residuals], float(noise[j]))
+    return TorqueError(rest, growth, float(np.median(times)), noise)
 
 
-def _correlation_time(residuals: Sequence[np.ndarray], noise: float, step: float) -> float:
-    """Time in which the correlation of what is not white falls to 1/e."""
-    count = sum(len(r) for r in residuals)
-    power = sum(float(r @ r) for r in residuals) / count - noise**2
+def _correlation_length(residuals: Sequence[np.ndarray], noise: float) -> float:
+    """Samples in which the correlation of what is not white falls to 1/e."""
     longest = max(2, max(len(r) for r in residuals) // 4)
-    last = 1.0
-    for lag in range(1, longest):
-        pairs = [r[lag:] @ r[:-lag] for r in residuals if len(r) > lag]
-        value = float(sum(pairs)) / max(count - lag * len(pairs), 1) / max(power, 1e-18)
-        if value < np.exp(-1.0):
-            return step * (lag - 1 + (last - np.exp(-1.0)) / max(last - value, 1e-9))
-        last = value
-    return step * longest
+    count = sum(len(r) for r in residuals)
+    gamma = autocovariance(residuals, longest)
+    pairs = [sum(max(len(r) - lag, 0) for r in residuals) for lag in range(longest)]
+    value = gamma * count / np.maximum(pairs, 1) / max(gamma[0] - noise**2, 1e-18)
+    value[0] = 1.0
+    below = np.flatnonzero(value < np.exp(-1.0))
+    if not len(below):
+        return longest
+    lag = int(below[0])
+    return lag - 1 + (value[lag - 1] - np.exp(-1.0)) / max(value[lag - 1] - value[lag], 1e-9)
 
 
 def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray]:
@@ -157,44 +148,24 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
         for name, speed in zip(arm.joint_names, fastest)
         if speed < _MOVES
     ]
-    joints = tuple(
-        replace(joint, sensors=sensing.of_joint(j, joint.sensors))
-        for j, joint in enumerate(arm.joints)
-    )
     rms = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
-    changed = error.on(replace(arm, joints=joints, sample_time=step))
+    changed = error.on(replace(sensing.on(arm), sample_time=step))
     return Calibration(changed, sensing, error, rms, tuple(warnings))
 
 
 def torque_tolerance(speed: np.ndarray, residual: np.ndarray) -> TorqueTolerance:
-    """Envelope of a joint's residuals over its speed.
+    """Envelope of a joint's residuals over its speed: 99 % of their magnitudes in bins of speed.
 
-    Parameters
-    ----------
-    speed : ndarray, shape (samples,)
-        Rates of the joint [rad/s].
-    residual : ndarray, shape (samples,)
-        Torque minus prediction of data that were held back [N m].
-
-    Returns
-    -------
-    TorqueTolerance
-        99 % of the residuals' magnitudes in bins of speed: finer near standstill, where friction
-        reverses.
+    Bins are finer near standstill, where friction reverses.  ``speed`` [rad/s] and ``residual``,
+    torque minus prediction [N m], of shape (samples,), are of data that were held back.
     """
     speed, size = np.abs(speed), np.abs(residual)
     edges = np.quantile(speed, np.linspace(0.0, 1.0, _BINS + 1) ** 1.5)
-    knots: list[float] = []
-    torques: list[float] = []
+    points: list[tuple[float, float]] = []
     for low, high in zip(edges[:-1], edges[1:]):
         inside = (speed >= low) & (speed <= high)
-        if inside.sum() < _LEAST:
-            continue
-        middle = float(np.median(speed[inside]))
-        if knots and middle <= knots[-1] + 1e-9:
-            continue
-        knots.append(round(middle, 6))
-        torques.append(float(np.quantile(size[inside], _QUANTILE)))
-    if not knots:
-        return TorqueTolerance((0.0,), (float(np.max(size, initial=0.0)),))
-    return TorqueTolerance(tuple(knots), tuple(torques))
+        middle = float(np.median(speed[inside])) if inside.sum() >= _LEAST else -1.0
+        if middle > (points[-1][0] if points else -1e-9) + 1e-9:
+            points.append((round(middle, 6), float(np.quantile(size[inside], _QUANTILE))))
+    knots, torques = zip(*(points or [(0.0, float(np.max(size, initial=0.0)))]))
+    return TorqueTolerance(knots, torques)

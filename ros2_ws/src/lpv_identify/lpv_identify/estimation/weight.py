@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_identify.estimation.regression import Filters, Prior, Rows, fit_parameters
+from lpv_identify.estimation.regression import Filters, Rows, fit_parameters
 from lpv_identify.estimation.selection import validation_error
+from lpv_identify.model.prior import Prior
 
 _SLOPE = 50.0  # of the Coulomb term while this is decided [s/rad]
 _SURE = 2.0  # ratio of errors above which one assumption is preferred
@@ -32,37 +33,14 @@ class WeightEvidence:
     @property
     def contains_weight(self) -> bool | None:
         """What the data say; None if they do not tell."""
-        if 1.0 / _SURE < self.ratio < _SURE:
-            return None
-        return self.ratio > 1.0
+        return None if 1.0 / _SURE < self.ratio < _SURE else self.ratio > 1.0
 
 
-def weigh(
-    with_weight: Sequence[Rows], without_weight: Sequence[Rows], filters: Filters, prior: Prior
-) -> WeightEvidence:
-    """Compare both assumptions.
-
-    Parameters
-    ----------
-    with_weight, without_weight : sequence of Rows
-        Training data under either assumption.
-    filters : Filters
-        Of the regression.
-    prior : Prior
-        Of all parameters; a weak one.
-
-    Returns
-    -------
-    WeightEvidence
-        Errors of both.
-    """
-    n = with_weight[0].effort.shape[1]
+def error_of(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
+    """RMS error of each joint on data held back of the training data, shape (n,) [N m]."""
+    n = rows[0].effort.shape[1]
     slope, no_load = np.full(n, _SLOPE), np.zeros(n, bool)
-
-    def error(rows: Sequence[Rows]) -> np.ndarray:
-        squares = validation_error(
-            rows, filters, lambda part: fit_parameters(part, filters, no_load, prior, slope)
-        )
-        return np.sqrt(np.maximum(squares, 1e-24))
-
-    return WeightEvidence(error(with_weight), error(without_weight))
+    squares = validation_error(
+        rows, filters, lambda part: fit_parameters(part, filters, no_load, prior, slope)
+    )
+    return np.sqrt(np.maximum(squares, 1e-24))

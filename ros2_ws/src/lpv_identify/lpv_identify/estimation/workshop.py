@@ -9,7 +9,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
 from lpv_identify.estimation.delays import MAX_DELAY, effort_delays, rate_delays
 from lpv_identify.estimation.gains import estimate_gains
-from lpv_identify.estimation.regression import Filters, Fit, Prior, Rows, fit_parameters, make_rows
+from lpv_identify.estimation.regression import Filters, Fit, Rows, fit_parameters, make_rows
 from lpv_identify.estimation.selection import (
     EQUAL,
     choose_effort_band,
@@ -17,11 +17,10 @@ from lpv_identify.estimation.selection import (
     divide,
     validation_error,
 )
-from lpv_identify.estimation.weight import WeightEvidence, weigh
-from lpv_identify.model.base_parameters import BaseParameters, find_base_parameters
-from lpv_identify.model.friction import TERMS
-from lpv_identify.model.prior import LOAD_WIDTH, structural_prior
-from lpv_identify.model.rigid_body import build_model
+from lpv_identify.estimation.weight import WeightEvidence, error_of
+from lpv_identify.model.base_parameters import find_base_parameters
+from lpv_identify.model.prior import Prior, base_prior
+from lpv_identify.model.rigid_body import RigidBody
 from lpv_identify.recordings.motion import (
     Motion,
     Segment,
@@ -45,28 +44,26 @@ class Workshop:
     """Recordings, and the choices that are made on the way."""
 
     def __init__(self, arm: SerialArm, recordings: Sequence[Recording]):
-        self.arm = arm
-        self.recordings = recordings
-        self.n = len(arm.joints)
+        self.arm, self.recordings, self.n = arm, recordings, len(arm.joints)
         self.gain = np.array([joint.torque_gain for joint in arm.joints])
         self.segments = [segment for one in recordings for segment in split(one)]
         self.warnings = [text for one in recordings for text in one.warnings]
         self.warnings += check_motion(self.segments, arm.joint_names)
         self.step = max(segment.step for segment in self.segments)
         self.bands = find_bandwidths(self.segments)
-        self.model = build_model(arm)
+        self.model = RigidBody(arm)
         self.base = find_base_parameters(self.model)
-        self.prior = _base_prior(arm, self.base)
+        self.prior = base_prior(arm, self.base)
         self.use_rates = self._are_rates_better()
-        self.rate_delay = (
-            rate_delays(self.segments, self.bands) if self.has_rates else np.zeros(self.n)
-        )
-        self.effort_delay = np.zeros(self.n)
-        self.joint_delays = np.zeros(self.n)
+        self.rate_delay, self.effort_delay, self.joint_delays = np.zeros((3, self.n))
+        if self.has_rates:
+            self.rate_delay = rate_delays(self.segments, self.bands)
         self.use_load = np.zeros(self.n, bool)
         thinning = max(1, int(1.0 / (8.0 * self.bands.analysis * self.step)))
         self.filters = Filters(np.inf, self.bands.analysis, thinning, self.bands.test)
         self.strength = 1.0
+        self.motions: list[Motion] = []
+        self.rows: list[Rows] = []
         self._prepare()
 
     @property
@@ -79,9 +76,8 @@ class Workshop:
         rates = [s.velocity for s in self.segments if s.velocity is not None]
         if not rates:
             return False
-        derived = noise_deviation([s.position for s in self.segments]) * (
-            2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
-        )
+        turning = 2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
+        derived = turning * noise_deviation([s.position for s in self.segments])
         return bool(np.median(noise_deviation(rates) / np.maximum(derived, 1e-15)) < 1.0)
 
     def estimate_gains(self, share: float) -> None:
@@ -89,11 +85,9 @@ class Workshop:
         if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
             return
         self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
-        joints = [
-            replace(joint, torque_gain=float(gain))
-            for joint, gain in zip(self.arm.joints, self.gain)
-        ]
-        self.arm = replace(self.arm, joints=tuple(joints))
+        pairs = zip(self.arm.joints, self.gain.tolist())
+        joints = tuple(replace(joint, torque_gain=gain) for joint, gain in pairs)
+        self.arm = replace(self.arm, joints=joints)
         self.warnings.append(
             'the scale of gains and masses is that of the masses given; a tool of known mass '
             'corrects it (--payload --known-mass)'
@@ -104,10 +98,12 @@ class Workshop:
         """Whether the efforts contain the weight, by prediction within the training data."""
         given = self.arm.effort_includes_gravity
         other = [self._rows(motion, True) for motion in self.motions]
-        taken, not_taken = self.train_rows(share), [divide(one, share)[0] for one in other]
-        weak = Prior(self.prior.mean, WEAK * self.prior.information)
-        pair = (taken, not_taken) if given else (not_taken, taken)
-        evidence = weigh(pair[0], pair[1], self.filters, weak)
+        weak = self.prior.times(WEAK)
+        errors = [
+            error_of([divide(one, share)[0] for one in rows], self.filters, weak)
+            for rows in (self.rows, other)
+        ]
+        evidence = WeightEvidence(*(errors if given else errors[::-1]))
         found = evidence.contains_weight
         if found is not None and found != given:
             factor = max(evidence.ratio, 1.0 / evidence.ratio)
@@ -137,25 +133,25 @@ class Workshop:
         return replace(rows, part=slice(margin, len(motion.time) - margin))
 
     def train_rows(self, share: float) -> list[Rows]:
+        """Rows of the first share of each segment."""
         return [divide(rows, share)[0] for rows in self.rows]
 
     def test_rows(self, share: float, tests: Sequence[Recording]) -> list[tuple[Rows, Motion]]:
+        """Rows and motion of other recordings, or of the rest of each segment."""
         if not tests:
-            return [
-                (divide(rows, share)[1], motion) for rows, motion in zip(self.rows, self.motions)
-            ]
+            pairs = zip(self.rows, self.motions)
+            return [(divide(rows, share)[1], motion) for rows, motion in pairs]
         motions = [self._motion(segment) for one in tests for segment in split(one)]
         return [(self._rows(motion), motion) for motion in motions]
 
     def choose(self, share: float, report: Callable[[str], None]) -> None:
         """Rates, bandwidth of the efforts, load, prior, delay: by prediction of training data."""
-        weak = Prior(self.prior.mean, WEAK * self.prior.information)
         report('choosing measured or computed rates')
         if self.has_rates:
             self._choose_rates(share)
         report('choosing the bandwidth of the efforts')
-        rows = self.train_rows(share)
-        band = choose_effort_band(rows, self.filters, self.use_load, weak)
+        weak = self.prior.times(WEAK)
+        band = choose_effort_band(self.train_rows(share), self.filters, self.use_load, weak)
         self.filters = replace(self.filters, effort=band)
         self.use_load = np.ones(self.n, bool)
         report('choosing the weight of the parameters given')
@@ -167,7 +163,7 @@ class Workshop:
         self, rows: Sequence[Rows], strength: float, slope: np.ndarray | None = None
     ) -> Fit:
         """Fit whose parameters belong to bodies of positive mass."""
-        prior = Prior(self.prior.mean, strength * self.prior.information)
+        prior = self.prior.times(strength)
         fit = fit_parameters(rows, self.filters, self.use_load, prior, slope)
         return fit_of(self.arm_of(fit, strength), self.base, fit)
 
@@ -182,8 +178,7 @@ class Workshop:
 
     def _choose_rates(self, share: float) -> None:
         """Measured rates or derivatives of positions: the other one if that predicts better."""
-        before = self._error(share)
-        kept = self.motions, self.rows
+        before, kept = self._error(share), (self.motions, self.rows)
         self.use_rates = not self.use_rates
         self._prepare()
         if self._error(share) > before + np.log(_BETTER):
@@ -204,8 +199,7 @@ class Workshop:
         A drive that follows late looks like a negative inertia, which no body has.  A prior that
         is too weak hides this: it lets masses take the delay's place.
         """
-        before = self._error(share)
-        kept = self.motions, self.rows
+        before, kept = self._error(share), (self.motions, self.rows)
         for _ in range(2):
             rows = self.train_rows(share)
             found = self.consistent_fit(rows, self.strength)
@@ -219,17 +213,16 @@ class Workshop:
 
     def fit(self, share: float) -> tuple[Fit, float]:
         """Fit with the prior, and its strength."""
-        rows = self.train_rows(share)
+        rows, strength = self.train_rows(share), self.strength
         passive = self._passive_joints(rows)
         if passive:
             self.warnings.append(
                 f'{", ".join(passive)}: hardly driven, so all parameters might as well be smaller; '
                 'the masses given are kept'
             )
-            held = Prior(self.prior.mean, HELD * self.prior.information)
-            return fit_parameters(rows, self.filters, self.use_load, held), HELD
-        strong = Prior(self.prior.mean, self.strength * self.prior.information)
-        return fit_parameters(rows, self.filters, self.use_load, strong), self.strength
+            strength = HELD
+        prior = self.prior.times(strength)
+        return fit_parameters(rows, self.filters, self.use_load, prior), strength
 
     def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
         """Joints whose efforts are far below the torques that act on them: they swing freely.
@@ -243,33 +236,18 @@ class Workshop:
 
     def free_fit(self, share: float, slope: np.ndarray | None) -> Fit:
         """Fit whose inertial parameters have no prior: its covariance is that of the data."""
-        free = self.prior.information.copy()
-        free[: self.base.size, : self.base.size] = 0.0
+        information = self.prior.information.copy()
+        information[: self.base.size, : self.base.size] = 0.0
+        free, rows = Prior(self.prior.mean, information), self.train_rows(share)
         return fit_parameters(
-            self.train_rows(share),
-            self.filters,
-            self.use_load,
-            Prior(self.prior.mean, free),
-            slope,
-            signed=False,
-            with_covariance=True,
+            rows, self.filters, self.use_load, free, slope, signed=False, with_covariance=True
         )
 
     def arm_of(self, fit: Fit, strength: float) -> SerialArm:
+        """The arm with the parameters of a fit, physically consistent."""
         values = consistent_parameters(self.arm, self.base, fit, strength)
         return with_parameters(self.arm, values, fit.slope)
 
     def sensing(self) -> Sensing:
         """Noise, quantization, source of rates, delays."""
         return sense(self.recordings, self.segments, self.rate_delay, self.joint_delays)
-
-
-def _base_prior(arm: SerialArm, base: BaseParameters) -> Prior:
-    mean, sigma = structural_prior(arm)
-    covariance = (base.combination * sigma**2) @ base.combination.T
-    size = base.size + len(TERMS) * len(arm.joints)
-    information = np.zeros((size, size))
-    information[: base.size, : base.size] = np.linalg.inv(covariance)
-    load = base.size + TERMS.index('load') + len(TERMS) * np.arange(len(arm.joints))
-    information[load, load] = LOAD_WIDTH**-2
-    return Prior(np.concatenate([base.combination @ mean, np.zeros(size - base.size)]), information)

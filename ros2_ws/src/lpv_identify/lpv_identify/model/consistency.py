@@ -56,7 +56,7 @@ def nearest_consistent(
     Returns
     -------
     ndarray, shape (parameters,)
-        x; every pseudo-inertia is checked from the numbers that are returned.
+        x.
 
     Raises
     ------
@@ -67,19 +67,18 @@ def nearest_consistent(
     size = max(1.0, float(np.linalg.norm(root * sigma)))  # solvers like costs of moderate size
     rows, count = root.shape[0], len(mean)
     # Variables are x in units of the prior, and the residuals of the data.
-    cost = sparse.diags(np.concatenate([np.full(count, 2.0 / size**2), np.full(rows, 2.0)]))
-    fit = np.hstack([root * sigma / size, -np.eye(rows)])
+    cost = sparse.diags(np.append(np.full(count, 2.0 / size**2), np.full(rows, 2.0)))
     lower, upper = ((b - mean) / sigma for b in bounds)
-    above, below = np.isfinite(lower), np.isfinite(upper)
-    eye = np.eye(count)
+    above, below, eye = np.isfinite(lower), np.isfinite(upper), np.eye(count)
     matrices, rights = [-eye[above], eye[below]], [-lower[above], upper[below]]
-    for i in range(joints):
-        part = slice(N_INERTIAL * i, N_INERTIAL * (i + 1))
+    for part in np.split(np.arange(N_INERTIAL * joints), joints):
         matrix, right = _pseudo_inertia(mean[part], sigma[part])
         matrices.append(-matrix @ eye[part])
         rights.append(right)
     bounded = np.vstack(matrices)
+    fit = np.hstack([root * sigma / size, -np.eye(rows)])
     left = np.vstack([fit, np.hstack([bounded, np.zeros((len(bounded), rows))])])
+    right = np.concatenate([(target - root @ mean) / size, *rights])
     cones = [
         clarabel.ZeroConeT(rows),
         clarabel.NonnegativeConeT(int(above.sum() + below.sum())),
@@ -87,12 +86,8 @@ def nearest_consistent(
     ]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    right = np.concatenate([(target - root @ mean) / size, *rights])
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix(cost), np.zeros(count + rows), sparse.csc_matrix(left), right, cones,
-        settings,
-    )  # fmt: skip
-    solution = solver.solve()
+    programme = sparse.csc_matrix(cost), np.zeros(count + rows), sparse.csc_matrix(left), right
+    solution = clarabel.DefaultSolver(*programme, cones, settings).solve()
     if str(solution.status) not in ('Solved', 'AlmostSolved'):
         raise IdentificationError(
             f'no physically consistent inertias were found ({solution.status})'

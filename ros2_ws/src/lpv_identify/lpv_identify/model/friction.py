@@ -1,4 +1,4 @@
-"""Regressors of friction, and the fit of the slope of its Coulomb term."""
+"""Regressors of friction, and those of all parameters."""
 
 import numpy as np
 
@@ -27,3 +27,11 @@ def friction_columns(velocity: np.ndarray, slope: np.ndarray, load: np.ndarray) 
     """
     way = direction(velocity, slope)
     return np.stack([velocity, way, np.abs(load) * way, np.ones_like(velocity)], axis=2)
+
+
+def join_columns(base: np.ndarray, friction: np.ndarray) -> np.ndarray:
+    """Regressor of all parameters, shape (rows, n, base + terms n), of those of each joint."""
+    count, n, terms = friction.shape
+    spread = np.zeros((count, n, n, terms))
+    spread[:, np.arange(n), np.arange(n)] = friction
+    return np.concatenate([base, spread.reshape(count, n, n * terms)], axis=2)

@@ -3,16 +3,17 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio
 
-from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv_core.serial_arm.dynamics.kinematics import joint_frames
 from lpv_identify.errors import IdentificationError
 from lpv_identify.model.base_parameters import find_base_parameters
-from lpv_identify.model.friction import friction_columns
-from lpv_identify.model.rigid_body import build_model, torque_regressor
+from lpv_identify.model.friction import friction_columns, join_columns
+from lpv_identify.model.rigid_body import RigidBody
 from lpv_identify.motions.trajectory import Trajectory, fit_to_limits, random_trajectory
 
 _STEP = 0.1  # between samples that are rated [s]
+_SLOPE = 50.0  # of the Coulomb term [s/rad]
 _CHECK_STEP = 0.02  # between samples whose limits are checked [s]
 
 
@@ -101,12 +102,10 @@ class _Search:
 
     def __init__(self, arm: SerialArm, bounds: Bounds, center: np.ndarray | None):
         self._arm, self._bounds = arm, bounds
-        self._model = build_model(arm)
-        self._data = self._model.createData()
+        self._model = RigidBody(arm)
         self._base = find_base_parameters(self._model)
         limits = [joint.limits for joint in arm.joints]
-        lower = np.array([max(limit.lower, -np.pi) for limit in limits])
-        upper = np.array([min(limit.upper, np.pi) for limit in limits])
+        lower, upper = np.array([joint.range for joint in arm.joints]).T
         self.center = 0.5 * (lower + upper) if center is None else center
         room = np.minimum(upper - self.center, self.center - lower)
         if np.any(room <= 0.0):
@@ -117,10 +116,9 @@ class _Search:
 
     def varied(self, rng: np.random.Generator, trajectory: Trajectory, width: float) -> Trajectory:
         size = width * self.reach / np.arange(1, len(trajectory.sine) + 1)[:, None]
+        sine, cosine = size * rng.normal(size=(2, *size.shape))
         changed = replace(
-            trajectory,
-            sine=trajectory.sine + size * rng.normal(size=size.shape),
-            cosine=trajectory.cosine + size * rng.normal(size=size.shape),
+            trajectory, sine=trajectory.sine + sine, cosine=trajectory.cosine + cosine
         )
         return fit_to_limits(changed, self.reach, self.speed)
 
@@ -129,63 +127,48 @@ class _Search:
         for _ in range(4):
             if self._in_workspace(trajectory) and np.all(self.torques(trajectory) <= self._torque):
                 return trajectory
-            trajectory = replace(
-                trajectory, sine=0.7 * trajectory.sine, cosine=0.7 * trajectory.cosine
-            )
+            trajectory = trajectory.scaled(0.7)
         return None
 
     def torques(self, trajectory: Trajectory) -> np.ndarray:
+        """Largest torque of each joint, shape (n,) [N m]."""
         motion = trajectory.sample(np.arange(0.0, trajectory.duration, 5 * _CHECK_STEP))
-        torques = np.abs(
-            [pinocchio.rnea(self._model, self._data, *sample) for sample in zip(*motion)]
-        )
+        links = self._model.regressor(*motion)[:, :, : N_INERTIAL * self._model.n]
         friction = [
             j.friction.coulomb + abs(j.friction.viscous) * s
             for j, s in zip(self._arm.joints, self.speed)
         ]
-        return torques.max(axis=0) + friction
+        return np.abs(links @ self._arm.inertial_parameters()).max(axis=0) + friction
 
     def _in_workspace(self, trajectory: Trajectory) -> bool:
         if not (np.isfinite(self._bounds.lowest) or np.isfinite(self._bounds.radius)):
             return True
         position = trajectory.sample(np.arange(0.0, trajectory.duration, _CHECK_STEP))[0]
         up = -self._arm.gravity_vector() / max(self._arm.gravity, 1e-9)
+        n = self._model.n
+        turns, points = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
         for q in position:
-            pinocchio.forwardKinematics(self._model, self._data, q)
-            points = np.array(
-                [place.translation for place in self._data.oMi[2:]]
-                + [self._data.oMi[-1].act(np.array(self._arm.tip))]
-            )
-            height = points @ up
-            away = np.linalg.norm(points - np.outer(height, up), axis=1)
+            joint_frames(self._model.chain, q, turns, points)
+            height = points[1:] @ up
+            away = np.linalg.norm(points[1:] - np.outer(height, up), axis=1)
             if height.min() < self._bounds.lowest or away.max() > self._bounds.radius:
                 return False
         return True
 
     def _regressor(self, trajectory: Trajectory) -> np.ndarray:
         """Rows of all joints, each in units of its torque's range."""
-        time = np.arange(0.0, trajectory.duration, _STEP)
-        q, v, a = trajectory.sample(time)
-        n = q.shape[1]
-        rigid = torque_regressor(self._model, q, v, a)
-        rotors = a[:, :, None] * np.eye(n)
-        base = np.concatenate([rigid, rotors], axis=2)[:, :, self._base.columns]
-        torque = rigid @ self._arm.inertial_parameters()
-        friction = friction_columns(v, np.full(n, 50.0), torque)[:, :, [0, 1, 3]]
-        spread = np.zeros((len(time), n, n, 3))
-        spread[:, np.arange(n), np.arange(n)] = friction
-        rows = np.concatenate([base, spread.reshape(len(time), n, 3 * n)], axis=2)
+        q, v, a = trajectory.sample(np.arange(0.0, trajectory.duration, _STEP))
+        full = self._model.regressor(q, v, a)
+        torque = full[:, :, : N_INERTIAL * self._model.n] @ self._arm.inertial_parameters()
+        friction = friction_columns(v, np.full(self._model.n, _SLOPE), torque)[:, :, [0, 1, 3]]
+        rows = join_columns(full[:, :, self._base.columns], friction)
         size = np.maximum(np.max(np.abs(torque), axis=0), 0.02 * np.abs(torque).max())
         return (rows / size[:, None]).reshape(-1, rows.shape[2])
 
     def information(self, trajectory: Trajectory) -> float:
-        sign, value = np.linalg.slogdet(self._gram(trajectory))
-        size = len(self._base.columns) + 3 * len(self.center)
-        return float(value / size) if sign > 0 else -np.inf
-
-    def _gram(self, trajectory: Trajectory) -> np.ndarray:
         rows = self._regressor(trajectory)
-        return rows.T @ rows / len(rows)
+        sign, value = np.linalg.slogdet(rows.T @ rows / len(rows))
+        return float(value / rows.shape[1]) if sign > 0 else -np.inf
 
     def condition(self, trajectory: Trajectory) -> float:
         rows = self._regressor(trajectory)

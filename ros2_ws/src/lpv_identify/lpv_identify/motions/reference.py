@@ -8,9 +8,8 @@ import yaml
 
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
-from lpv_core.serial_arm.arm_file import KIND
 from lpv_core.serial_arm.description import SerialArm
-from lpv_identify.motions.simulation import joint_torques
+from lpv_identify.model.rigid_body import joint_torques
 from lpv_identify.motions.trajectory import Trajectory
 
 TOPIC = '/lpv/excitation'
@@ -45,29 +44,16 @@ def write_reference(
     folder.mkdir(parents=True)
     time = np.arange(0.0, trajectory.duration + 0.5 / rate, 1.0 / rate)
     motion = trajectory.sample(time)
-    torque = joint_torques(arm, *motion)
-    files = [
-        folder / name
-        for name in ('trajectory.csv', 'trajectory.yaml', 'reference', 'scenario.yaml')
-    ]
-    names = arm.joint_names
-    header = ','.join(
-        [
-            'time',
-            *(f'{name}_{kind}' for kind in ('position', 'velocity', 'effort') for name in names),
-        ]
-    )
-    np.savetxt(
-        files[0],
-        np.column_stack([time, motion[0], motion[1], torque]),
-        delimiter=',',
-        header=header,
-        comments='',
-        fmt='%.9g',
-    )
-    files[1].write_text(yaml.safe_dump(_message(names, trajectory), sort_keys=False, width=110))
-    _write_bag(files[2], names, time, motion[0], motion[1], torque)
-    files[3].write_text(yaml.safe_dump(_scenario(trajectory), sort_keys=False, width=110))
+    written = 'trajectory.csv', 'trajectory.yaml', 'reference', 'scenario.yaml'
+    files = [folder / name for name in written]
+    names, signals = arm.joint_names, (*motion[:2], joint_torques(arm, *motion))
+    kinds = ('position', 'velocity', 'effort')
+    header = ','.join(['time', *(f'{name}_{kind}' for kind in kinds for name in names)])
+    table = np.column_stack([time, *signals])
+    np.savetxt(files[0], table, '%.9g', ',', header=header, comments='')
+    _write_bag(files[2], names, time, *signals)
+    for file, content in zip(files[1::2], (_message(names, trajectory), _scenario(trajectory))):
+        file.write_text(yaml.safe_dump(content, sort_keys=False, width=110))
     return files
 
 
@@ -80,7 +66,6 @@ def _scenario(trajectory: Trajectory) -> dict[str, Any]:
     position, *_ = trajectory.sample(time)
     waypoints = [{'t': round(float(t), 9), 'joints': q.tolist()} for t, q in zip(time, position)]
     return {
-        'kind': KIND,
         'name': 'excitation',
         'duration': float(trajectory.duration),
         'path': {'waypoints': waypoints},
@@ -95,31 +80,19 @@ def _message_times(trajectory: Trajectory) -> np.ndarray:
 
 def _message(names: tuple[str, ...], trajectory: Trajectory) -> dict[str, Any]:
     time = _message_times(trajectory)
-    points = []
-    for t, q, v, a in zip(time, *trajectory.sample(time)):
-        nanoseconds = round(t * 1e9)
-        points.append(
-            {
-                'positions': q.tolist(),
-                'velocities': v.tolist(),
-                'accelerations': a.tolist(),
-                'time_from_start': {'sec': nanoseconds // 10**9, 'nanosec': nanoseconds % 10**9},
-            }
-        )
+    keys, points = ('positions', 'velocities', 'accelerations'), []
+    for t, *motion in zip(time, *trajectory.sample(time)):
+        seconds, nanoseconds = divmod(round(t * 1e9), 10**9)
+        point: dict[str, Any] = {key: values.tolist() for key, values in zip(keys, motion)}
+        point['time_from_start'] = {'sec': seconds, 'nanosec': nanoseconds}
+        points.append(point)
     return {'joint_names': list(names), 'points': points}
 
 
-def _write_bag(
-    path: Path,
-    names: tuple[str, ...],
-    time: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    torque: np.ndarray,
-) -> None:
+def _write_bag(path: Path, names: tuple[str, ...], time: np.ndarray, *signals: np.ndarray) -> None:
     with BagWriter(path) as writer:
         writer.add_topic(TOPIC, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
         messages = BagMessages(writer.typestore, 'base_link')
-        for t, *sample in zip(time, position, velocity, torque):
+        for t, *sample in zip(time, *signals):
             stamp = round((1.0 + t) * 1e9)
             writer.write(TOPIC, stamp, messages.joint_state(stamp, names, *sample))

@@ -1,6 +1,6 @@
 """Fourier trajectories of an arm that start and end at rest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,18 +24,18 @@ class Trajectory:
 
     def sample(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, rates and accelerations, each of shape (samples, n)."""
-        k = np.arange(1, len(self.sine) + 1)
-        omega = 2.0 * np.pi * k / self.period
+        omega = 2.0 * np.pi * np.arange(1, len(self.sine) + 1) / self.period
         s, c = np.sin(np.outer(time, omega)), np.cos(np.outer(time, omega))
         wave = s @ self.sine + c @ self.cosine
         rate = (c * omega) @ self.sine - (s * omega) @ self.cosine
-        acceleration = -(s * omega**2) @ self.sine - (c * omega**2) @ self.cosine
+        bend = -(s * omega**2) @ self.sine - (c * omega**2) @ self.cosine
         e, de, dde = (x[:, None] for x in self._envelope(time))
-        return (
-            self.center + e * wave,
-            de * wave + e * rate,
-            dde * wave + 2.0 * de * rate + e * acceleration,
-        )
+        position = self.center + e * wave
+        return position, de * wave + e * rate, dde * wave + 2.0 * de * rate + e * bend
+
+    def scaled(self, factor: np.ndarray | float) -> 'Trajectory':
+        """The motion with other amplitudes."""
+        return replace(self, sine=self.sine * factor, cosine=self.cosine * factor)
 
     def _envelope(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ramp = min(RAMP, 0.25 * self.duration)
@@ -59,26 +59,15 @@ def random_trajectory(
 
     ``center``, ``reach`` and ``speed`` have shape (n,); ``duration`` is in [s].
     """
-    n = len(center)
-    shape = (HARMONICS, n)
     k = np.arange(1, HARMONICS + 1)[:, None]
     period = duration / max(1, round(duration / 10.0))
-    sine, cosine = rng.normal(size=shape) / k, rng.normal(size=shape) / k
+    sine, cosine = rng.normal(size=(2, HARMONICS, len(center))) / k
     return fit_to_limits(Trajectory(duration, center, sine, cosine, period), reach, speed)
 
 
 def fit_to_limits(trajectory: Trajectory, reach: np.ndarray, speed: np.ndarray) -> Trajectory:
     """Scale each joint's motion so that it reaches a limit of position or speed."""
-    time = np.arange(0.0, trajectory.duration, 0.02)
-    position, rate, _ = trajectory.sample(time)
-    way = np.max(np.abs(position - trajectory.center), axis=0)
-    scale = np.minimum(
-        reach / np.maximum(way, 1e-9), speed / np.maximum(np.max(np.abs(rate), axis=0), 1e-9)
-    )
-    return Trajectory(
-        trajectory.duration,
-        trajectory.center,
-        trajectory.sine * scale,
-        trajectory.cosine * scale,
-        trajectory.period,
-    )
+    position, rate, _ = trajectory.sample(np.arange(0.0, trajectory.duration, 0.02))
+    way = np.maximum(np.max(np.abs(position - trajectory.center), axis=0), 1e-9)
+    fastest = np.maximum(np.max(np.abs(rate), axis=0), 1e-9)
+    return trajectory.scaled(np.minimum(reach / way, speed / fastest))

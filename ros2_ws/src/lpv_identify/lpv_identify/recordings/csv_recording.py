@@ -14,40 +14,13 @@ from lpv_identify.errors import IdentificationError
 MAX_BYTES = 2 << 30
 """Largest CSV file that is read [bytes]."""
 _PATTERNS = {
-    'position': (
-        '{}_position',
-        '{}_pos',
-        'position_{}',
-        'q_{}',
-        'pos_meas{}',
-        'motor_position{}',
-        'position{}',
-        'q{}',
-    ),
-    'velocity': (
-        '{}_velocity',
-        '{}_vel',
-        'velocity_{}',
-        'v_{}',
-        'vel_meas{}',
-        'motor_velocity{}',
-        'velocity{}',
-        'dq{}',
-        'v{}',
-    ),
-    'effort': (
-        '{}_effort',
-        '{}_torque',
-        'effort_{}',
-        'tau_{}',
-        'tau_meas{}',
-        'motor_torque{}',
-        'effort{}',
-        'torque{}',
-        'tau{}',
-        'current{}',
-    ),
+    'position': '{}_position {}_pos position_{} q_{} pos_meas{} motor_position{} position{} q{}',
+    'velocity': '{}_velocity {}_vel velocity_{} v_{} vel_meas{} motor_velocity{} velocity{} dq{} '
+    'v{}',
+    'effort': '{}_effort {}_torque effort_{} tau_{} tau_meas{} motor_torque{} effort{} torque{} '
+    'tau{} current{}',
 }
+"""Names of columns by the joint's name, or by its number."""
 
 
 def read_csv(
@@ -96,12 +69,12 @@ def _read_table(path: Path) -> tuple[list[str], np.ndarray, list[str]]:
 def _index(
     path: Path, header: list[str], joints: Sequence[str], columns: ColumnMap
 ) -> list[list[int]]:
-    missing = [joint for joint in joints if joint not in columns.joints]
-    if missing:
-        raise IdentificationError(
-            f'{path}: the column map has no joint {missing[0]!r}; it has '
-            + ', '.join(columns.joints)
-        )
+    for joint in joints:
+        if joint not in columns.joints:
+            known = ', '.join(columns.joints)
+            raise IdentificationError(
+                f'{path}: the column map has no joint {joint!r}; it has {known}'
+            )
     wanted = [[columns.joints[joint][kind] for joint in joints] for kind in range(3)]
     _require(path, header, [columns.time, *(n for names in wanted for n in names if n)])
     return [[header.index(name) if name else -1 for name in names] for names in wanted]
@@ -126,7 +99,7 @@ def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> Colum
     for number, joint in enumerate(joints, 1):
         names = []
         for kind, patterns in _PATTERNS.items():
-            wanted = [p.format(label) for p in patterns for label in (joint, number)]
+            wanted = [p.format(label) for p in patterns.split() for label in (joint, number)]
             match = next((name for name in wanted if name in header), None)
             if match is None and kind != 'velocity':
                 raise IdentificationError(

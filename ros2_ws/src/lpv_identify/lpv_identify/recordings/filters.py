@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt
 
 _ORDER = 2  # forwards and backwards, hence 4 in all
+_LARGE = 1_000_000  # numbers from which threads pay
 NYQUIST_SHARE = 0.9
 """Cutoffs above this share of the Nyquist frequency filter nothing."""
 
@@ -31,7 +32,8 @@ def low_pass(
     after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
     padded = np.concatenate([before, signal, after]).reshape(count + 2 * pad, -1).T
     size = fft.next_fast_len(padded.shape[1], real=True)
-    filtered = fft.irfft(fft.rfft(padded, size) * _gains(order, cutoffs, size), size)
+    with fft.set_workers(-1 if padded.size > _LARGE else 1):  # all processors
+        filtered = fft.irfft(fft.rfft(padded, size) * _gains(order, cutoffs, size), size)
     return filtered[:, pad : pad + count].T.reshape(signal.shape)
 
 
@@ -61,24 +63,12 @@ def derivative(signal: np.ndarray, step: float) -> np.ndarray:
 def shifted(signal: np.ndarray, delay: float | np.ndarray, step: float) -> np.ndarray:
     """Signal delayed: the value at t is that of t - delay, held at the ends.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (samples, n)
-        Uniformly sampled.
-    delay : float or ndarray, shape (n,)
-        [s]; negative to advance.
-    step : float
-        Sample time [s].
-
-    Returns
-    -------
-    ndarray, shape (samples, n)
-        The delayed signal.
+    Of a uniformly sampled ``signal``, shape (samples, n); ``delay`` of all columns or of each,
+    shape (n,) [s], negative to advance; ``step`` is the sample time [s].
     """
     time = step * np.arange(len(signal))
     delays = np.broadcast_to(delay, signal.shape[1:])
     if not delays.any():
         return signal
-    spline = CubicSpline(time, signal, axis=0)
-    columns = [spline(np.clip(time - d, 0.0, time[-1]))[:, j] for j, d in enumerate(delays)]
-    return np.stack(columns, axis=1)
+    late = [np.clip(time - d, 0.0, time[-1]) for d in delays]
+    return np.stack([CubicSpline(time, x)(at) for x, at in zip(signal.T, late)], axis=1)

@@ -34,6 +34,12 @@ class Segment:
     velocity: np.ndarray | None  # raw, shape (samples, n) [rad/s]
     effort: np.ndarray  # raw, shape (samples, n) [unit of the driver]
 
+    def with_joints(self, order: np.ndarray) -> 'Segment':
+        """The segment with its joints in another order."""
+        velocity = None if self.velocity is None else self.velocity[:, order]
+        position, effort = self.position[:, order], self.effort[:, order]
+        return Segment(self.step, self.time, position, velocity, effort)
+
 
 @dataclass(frozen=True)
 class Bandwidths:
@@ -106,23 +112,18 @@ def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
     time = recording.time[part]
     grid = time[0] + step * np.arange(int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1)
 
-    def put(values: np.ndarray) -> np.ndarray:
-        columns = [np.interp(grid, time, values[part, j]) for j in range(values.shape[1])]
-        return np.stack(columns, axis=1)
-
     steady = np.max(np.abs(np.diff(time) - step)) < 1e-3 * step and len(grid) == len(part)
-    if steady:  # nothing to interpolate
 
-        def put(values: np.ndarray) -> np.ndarray:  # noqa: F811
+    def put(values: np.ndarray) -> np.ndarray:
+        if steady:  # nothing to interpolate
             return values[part]
+        return np.stack([np.interp(grid, time, column) for column in values[part].T], axis=1)
 
-    smooth = (
-        CubicSpline(time, recording.position[part], axis=0)(grid)
-        if not steady
-        else put(recording.position)
-    )
+    position = put(recording.position)
+    if not steady:
+        position = CubicSpline(time, recording.position[part], axis=0)(grid)
     velocity = None if recording.velocity is None else put(recording.velocity)
-    return Segment(step, grid, smooth, velocity, put(recording.effort))
+    return Segment(step, grid, position, velocity, put(recording.effort))
 
 
 def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
@@ -173,12 +174,9 @@ def _spectrum(signal: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 def _noise_corner(signal: np.ndarray, step: float) -> float:
     """Highest frequency, over all joints, below which the signal stands out of white noise."""
     frequency, power = _spectrum(signal, step)
-    floor = np.median(power[frequency > 0.3 / step], axis=0)
-    corners = [0.0]
-    for j in range(signal.shape[1]):
-        buried = np.flatnonzero(power[3:, j] < 10.0 * floor[j])
-        corners.append(frequency[3 + buried[0]] if len(buried) else frequency[-1])
-    return max(corners)
+    buried = power[3:] < 10.0 * np.median(power[frequency > 0.3 / step], axis=0)
+    corners = np.where(buried.any(axis=0), frequency[3 + buried.argmax(axis=0)], frequency[-1])
+    return float(corners.max())
 
 
 def _content(rates: np.ndarray, step: float) -> float:
@@ -186,8 +184,7 @@ def _content(rates: np.ndarray, step: float) -> float:
     frequency, power = _spectrum(rates, step)
     share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
     moving = power.sum(axis=0) > 1e-4 * power.sum(axis=0).max()
-    tops = [frequency[np.argmax(share[:, j] > 0.99)] for j in range(share.shape[1]) if moving[j]]
-    return float(max(tops, default=0.0))
+    return float(np.max(frequency[np.argmax(share > 0.99, axis=0)], where=moving, initial=0.0))
 
 
 def smooth(
@@ -199,29 +196,14 @@ def smooth(
 ) -> Motion:
     """Motion of a segment without noise above the bandwidths and without delays.
 
-    Parameters
-    ----------
-    segment : Segment
-        Raw samples.
-    bands : Bandwidths
-        Cutoffs.
-    use_rates : bool
-        Take measured rates; otherwise those are derivatives of the smoothed positions.
-    rate_delay, effort_delay : ndarray, shape (n,)
-        Delays behind the positions that are taken out [s].
-
-    Returns
-    -------
-    Motion
-        Of the same length.
+    ``use_rates`` takes measured rates, which otherwise are derivatives of the smoothed positions.
+    ``rate_delay`` and ``effort_delay``, shape (n,), are taken out [s].
     """
     step = segment.step
     position = low_pass(segment.position, bands.position, step, order=_ORDER)
+    velocity = derivative(position, step)
     if use_rates and segment.velocity is not None:
-        velocity = shifted(
-            low_pass(segment.velocity, bands.velocity, step, order=_ORDER), -rate_delay, step
-        )
-    else:
-        velocity = derivative(position, step)
+        rates = low_pass(segment.velocity, bands.velocity, step, order=_ORDER)
+        velocity = shifted(rates, -rate_delay, step)
     effort = shifted(segment.effort, -effort_delay, step)
     return Motion(step, segment.time, position, velocity, effort)

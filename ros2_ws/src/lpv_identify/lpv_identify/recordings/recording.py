@@ -118,25 +118,21 @@ def clean(
     if velocity is not None and np.mean(_usable(velocity)) < MIN_SHARE_VALID:
         warnings.append('rates are missing, they are computed from positions')
         velocity = None
-    effort_valid = _usable(effort)
-    if not effort_valid.any():
+    if not _usable(effort).any():
         raise IdentificationError(
             f'{source}: has no efforts; torques or currents of the motors must be recorded, too'
         )
-    valid = effort_valid & _usable(position)
-    if velocity is not None:
-        valid &= _usable(velocity)
+    recorded = (position, effort) if velocity is None else (position, effort, velocity)
+    valid = np.all([_usable(values) for values in recorded], axis=0)
     if valid.mean() < MIN_SHARE_VALID:
         raise IdentificationError(
             f'{source}: only {100 * valid.mean():.0f} % of the samples are '
             f'complete, the others hold values that are not finite or beyond {LARGEST:g}'
         )
     if not valid.all():
-        count = np.sum(~valid)
-        warnings.append(
-            f'{count} samples with values that are not finite or beyond {LARGEST:g} are left out'
-        )
-    time, notes = _choose_stamps(source, stamps, position, velocity)
+        text = f'samples with values that are not finite or beyond {LARGEST:g} are left out'
+        warnings.append(f'{np.sum(~valid)} {text}')
+    time, notes = _choose_stamps(source, stamps, position)
     warnings += notes
     index = np.flatnonzero(valid & np.isfinite(time))
     index = index[np.argsort(time[index], kind='stable')]
@@ -163,29 +159,27 @@ def _stands_still(time: np.ndarray, position: np.ndarray, velocity: np.ndarray) 
 
 
 def _choose_stamps(
-    source: str, stamps: Sequence[np.ndarray], position: np.ndarray, velocity: np.ndarray | None
+    source: str, stamps: Sequence[np.ndarray], position: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
     """The first of the stamps, unless another one fits the motion better."""
-    kinds = ['header stamps', 'log times', 'the count of the samples']
-    candidates = [np.asarray(s, float) - s[0] for s in stamps]
-    counted = _counted(candidates[-1])
-    named = list(zip(kinds, candidates)) + ([(kinds[2], counted)] if counted is not None else [])
-    usable = [
-        (name, time)
-        for name, time in named
+    named = dict(zip(('header stamps', 'log times'), (np.asarray(s, float) - s[0] for s in stamps)))
+    first, counted = next(iter(named)), _counted(list(named.values())[-1])
+    if counted is not None:
+        named['the count of the samples'] = counted
+    usable = {
+        name: _roughness(time, position)
+        for name, time in named.items()
         if np.mean(np.diff(time) > 0.0) > 0.98 and time[-1] > time[0]
-    ]
+    }
     if not usable:
         raise IdentificationError(
             f'{source}: stamps stand still or run backwards, no others are recorded'
         )
-    scores = [_roughness(time, position) for _, time in usable]
-    best = 0 if scores[0] <= 1.25 * min(scores) else int(np.argmin(scores))
-    name, time = usable[best]
-    notes = []
-    if time is not candidates[0]:
-        notes.append(f'{kinds[0]} jitter or stand still, times are taken from {name}')
-    return time, notes
+    name, score = next(iter(usable.items()))
+    if score > 1.25 * min(usable.values()):
+        name = min(usable, key=lambda one: usable[one])
+    notes = [f'{first} jitter or stand still, times are taken from {name}']
+    return named[name], notes if name != first else []
 
 
 def _counted(time: np.ndarray) -> np.ndarray | None:
@@ -210,32 +204,23 @@ def _roughness(time: np.ndarray, position: np.ndarray) -> float:
 
 
 def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any, ...]:
+    """Stamps, positions, rates (or None) and efforts."""
+    parts: dict[str, list[tuple[Any, ...]]] = {}
+    unknown: dict[str, list[str]] = {}
     with open_bag(path) as bag:
-        connections = _joint_state_topics(bag, topic, path)
-        parts: dict[str, list[tuple[Any, ...]]] = {}
-        unknown: dict[str, list[str]] = {}
-        for connection, log_time, raw in bag.messages(connections):
+        for connection, log_time, raw in bag.messages(_joint_state_topics(bag, topic, path)):
             message = bag.deserialize(raw, connection.msgtype)
             names = list(message.name)
-            missing = [name for name in joints if name not in names]
-            if missing:
+            if not set(joints) <= set(names):
                 unknown.setdefault(connection.topic, names)
                 continue
             rows = parts.setdefault(connection.topic, [])
             if len(rows) >= MAX_SAMPLES:
                 raise IdentificationError(f'{path}: has more than {MAX_SAMPLES} samples')
-            index = [names.index(name) for name in joints]
-            stamp = message.header.stamp
-            rows.append(
-                (
-                    stamp.sec + 1e-9 * stamp.nanosec,
-                    log_time,
-                    *(
-                        _pick(getattr(message, field), index)
-                        for field in ('position', 'velocity', 'effort')
-                    ),
-                )
-            )
+            index, stamp = [names.index(name) for name in joints], message.header.stamp
+            fields = (message.position, message.velocity, message.effort)
+            seconds = stamp.sec + 1e-9 * stamp.nanosec
+            rows.append((seconds, log_time, *(_pick(field, index) for field in fields)))
     if not parts:
         found = '; '.join(f'{name}: {", ".join(names)}' for name, names in unknown.items())
         raise IdentificationError(
@@ -247,15 +232,11 @@ def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any
             f'{path}: several topics have the joints '
             f'({", ".join(sorted(parts))}); name one with --topic'
         )
-    header, log, position, velocity, effort = zip(*next(iter(parts.values())))
+    header, log, *signals = zip(*next(iter(parts.values())))
     log_time = 1e-9 * (np.array(log, np.int64) - log[0]).astype(float)
-    rates = np.array(velocity)
-    return (
-        [np.array(header), log_time],
-        np.array(position),
-        rates if np.isfinite(rates).any() else None,
-        np.array(effort),
-    )
+    position, rates, effort = (np.array(signal) for signal in signals)
+    velocity = rates if np.isfinite(rates).any() else None
+    return [np.array(header), log_time], position, velocity, effort
 
 
 def _pick(values: Any, index: list[int]) -> np.ndarray:
@@ -268,10 +249,9 @@ def _pick(values: Any, index: list[int]) -> np.ndarray:
 
 def _joint_state_topics(bag: BagReader, topic: str | None, path: Path) -> list[Any]:
     found = [c for c in bag.connections if c.msgtype == JOINT_STATE]
-    if topic is not None:
-        found = [c for c in found if c.topic == topic]
-    else:
-        found = [c for c in found if not c.topic.endswith(f'/{CORRECTED}')]
+    found = [
+        c for c in found if (c.topic == topic if topic else not c.topic.endswith(f'/{CORRECTED}'))
+    ]
     if not found:
         topics = ', '.join(sorted({c.topic for c in bag.connections})) or 'none'
         wanted = f'{JOINT_STATE} on {topic}' if topic else JOINT_STATE

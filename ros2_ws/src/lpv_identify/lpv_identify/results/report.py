@@ -7,7 +7,7 @@ import numpy as np
 
 from lpv_identify.estimation.identification import Identification
 from lpv_identify.results.figures import residual_figure, torque_figure
-from lpv_identify.results.summary import remarks
+from lpv_identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remarks
 from lpv_report.page import embedded, environment
 from lpv_report.style import png
 
@@ -22,19 +22,9 @@ _CAPTIONS = (
 
 
 def write_report(result: Identification, folder: Path) -> Path:
-    """Write ``identification.html`` and the pictures as PNG.
+    """Write ``identification.html`` and the pictures as PNG into a folder, which is created.
 
-    Parameters
-    ----------
-    result : Identification
-        What to report.
-    folder : pathlib.Path
-        Created if it does not exist.
-
-    Returns
-    -------
-    pathlib.Path
-        The page, which needs nothing from elsewhere.
+    Returns the page, which needs nothing from elsewhere.
     """
     import matplotlib.pyplot as plt
 
@@ -53,108 +43,31 @@ def write_report(result: Identification, folder: Path) -> Path:
 
 
 def _content(result: Identification) -> dict[str, Any]:
-    figures, names = result.figures, result.arm.joint_names
+    names, found = result.arm.joint_names, result.determination
     held_back = sum(p.time[-1] - p.time[0] for p in result.predictions)
-    determination = result.determination
-    joints = [
-        [
-            f'{figures.rms[j]:.3f}',
-            f'{figures.rms_band[j]:.3f}',
-            f'{100 * figures.share[j]:.1f} %',
-            f'{figures.r2[j]:.4f}',
-            f'{figures.correlation[j]:.2f}',
-            f'{result.prior_figures.rms[j]:.2f}',
-        ]
-        for j in range(len(names))
-    ]
-    tiles = [
-        {'name': 'joints', 'value': str(len(names)), 'note': result.arm.name},
-        {'name': 'data held back', 'value': f'{held_back:.0f} s', 'note': 'never fitted'},
-        {
-            'name': 'torque explained',
-            'value': f'{100 * np.median(figures.r2):.1f} %',
-            'note': 'median of the joints',
-        },
-        {
-            'name': 'parameters determined',
-            'value': f'{int(determination.determined.sum())} of {len(determination.names)}',
-            'note': 'by the data alone',
-        },
-    ]
-    parameters = [
-        {
-            'name': name,
-            'value': f'{value:.4g}',
-            'width': f'{1.97 * sigma:.2g}',
-            'determined': 'yes' if known else 'no',
-        }
-        for name, value, sigma, known in zip(
-            determination.names, determination.values, determination.sigma, determination.determined
-        )
-    ]
+    explained = 100 * np.median(result.figures.r2)
+    determined = f'{int(found.determined.sum())} of {len(found.names)}'
+    parameters = zip(found.names, found.values, found.sigma, found.determined)
+    tables = {'joints': FIGURES, 'drives': DRIVES, 'sensors': SENSORS}
     return {
         'title': f'Identification of {result.arm.name}',
         'lead': 'Parameters of the arm from recordings of its motion, and how well they predict.',
-        'tiles': tiles,
+        'tiles': (
+            ('joints', len(names), result.arm.name),
+            ('data held back', f'{held_back:.0f} s', 'never fitted'),
+            ('torque explained', f'{explained:.1f} %', 'median of the joints'),
+            ('parameters determined', determined, 'by the data alone'),
+        ),
         'warnings': result.warnings,
-        'joints': _named(names, joints),
         'band': f'{result.filters.test:.1f}',
         'lag': f'{0.5 / result.filters.test:.2f}',
         'remarks': remarks(result)[1:],
-        'parameters': parameters,
-        **_tables(result),
-    }
-
-
-def _tables(result: Identification) -> dict[str, Any]:
-    arm, sensing = result.arm, result.sensing
-    drives = [
-        [
-            f'{j.friction.offset:.3g}',
-            f'{j.friction.viscous:.3g}',
-            f'{j.friction.coulomb:.3g}',
-            f'{j.friction.coulomb_slope:.0f}',
-            f'{j.friction.load:.3g}',
-            f'{j.rotor_inertia:.3g}',
-            f'{j.torque_gain:.4g}',
-            f'{1e3 * j.effort_delay:.1f}',
-        ]
-        for j in arm.joints
-    ]
-    sensors = [
-        [
-            f'{sensing.position_noise[k]:.2g}',
-            f'{sensing.quantization[k]:.2g}',
-            f'{sensing.velocity_noise[k]:.2g}',
-            sensing.rates[k],
-            f'{sensing.rate_evidence[k]:.2f}',
-            f'{1e3 * sensing.rate_delay[k]:.1f}',
-        ]
-        for k in range(len(arm.joints))
-    ]
-    return {
-        'drive_names': [
-            'offset N m',
-            'viscous N m s',
-            'Coulomb N m',
-            'slope s/rad',
-            'load',
-            'rotor kg m²',
-            'gain',
-            'delay ms',
+        'parameters': [
+            (name, f'{value:.4g}', f'{1.97 * sigma:.2g}', 'yes' if known else 'no')
+            for name, value, sigma, known in parameters
         ],
-        'drives': _named(arm.joint_names, drives),
-        'sensor_names': [
-            'position noise rad',
-            'step rad',
-            'rate noise rad/s',
-            'rates',
-            'explained',
-            'rate delay ms',
-        ],
-        'sensors': _named(arm.joint_names, sensors),
+        'tables': {
+            name: ([header for header, _, _ in columns], cells(result, columns))
+            for name, columns in tables.items()
+        },
     }
-
-
-def _named(names: tuple[str, ...], cells: list[list[str]]) -> list[dict[str, Any]]:
-    return [{'name': name, 'cells': row} for name, row in zip(names, cells)]

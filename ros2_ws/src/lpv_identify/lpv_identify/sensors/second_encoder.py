@@ -34,26 +34,11 @@ def find_second_encoders(
     topic: str | None = None,
     columns: ColumnMap | None = None,
 ) -> list[SecondReading]:
-    """Compare second encoders with the first ones along a recording.
+    """Compare second encoders with the first ones along a recording, one for each of the ``pairs``.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Bag or CSV file, as for `read_recording`.
-    pairs : mapping of str to str
-        Name of the second encoder, as a joint of the messages or a column, by the joint's name.
-    topic, columns
-        As for `read_recording`.
-
-    Returns
-    -------
-    list of SecondReading
-        One for each pair.
-
-    Raises
-    ------
-    IdentificationError
-        If readings are missing, or do not follow the joint.
+    These are names of second encoders, as a joint of the messages or a column, by the joint's name;
+    all else as of `read_recording`.  IdentificationError if readings are missing, or do not follow
+    the joint.
     """
     first, second = read_pairs(path, list(pairs), list(pairs.values()), topic, columns)
     valid = (np.abs(np.hstack([first, second])) <= LARGEST).all(axis=1)
@@ -85,15 +70,10 @@ def with_second_encoders(arm: SerialArm, found: Sequence[SecondReading]) -> Seri
     unknown = [name for name in encoders if name not in arm.joint_names]
     if unknown:
         raise ConfigError('--second-encoder', f'{arm.name} has no joint {unknown[0]!r}')
-    joints = [
-        replace(
-            joint,
-            sensors=replace(
-                joint.sensors, second_encoder=encoders.get(joint.name, joint.sensors.second_encoder)
-            ),
-        )
-        for joint in arm.joints
-    ]
+    joints = []
+    for joint in arm.joints:
+        second = encoders.get(joint.name, joint.sensors.second_encoder)
+        joints.append(replace(joint, sensors=replace(joint.sensors, second_encoder=second)))
     return replace(arm, joints=tuple(joints))
 
 

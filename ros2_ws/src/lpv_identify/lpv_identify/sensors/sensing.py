@@ -1,12 +1,12 @@
 """What a recording says of the sensors: noise, steps, source of rates, jitter of the stamps."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv_core.residual.rate_independence import rate_source
-from lpv_core.serial_arm.description import JointSensors
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.rate_independence import rate_source
 from lpv_identify.recordings.motion import Segment
 from lpv_identify.recordings.recording import Recording
 
@@ -31,16 +31,19 @@ class Sensing:
     rate_delay: np.ndarray  # of rates behind positions [s]
     effort_delay: np.ndarray  # of efforts behind motion [s]
 
-    def of_joint(self, joint: int, before: JointSensors) -> JointSensors:
-        """Sensors of a joint as an arm file has them; names stay."""
-        return JointSensors(
-            before.name,
-            max(float(self.position_noise[joint]), 1e-9),
-            float(self.quantization[joint]),
-            self.rates[joint],
-            max(float(self.velocity_noise[joint]), 1e-9),
-            before.second_encoder,
-        )
+    def on(self, arm: SerialArm) -> SerialArm:
+        """The arm with these sensors; their names stay."""
+        joints = []
+        for j, joint in enumerate(arm.joints):
+            sensors = replace(
+                joint.sensors,
+                position_noise=max(float(self.position_noise[j]), 1e-9),
+                quantization=float(self.quantization[j]),
+                rates=self.rates[j],
+                velocity_noise=max(float(self.velocity_noise[j]), 1e-9),
+            )
+            joints.append(replace(joint, sensors=sensors))
+        return replace(arm, joints=tuple(joints))
 
 
 def sense(
@@ -51,24 +54,13 @@ def sense(
 ) -> Sensing:
     """Measure what a recording says of its sensors.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        As they were recorded: steps and stamps are theirs.
-    segments : sequence of Segment
-        The same on a uniform grid.
-    rate_delay, effort_delay : ndarray, shape (n,)
-        Known from elsewhere [s].
-
-    Returns
-    -------
-    Sensing
-        Rates are called derived unless it is proved that they are independent.
+    Steps and stamps are those of the ``recordings``, noise that of ``segments``, the same on a
+    uniform grid; delays, shape (n,), are known from elsewhere [s].  Rates are called derived unless
+    it is proved that they are independent.
     """
-    positions = [one.position for one in recordings]
     rates = [one.velocity for one in recordings if one.velocity is not None]
-    n = positions[0].shape[1]
-    step = quantization_step(positions)
+    n = recordings[0].position.shape[1]
+    step = quantization_step([one.position for one in recordings])
     noise = noise_deviation([segment.position for segment in segments])
     # What rounding does not explain; of a rounded signal at rest little is known.
     noise = np.sqrt(np.maximum(noise**2 - step**2 / 12.0, (0.05 * step) ** 2))

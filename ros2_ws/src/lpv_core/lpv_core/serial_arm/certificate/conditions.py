@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.certificate.conditions import Check
-from lpv_core.certificate.lmi import largest_eigenvalue
 from lpv_core.serial_arm.certificate.disturbance import MotionRange, missed_torque
 from lpv_core.serial_arm.certificate.loop_gains import ErrorProof, LoopGains, loop_checksum
 from lpv_core.serial_arm.certificate.loop_inequality import (
@@ -29,6 +27,7 @@ from lpv_core.serial_arm.certificate.model_bounds import (
 from lpv_core.serial_arm.chain import FloatArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.inequalities import Check, largest_eigenvalue
 
 _SAME = 1e-6
 """Relative difference up to which a recomputed number is the stored one."""

@@ -6,7 +6,6 @@ arm with exactly these numbers.
 
 from fractions import Fraction
 
-from lpv_core.certificate.exact_proof import exact, is_negative
 from lpv_core.serial_arm.certificate.conditions import bound_name, loop_matrices
 from lpv_core.serial_arm.certificate.loop_gains import LoopGains
 from lpv_core.serial_arm.certificate.model_bounds import (
@@ -18,6 +17,7 @@ from lpv_core.serial_arm.certificate.model_bounds import (
     twists_of,
 )
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.support.inequalities import exact, is_negative
 
 
 def prove_loop(arm: SerialArm, gains: LoopGains) -> dict[str, bool]:

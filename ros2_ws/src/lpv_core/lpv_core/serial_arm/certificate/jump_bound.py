@@ -41,10 +41,10 @@ def jump_bound(arm: SerialArm) -> FloatArray:
 
 
 def _acceleration(arm: SerialArm) -> FloatArray:
-    """Largest accelerations of the joints in every configuration [rad/s2].
+    """Largest accelerations of the readings S q in every configuration [rad/s2].
 
     M >= diag(c) with the rotors' inertias c, as the links' part is positive semidefinite: from
-    a^T M a = a^T tau follows sum c a^2 <= sum tau^2 / c.
+    a^T M a = a^T tau follows sum c a^2 <= sum tau^2 / c, and (s a)^2 <= sum c a^2 sum s^2 / c.
     """
     rotor = np.array([joint.rotor_inertia for joint in arm.joints])
     links = [np.linalg.eigvalsh(spatial_inertia(joint.link.to_vector())) for joint in arm.joints]
@@ -52,4 +52,5 @@ def _acceleration(arm: SerialArm) -> FloatArray:
     if rotor.min() <= 0.0 or not semidefinite:
         return np.full(len(rotor), np.inf)
     net = NET_TORQUE * np.array(arm.torque_limit)
-    return np.asarray(np.sqrt((net**2 / rotor).sum() / rotor))
+    along = arm.joints_to_sensors() ** 2 @ (1.0 / rotor)
+    return np.asarray(np.sqrt((net**2 / rotor).sum() * along))

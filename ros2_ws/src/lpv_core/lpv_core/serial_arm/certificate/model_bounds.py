@@ -25,6 +25,7 @@ from lpv_core.serial_arm.certificate.link_forms import (
 from lpv_core.serial_arm.chain import VISCOUS, FloatArray, compile_chain
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.dynamics.payload import payload_parameters
+from lpv_core.support.errors import ConfigError
 
 BOUNDS = ('payload', 'damping', 'growth', 'inertia')
 
@@ -52,7 +53,14 @@ class ModelBounds:
 
 
 def chain_numbers(arm: SerialArm) -> ChainNumbers:
-    """Numbers of an arm's model, as floats."""
+    """Numbers of an arm's model, as floats; ConfigError for prismatic joints."""
+    for joint in arm.joints:
+        if joint.is_prismatic:
+            raise ConfigError(
+                'joints',
+                f'{joint.name} is prismatic: loops are proved for arms of revolute joints alone',
+                arm.name,
+            )
     chain = compile_chain(arm)
     load = payload_parameters(chain, arm.uncertainty.payload)
     return ChainNumbers(

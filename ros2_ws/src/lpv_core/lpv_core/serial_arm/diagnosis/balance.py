@@ -15,7 +15,8 @@ import numpy as np
 from lpv_core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
 from lpv_core.serial_arm.dynamics.friction import friction_torque, smooth_sign
 from lpv_core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
-from lpv_core.support.jit import njit
+from lpv_core.serial_arm.sensor_map import map_vector
+from lpv_core.support.jit import njit, njit_in_place
 
 GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coulomb')
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
@@ -56,15 +57,18 @@ class Balance(NamedTuple):
     clock : ndarray, shape (2,)
         Length of the previous interval, 0 if there is none; moment from which drifts count [s].
     poses : ndarray, shape (2, n)
-        Positions at the ends of the previous and of the current interval [rad].
+        Joint positions at the ends of the previous and of the current interval [rad].
     rates : ndarray, shape (3, 2, n)
-        Lowest and highest rate of both intervals of the last hat, and of the current one [rad/s].
+        Lowest and highest joint rates of both intervals of the last hat, and of the current one
+        [rad/s].
     rigid : ndarray, shape (n, n)
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
         Scratch.
     frictions : ndarray, shape (k, n, 4)
         What belongs to ``directions`` of viscous, Coulomb, load-dependent friction and offset.
+    to_joints : ndarray, shape (n, n)
+        S^-1 of y = S q + f: faults are those of sensors, rows those of joints.
     """
 
     chain: Chain
@@ -82,6 +86,7 @@ class Balance(NamedTuple):
     work: FloatArray
     vectors: FloatArray
     frictions: FloatArray
+    to_joints: FloatArray
 
 
 def column_count(joints: int, directions: int) -> int:
@@ -90,7 +95,11 @@ def column_count(joints: int, directions: int) -> int:
 
 
 def new_balance(
-    chain: Chain, directions: FloatArray, derived: FloatArray, frictions: FloatArray | None = None
+    chain: Chain,
+    directions: FloatArray,
+    derived: FloatArray,
+    frictions: FloatArray | None = None,
+    to_joints: FloatArray | None = None,
 ) -> Balance:
     """Empty balances.
 
@@ -104,6 +113,8 @@ def new_balance(
         1 where a rate is derived from the encoder, else 0.
     frictions : ndarray, shape (k, n, 4), optional
         Possible errors of friction that go with those of the inertial parameters; none by default.
+    to_joints : ndarray, shape (n, n), optional
+        S^-1 of y = S q + f; 1 by default.
 
     Returns
     -------
@@ -117,7 +128,8 @@ def new_balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
         np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), _no_rates(n),
-        np.zeros((n, n)), workspace(chain), np.zeros((9, n)), along)  # fmt: skip
+        np.zeros((n, n)), workspace(chain), np.zeros((10, n)), along,
+        np.eye(n) if to_joints is None else np.ascontiguousarray(to_joints))  # fmt: skip
 
 
 @njit
@@ -127,7 +139,7 @@ def _no_rates(n: int) -> FloatArray:
     return rates
 
 
-@njit
+@njit_in_place
 def put(
     balance: Any, column: int, row: int, parts: tuple[float, float], weight: tuple[float, float]
 ) -> None:
@@ -142,26 +154,27 @@ def put(
     balance.falling[1, row, column] += length * (1.0 - place) * force
 
 
-@njit
+@njit_in_place
 def add_residual(
-    balance: Balance, q: FloatArray, v: FloatArray, torque: FloatArray, weight: tuple[float, float]
+    balance: Balance, y: FloatArray, v: FloatArray, torque: FloatArray, weight: tuple[float, float]
 ) -> None:
     """Add the residual of a block to the current interval, without derivatives."""
     angle, rate = balance.vectors[0], balance.vectors[1]
     p, force, friction = balance.vectors[2], balance.vectors[3], balance.vectors[6]
-    for i in range(q.shape[0]):
-        angle[i] = q[i] - balance.reference[i]
-        rate[i] = v[i]
+    for i in range(y.shape[0]):
+        friction[i] = y[i] - balance.reference[i]
+    map_vector(balance.to_joints, friction, angle)
+    map_vector(balance.to_joints, v, rate)
     momentum_balance(balance.chain, angle, rate, balance.work, p, force)
     friction_torque(balance.chain, rate, torque, friction)
-    for i in range(q.shape[0]):
+    for i in range(y.shape[0]):
         put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
 
 
-@njit
+@njit_in_place
 def add_block(
     balance: Balance,
-    q: FloatArray,
+    y: FloatArray,
     v: FloatArray,
     torque: FloatArray,
     time: float,
@@ -174,8 +187,8 @@ def add_block(
     ----------
     balance : Balance
         Changed.
-    q, v, torque : ndarray, shape (n,)
-        Mean positions, rates and torques as measured [rad], [rad/s], [N m].
+    y, v, torque : ndarray, shape (n,)
+        Mean readings, rates of the same and joint torques, as measured [rad], [rad/s], [N m].
     time : float
         Of the block's middle [s].
     length : float
@@ -183,14 +196,14 @@ def add_block(
     place : float
         Of the block's middle in the interval, 0 to 1.
     """
-    chain, n = balance.chain, q.shape[0]
+    chain, n = balance.chain, y.shape[0]
     weight = (length, place)
     angle, rate = balance.vectors[0], balance.vectors[1]
     p_by, force_by = balance.vectors[4], balance.vectors[5]
-    add_residual(balance, q, v, torque, weight)
+    add_residual(balance, y, v, torque, weight)
     for i in range(n):
-        balance.rates[2, 0, i] = min(balance.rates[2, 0, i], v[i])
-        balance.rates[2, 1, i] = max(balance.rates[2, 1, i], v[i])
+        balance.rates[2, 0, i] = min(balance.rates[2, 0, i], rate[i])
+        balance.rates[2, 1, i] = max(balance.rates[2, 1, i], rate[i])
         row = 1 + i
         put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
         put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
@@ -198,12 +211,14 @@ def add_block(
              (0.0, -smooth_sign(rate[i], chain.friction[i, SLOPE])), weight)  # fmt: skip
         put(balance, row + GAIN * n, i, (0.0, torque[i]), weight)
     for i in range(n):
-        _add_fault_columns(balance, i, torque, time - balance.clock[EPOCH], weight)
+        reading = y[i] - balance.reference[i], v[i]
+        _add_fault_columns(balance, i, reading, torque, time - balance.clock[EPOCH], weight)
     set_velocities(chain, angle, rate, balance.work)
     for k in range(balance.directions.shape[0]):
         along = Chain(
             chain.rotation, chain.translation, balance.directions[k], balance.rigid,
-            chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation)  # fmt: skip
+            chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation,
+            chain.prismatic)  # fmt: skip
         carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
             column, part = 1 + 8 * n + k, balance.frictions[k, j]
@@ -214,44 +229,55 @@ def add_block(
             put(balance, column, j, (p_by[j], force_by[j] - lost), weight)
 
 
-@njit
+@njit_in_place
 def _add_fault_columns(
-    balance: Balance, i: int, torque: FloatArray, time: float, weight: tuple[float, float]
+    balance: Balance,
+    i: int,
+    reading: tuple[float, float],
+    torque: FloatArray,
+    time: float,
+    weight: tuple[float, float],
 ) -> None:
-    """Add the columns of the faults of sensor i, by differences; time since the epoch."""
+    """Add the columns of the faults of sensor i, by differences; time since the epoch.
+
+    ``reading`` is that of the sensor without its fault, with its rate.
+    """
     chain, n = balance.chain, torque.shape[0]
     angle, rate = balance.vectors[0], balance.vectors[1]
     p, force = balance.vectors[2], balance.vectors[3]
     p_angle, force_angle = balance.vectors[4], balance.vectors[5]
     p_rate, force_rate = balance.vectors[7], balance.vectors[8]
-    q_i, v_i = angle[i], rate[i]
-    angle[i] = q_i - _STEP
-    momentum_balance(chain, angle, rate, balance.work, p_angle, force_angle)
-    angle[i] = q_i
-    rate[i] = v_i - _STEP
-    momentum_balance(chain, angle, rate, balance.work, p_rate, force_rate)
-    rate[i] = v_i
+    moved, share = balance.vectors[9], balance.to_joints[:, i]
+    for j in range(n):
+        moved[j] = angle[j] - _STEP * share[j]
+    momentum_balance(chain, moved, rate, balance.work, p_angle, force_angle)
+    for j in range(n):
+        moved[j] = rate[j] - _STEP * share[j]
+    momentum_balance(chain, angle, moved, balance.work, p_rate, force_rate)
     derived = balance.derived[i]
     for j in range(n):
         p_f, force_f = (p_angle[j] - p[j]) / _STEP, (force_angle[j] - force[j]) / _STEP
         p_v, force_v = (p_rate[j] - p[j]) / _STEP, (force_rate[j] - force[j]) / _STEP
-        if i == j:
-            row = chain.friction[i]
+        if share[j] != 0.0:
+            row = chain.friction[j]
             slip = 100.0 if row[SLOPE] > 100.0 else row[SLOPE]
-            dry = row[1] + row[2] * abs(torque[i])
+            dry = row[1] + row[2] * abs(torque[j])
             bend = (
-                smooth_sign(v_i + 0.5 / slip, slip) - smooth_sign(v_i - 0.5 / slip, slip)
+                smooth_sign(rate[j] + 0.5 / slip, slip) - smooth_sign(rate[j] - 0.5 / slip, slip)
             ) * slip
-            force_v += row[0] + dry * bend
+            force_v += share[j] * (row[0] + dry * bend)
         put(balance, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
         put(balance, 1 + RATE * n + i, j, (p_v, force_v), weight)
         drift = (time * p_f + derived * p_v, time * force_f + derived * force_v)
         put(balance, 1 + DRIFT * n + i, j, drift, weight)
-        scale = (q_i * p_f + derived * v_i * p_v, q_i * force_f + derived * v_i * force_v)
+        scale = (
+            reading[0] * p_f + derived * reading[1] * p_v,
+            reading[0] * force_f + derived * reading[1] * force_v,
+        )
         put(balance, 1 + SCALE * n + i, j, scale, weight)
 
 
-@njit
+@njit_in_place
 def close_interval(balance: Balance, length: float) -> bool:
     """End the current interval; it becomes the previous one.
 
@@ -284,15 +310,17 @@ def close_interval(balance: Balance, length: float) -> bool:
             balance.rising[1, i, c] = 0.0
             balance.falling[1, i, c] = 0.0
     balance.clock[LENGTH] = length
-    balance.poses[0] = balance.poses[1]
-    balance.poses[1] = balance.vectors[0]
-    balance.rates[:2] = balance.rates[1:]
-    balance.rates[2, 0] = np.inf
-    balance.rates[2, 1] = -np.inf
+    for i in range(n):
+        balance.poses[0, i] = balance.poses[1, i]
+        balance.poses[1, i] = balance.vectors[0, i]
+        for side in range(2):
+            balance.rates[0, side, i] = balance.rates[1, side, i]
+            balance.rates[1, side, i] = balance.rates[2, side, i]
+        balance.rates[2, 0, i], balance.rates[2, 1, i] = np.inf, -np.inf
     return complete
 
 
-@njit
+@njit_in_place
 def rests(balance: Balance, joint: int) -> bool:
     """Whether a joint rests or reverses within the last hat."""
     low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
@@ -300,7 +328,7 @@ def rests(balance: Balance, joint: int) -> bool:
     return low < SLOW_RATE and high > -SLOW_RATE
 
 
-@njit
+@njit_in_place
 def move_epoch(balance: Balance, epoch: float) -> None:
     """Let drifts count from another moment; what has been integrated follows."""
     n, shift = balance.reference.shape[0], epoch - balance.clock[EPOCH]
@@ -334,7 +362,7 @@ def fill_balances(
     balance : Balance
         Changed.
     blocks : ndarray, shape (N, 3 n + 3)
-        Means q, v, tau with time, length and place of each block; whole intervals.
+        Means y, v, tau with time, length and place of each block; whole intervals.
     per_interval : int
         Blocks of an interval.
     rows : ndarray, shape (N / per_interval - 1, n, columns)
@@ -382,12 +410,12 @@ def residuals(
     chain = Chain(
         balance.chain.rotation, balance.chain.translation, balance.chain.inertial,
         balance.chain.motor, friction, balance.chain.gravity, balance.chain.tip_rotation,
-        balance.chain.tip_translation)  # fmt: skip
+        balance.chain.tip_translation, balance.chain.prismatic)  # fmt: skip
     own = Balance(
         chain, balance.directions, balance.reference, balance.derived,
         np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
         np.zeros(2), np.zeros((2, n)), _no_rates(n), balance.rigid, balance.work.copy(),
-        balance.vectors.copy(), balance.frictions)  # fmt: skip
+        balance.vectors.copy(), balance.frictions, balance.to_joints)  # fmt: skip
     result, length = np.zeros((intervals - 1, n)), 0.0
     for k in range(intervals * per_interval):
         block = blocks[k]

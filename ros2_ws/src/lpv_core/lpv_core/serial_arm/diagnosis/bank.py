@@ -20,9 +20,9 @@ A decisions.  A cause is named by its share of the same sum, weighted by `OCCURR
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
@@ -33,33 +33,38 @@ from lpv_core.serial_arm.diagnosis.contact import (
     new_contact,
     rough_contact,
     smooth_contact,
-    watch_noise,
     weigh_residuals,
 )
 from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, set_residuals
-from lpv_core.serial_arm.diagnosis.information import last_rows, slot
+from lpv_core.serial_arm.diagnosis.information import ROBUST, slot
+from lpv_core.serial_arm.diagnosis.linear_bank import (
+    COLUMNS,
+    JUMP,
+    ONSET,
+    Kinds,
+    Rows,
+    gather,
+    new_evidence,
+)
 from lpv_core.serial_arm.diagnosis.onset import explained_at_onsets, sudden_drift_of
+from lpv_core.serial_arm.diagnosis.sampling import LATE
 from lpv_core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
+from lpv_core.serial_arm.sensor_map import map_rows, mixing
+from lpv_core.support.jit import njit_in_place
 
+BoolArray = npt.NDArray[np.bool_]
 CONTACT = 'contact'
 """Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
 STARTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 1.8, 2.5)
 """Times ago at which a cause may have begun [s]: every one that comes passes each of them."""
 STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
-ONSET = 2
-"""Balances at the start of a window in which a fault may come in any way: they are explained by
-free torques, for encoders as for contacts."""
 OCCURRENCE = {
     CONTACT: 1.0,
-    'drift': 0.01,
-    'scale': 0.01,
-    'slip': 0.01,
-    'stuck': 0.01,
-    'rate_bias': 0.01,
-    'torque_gain': 0.01,
-    'torque_offset': 0.01,
+    **dict.fromkeys(
+        ('drift', 'scale', 'slip', 'stuck', 'rate_bias', 'torque_gain', 'torque_offset'), 0.01
+    ),
 }
 """How often causes come, per hour of motion: a push every hour, one fault of a kind in 100 h.  Only
 ratios count.  Torque sensors fail as often as encoders do."""
@@ -69,13 +74,18 @@ SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain'
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 RATE_BIAS = 0.1
 """Bias of a healthy rate sensor, over its noise a sample."""
-JUMP = 6
-"""Seventh column: a rate reading jumps at the start, and the momentum seems to, by M e_i."""
+NEGLIGIBLE = 5e-4
+"""Errors of readings, and of rates in a quarter of a second, that are no faults, however little
+noise the file states [rad], times `SerialJoint.scale`."""
+WRONG_STAMPS = 0.01
+"""Share of stamps that are wrong, before any were seen."""
 LARGEST_SCALE = 0.5
 """Largest scale error that is looked for in jumps [-]."""
+QUIET, LOUD = 0.25, 0.5
+"""Shares of the evidence that an alarm needs: below the first one the bank has found nothing, from
+the second one on hypotheses that take more time are compared, too."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
-_GROUPS = 6
 _BEFORE = 1e-12
 
 
@@ -102,52 +112,6 @@ class Hypothesis:
         return ('encoder' if self.is_encoder else self.kind, self.joint)
 
 
-def log_bayes_factor(
-    score: FloatArray, information: FloatArray, prior: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Logarithm of the ratio of marginal likelihoods of one column or two of unknown sizes.
-
-    Parameters
-    ----------
-    score : ndarray, shape (..., k)
-        -A^T W r; k is 1 or 2.
-    information : ndarray, shape (..., k, k)
-        Of the sizes, with the arm's unknowns eliminated.
-    prior : ndarray, shape (..., k)
-        Standard deviations of the sizes before.
-
-    Returns
-    -------
-    tuple of ndarray, shape (...)
-        The logarithm, the first size, and its standard deviation.
-    """
-    right = prior * score
-    scaled = prior[..., :, None] * np.maximum(information, -1e300) * prior[..., None, :]
-    first = np.maximum(scaled[..., 0, 0], 0.0) + 1.0
-    if right.shape[-1] == 1:
-        mean = right[..., 0] / first
-        gain = 0.5 * (right[..., 0] * mean - np.log(first))
-        return gain, prior[..., 0] * mean, prior[..., 0] / np.sqrt(first)
-    second, across = np.maximum(scaled[..., 1, 1], 0.0) + 1.0, scaled[..., 0, 1]
-    determinant = np.maximum(first * second - across**2, 1.0)
-    mean = (second * right[..., 0] - across * right[..., 1]) / determinant
-    other = (first * right[..., 1] - across * right[..., 0]) / determinant
-    gain = 0.5 * (right[..., 0] * mean + right[..., 1] * other - np.log(determinant))
-    return gain, prior[..., 0] * mean, prior[..., 0] * np.sqrt(second / determinant)
-
-
-class _Windows(NamedTuple):
-    """Score and information of the six columns of every sensor, for all starts."""
-
-    lengths: IntArray  # (W,) of the windows [balances]
-    begin: FloatArray  # (W,) [s]
-    pose: FloatArray  # (W, n) readings at the begin, as corrected [rad]
-    score: FloatArray  # (W, n, 7)
-    information: FloatArray  # (W, n, 7, 7)
-    onset: FloatArray  # (W,) log Bayes factor of free torques at the onset
-    contact: FloatArray  # (W,) the same of rough torques in the whole window
-
-
 class Bank:
     """Bank of one arm.
 
@@ -169,6 +133,8 @@ class Bank:
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
         self._push, self.statistic = push, -np.inf
+        self._to_sensors = arm.joints_to_sensors()
+        self._mixing = mixing(arm.sensors_to_joints().T)
         lengths = sorted({max(1, round(one / plan.interval)) for one in STARTS})
         self._lengths = np.array(lengths)
         # A start of the grid stands for those up to the next longer one.
@@ -180,11 +146,14 @@ class Bank:
         self._jumped: list[tuple[float, float, float] | None] = [None] * n
         self._mass = np.zeros((plan.capacity, n, n))
         self._hypotheses()
+        self._evidence = new_evidence(
+            self._lengths, self._starts, self._kinds, len(estimator.prior)
+        )
 
     def _hypotheses(self) -> None:
         """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
 
-        Columns of drifts and scale errors are zero at the start of their windows, which `_linear`
+        Columns of drifts and scale errors are zero at the start of their windows, which `gather`
         adds: by what a reading jumped is taken out already.
         """
         n, derived, everywhere = (
@@ -205,17 +174,17 @@ class Bank:
         ]
         # It may be older than its window.
         double = [('drift', {DRIFT: 1.0}, derived)]
-        self._kinds = tuple(kind for kind, *_ in (*single, *double))
-        self._applies = np.array([where for *_, where in (*single, *double)])
-        self._basis = np.zeros((len(self._kinds), _GROUPS + 1))
-        for row, (_, parts, _) in zip(self._basis, (*single, *double)):
+        self._names = tuple(kind for kind, *_ in (*single, *double))
+        applies = np.array([where for *_, where in (*single, *double)], float)
+        basis = np.zeros((len(self._names), COLUMNS))
+        for row, (_, parts, _) in zip(basis, (*single, *double)):
             row[list(parts)] = list(parts.values())
-        self._prior = np.array([
+        prior = np.array([
             self._push if kind == 'torque_offset' else np.full(n, SIZE[kind])
-            for kind in self._kinds
+            for kind in self._names
         ])  # fmt: skip
-        self._singles = len(single)
-        self._log_weight = -np.log(1 + self._applies.sum() + n)
+        self._kinds = Kinds(basis, prior, applies, len(single), SIZE['slip'])
+        self._log_weight = -np.log(1 + applies.sum() + n)
 
     def take(self, blocks: FloatArray) -> None:
         """Take the blocks of the last two intervals, rows as of `Sampler.blocks`."""
@@ -224,6 +193,8 @@ class Bank:
         window, balance = self.estimator.window, self.estimator.balance
         at = slot(window, 0)
         mass_matrix(balance.chain, window.poses[at], balance.work, self._mass[at])
+        if self._mixing is not None:
+            self._mass[at] = map_rows(self._mixing, self._mass[at])
 
     def restart(self) -> None:
         """Begin again after a gap."""
@@ -260,16 +231,17 @@ class Bank:
         found = time, size[0] / reading, size[1] / abs(reading)
         self._jumped[joint] = found if jumped else None
 
-    def _scales_that_jumped(self, windows: _Windows) -> list[Hypothesis]:
+    def _scales_that_jumped(self, count: int) -> list[Hypothesis]:
         """Scale errors of the sizes that jumps of the readings had."""
-        found = []
+        found, windows = [], self._evidence
         for i, jump in enumerate(self._jumped):
             if jump is None:
                 continue
             time, share, sigma = jump
             # It goes on as it began: a change in proportion to the way, by a share that is known.
-            for w in np.nonzero(windows.begin >= time - 2.0 * self.estimator.plan.interval)[0]:
-                column = np.zeros(_GROUPS + 1)
+            since = time - 2.0 * self.estimator.plan.interval
+            for w in np.nonzero(windows.begin[:count] >= since)[0]:
+                column = np.zeros(COLUMNS)
                 column[SCALE], column[OFFSET] = 1.0, -windows.pose[w, i]
                 power = float(column @ windows.information[w, i] @ column) + sigma**-2
                 pull = column @ windows.score[w, i] + share / sigma**2
@@ -314,26 +286,22 @@ class Bank:
         if (
             self._waited < QUIET_EVERY
             and not stuck
-            and not self._kinematics.speaks(0.25 * threshold)
+            and not self._kinematics.speaks(QUIET * threshold)
         ):
             return []
-        windows = self._windows(blocks)
-        if windows is None:
+        count = self._held()
+        if count == 0:
             self.statistic = -np.inf
             return []
-        gains, sizes, sigmas = self._linear(windows, unseen)
-        starts = np.log(self._starts[: len(windows.lengths)])
-        every = np.logaddexp.reduce((gains + starts).reshape(-1))
-        contact = np.logaddexp.reduce(windows.contact + starts)
-        self.statistic = float(np.logaddexp(every, contact) + self._log_weight)
-        self._kinematics.learn(self.statistic < 0.25 * threshold)
-        self._waited = 0 if self.statistic < 0.25 * threshold else QUIET_EVERY
-        if self.statistic < 0.5 * threshold and not stuck:
+        every, pushed = self._gather(count, blocks(1)[-1], unseen)
+        self.statistic = float(np.logaddexp(every, pushed) + self._log_weight)
+        self._kinematics.learn(self.statistic < QUIET * threshold)
+        self._waited = 0 if self.statistic < QUIET * threshold else QUIET_EVERY
+        if self.statistic < LOUD * threshold and not stuck:
             return []
-        found = stuck + self._named(windows, gains, sizes, sigmas)
-        found += self._scales_that_jumped(windows)
+        found = stuck + self._named(count) + self._scales_that_jumped(count)
         if self._derived.any():
-            found += self._sudden(blocks, len(windows.lengths))
+            found += self._sudden(blocks, count)
         # Rows that are near zero throughout, as of a constant reading, say nothing.
         found = [one for one in found if np.isfinite(one.gain)]
         self.statistic = self._sum(found)
@@ -362,126 +330,34 @@ class Bank:
         shares = {cause: float(np.exp(value - total)) for cause, value in logarithms.items()}
         return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
-    def _windows(self, blocks: Callable[[int], FloatArray]) -> _Windows | None:
-        """Score and information of all starts that the horizon holds."""
-        estimator, n = self.estimator, self.estimator.joints
-        window, null, m = estimator.window, estimator.posterior, len(estimator.prior)
-        held = min(len(estimator), self._age + 1)
-        lengths = self._lengths[self._lengths < held]
-        if len(lengths) == 0:
-            return None
-        last = int(lengths[-1])
-        set_residuals(window, null, last + 1)
-        rows, weights = last_rows(window, last), self._weights(last)
-        # (last, n, 6 n) columns of the sensors, and (last, n, m) of the unknowns
-        columns, unknowns = rows[..., 1 : 1 + _GROUPS * n], rows[..., rows.shape[2] - m :]
-        weighted = weights[..., None] * columns
-        residual = null.residual[:last][::-1]
-        score = -np.einsum('kic,ki->kc', weighted, residual)
-        one = columns.reshape(last, n, _GROUPS, n)
-        gram = np.einsum('kigj,kihj->kjgh', weighted.reshape(one.shape), one)
-        cross = weighted.transpose(0, 2, 1) @ unknowns
-        at, count = last - lengths + np.minimum(ONSET, lengths), len(lengths)
-        parts = self._jumps(last - lengths, residual, weights, unknowns)
-        score = np.concatenate([_later(score)[at].reshape(count, _GROUPS, n), parts[0]], axis=1)
-        cross = np.concatenate(
-            [_later(cross)[at].reshape(count, _GROUPS, n, m), parts[2]], axis=1
-        ).transpose(0, 2, 1, 3)
-        whitened = cross @ np.linalg.inv(np.triu(null.factor))
-        information = np.zeros((count, n, _GROUPS + 1, _GROUPS + 1))
-        information[:, :, :_GROUPS, :_GROUPS] = _later(gram)[at]
-        information[:, :, JUMP, JUMP] = parts[1]
-        gram = information - whitened @ whitened.transpose(0, 1, 3, 2)
-        score = score.transpose(0, 2, 1).copy()
-        begin = np.array([window.times[slot(window, k - 1)] for k in lengths])
-        begin -= estimator.plan.interval
-        self._kinematics.add(score, gram, lengths, window.times[slot(window, 0)],
-                             estimator.balance.clock[EPOCH], blocks(1)[-1])  # fmt: skip
-        watch_noise(self._outside, null)
-        weigh_residuals(window, null, last + 1)
-        index = {int(length): w for w, length in enumerate(self._lengths)}
-        onset, contact = np.zeros((2, len(lengths)))
-        for w, length in enumerate(lengths):
-            onset[w] = rough_contact(self._outside, null, len(self._lengths), int(length))
-            contact[w] = rough_contact(self._outside, null, index[int(length)], int(length) - 1)
-        pose = window.poses[[slot(window, int(k) - 1) for k in lengths]]
-        pose = pose + estimator.balance.reference
-        return _Windows(lengths, begin, pose, score, gram, onset, contact)
+    def _held(self) -> int:
+        """Windows that the horizon holds."""
+        held = min(len(self.estimator), self._age + 1)
+        return int((self._lengths < held).sum())
 
-    def _jumps(
-        self, oldest: IntArray, residual: FloatArray, weights: FloatArray, unknowns: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Score, information and cross products of the seventh column, by window and joint.
+    def _gather(self, count: int, block: FloatArray, unseen: FloatArray) -> tuple[float, float]:
+        """Write the evidence of so many windows; the last block holds the readings."""
+        estimator = self.estimator
+        balance = estimator.balance
+        frame = self._to_sensors, balance.reference
+        times = float(balance.clock[EPOCH]), estimator.plan.interval
+        rows = self._kinematics.sums(self._lengths[:count], block)
+        return gather(
+            self._evidence, self._kinds, estimator.window, estimator.posterior, self._outside,
+            rows, self._mass, frame, times, unseen, count)  # fmt: skip
 
-        A jump inside an interval shows in the two balances that hold it: their sum has all of it.
-        Of the last window, the second one is still to come.
-        """
-        window, last = self.estimator.window, len(residual)
-        pairs = np.minimum(oldest[:, None] + np.arange(ONSET), last - 1)
-        weight = (oldest + ONSET <= last)[:, None] / (1.0 / weights[pairs]).sum(1)
-        left, known = residual[pairs].sum(1), unknowns[pairs].sum(1)
-        # Without the error of its rate, the momentum is less by M e_i.
-        mass = -self._mass[[slot(window, last - 1 - int(k)) for k in oldest]]
-        weighted = weight[:, :, None] * mass
-        score = -(weighted * left[:, :, None]).sum(1)
-        information = (weighted * mass).sum(1)
-        cross = weighted.transpose(0, 2, 1) @ known
-        return score[:, None], information, cross[:, None]
-
-    def _weights(self, last: int) -> FloatArray:
-        """Weights of the last balances, oldest first, shape (last, n)."""
-        window = self.estimator.window
-        return window.weights[[slot(window, back) for back in range(last - 1, -1, -1)]]
-
-    def _linear(
-        self, windows: _Windows, unseen: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Gains, sizes and deviations of all kinds, shape (kinds, n, W)."""
-        epoch, count = self.estimator.balance.clock[EPOCH], len(windows.lengths)
-        # (W, n, 7, kinds) columns; drifts and scale errors are zero at the start of their windows
-        columns = np.broadcast_to(self._basis.T, (count, len(self._mass[0]), *self._basis.T.shape))
-        columns = columns.copy()
-        elapsed = (windows.begin - epoch)[:, None, None] * self._basis[:, DRIFT]
-        columns[:, :, OFFSET] -= elapsed + windows.pose[..., None] * self._basis[:, SCALE]
-        score = (windows.score[..., None] * columns).sum(2)  # (W, n, kinds)
-        moved = windows.information @ columns  # (W, n, 7, kinds)
-        own = (columns * moved).sum(2)
-        prior = np.broadcast_to(self._prior.T, own.shape).copy()
-        # A larger scale error would have shown as a jump, when it came.
-        largest = unseen / np.maximum(np.abs(windows.pose), 1e-6)
-        for k in np.nonzero(self._basis[:, SCALE])[0]:
-            prior[..., k] = np.minimum(prior[..., k], largest)
-        one = self._singles
-        alone = score[..., :one, None], own[..., :one, None, None], prior[..., :one, None]
-        parts = [log_bayes_factor(*alone)]
-        information = np.empty((*own[..., one:].shape, 2, 2))
-        information[..., 0, 0] = own[..., one:]
-        information[..., 0, 1] = information[..., 1, 0] = moved[:, :, OFFSET, one:]
-        information[..., 1, 1] = windows.information[:, :, OFFSET, OFFSET, None]
-        scores = np.broadcast_arrays(score[..., one:], windows.score[:, :, OFFSET, None])
-        priors = np.broadcast_arrays(prior[..., one:], SIZE['slip'])
-        parts.append(log_bayes_factor(
-            np.stack(scores, axis=-1), information, np.stack(priors, axis=-1)))  # fmt: skip
-        gain, size, sigma = (
-            np.concatenate([first, second], axis=-1).transpose(2, 1, 0)
-            for first, second in zip(*parts)
-        )
-        counts = self._applies[:, :, None] & np.isfinite(gain)
-        return np.where(counts, gain, -np.inf), size, sigma
-
-    def _named(
-        self, windows: _Windows, gains: FloatArray, sizes: FloatArray, sigmas: FloatArray
-    ) -> list[Hypothesis]:
-        """Hypotheses of `_linear`, and contact, one by one."""
-        begin, starts = windows.begin, self._starts
+    def _named(self, count: int) -> list[Hypothesis]:
+        """Hypotheses of the evidence, and contact, one by one."""
+        one, starts = self._evidence, self._starts
+        gains = one.gain[..., :count]
         found = [
-            Hypothesis(self._kinds[k], int(i), float(gains[k, i, w]), float(sizes[k, i, w]),
-                       float(sigmas[k, i, w]), float(begin[w]), float(starts[w]))
+            Hypothesis(self._names[k], int(i), float(gains[k, i, w]), float(one.size[k, i, w]),
+                       float(one.sigma[k, i, w]), float(one.begin[w]), float(starts[w]))
             for k, i, w in zip(*np.nonzero(gains > -np.inf))
         ]  # fmt: skip
         found += [
-            Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(begin[w]), float(starts[w]))
-            for w, gain in enumerate(windows.contact)
+            Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(one.begin[w]), float(starts[w]))
+            for w, gain in enumerate(one.contact[:count])
         ]
         return found
 
@@ -590,11 +466,39 @@ class Bank:
         )
 
 
-def _later(parts: FloatArray) -> FloatArray:
-    """Sums from each entry of the first axis to the end, the last one of nothing."""
-    sums = np.zeros((len(parts) + 1, *parts.shape[1:]))
-    sums[:-1] = np.cumsum(parts[::-1], axis=0)[::-1]
-    return sums
+@njit_in_place
+def dead_reckoning(blocks: FloatArray, row: FloatArray) -> None:
+    """Write by what the readings of blocks changed, less the integral of their rates."""
+    n, last = row.shape[0], blocks.shape[0] - 1
+    for i in range(n):
+        row[i] = blocks[last, i] - blocks[0, i]
+        for k in range(last):
+            interval = blocks[k + 1, 3 * n] - blocks[k, 3 * n]
+            row[i] -= 0.5 * (blocks[k, n + i] + blocks[k + 1, n + i]) * interval
+
+
+@njit_in_place
+def loudest_rows(
+    rows: FloatArray,
+    variances: FloatArray,
+    noise: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    interval: float,
+    trusted: BoolArray,
+) -> float:
+    """Largest evidence against healthy sensors of the sums of any number of last rows."""
+    inflation, ends, walk, bias = noise
+    largest = 0.0
+    for i in range(rows.shape[1]):
+        if not trusted[i]:
+            continue
+        total, jumps = 0.0, 0.0
+        for k in range(rows.shape[0]):
+            at, span = rows.shape[0] - 1 - k, interval * (k + 1)
+            total += rows[at, i]
+            jumps += variances[at, i]
+            variance = inflation[i] * (ends[i] + walk[i] * span) + (bias[i] * span) ** 2 + jumps
+            largest = max(largest, 0.5 * total * total / max(variance, _BEFORE))
+    return largest
 
 
 class KinematicRows:
@@ -616,10 +520,16 @@ class KinematicRows:
             one.position_noise**2 + one.quantization**2 / 12.0 for one in sensors
         ])  # fmt: skip
         rate = np.array([one.velocity_noise for one in sensors])
-        self._ends = 2.0 * reading / plan.per_block
+        least = NEGLIGIBLE * arm.scales()
+        self._ends = 2.0 * reading / plan.per_block + least**2
         self._walk = rate**2 * arm.sample_time  # variance of int v dt per second
-        self._bias = RATE_BIAS * rate
+        self._bias = np.maximum(RATE_BIAS * rate, 4.0 * least)
         self._longest = max(STARTS)
+        # Rates lag behind readings, as differences and filtered ones do [s].
+        self._lag = np.zeros(len(sensors))
+        self._lag_known = np.full(len(sensors), 1.0 / arm.sample_time**2)
+        self._latest = (LATE * arm.sample_time) ** 2 / plan.per_block
+        self._stamps = WRONG_STAMPS * self._latest  # variance of a block's time [s2]
         self._inflation = np.ones(len(sensors))
         self.trusted = np.ones(len(sensors), bool)
         self.restart()
@@ -627,6 +537,7 @@ class KinematicRows:
     def restart(self) -> None:
         """Forget the rows so far."""
         self._rows, self._variances = np.zeros((2, 0, len(self._independent)))
+        self._edges = np.zeros((0, len(self._independent)))  # rates where rows begin and end
         self._jumps: list[FloatArray] = []
 
     def note_jump(self, joint: int, variance: float) -> None:
@@ -642,13 +553,17 @@ class KinematicRows:
         n, half = len(self._independent), len(blocks) // 2
         if not self._independent.any() or half < 1:
             return
-        own = blocks[half - 1 :]
-        y, v, time = own[:, :n], own[:, n : 2 * n], own[:, 3 * n]
-        row = y[-1] - y[0] - (0.5 * (v[1:] + v[:-1]) * np.diff(time)[:, None]).sum(0)
+        row = np.zeros(n)
+        dead_reckoning(blocks[half - 1 :], row)
         most = round(self._longest / self._interval) + 1
-        self._rows = np.vstack([self._rows, row])[-most:]
         jumped = self._jumps.pop(0) if self._jumps else 0.0 * row
-        self._variances = np.vstack([self._variances, jumped])[-most:]
+        if len(self._rows) == 0:
+            self._edges = blocks[half - 1 : half, n : 2 * n]
+        self._edges = np.concatenate([self._edges, blocks[-1:, n : 2 * n]])[-most - 1 :]
+        self._rows = np.concatenate([self._rows, row[None]])[-most:]
+        self._variances = np.concatenate([self._variances, jumped[None]])[-most:]
+        self._rows[-1] -= self._lag * (self._edges[-1] - self._edges[-2])
+        self._learn_lag()
 
     def leave_out(self, joint: int, out: bool) -> None:
         """Do without the rows of a joint, or with those to come."""
@@ -659,18 +574,18 @@ class KinematicRows:
         """Last row of a joint and its variance; None where there is none."""
         if not self._independent[joint] or len(self._rows) == 0:
             return None
-        span = self._interval
-        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
-        return float(self._rows[-1, joint]), float(self._inflation[joint] * variance)
+        return float(self._rows[-1, joint]), self._variance_of_last(joint, 1)
 
     def explained(self, joint: int, count: int) -> float:
         """What a reading that rests explains of the last rows: all of it."""
         rows = self._rows[-count:, joint]
         if not self._independent[joint] or not self.trusted[joint] or len(rows) == 0:
             return 0.0
-        span = len(rows) * self._interval
-        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
-        return float(0.5 * rows.sum() ** 2 / (self._inflation[joint] * variance))
+        return float(0.5 * rows.sum() ** 2 / self._variance_of_last(joint, len(rows)))
+
+    def _variance_of_last(self, joint: int, count: int) -> float:
+        """Variance of the sum of so many last rows of a joint [rad2]."""
+        return max(float(self._variance_of(np.array([count]))[0, joint]), _BEFORE)
 
     def _variance_of(self, counts: IntArray) -> FloatArray:
         """Variances of the sums of so many last rows, shape (W, n) [rad2]."""
@@ -682,21 +597,22 @@ class KinematicRows:
         """Whether the rows of any window contradict healthy sensors by so much evidence."""
         if not (self._independent & self.trusted).any() or len(self._rows) == 0:
             return False
-        sums = np.cumsum(self._rows[::-1], axis=0)
-        variance = self._variance_of(np.arange(1, len(sums) + 1))
-        large = 0.5 * sums**2 > evidence * np.maximum(variance, _BEFORE)
-        return bool((large & self._independent & self.trusted).any())
+        noise = self._inflation, self._ends, self._walk, self._bias
+        loudest = loudest_rows(
+            self._rows, self._variances, noise, self._interval, self._independent & self.trusted
+        )
+        return bool(loudest > evidence)
 
     def agrees(self, joint: int, taken_out: float) -> bool:
-        """Whether the rows of the last half second are those of healthy sensors.
+        """Whether there are rows of the last half second, and they are those of healthy sensors.
 
         What is taken out of the rate [rad/s] is not in the rows.
         """
         rows = self._rows[-round(0.5 / self._interval) :, joint]
-        span = len(rows) * self._interval
-        variance = self._ends[joint] + self._walk[joint] * span + (self._bias[joint] * span) ** 2
-        left = rows.sum() - taken_out * span
-        return bool(left**2 < 9.0 * self._inflation[joint] * variance)
+        if len(rows) == 0:
+            return False
+        left = rows.sum() - taken_out * len(rows) * self._interval
+        return bool(left**2 < 9.0 * self._variance_of_last(joint, len(rows)))
 
     def learn(self, healthy: bool) -> None:
         """Learn how much rows scatter; constant errors of rates do not count as scatter."""
@@ -706,42 +622,71 @@ class KinematicRows:
         ratio = (self._rows[-1] - self._rows[-2]) ** 2 / np.maximum(expected, _BEFORE)
         bounded = np.minimum(ratio, 9.0 * self._inflation)
         self._inflation = np.maximum(self._inflation + (bounded - self._inflation) / 64.0, 1.0)
+        self._learn_stamps(expected)
 
-    def add(
-        self,
-        score: FloatArray,
-        information: FloatArray,
-        lengths: IntArray,
-        now: float,
-        epoch: float,
-        block: FloatArray,
-    ) -> None:
-        """Add what the rows say of the six columns of each sensor.
+    def _learn_lag(self) -> None:
+        """Learn by how much rates lag behind their readings, and take it out of all rows.
+
+        A lag d moves a row by d times the change of its rate, which no fault does: it is learned
+        from all rows, outliers bounded.
+        """
+        variance = self._ends + self._walk * self._interval
+        variance = np.maximum(self._inflation * variance + self._variances[-1], _BEFORE)
+        change = self._edges[-1] - self._edges[-2]
+        weight = np.where(self._independent & self.trusted, change / variance, 0.0)
+        self._lag_known += weight * change
+        most = ROBUST * np.sqrt(variance)
+        step = weight * np.clip(self._rows[-1], -most, most) / self._lag_known
+        self._lag += step
+        self._rows -= step * np.diff(self._edges, axis=0)
+
+    def _learn_stamps(self, expected: FloatArray) -> None:
+        """Learn how wrong stamps are: an error d moves the rows of all sensors by their rates.
+
+        The difference of two rows holds d of three blocks, once, twice and once.
+        """
+        rate = np.where(self._independent & self.trusted, self._edges[-2], 0.0)
+        weight = rate / np.maximum(expected, _BEFORE)
+        power = float(weight @ rate)
+        if power * self._latest < 1.0:  # too slow to tell
+            return
+        late = float(weight @ (self._rows[-1] - self._rows[-2])) / power
+        seen = min((late**2 - 1.0 / power) / 6.0, self._latest)
+        self._stamps = max(self._stamps + (seen - self._stamps) / 64.0, 0.0)
+
+    def sums(self, lengths: IntArray, block: FloatArray) -> Rows:
+        """Sums of the rows of windows.
 
         Parameters
         ----------
-        score, information : ndarray, shapes (W, n, 7) and (W, n, 7, 7)
-            Changed.
         lengths : ndarray of int, shape (W,)
             Balances of the windows.
-        now, epoch : float
-            End of the windows, and moment from which drifts count [s].
         block : ndarray, shape (3 n + 3,)
             The last block.
+
+        Returns
+        -------
+        Rows
+            Of no weight where there are no rows.
         """
         n = len(self._independent)
-        if not self._independent.any():
-            return
+        reading, trusted = block[:n].copy(), self._independent & self.trusted
+        if not trusted.any() or len(self._rows) == 0:
+            none = np.zeros((len(lengths), n))
+            return Rows(none[:, 0], none, none, reading)
         counts = np.minimum(lengths, len(self._rows))
-        if counts[0] == 0:
-            return
-        span, variance = self._interval * counts[:, None], self._variance_of(counts)
-        weight = np.where(
-            self._independent & self.trusted, 1.0 / np.maximum(variance, _BEFORE), 0.0
-        )
-        column = np.zeros((len(counts), n, _GROUPS + 1))
-        column[..., DRIFT], column[..., OFFSET] = now - epoch, 1.0
-        column[..., RATE], column[..., SCALE] = -span, block[:n]
-        found = np.cumsum(self._rows[::-1], axis=0)[counts - 1]
-        score += (weight * found)[..., None] * column
-        information += weight[..., None, None] * column[..., :, None] * column[..., None, :]
+        variance = np.maximum(self._variance_of(counts), _BEFORE)
+        found: FloatArray = np.cumsum(self._rows[::-1], axis=0)[counts - 1]
+        turned = self._edges[-1] - self._edges[-1 - counts]
+        variance = variance + turned**2 / self._lag_known
+        weight = 1.0 / variance
+        if self._stamps > 0.0:
+            # Wrong stamps of both ends are common to all sensors: their covariance is s v v^T.
+            covariance = variance[:, :, None] * np.eye(n)
+            for rate in (self._edges[-1] * np.ones_like(found), self._edges[-1 - counts]):
+                rate = np.where(trusted, rate, 0.0)
+                covariance += self._stamps * rate[:, :, None] * rate[:, None, :]
+            inverse: FloatArray = np.linalg.inv(covariance).astype(float)
+            weight = inverse[:, np.arange(n), np.arange(n)]
+            found = (inverse @ np.where(trusted, found, 0.0)[:, :, None])[:, :, 0] / weight
+        return Rows(self._interval * counts, np.where(trusted, weight, 0.0), found, reading)

@@ -7,26 +7,27 @@ of the kernel are columns like those of a fault, so that what the arm's unknowns
 well is taken off.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
-from lpv_core.serial_arm.diagnosis.information import Window, factorise, slot, whiten
+from lpv_core.serial_arm.diagnosis.information import ROBUST, Window, factorise, slot, whiten
 from lpv_core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit, njit_in_place
 
 ROUGH_TIME = 0.3
 """Over which rough torques are correlated [s]."""
 AMPLITUDES = (1.0, 0.3, 0.1, 0.03)
 """Amplitudes of torques from outside that are tried, in the largest plausible one."""
-ROUGH_PENALTY = 1.4
-"""Logarithm of the number of amplitudes."""
-SMOOTH_PENALTY = 2.5
-"""Logarithm of the number of amplitudes and courses."""
 SMOOTH_TIMES = (1e3, 1.0, 0.5)
 """Correlation times of the smooth courses [s]; the first one is constant."""
+ROUGH_PENALTY = math.log(len(AMPLITUDES))
+"""What it costs to choose the amplitude that explains most."""
+SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
+"""The same for amplitude and course."""
 HORIZON_TIME = 2.0
 """The same for a torque over the whole horizon [s]."""
 _MODES = 8
@@ -98,7 +99,7 @@ def _courses(count: int, interval: float, time: float, modes: int) -> FloatArray
     return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
 
 
-@njit
+@njit_in_place
 def watch_noise(contact: Contact, null: Posterior) -> None:
     """Forget what depends on the noise, where that has changed."""
     for i in range(null.noise.shape[0]):
@@ -108,7 +109,7 @@ def watch_noise(contact: Contact, null: Posterior) -> None:
             contact.known[:] = 0
 
 
-@njit
+@njit_in_place
 def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
     """Scale residuals as the weights of least squares do: joints at rest, outliers (soft L1).
 
@@ -117,11 +118,11 @@ def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
     for back in range(last):
         for i in range(null.noise.shape[0]):
             size = usual_size(window, null, back, i)
-            ratio = null.residual[back, i] / (3.0 * size)
+            ratio = null.residual[back, i] / (ROBUST * size)
             null.residual[back, i] *= null.noise[i] / (size * (1.0 + ratio * ratio) ** 0.25)
 
 
-@njit
+@njit_in_place
 def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> float:
     """Ratio of marginal likelihoods of rough torques, for all windows in any case.
 
@@ -166,7 +167,7 @@ def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> flo
     return total
 
 
-@njit
+@njit_in_place
 def _set_shares(contact: Contact, w: int) -> None:
     """Write what `rough_contact` needs for a window at the present noise."""
     for i in range(contact.torque.shape[0]):
@@ -217,7 +218,7 @@ def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) ->
     largest = 1e-9
     for back in range(last):
         joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
-        fill_jacobian(rotations, origins, jacobian)
+        fill_jacobian(chain, rotations, origins, jacobian)
         levers[back] = jacobian[:3]
         for i in range(n):
             for k in range(3):

@@ -13,7 +13,7 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import COULOMB as DRY
 from lpv_core.serial_arm.chain import VISCOUS as WET
-from lpv_core.serial_arm.chain import FloatArray, compile_chain
+from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.balance import (
     DRIFT,
@@ -28,6 +28,7 @@ from lpv_core.serial_arm.diagnosis.balance import (
 from lpv_core.serial_arm.diagnosis.information import (
     COUNT,
     NEXT,
+    ROBUST,
     Window,
     add_products,
     factorise,
@@ -43,11 +44,12 @@ from lpv_core.serial_arm.diagnosis.information import (
 )
 from lpv_core.serial_arm.diagnosis.parameter_error import (
     model_error,
+    momentum_noise,
     parameter_directions,
     parameter_factor,
     typical_torque,
 )
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit, njit_in_place
 
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
@@ -119,7 +121,7 @@ class Posterior(NamedTuple):
     ordered: FloatArray  # (capacity,) scratch
 
 
-@njit
+@njit_in_place
 def set_residuals(window: Window, null: Posterior, last: int) -> None:
     """Write what the estimate leaves of the last balances, newest first."""
     m = null.mean.shape[0]
@@ -140,33 +142,36 @@ def set_residuals(window: Window, null: Posterior, last: int) -> None:
             null.residual[back, i] = (a + b) + (c + d)
 
 
-@njit
+@njit_in_place
 def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
     """Usual size of what is left of a balance of joint i [N m s]."""
     return null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[slot(window, back), i])
 
 
-@njit
+@njit_in_place
 def weigh(window: Window, null: Posterior, last: int) -> None:
     """Sum up the last balances again, outliers with less weight (soft L1)."""
     set_residuals(window, null, last)
     for back in range(last - 1, -1, -1):
         for i in range(null.noise.shape[0]):
             size = usual_size(window, null, back, i)
-            ratio = null.residual[back, i] / (3.0 * size)
+            ratio = null.residual[back, i] / (ROBUST * size)
             variance = size * size * null.inflation[i] + window.extra[slot(window, back), i]
             null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
         add_products(window, back, null.weights[back])
 
 
-@njit
+@njit_in_place
 def _recall(window: Window, null: Posterior) -> None:
     """What is remembered of the arm: offsets may have been others then, and are eliminated.
 
     A slow drift of an encoder would be learned, else, as an offset that has always been there.
     """
     m, n, known = null.mean.shape[0], null.sigma.shape[0], null.recalled
-    known[:] = window.past[:, window.past.shape[1] - m :]
+    first = window.past.shape[1] - m
+    for a in range(1 + m):
+        for b in range(m):
+            known[a, b] = window.past[a, first + b]
     for k in range(n):
         row = known[1 + k]
         pivot = row[k] + null.least[k]
@@ -180,7 +185,7 @@ def _recall(window: Window, null: Posterior) -> None:
     known[:, :n] = 0.0
 
 
-@njit
+@njit_in_place
 def solve(window: Window, null: Posterior) -> None:
     """Least squares over horizon, past and prior."""
     m, n = null.mean.shape[0], null.sigma.shape[0]
@@ -324,10 +329,10 @@ def _learned_size(window: Window, null: Posterior, i: int, rest: float, expected
 
 @njit
 def _correlation(values: FloatArray) -> float:
-    """Sum of the positive autocorrelations of values that are clipped at 3."""
+    """Sum of the positive autocorrelations of values that are clipped where outliers begin."""
     count, total, power = values.shape[0], 0.0, 0.0
     for k in range(count):
-        values[k] = min(max(values[k], -3.0), 3.0)
+        values[k] = min(max(values[k], -ROBUST), ROBUST)
         power += values[k] * values[k] / count
     if power == 0.0:
         return 0.0
@@ -366,12 +371,14 @@ class OffsetEstimator:
         missed = model_error(arm) * typical_torque(chain)
         directions, frictions = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
-        self.balance: Balance = new_balance(chain, directions, derived, frictions)
+        self.balance: Balance = new_balance(
+            chain, directions, derived, frictions, arm.sensors_to_joints()
+        )
         self.prior = np.concatenate(
             [*_priors(arm, chain.friction, missed), np.ones(len(directions))]
         )
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
-        noise = _expected_noise(arm, missed, plan)
+        noise = _expected_noise(arm, chain, missed, plan)
         systematic = _systematic_error(arm, UNSTATED * missed, plan)
         # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
         rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
@@ -540,10 +547,13 @@ def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[Fl
     ]
 
 
-def _expected_noise(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
+def _expected_noise(
+    arm: SerialArm, chain: Chain, missed: FloatArray, plan: HorizonPlan
+) -> FloatArray:
     """Standard deviation of a balance that is expected before any was seen [N m s]."""
     tolerance = np.array([max(joint.torque_tolerance.torque) for joint in arm.joints])
-    return plan.interval * np.maximum(0.25 * tolerance, missed)
+    unknown = plan.interval * np.maximum(0.25 * tolerance, missed)
+    return np.hypot(unknown, momentum_noise(arm, chain, plan.interval))
 
 
 def _systematic_error(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:

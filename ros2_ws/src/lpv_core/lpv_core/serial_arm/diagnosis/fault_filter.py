@@ -13,7 +13,7 @@ import numpy as np
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, SCALE
 from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv_core.serial_arm.diagnosis.information import slot
+from lpv_core.serial_arm.diagnosis.information import ROBUST, slot
 from lpv_core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
 from lpv_core.serial_arm.diagnosis.stuck import ACCELERATION
 
@@ -29,8 +29,6 @@ LARGEST_SCALE = 0.9
 """Largest scale error that is corrected [-]."""
 OFFSET_SIGMA = 0.05
 """Standard deviation of the offset beside a scale error that has just been named [rad]."""
-_ROBUST = 3.0
-"""Innovations beyond so many standard deviations count less."""
 
 
 @dataclass
@@ -47,6 +45,7 @@ class FaultFilter:
     mean: FloatArray = field(default_factory=lambda: np.zeros(2))  # of the state now
     covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     updated: float = 0.0  # moment of the state [s]
+    has_rate: bool = False  # whether a rate sensor of its own tells how the joint moves
 
     @property
     def is_scale(self) -> bool:
@@ -72,7 +71,8 @@ class FaultFilter:
         direction = np.array([1.0, now - self.updated])
         variance = float(direction @ self.covariance @ direction)
         # Where nothing but the dynamics tells where the joint is, their errors add up.
-        least = STUCK_RATE * (now - self.begin) if self.kind == 'stuck' else 0.0
+        alone = self.kind == 'stuck' and not self.has_rate
+        least = STUCK_RATE * (now - self.begin) if alone else 0.0
         sigma = max(float(np.sqrt(max(variance, 0.0))), least)
         return float(direction @ self.mean), float(self.mean[1]), sigma
 
@@ -188,7 +188,7 @@ def follow(
         rate has a sensor of its own.
     """
     window, null = estimator.window, estimator.posterior
-    now = float(sampler.time[-1])
+    now, one.has_rate = float(sampler.time[-1]), kinematic is not None
     one.predict(now - one.updated)
     one.updated = now
     if one.fault(float(sampler.raw[one.joint]), now)[2] > LOST:
@@ -205,7 +205,7 @@ def follow(
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
     residual = rows[:, 0] + unknowns @ null.mean
     innovation = columns @ one.covariance @ columns.T + variance
-    ratio = np.abs(residual) / (_ROBUST * np.sqrt(np.diag(innovation)))
+    ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(innovation)))
     factor = np.sqrt(np.maximum(ratio, 1.0))
     innovation = innovation * factor[:, None] * factor
     gain = one.covariance @ columns.T @ np.linalg.inv(innovation)

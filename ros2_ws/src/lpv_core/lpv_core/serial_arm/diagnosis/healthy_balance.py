@@ -28,6 +28,7 @@ from lpv_core.serial_arm.diagnosis.parameter_set import ParameterSet
 from lpv_core.serial_arm.dynamics.friction import smooth_sign
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
 from lpv_core.serial_arm.dynamics.regressor import momentum_regressor
+from lpv_core.serial_arm.sensor_map import map_vector
 from lpv_core.support.jit import njit
 
 RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE = range(7)
@@ -51,16 +52,19 @@ class HealthyBalance(NamedTuple):
     second: FloatArray  # (n, 10 n) scratch: regressor
     work: FloatArray  # scratch: workspace
     matrix: FloatArray  # (n, n) scratch: M
+    to_joints: FloatArray  # (n, n) S^-1 of y = S q + f
+    motion: FloatArray  # (2, n) scratch: joint positions and rates
 
 
-def new_healthy_balance(chain: Chain, sizes: ParameterSet) -> HealthyBalance:
+def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray) -> HealthyBalance:
     """Balances without samples."""
     n = len(chain.translation)
     size = (2, n, 10 * n + _PARTS)
     return HealthyBalance(
         chain, sizes, np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((2, 2, n)),
         np.zeros((2, 2, n)), np.zeros(size[1:]), np.full((4, n), np.inf), np.zeros((n, 10 * n)),
-        np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)))  # fmt: skip
+        np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
+        np.zeros((2, n)))  # fmt: skip
 
 
 def generator_count(sizes: ParameterSet) -> int:
@@ -81,7 +85,7 @@ def add_healthy_blocks(
     blocks : ndarray, shape (N, 3 n + 3)
         As `Sampler.blocks`.
     rate_noise : ndarray, shape (n,)
-        Standard deviation of the mean rates of a block [rad/s].
+        Standard deviation of the mean joint rates of a block [rad/s].
 
     Returns
     -------
@@ -101,7 +105,9 @@ def _add_block(
 ) -> None:
     """Add the means of some samples to the current interval of so many blocks."""
     n = rate_noise.shape[0]
-    chain, q, v = balance.chain, block[:n], block[n : 2 * n]
+    chain, q, v = balance.chain, balance.motion[0], balance.motion[1]
+    map_vector(balance.to_joints, block[:n], q)
+    map_vector(balance.to_joints, block[n : 2 * n], v)
     torque, length, place = block[2 * n : 3 * n], block[3 * n + 1], block[3 * n + 2]
     momentum_regressor(chain, q, v, balance.work, balance.first, balance.second)
     mass_matrix(chain, q, balance.work, balance.matrix)

@@ -27,6 +27,7 @@ from lpv_core.serial_arm.diagnosis.healthy_balance import (
 from lpv_core.serial_arm.diagnosis.information import COUNT, NEXT, Window, slot
 from lpv_core.serial_arm.diagnosis.learning import payload_share
 from lpv_core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
+from lpv_core.serial_arm.sensor_map import map_rows, mixing
 
 SIGMAS = 4.0
 """Standard deviations of noise that a guarantee holds for."""
@@ -77,7 +78,8 @@ class HealthySet:
         self._estimator = estimator
         chain, plan, n = compile_chain(arm), estimator.plan, estimator.joints
         sizes = parameter_set(arm, chain)
-        self._balance = new_healthy_balance(chain, sizes)
+        self._balance = new_healthy_balance(chain, sizes, arm.sensors_to_joints())
+        self._mixing = mixing(arm.sensors_to_joints().T)
         self._largest_payload = arm.uncertainty.payload
         self._at_tip = payload_generator(sizes, self._largest_payload)
         self._load = np.zeros(len(estimator.prior))  # the payload's mass by the unknowns
@@ -99,7 +101,8 @@ class HealthySet:
         rate = np.array([one.velocity_noise for one in sensors]) / np.sqrt(plan.per_block)
         difference = np.sqrt(2.0) * self._reading / (plan.per_block * arm.sample_time)
         self._mean_reading = self._reading / np.sqrt(plan.per_block * plan.blocks)
-        self._block_noise = np.where(self._derived, difference, rate)
+        by_sensor = np.where(self._derived, difference, rate)
+        self._block_noise = np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2))
         self._mean_noise = np.where(
             self._derived, self._reading / plan.interval, rate / np.sqrt(plan.blocks)
         )
@@ -124,7 +127,8 @@ class HealthySet:
     def _add(self, blocks: FloatArray, at: int) -> None:
         """Take one interval; what its balance may leave goes into a place of the rings."""
         current = add_healthy_blocks(self._balance, np.ascontiguousarray(blocks), self._block_noise)
-        self._inertia[at] = self._balance.matrix
+        # Momentum by rates of the readings.
+        self._inertia[at] = map_rows(self._mixing, self._balance.matrix)
         close_healthy_interval(
             self._balance, (self._length, current), self._estimator.balance.rows,
             self._mean_reading, self._effects[at], self._doubts[at])  # fmt: skip
@@ -160,7 +164,9 @@ class HealthySet:
         noise *= 3.0 if self._derived.any() else 1.0
         scaled = np.sqrt(window.weights[at])
         matrix = scaled[:, None] * (noise + np.diag(self._doubts[at, 1])) * scaled
-        self._past_noise = max(self._past_noise, 2.0 * float(np.linalg.eigvalsh(matrix)[-1]))
+        # No eigenvalue is larger than the largest sum of a row.
+        largest = float(np.abs(matrix).sum(1).max())
+        self._past_noise = max(self._past_noise, 2.0 * largest)
 
     def evaluate(self) -> Guarantee:
         """Bounds at the last balance."""

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit, njit_in_place
 
+ROBUST = 3.0
+"""Residuals beyond so many standard deviations are outliers: one in 370 of normal ones."""
 NEXT, COUNT = range(2)
 """Entries of `Window.counters`: balances that ever joined the window, balances in it."""
 
@@ -52,13 +54,13 @@ def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window
         np.zeros(2, np.int64))  # fmt: skip
 
 
-@njit
+@njit_in_place
 def slot(window: Window, back: int) -> int:
     """Index in the ring of the balance ``back`` before the last one."""
     return (window.counters[NEXT] - 1 - back) % window.times.shape[0]
 
 
-@njit
+@njit_in_place
 def sum_slot(window: Window, last: int) -> int:
     """Index in the ring of the sum before the last balances."""
     return (window.counters[NEXT] - last) % (window.times.shape[0] + 1)
@@ -96,7 +98,7 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     window.extra[at] = 0.0
 
 
-@njit
+@njit_in_place
 def add_products(window: Window, back: int, weights: FloatArray) -> None:
     """Write the sum behind a balance, from the sum before it.
 
@@ -112,8 +114,11 @@ def add_products(window: Window, back: int, weights: FloatArray) -> None:
     at, old, new = slot(window, back), sum_slot(window, back + 1), sum_slot(window, back)
     unknowns, columns = window.past.shape
     faults = columns - unknowns
-    window.sums[new] = window.sums[old]
-    window.squares[new] = window.squares[old]
+    for a in range(unknowns):
+        for b in range(columns):
+            window.sums[new, a, b] = window.sums[old, a, b]
+    for b in range(faults):
+        window.squares[new, b] = window.squares[old, b]
     for i in range(weights.shape[0]):
         row, weight = window.rows[at, i], weights[i] * window.trust[at]
         window.weights[at, i] = weight
@@ -127,7 +132,7 @@ def add_products(window: Window, back: int, weights: FloatArray) -> None:
             window.squares[new, b] += weight * row[1 + b] * row[1 + b]
 
 
-@njit
+@njit_in_place
 def forget_newest(window: Window, count: int) -> None:
     """Drop the last balances."""
     window.counters[NEXT] -= count
@@ -181,7 +186,7 @@ def last_rows(window: Window, last: int) -> FloatArray:
     return window.rows[[slot(window, back) for back in range(last - 1, -1, -1)]]
 
 
-@njit
+@njit_in_place
 def factorise(matrix: FloatArray, least: FloatArray) -> None:
     """Factor U of A = U^T U, in place of the upper triangle of A.
 
@@ -205,7 +210,7 @@ def factorise(matrix: FloatArray, least: FloatArray) -> None:
                 other[j] -= factor * row[j]
 
 
-@njit
+@njit_in_place
 def solve_factorised(factor: FloatArray, right: FloatArray) -> None:
     """Solve U^T U x = b in place of b, with U from `factorise`."""
     m = right.shape[0]
@@ -216,7 +221,7 @@ def solve_factorised(factor: FloatArray, right: FloatArray) -> None:
         right[k] /= factor[k, k]
 
 
-@njit
+@njit_in_place
 def whiten(factor: FloatArray, columns: FloatArray) -> None:
     """Solve U^T Y = B in place of B."""
     m, count = columns.shape

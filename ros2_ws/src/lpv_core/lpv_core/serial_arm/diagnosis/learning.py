@@ -84,7 +84,7 @@ def payload_share(estimator: OffsetEstimator) -> FloatArray:
 
 
 def learned_arm(arm: SerialArm, learned: Learned) -> SerialArm:
-    """The arm with what was learned, for `arm_file.save_serial_arm`.
+    """The arm with what was learned, for `arm_file.save_arm`.
 
     Parameters
     ----------

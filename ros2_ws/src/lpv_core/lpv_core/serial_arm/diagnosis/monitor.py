@@ -8,6 +8,7 @@ it.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from lpv_core.serial_arm.certificate.jump_bound import jump_bound
 from lpv_core.serial_arm.chain import FloatArray
 from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.diagnosis.alarms import SensorState
 from lpv_core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
 from lpv_core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
 from lpv_core.serial_arm.diagnosis.fault_filter import (
@@ -30,6 +32,7 @@ from lpv_core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv_core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv_core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv_core.serial_arm.diagnosis.sampling import (
+    BEFORE_STOP,
     BLOCKS,
     JUMP_SCALE,
     NOISY,
@@ -40,7 +43,9 @@ from lpv_core.serial_arm.diagnosis.sampling import (
     restart,
     take_samples,
 )
-from lpv_core.serial_arm.diagnosis.sensor_state import SensorRecord, SensorState
+from lpv_core.serial_arm.diagnosis.sensor_state import SensorRecord
+from lpv_core.serial_arm.diagnosis.stuck import ACCELERATION
+from lpv_core.serial_arm.sensor_map import map_rows, mixing
 from lpv_core.support.errors import SampleError
 
 BoolArray = npt.NDArray[np.bool_]
@@ -55,10 +60,10 @@ CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
 PUSH = 2.0
 """Largest plausible torque from outside, over that which moves the arm."""
-RARE = 0.3
-"""Share of repeated readings below which a reading that rests is frozen."""
-GUARANTEE_EVERY = 20
-"""Balances after which guaranteed thresholds are evaluated anew."""
+LIVELY = 0.02
+"""Share of changes that go back and forth from which on a reading has noise, and never rests."""
+GUARANTEE_SHARE = 4
+"""Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
 STILL_TIME = 0.05
 """A reading without any change for longer rests [s]."""
 
@@ -70,10 +75,13 @@ class MonitorSettings:
     hours_between_false_alarms: float = 1000.0  # mean, of a healthy arm [h]
     probability_of_wrong_name: float = 0.01  # that a named cause is another one
     fault_at_start: float = 1e-3  # probability of an offset at the first sample
+    # of prismatic joints, times `SerialJoint.scale` [m]
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
     smallest_step: float = 0.005  # smallest jump of a reading [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
     clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
+    latch: bool = False  # whether alarms stay until `SerialMonitor.reset`
+    sigmas: float = 4.0  # standard deviations in a bound
     horizon: float = 10.0  # [s]
 
     def threshold(self, interval: float) -> float:
@@ -102,7 +110,7 @@ class SerialEstimate:
     """What is known after a sample."""
 
     stamp: int  # of the sample [ns]
-    fault: FloatArray  # estimated faults f of the position sensors, y = q + f, shape (n,) [rad]
+    fault: FloatArray  # estimated faults f of the sensors, y = S q + f, shape (n,) [rad]
     sigma: FloatArray  # their standard deviations, shape (n,) [rad]
     state: tuple[SensorState, ...]  # of each sensor
     suspects: tuple[str, ...]  # what explains a contradiction, best first; empty if there is none
@@ -139,10 +147,19 @@ class SerialMonitor:
         self.settings = settings or MonitorSettings()
         self.joints = len(arm.joints)
         self.alarms: list[SerialAlarm] = []
+        self.scales = arm.scales()
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
         self._jump_bound = jump_bound(arm)
+        self._to_sensors = mixing(arm.joints_to_sensors())
         self._first: int | None = None
+        # Levels and bounds of another observer that certifies them, shape (n,) [rad]
+        self.certified_level: Callable[[], tuple[FloatArray, FloatArray]] | None = None
         self.reset()
+
+    def apply_settings(self) -> None:
+        """Let changed `settings` count from now on; lengths stay as they are."""
+        self._threshold = self.settings.threshold(self.plan.interval)
+        self.sampler.smallest[:] = self.settings.smallest_step * self.scales
 
     def reset(self) -> None:
         """Forget samples, estimates and faults."""
@@ -159,7 +176,7 @@ class SerialMonitor:
         self._push = PUSH * typical_torque(self.estimator.balance.chain)
         self.bank = Bank(arm, self.estimator, self._push)
         self._threshold = settings.threshold(self.plan.interval)
-        smallest = np.full(n, settings.smallest_step)
+        smallest = settings.smallest_step * self.scales
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, np.maximum(2.0 * noise, 0.2 * smallest), smallest,
             self._capacity)  # fmt: skip
@@ -188,7 +205,7 @@ class SerialMonitor:
         stamp : int
             [ns]; later than that of the sample before.
         q, v, torque : array_like, shape (n,)
-            Readings of the position sensors, rates and efforts [rad], [rad/s].
+            Joint positions and rates by the readings, S^-1 y, and efforts [rad], [rad/s].
 
         Returns
         -------
@@ -215,7 +232,27 @@ class SerialMonitor:
         stamps : array_like of int, shape (N,)
             [ns], increasing.
         samples : array_like, shape (N, 3, n)
-            Readings, rates, efforts.
+            Joint positions by the readings, their rates, efforts.
+
+        Raises
+        ------
+        SampleError
+            As `update`.
+        """
+        values = np.array(samples, dtype=float, order='C')
+        if values.shape[1:] == (3, self.joints):
+            values[:, :2] = map_rows(self._to_sensors, values[:, :2])
+        self.take_readings(stamps, values)
+
+    def take_readings(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
+        """Take samples as `update_many`, but readings y and their rates as they are.
+
+        Parameters
+        ----------
+        stamps : array_like of int, shape (N,)
+            [ns], increasing.
+        samples : array_like, shape (N, 3, n)
+            Readings of the position sensors, their rates, efforts.
 
         Raises
         ------
@@ -248,11 +285,25 @@ class SerialMonitor:
 
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
+        self._take_out_levels()
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
             self.healthy.restart()
         self.estimator.restart()
         self.bank.restart()
+
+    def _take_out_levels(self) -> None:
+        """Take confirmed offsets out of the readings: new balances know of no offset."""
+        for i, sensor in enumerate(self.sensors):
+            if not (sensor.active and sensor.level):
+                continue
+            level = float(self.estimator.level.mean[i])
+            self.jump_variance[i] += self.estimator.level.sigma[i] ** 2
+            self.sampler.correction[i] += level
+            self._correction[i] += level
+            self.estimator.move_reference(i, -level)
+            self.healthy = self.guarantee = None  # readings are changed
+            sensor.level = sensor.unproved = False
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
         """Take samples without a gap between them."""
@@ -294,7 +345,8 @@ class SerialMonitor:
         fault, sigma = self.faults()
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
-            if one.state is SensorState.OK and sigma[i] > self.settings.widest_level
+            if one.state is SensorState.OK
+            and sigma[i] > self.settings.widest_level * self.scales[i]
             else one.state
             for i, one in enumerate(self.sensors)
         )
@@ -362,7 +414,7 @@ class SerialMonitor:
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
             fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
         if sensor.state is SensorState.ERROR and abs(fault) < max(
-            0.3 * abs(size), self.settings.smallest_step
+            0.3 * abs(size), self.settings.smallest_step * self.scales[i]
         ):
             self._forget(i)
             sensor.recover(now)
@@ -412,7 +464,7 @@ class SerialMonitor:
         self.estimator.estimate(learn)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
-        if self.estimator.window.counters[NEXT] % GUARANTEE_EVERY == 0:
+        if self.estimator.window.counters[NEXT] % (self.plan.capacity // GUARANTEE_SHARE) == 0:
             self._evaluate_guarantee()
         unseen = np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
         found = self.bank.evaluate(self._blocks, self._rest(), unseen, self._threshold)
@@ -489,14 +541,24 @@ class SerialMonitor:
             self._blame_rate(one, share)
 
     def _is_frozen(self) -> BoolArray:
-        """Whether a reading stopped dead while it moved, or has lost its noise."""
-        still = self.sampler.still * self.arm.sample_time > STILL_TIME
-        stopped = self.sampler.stop * STILL_TIME > self.settings.smallest_step
-        return still & (stopped | (self.sampler.repeats < RARE))
+        """Whether a reading stopped dead while it moved, or has lost its noise.
+
+        Rounding and usual braking explain a part of the speed before.
+        """
+        sampler = self.sampler
+        still = sampler.still * self.arm.sample_time > STILL_TIME
+        measured = BEFORE_STOP * self.arm.sample_time
+        speed = sampler.stop - sampler.grain / measured - 0.5 * ACCELERATION * measured
+        stopped = speed * STILL_TIME > np.maximum(
+            self.settings.smallest_step * self.scales, sampler.grain
+        )
+        return still & (stopped | (sampler.lively > LIVELY))
 
     def _rest(self) -> tuple[FloatArray, FloatArray]:
         """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
         time = self.sampler.still * self.arm.sample_time
+        if time.max() <= STILL_TIME:
+            return np.zeros(self.joints), self.sampler.stop
         followed = np.zeros(self.joints, bool)
         followed[list(self._filters)] = True
         return np.where(self._is_frozen() & ~followed, time, 0.0), np.maximum(
@@ -523,7 +585,8 @@ class SerialMonitor:
     def _blame(self, one: Hypothesis, share: float, now: float) -> None:
         """A position sensor explains what nothing else does: its fault is followed from now on."""
         i = one.joint
-        rests = self.sampler.still[i] * self.arm.sample_time > STILL_TIME
+        still = self.sampler.still[i] * self.arm.sample_time
+        rests = self._is_frozen()[i] or still > max(STILL_TIME, now - one.begin)
         kind = 'stuck' if rests else one.kind
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate = -one.size if one.kind == 'drift' else 0.0
@@ -547,17 +610,22 @@ class SerialMonitor:
         record = self.rates[one.joint]
         if record.active:
             return
-        record.confirm('rate_bias', one.begin, abs(one.size))
+        size, sigma = one.size, one.sigma
+        newest = self.bank.rate_row(one.joint)
+        if newest is not None:
+            # It began somewhere in the first interval of its window; the last one has all of it.
+            size, sigma = -newest[0] / self.plan.interval, newest[1] ** 0.5 / self.plan.interval
+        record.confirm('rate_bias', one.begin, abs(size))
         self.bank.leave_out_rate(one.joint, True)
-        self.sampler.rate_error[one.joint] = one.size
-        self._event(one.joint, 'rate_bias', one.begin, 'raised', one.size, one.sigma,
+        self.sampler.rate_error[one.joint] = size
+        self._event(one.joint, 'rate_bias', one.begin, 'raised', size, sigma,
                     confidence=share)  # fmt: skip
 
     def _decide_levels(self, now: float) -> None:
         """Offsets that gravity and motion show."""
         level, settings = self.estimator.level, self.settings
         offsets, sigma = level.mean[: self.joints], level.sigma
-        shown = sigma < settings.widest_level
+        shown = sigma < settings.widest_level * self.scales
         self._known += np.where(shown, self.plan.interval, 0.0)
         prior = self.estimator.prior[: self.joints]
         gain = 0.5 * (offsets / sigma) ** 2 - np.log(prior / sigma)
@@ -566,13 +634,13 @@ class SerialMonitor:
         at_start = math.log(1.0 / settings.fault_at_start)
         later = settings.threshold(settings.horizon)
         needed = np.where(self._known < settings.horizon, at_start, later)
-        beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level)
+        beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level * self.scales)
+        beyond &= ~self._raise_certified(now)
         for i in np.nonzero(beyond)[0]:
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
                 continue
-            margin = math.log(1.0 / settings.probability_of_wrong_name)
-            if self.bank.offset_against_contact(int(i)) < margin:
+            if self.bank.offset_against_contact(int(i)) < self._sure:
                 self._suspects = (f'{self.arm.sensor_names[i]}:bias', CONTACT)
                 continue
             self._evaluate_guarantee()
@@ -584,9 +652,37 @@ class SerialMonitor:
             self._raise(int(i), 'bias', 0.0, float(fault[i]), float(deviation[i]), guaranteed,
                         share)  # fmt: skip
 
+    @property
+    def _sure(self) -> float:
+        """Log Bayes factor by which a cause is named against another one."""
+        return -math.log(self.settings.probability_of_wrong_name)
+
+    def _raise_certified(self, now: float) -> BoolArray:
+        """Offsets that the designed observer's reachable set excludes of a healthy arm.
+
+        The horizon must not contradict them: the rates that the set rests on would be wrong.
+        """
+        certified = np.zeros(self.joints, bool)
+        if self.certified_level is None:
+            return certified
+        fault, bound = self.certified_level()
+        beyond = np.abs(fault) > np.maximum(bound, self.settings.smallest_level * self.scales)
+        level, sigmas = self.estimator.level, self.settings.sigmas
+        beyond &= np.abs(level.mean[: self.joints] - fault) < bound + sigmas * level.sigma
+        for i in np.nonzero(beyond)[0]:
+            if self.sensors[i].active or self.sampler.noisy[i]:
+                continue
+            if self.bank.offset_against_contact(int(i)) < self._sure:
+                continue  # an unknown load explains it as well
+            certified[i] = self.sensors[i].level = True
+            # The set bounds what a healthy arm shows, not how fast an offset is found.
+            size, sigma = self.faults()
+            self._raise(int(i), 'bias', now, float(size[i]), float(sigma[i]), True)
+        return certified
+
     def _end_faults(self, now: float) -> None:
         """Faults that are over are cleared once they have been over for long enough."""
-        if not any(one.active for one in (*self.sensors, *self.rates)):
+        if self.settings.latch or not any(one.active for one in (*self.sensors, *self.rates)):
             return
         sigma, level = self.faults()[1], self.estimator.level
         for i, sensor in enumerate(self.sensors):
@@ -602,8 +698,10 @@ class SerialMonitor:
                 if over and i in self._filters:
                     self._forget(i)
             else:
-                limit = 0.7 * max(self.settings.smallest_level, 4.0 * sigma[i])
+                smallest = self.settings.smallest_level * self.scales[i]
+                limit = 0.7 * max(smallest, 4.0 * sigma[i])
                 over = abs(left) < min(0.3 * sensor.peak, limit)
+            sensor.unseen &= over or not self._shows(i)
             if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
                 self._forget(i)
                 self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
@@ -617,6 +715,12 @@ class SerialMonitor:
                 self.sampler.rate_error[i] = 0.0
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
+
+    def _shows(self, i: int) -> bool:
+        """Whether a fault of sensor i would be seen to be over, if it were."""
+        sensor = self.sensors[i]
+        largest = max(sensor.peak, self.settings.smallest_level)
+        return sensor.kind in {'noise', 'stuck'} or 4.0 * self.estimator.level.sigma[i] < largest
 
     def _forget(self, i: int) -> None:
         """Take nothing out of the readings of sensor i any more; what is estimated stays true."""
@@ -635,8 +739,9 @@ class SerialMonitor:
 
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""
+        suspected = {one.partition(':')[0] for one in self._suspects}
         for name, sensor in zip(self.arm.sensor_names, self.sensors):
-            sensor.suspect(any(one.startswith(f'{name}:') for one in self._suspects))
+            sensor.suspect(name in suspected)
 
     def _evaluate_guarantee(self) -> None:
         """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""

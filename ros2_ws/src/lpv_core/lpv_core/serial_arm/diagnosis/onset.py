@@ -236,10 +236,9 @@ def _straddle(
 
 @njit
 def mass_column(balance: Balance, pose: FloatArray, joint: int, mass: FloatArray) -> None:
-    """Write M(q) e_i, the momentum by a unit rate of one joint."""
+    """Write M(q) S^-1 e_i, the momentum by a unit rate of one reading."""
     rate, force = balance.vectors[7], balance.vectors[8]
-    rate[:] = 0.0
-    rate[joint] = 1.0
+    rate[:] = balance.to_joints[:, joint]
     momentum_balance(balance.chain, pose, rate, balance.work, mass, force)
 
 

@@ -78,12 +78,43 @@ def typical_torque(chain: Chain) -> FloatArray:
         Root mean square over poses of gravity's torque, with that of an usual acceleration of the
         joint and its friction [N m].
     """
-    n = joint_count(chain)
-    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), n)
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
     gravity = np.mean([model.gravity(q) ** 2 for q in poses], axis=0)
     inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
     friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE + np.abs(chain.friction[:, DRY])
     return np.sqrt(gravity + (USUAL_ACCELERATION * inertia) ** 2 + friction**2)
+
+
+def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
+    """Noise that the sensors' noise makes in the difference of two neighbouring mean momenta.
+
+    A derived rate is, in the mean of an interval, the difference of the readings at its ends; the
+    reading between two intervals counts twice.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Its sensors.
+    chain : Chain
+        The same arm.
+    interval : float
+        Over which momenta are averaged [s].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Standard deviations, root mean square over poses [N m s].
+    """
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
+    samples = interval / arm.sample_time
+    rate = np.array([
+        np.sqrt(2.0 / samples) * one.velocity_noise if one.rates == 'independent'
+        else np.sqrt(6.0 * (one.position_noise**2 + one.quantization**2 / 12.0)) / interval
+        for one in (joint.sensors for joint in arm.joints)
+    ])  # fmt: skip
+    to_joints = arm.sensors_to_joints()
+    parts = np.mean([(model.mass_matrix(q) @ to_joints) ** 2 for q in poses], axis=0)
+    return np.sqrt(parts @ rate**2)
 
 
 def _without_friction(factor: FloatArray) -> FloatArray:
@@ -153,7 +184,7 @@ def parameter_directions(
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)
     forces, frictions = [], []
-    for q in _poses(rng, n):
+    for q in _poses(rng, chain):
         rate = speed * rng.uniform(-1.0, 1.0, n)
         force = model.momentum_regressor(q, rate)[1]
         forces.append(force)
@@ -176,5 +207,7 @@ def parameter_directions(
     )  # fmt: skip
 
 
-def _poses(rng: np.random.Generator, joints: int) -> FloatArray:
-    return rng.uniform(-np.pi, np.pi, (_SAMPLES, joints))
+def _poses(rng: np.random.Generator, chain: Chain) -> FloatArray:
+    """All angles, and prismatic joints within half a metre to each side."""
+    turned = np.where(chain.prismatic, 0.5 / np.pi, 1.0)
+    return turned * rng.uniform(-np.pi, np.pi, (_SAMPLES, joint_count(chain)))

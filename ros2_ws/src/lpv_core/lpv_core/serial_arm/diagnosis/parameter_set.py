@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv_core.residual.dead_reckoning import RATE_BIAS
 from lpv_core.serial_arm.chain import (
     COULOMB,
     LOAD,
@@ -18,7 +17,7 @@ from lpv_core.serial_arm.chain import (
     IntArray,
     joint_count,
 )
-from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv_core.serial_arm.diagnosis.parameter_error import relative_factor
 from lpv_core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
 

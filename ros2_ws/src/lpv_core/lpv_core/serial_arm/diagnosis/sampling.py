@@ -16,7 +16,8 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
-from lpv_core.support.jit import njit
+from lpv_core.serial_arm.diagnosis.information import ROBUST
+from lpv_core.support.jit import njit_in_place
 
 HISTORY = 8
 """Samples that are kept for the test of jumps; a sample enters the balance ``DELAY`` later."""
@@ -26,16 +27,23 @@ NONE, STEP, SPIKE, NOISY, QUIET = range(5)
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
-TIME, INTERVAL_START, BLOCK_START, STAMPS = range(4)
-"""Entries of `Sampler.clock` [s]; the last one is 1 once a stamp has been wrong."""
+TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES = range(5)
+"""Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, the last one is
+the sum of the block's stamps."""
+ROUNDING = 1e-12
+"""Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
 """A jump is larger than so many times the usual size of e."""
 _SLOW = 0.05
 """Rates that do not tell whether a stamp is wrong [rad/s]."""
-_LATE = 1.5
+LATE = 1.5
 """Largest error of a stamp, over the time since the sample before."""
 _USUAL = 5.0
 """Sizes of e, over the usual one, that are nothing special."""
+BEFORE_STOP = 3
+"""Periods before a reading comes to rest over which its speed is measured."""
+SCALE_MEMORY = 256.0
+"""Samples over which the usual size of e, and that a reading has noise, are learned."""
 NOISE_MEMORY = 32.0
 """Samples over which jumps of a reading are counted."""
 _NOISE_COUNT = 4.5
@@ -60,18 +68,19 @@ class Sampler(NamedTuple):
     rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
     sums: FloatArray  # of the current block, shape (3, n)
-    blocks: FloatArray  # (capacity, 3 n + 3) ring: q, v, tau of blocks; time, length, place
+    blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; mean time, length, place
     found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
     size: FloatArray  # height of a step that was found, shape (n,) [rad]
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
-    repeats: FloatArray  # (n,) share of readings that equal the one before (quantised, slow)
+    lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
     stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
+    grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
     noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
     noisy: IntArray  # (n,) 1 while a reading is noisy
     doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
     counters: IntArray  # (5,)
-    clock: FloatArray  # moments, shape (4,) [s]
+    clock: FloatArray  # moments, shape (5,) [s]
 
 
 def new_sampler(
@@ -101,12 +110,13 @@ def new_sampler(
         smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
         np.zeros(n),
-        np.zeros(n), np.zeros(n, np.int64), np.ones(n), np.zeros(n), np.zeros((3, n)),
+        np.zeros(n), np.zeros(n, np.int64), np.zeros(n), np.zeros(n), np.full(n, np.inf),
+        np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
-        np.zeros(4))  # fmt: skip
+        np.zeros(5))  # fmt: skip
 
 
-@njit
+@njit_in_place
 def push_sample(
     sampler: Sampler, time: float, y: FloatArray, v: FloatArray, torque: FloatArray
 ) -> None:
@@ -121,7 +131,7 @@ def push_sample(
     y, v, torque : ndarray, shape (n,)
         Readings, rates, torques [rad], [rad/s], [N m].
     """
-    n = y.shape[0]
+    n, before = y.shape[0], HISTORY - 2 - BEFORE_STOP
     period = time - sampler.time[HISTORY - 1]
     for k in range(HISTORY - 1):
         sampler.time[k] = sampler.time[k + 1]
@@ -136,16 +146,17 @@ def push_sample(
         if sampler.counters[COUNT] > 0:
             sampler.followed[i] += sampler.drift[i] * period
         reading = y[i] - removed(sampler, i, y[i])
-        if y[i] != sampler.raw[i]:
+        if abs(y[i] - sampler.raw[i]) > ROUNDING:
             sampler.still[i] = 0
-            sampler.repeats[i] -= sampler.repeats[i] / 256.0
+            if sampler.counters[COUNT] > 0:
+                _watch_change(sampler, i, y[i] - sampler.raw[i])
         else:
             sampler.still[i] += 1
-            if sampler.still[i] <= 3:
-                sampler.repeats[i] += (1.0 - sampler.repeats[i]) / 256.0
-            if sampler.still[i] == 1:
-                way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 5, 0, i]
-                sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[HISTORY - 5])
+            if sampler.still[i] == 1 and sampler.counters[COUNT] <= BEFORE_STOP:
+                sampler.stop[i] = 0.0
+            elif sampler.still[i] == 1:
+                way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[before, 0, i]
+                sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[before])
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
@@ -158,13 +169,26 @@ def push_sample(
         _find_jumps(sampler)
 
 
-@njit
+@njit_in_place
+def _watch_change(sampler: Sampler, i: int, change: float) -> None:
+    """Learn rounding and noise of a reading from a change of it, before its sample is kept."""
+    last, k = sampler.samples[:, 0, i], HISTORY - 2
+    sampler.grain[i] = min(sampler.grain[i], abs(change))
+    least, before, first = 1.5 * sampler.grain[i], last[k] - last[k - 1], last[k - 1] - last[k - 2]
+    alternates = change * before < 0.0 and before * first < 0.0
+    beyond = min(abs(change), abs(before), abs(first)) > least
+    sampler.lively[i] += (
+        (1.0 if alternates and beyond else 0.0) - sampler.lively[i]
+    ) / SCALE_MEMORY
+
+
+@njit_in_place
 def removed(sampler: Sampler, i: int, reading: float) -> float:
     """What is taken out of a reading of sensor i [rad]."""
     return float(sampler.correction[i] + sampler.followed[i] + sampler.share[i] * reading)
 
 
-@njit
+@njit_in_place
 def _set_jumps(sampler: Sampler) -> None:
     """Write e of the last sample but one, less what a wrong stamp explains."""
     k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
@@ -189,9 +213,9 @@ def _set_jumps(sampler: Sampler) -> None:
         if not _is_beyond(sampler, i, k):
             continue
         # Readings that jump together have a common cause, if their motion explains it.
-        explained = _LATE * gap * _largest_rate(sampler, i, HISTORY)
+        explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
         if together > 1:
-            explained = max(explained, _LATE * period * _largest_rate(sampler, i, k))
+            explained = max(explained, LATE * period * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 2
             sampler.clock[STAMPS] = 1.0
@@ -199,7 +223,7 @@ def _set_jumps(sampler: Sampler) -> None:
             sampler.doubtful[k, i] = 1
 
 
-@njit
+@njit_in_place
 def _gap(sampler: Sampler) -> float:
     """Longest of the last periods, if samples are missing there; stamps around it are wrong [s]."""
     k, usual, longest = HISTORY - 2, np.inf, 0.0
@@ -209,10 +233,10 @@ def _gap(sampler: Sampler) -> float:
             usual = min(usual, period)
     for j in range(k - 2, k + 2):
         longest = max(longest, sampler.time[j] - sampler.time[j - 1])
-    return longest if longest > _LATE * usual else 0.0
+    return longest if longest > LATE * usual else 0.0
 
 
-@njit
+@njit_in_place
 def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
     """Largest rate of a joint in the last samples before one [rad/s]."""
     largest = 0.0
@@ -221,13 +245,13 @@ def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
     return largest
 
 
-@njit
+@njit_in_place
 def _is_beyond(sampler: Sampler, i: int, k: int) -> bool:
     """Whether a reading jumped at a sample."""
     return bool(abs(sampler.jumps[k, i]) > _smallest_jump(sampler.scale[i], sampler.smallest[i]))
 
 
-@njit
+@njit_in_place
 def _unexplained(sampler: Sampler, i: int, period: float) -> float:
     """What no two of three rates explain of a way, if they are independent [rad].
 
@@ -243,13 +267,13 @@ def _unexplained(sampler: Sampler, i: int, period: float) -> float:
     return least
 
 
-@njit
+@njit_in_place
 def _mean_rate(samples: FloatArray, i: int) -> float:
     """Mean rate of a joint before and after the last sample but one [rad/s]."""
     return float(0.5 * (samples[HISTORY - 3, 1, i] + samples[HISTORY - 1, 1, i]))
 
 
-@njit
+@njit_in_place
 def _wrong_stamp(sampler: Sampler, period: float) -> float:
     """By how much the stamp of the last sample but one is wrong, 0 if that explains nothing [s].
 
@@ -258,7 +282,7 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
         rate = _mean_rate(sampler.samples, c)
-        if abs(rate) < _SLOW or abs(jumps[c]) > _LATE * period * abs(rate):
+        if abs(rate) < _SLOW or abs(jumps[c]) > LATE * period * abs(rate):
             continue
         gained, common, weight = 0, 0.0, 0.0
         for i in range(n):
@@ -275,11 +299,11 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     return late
 
 
-@njit
+@njit_in_place
 def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts."""
     jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler.samples, i)
-    if abs(jumps[i]) > _LATE * period * abs(rate):
+    if abs(jumps[i]) > LATE * period * abs(rate):
         return False
     for j in range(sampler.scale.shape[0]):
         way = jumps[i] / rate * _mean_rate(sampler.samples, j)
@@ -288,7 +312,7 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     return True
 
 
-@njit
+@njit_in_place
 def _find_jumps(sampler: Sampler) -> None:
     """After a large e, name clear steps at once, and what else it is 3 samples later."""
     n, k, waits = sampler.scale.shape[0], HISTORY - 2, sampler.counters[PENDING] >= 0
@@ -300,9 +324,9 @@ def _find_jumps(sampler: Sampler) -> None:
         if beyond:
             sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
         elif not waits:
-            bounded = min(abs(sampler.jumps[k, i]), 3.0 * sampler.scale[i])
+            bounded = min(abs(sampler.jumps[k, i]), ROBUST * sampler.scale[i])
             change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
-            sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / 256.0)
+            sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / SCALE_MEMORY)
     if waits:
         sampler.counters[PENDING] += 1
     elif sampler.counters[PENDING] < 0:
@@ -319,7 +343,7 @@ def _find_jumps(sampler: Sampler) -> None:
             _name_jump(sampler, i)
 
 
-@njit
+@njit_in_place
 def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     """Count jumps of a reading; many are noise, and no steps."""
     count, square, before = sampler.noise[:, i]
@@ -343,13 +367,13 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     sampler.noise[0, i], sampler.noise[1, i], sampler.noise[2, i] = count, square, before
 
 
-@njit
+@njit_in_place
 def _smallest_jump(scale: float, smallest: float) -> float:
     """Size of e beyond which a reading jumps."""
     return max(JUMP_SCALE * scale, smallest)
 
 
-@njit
+@njit_in_place
 def _is_clear_step(sampler: Sampler, i: int) -> bool:
     """Whether the last sample but one jumped and the last one confirms it, whatever the rates."""
     k, samples = HISTORY - 2, sampler.samples
@@ -367,7 +391,7 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     return largest < 0.3 * abs(jump)
 
 
-@njit
+@njit_in_place
 def _name_jump(sampler: Sampler, i: int) -> None:
     """Tell steps, spikes and wrong rates apart by the pattern of e, and remove them."""
     first, last = HISTORY - 5, HISTORY - 2
@@ -398,7 +422,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         _remove_step(sampler, i, peak)
 
 
-@njit
+@njit_in_place
 def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
     """Whether a reading has gone on from where a jump that may be a wrong stamp's took it."""
     before, after = peak - 2, min(peak + 2, HISTORY - 1)
@@ -410,7 +434,7 @@ def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
     return bool(rest * np.sign(size) > 0.7 * abs(size))
 
 
-@njit
+@njit_in_place
 def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     """Take a step out of all readings since its first one."""
     size = sampler.jumps[peak, i]
@@ -423,7 +447,7 @@ def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     _smooth_rates(sampler, i, peak, 1)
 
 
-@njit
+@njit_in_place
 def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
     """Replace rates that carry a jump by those around them."""
     before, after = sampler.samples[start - 1, 1, i], sampler.samples[start + count, 1, i]
@@ -431,7 +455,7 @@ def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
         sampler.samples[k, 1, i] = 0.5 * (before + after)
 
 
-@njit
+@njit_in_place
 def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: int) -> bool:
     """Let the sample that is ``DELAY`` old enter the balance.
 
@@ -458,6 +482,7 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     for part in range(3):
         for i in range(n):
             sampler.sums[part, i] += sampler.samples[k, part, i]
+    sampler.clock[TIMES] += now
     sampler.counters[IN_BLOCK] += 1
     if sampler.counters[IN_BLOCK] < per_block:
         return False
@@ -470,17 +495,18 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     return complete
 
 
-@njit
+@njit_in_place
 def _start_interval(sampler: Sampler, now: float) -> None:
     """Begin block and interval."""
     sampler.sums[:] = 0.0
+    sampler.clock[TIMES] = 0.0
     sampler.counters[IN_BLOCK] = 0
     sampler.counters[IN_INTERVAL] = 0
     sampler.clock[INTERVAL_START] = now
     sampler.clock[BLOCK_START] = now
 
 
-@njit
+@njit_in_place
 def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) -> None:
     """Give the means of the block to the balance, and keep them."""
     n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
@@ -492,7 +518,9 @@ def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) ->
             sampler.sums[part, i] = 0.0
     length = now - sampler.clock[BLOCK_START]
     place = (sampler.counters[IN_INTERVAL] + 0.5) / blocks
-    row[3 * n] = 0.5 * (now + sampler.clock[BLOCK_START])
+    # Where samples are missing, the mean of the readings is not that of the middle.
+    row[3 * n] = sampler.clock[TIMES] / count
+    sampler.clock[TIMES] = 0.0
     row[3 * n + 1] = length
     row[3 * n + 2] = place
     add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
@@ -520,7 +548,7 @@ def restart(sampler: Sampler, balance: Balance) -> None:
     drop_interval(balance)
 
 
-@njit
+@njit_in_place
 def take_samples(
     sampler: Sampler,
     balance: Balance,

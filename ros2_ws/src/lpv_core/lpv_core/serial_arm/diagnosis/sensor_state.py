@@ -1,19 +1,8 @@
 """State of one sensor, from healthy to faulty and back."""
 
 from dataclasses import dataclass
-from enum import Enum
 
-
-class SensorState(str, Enum):  # noqa: UP042 - Python 3.10 has no StrEnum
-    """State of a sensor."""
-
-    OK = 'ok'
-    WARN = 'warn'
-    """A fault that may be this sensor's, or something else's."""
-    ERROR = 'error'
-    """A fault of this sensor."""
-    NOT_DIAGNOSABLE = 'not_diagnosable'
-    """Gravity and motion do not tell its offset; changes are still seen."""
+from lpv_core.serial_arm.diagnosis.alarms import SensorState
 
 
 @dataclass
@@ -27,6 +16,7 @@ class SensorRecord:
     level: bool = False  # whether the estimate of gravity and motion is part of the fault
     unproved: bool = False  # whether its guarantee is still to come
     over_since: float | None = None  # since when the fault seems over [s]
+    unseen: bool = False  # whether it was confirmed before a break, and not seen since
 
     @property
     def active(self) -> bool:
@@ -38,12 +28,17 @@ class SensorRecord:
         if not self.active:
             self.onset, self.peak = onset, 0.0
         self.state, self.kind, self.over_since = SensorState.ERROR, kind, None
+        self.unseen = False
         self.peak = max(self.peak, size)
 
     def suspect(self, is_suspect: bool) -> None:
         """What is seen may be this sensor's fault, or not."""
         if not self.active:
             self.state = SensorState.WARN if is_suspect else SensorState.OK
+
+    def doubt(self) -> None:
+        """Nothing was seen of the sensor for a while, in which its fault may have ended."""
+        self.unseen, self.over_since = self.active, None
 
     def recover(self, now: float) -> None:
         """The fault seems over."""
@@ -71,4 +66,4 @@ class SensorRecord:
     def clear(self) -> None:
         """The fault is over."""
         self.state, self.kind, self.peak = SensorState.OK, '', 0.0
-        self.level, self.unproved, self.over_since = False, False, None
+        self.level, self.unproved, self.unseen, self.over_since = False, False, False, None

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from lpv_core.serial_arm.chain import FloatArray
+from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv_core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
-from lpv_core.serial_arm.diagnosis.information import last_rows, slot, whiten
+from lpv_core.serial_arm.diagnosis.information import ROBUST, last_rows, slot, whiten
 
 ACCELERATION = 10.0
 """Usual acceleration of a joint whose reading rests [rad/s2]."""
@@ -23,7 +23,7 @@ def stuck_bayes_factor(
     estimator : OffsetEstimator
         Its posterior is the null hypothesis.
     joint : int
-        Whose reading rests.
+        Sensor whose reading rests.
     balances : int
         For how many of the last balances it may have moved.
     speed : float
@@ -41,8 +41,9 @@ def stuck_bayes_factor(
     set_residuals(estimator.window, null, count)
     residual = null.residual[:count][::-1]
     size = _usual_sizes(estimator, count)
-    at_rest = size[:, joint].copy()
-    size[:, joint] = null.noise[joint]  # if the reading lies, the joint moves
+    moved = np.nonzero(estimator.balance.to_joints[:, joint])[0]
+    at_rest = size[:, moved].copy()
+    size[:, moved] = null.noise[moved]  # if the reading lies, joints move
     weights = _weights(residual, size, null)
     columns = _rate_steps(rows, 1 + OFFSET * n + joint, 1 + RATE * n + joint, step)
     score = -np.einsum('kij,ki,ki->j', columns, weights, residual)
@@ -55,7 +56,7 @@ def stuck_bayes_factor(
     scaled = walk @ information + np.eye(count)
     rates = np.linalg.solve(scaled, walk @ score)
     gain = 0.5 * (score @ rates - np.linalg.slogdet(scaled)[1])
-    gain += _rest_instead(residual[:, joint], at_rest, weights[:, joint], null, joint)
+    gain += _rest_instead(residual[:, moved], at_rest, weights[:, moved], null, moved)
     begin = estimator.times(count)[0] - step
     sigma = step * np.sqrt(max(float(np.linalg.solve(scaled, walk).sum()), 0.0))
     return float(gain), float(step * rates.sum()), float(sigma), float(begin)
@@ -64,19 +65,21 @@ def stuck_bayes_factor(
 def _weights(residual: FloatArray, size: FloatArray, null: Posterior) -> FloatArray:
     """Inverse variances of balances, outliers with less weight; shape (last, n)."""
     variance = size**2 * null.inflation
-    return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (3.0 * size)) ** 2)))
+    return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)))
 
 
 def _rest_instead(
-    residual: FloatArray, size: FloatArray, weights: FloatArray, null: Posterior, joint: int
+    residual: FloatArray, size: FloatArray, weights: FloatArray, null: Posterior, joints: IntArray
 ) -> float:
-    """Change of the log-likelihood ratio where the joint rests as its reading says.
+    """Change of the log-likelihood ratio where joints rest as the reading says.
 
     Its friction explains more then than in motion; at most what was counted against it.
     """
-    resting = 1.0 / (size**2 * null.inflation[joint])
-    resting /= np.sqrt(1.0 + (residual / (3.0 * size)) ** 2)
-    change = 0.5 * residual**2 @ (resting - weights) + np.log(size / null.noise[joint]).sum()
+    resting = 1.0 / (size**2 * null.inflation[joints])
+    resting /= np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)
+    change = (
+        0.5 * (residual**2 * (resting - weights)).sum() + np.log(size / null.noise[joints]).sum()
+    )
     return min(float(change), 0.0)
 
 

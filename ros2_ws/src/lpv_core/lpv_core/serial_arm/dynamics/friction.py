@@ -6,7 +6,7 @@ F_i(v) = viscous v + (coulomb + load abs(tau_i)) s(v) + offset, s(v) = (2/pi) at
 import math
 
 from lpv_core.serial_arm.chain import COULOMB, LOAD, OFFSET, SLOPE, VISCOUS, Chain, FloatArray
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 
 @njit

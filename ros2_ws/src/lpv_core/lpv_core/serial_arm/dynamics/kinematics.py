@@ -1,4 +1,4 @@
-"""Where the tip is, how it moves, and which joint angles bring it somewhere.
+"""Where the tip is, how it moves, and which joint positions bring it somewhere.
 
 Frames as of `Chain`; poses are those of the tip in the base frame.
 """
@@ -13,7 +13,7 @@ from lpv_core.serial_arm.dynamics.momentum import solve_positive
 from lpv_core.support.jit import njit
 
 _MAX_STEP = 0.5
-"""Largest change of a joint in one iteration of the inverse kinematics [rad]."""
+"""Largest change of a joint in one iteration of the inverse kinematics [rad], [m]."""
 _ORIENTATION_WEIGHT = 0.3
 """Length that weighs errors of orientation against those of position [m/rad]."""
 
@@ -41,7 +41,10 @@ def joint_frames(chain: Chain, q: FloatArray, rotations: FloatArray, origins: Fl
             origins[i, row] = 0.0
         local = chain.rotation[i] if i < n else chain.tip_rotation
         place = chain.translation[i] if i < n else chain.tip_translation
-        c, s = (np.cos(q[i]), np.sin(q[i])) if i < n else (1.0, 0.0)
+        turned, way = 0.0, 0.0
+        if i < n:
+            turned, way = (0.0, q[i]) if chain.prismatic[i] else (q[i], 0.0)
+        c, s = np.cos(turned), np.sin(turned)
         for k in range(3):
             # Row k of R_i0 Rz(q_i).
             x, y, z = (
@@ -54,18 +57,22 @@ def joint_frames(chain: Chain, q: FloatArray, rotations: FloatArray, origins: Fl
                 rotations[i, row, 0] += outer * x
                 rotations[i, row, 1] += outer * y
                 rotations[i, row, 2] += outer * z
-                origins[i, row] += outer * place[k]
+                origins[i, row] += outer * (place[k] + way * local[k, 2])
         if i > 0:
             for row in range(3):
                 origins[i, row] += origins[i - 1, row]
 
 
 @njit
-def fill_jacobian(rotations: FloatArray, origins: FloatArray, jacobian: FloatArray) -> None:
+def fill_jacobian(
+    chain: Chain, rotations: FloatArray, origins: FloatArray, jacobian: FloatArray
+) -> None:
     """Jacobian of the tip from the frames of `joint_frames`.
 
     Parameters
     ----------
+    chain : Chain
+        The arm.
     rotations, origins : ndarray, shapes (n + 1, 3, 3) and (n + 1, 3)
         As written by `joint_frames`.
     jacobian : ndarray, shape (6, n)
@@ -81,6 +88,9 @@ def fill_jacobian(rotations: FloatArray, origins: FloatArray, jacobian: FloatArr
         jacobian[1, i] = zz * dx - zx * dz
         jacobian[2, i] = zx * dy - zy * dx
         jacobian[3, i], jacobian[4, i], jacobian[5, i] = zx, zy, zz
+        if chain.prismatic[i]:
+            jacobian[0, i], jacobian[1, i], jacobian[2, i] = zx, zy, zz
+            jacobian[3, i], jacobian[4, i], jacobian[5, i] = 0.0, 0.0, 0.0
 
 
 def forward_kinematics(chain: Chain, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -97,7 +107,7 @@ def jacobian(chain: Chain, q: npt.ArrayLike) -> FloatArray:
     rotations, origins = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
     joint_frames(chain, np.ascontiguousarray(q, dtype=float), rotations, origins)
     matrix = np.empty((6, n))
-    fill_jacobian(rotations, origins, matrix)
+    fill_jacobian(chain, rotations, origins, matrix)
     return matrix
 
 

@@ -16,17 +16,19 @@ from lpv_core.serial_arm.chain import (
     MX,
     MY,
     MZ,
+    PLACE,
     Chain,
     FloatArray,
 )
 from lpv_core.serial_arm.dynamics.frames import (
     add_wrench_to_parent,
-    set_rotations,
+    along_axis,
+    set_frames,
     to_child,
     to_parent,
 )
 from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 _LINEAR, _ANGULAR, _RATE, _SPEED, _FALL, _MOMENT, _WEIGHT = 9, 12, 15, 18, 21, 24, 27
 _COMPOSITE, _SOLUTION, _BIAS, _STILL = 9, 36, 37, 39
@@ -60,21 +62,24 @@ def set_velocities(chain: Chain, q: FloatArray, v: FloatArray, work: FloatArray)
     chain : Chain
         The arm.
     q, v : ndarray, shape (n,)
-        Positions and rates [rad], [rad/s].
+        Positions and rates [rad], [rad/s]; of prismatic joints [m], [m/s].
     work : ndarray
-        From `workspace`; columns 0 to 8 and 15 to 23 are written.
+        From `workspace`; columns 0 to 8, 15 to 23 and 40 to 42 are written.
     """
-    set_rotations(chain, q, work)
+    set_frames(chain, q, work)
     wx, wy, wz, ux, uy, uz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     gx, gy, gz = chain.gravity[0], chain.gravity[1], chain.gravity[2]
     for i in range(q.shape[0]):
-        px, py, pz = chain.translation[i, 0], chain.translation[i, 1], chain.translation[i, 2]
+        px, py, pz = work[i, PLACE], work[i, PLACE + 1], work[i, PLACE + 2]
         ux, uy, uz = to_child(
             work, i, ux + wy * pz - wz * py, uy + wz * px - wx * pz, uz + wx * py - wy * px
         )
         wx, wy, wz = to_child(work, i, wx, wy, wz)
         gx, gy, gz = to_child(work, i, gx, gy, gz)
-        wz += v[i]
+        if not chain.prismatic[i]:
+            wz += v[i]
+        else:
+            uz += v[i]
         work[i, _RATE], work[i, _RATE + 1], work[i, _RATE + 2] = wx, wy, wz
         work[i, _SPEED], work[i, _SPEED + 1], work[i, _SPEED + 2] = ux, uy, uz
         work[i, _FALL], work[i, _FALL + 1], work[i, _FALL + 2] = gx, gy, gz
@@ -92,18 +97,19 @@ def momentum_balance(
     """Momentum p = M(q) v and the force C(q, v)^T v - g(q) that changes it, in one pass.
 
     With L, P angular and linear momentum of all that joint i carries, about its origin, and w, u
-    the rates there, d(v^T M v / 2)/dq_i = w_y L_x - w_x L_y + u_y P_x - u_x P_y.
+    the rates there, d(v^T M v / 2)/dq_i = w_y L_x - w_x L_y + u_y P_x - u_x P_y; of a prismatic
+    joint w_y P_x - w_x P_y.
 
     Parameters
     ----------
     chain : Chain
         The arm.
     q, v : ndarray, shape (n,)
-        Positions and rates [rad], [rad/s].
+        Positions and rates [rad], [rad/s]; of prismatic joints [m], [m/s].
     work : ndarray
         From `workspace`.
     momentum, force : ndarray, shape (n,)
-        Written: p [N m s] and C^T v - g [N m]; p' = force + tau - friction.
+        Written: p [N m s] or [N s], C^T v - g [N m] or [N]; p' = force + tau - friction.
     """
     set_velocities(chain, q, v, work)
     carried_momentum(chain, v, work, momentum, force)
@@ -119,30 +125,37 @@ def carried_momentum(
         _set_body_momentum(chain, i, work)
     for i in range(n - 1, -1, -1):
         hx, hy = work[i, _MOMENT], work[i, _MOMENT + 1]
-        momentum[i] = work[i, _ANGULAR + 2]
+        momentum[i] = along_axis(chain, i, work[i, _LINEAR + 2], work[i, _ANGULAR + 2])
         for j in range(n):
             momentum[i] += chain.motor[i, j] * v[j]
-        force[i] = (
-            work[i, _RATE + 1] * work[i, _ANGULAR]
-            - work[i, _RATE] * work[i, _ANGULAR + 1]
-            + work[i, _SPEED + 1] * work[i, _LINEAR]
-            - work[i, _SPEED] * work[i, _LINEAR + 1]
-            + hx * work[i, _FALL + 1]
-            - hy * work[i, _FALL]
-        )
+        if not chain.prismatic[i]:
+            force[i] = (
+                work[i, _RATE + 1] * work[i, _ANGULAR]
+                - work[i, _RATE] * work[i, _ANGULAR + 1]
+                + work[i, _SPEED + 1] * work[i, _LINEAR]
+                - work[i, _SPEED] * work[i, _LINEAR + 1]
+                + hx * work[i, _FALL + 1]
+                - hy * work[i, _FALL]
+            )
+        else:
+            force[i] = (
+                work[i, _RATE + 1] * work[i, _LINEAR]
+                - work[i, _RATE] * work[i, _LINEAR + 1]
+                + work[i, _WEIGHT] * work[i, _FALL + 2]
+            )
         if i > 0:
-            add_wrench_to_parent(chain, i, work, _LINEAR, _ANGULAR)
-            _add_moment_to_parent(chain, i, work)
+            add_wrench_to_parent(i, work, _LINEAR, _ANGULAR)
+            _add_moment_to_parent(i, work)
 
 
 @njit
-def _add_moment_to_parent(chain: Chain, i: int, work: FloatArray) -> None:
+def _add_moment_to_parent(i: int, work: FloatArray) -> None:
     """Add mass and first moment of what joint i carries to that of joint i-1."""
     hx, hy, hz = to_parent(work, i, work[i, _MOMENT], work[i, _MOMENT + 1], work[i, _MOMENT + 2])
     mass = work[i, _WEIGHT]
-    work[i - 1, _MOMENT] += hx + mass * chain.translation[i, 0]
-    work[i - 1, _MOMENT + 1] += hy + mass * chain.translation[i, 1]
-    work[i - 1, _MOMENT + 2] += hz + mass * chain.translation[i, 2]
+    work[i - 1, _MOMENT] += hx + mass * work[i, PLACE]
+    work[i - 1, _MOMENT + 1] += hy + mass * work[i, PLACE + 1]
+    work[i - 1, _MOMENT + 2] += hz + mass * work[i, PLACE + 2]
     work[i - 1, _WEIGHT] += mass
 
 
@@ -159,10 +172,10 @@ def mass_matrix(chain: Chain, q: FloatArray, work: FloatArray, matrix: FloatArra
     work : ndarray
         From `workspace`.
     matrix : ndarray, shape (n, n)
-        Written [kg m2].
+        Written [kg m2], [kg m], [kg].
     """
     n = q.shape[0]
-    set_rotations(chain, q, work)
+    set_frames(chain, q, work)
     for i in range(n):
         for k in range(10):
             work[i, _COMPOSITE + k] = chain.inertial[i, k]
@@ -170,27 +183,30 @@ def mass_matrix(chain: Chain, q: FloatArray, work: FloatArray, matrix: FloatArra
         body = work[i, _COMPOSITE : _COMPOSITE + 10]
         fx, fy, fz = -body[MY], body[MX], 0.0
         nx, ny, nz = body[IXZ], body[IYZ], body[IZZ]
-        matrix[i, i] = nz + chain.motor[i, i]
+        if chain.prismatic[i]:
+            fx, fy, fz = 0.0, 0.0, body[MASS]
+            nx, ny, nz = body[MY], -body[MX], 0.0
+        matrix[i, i] = along_axis(chain, i, fz, nz) + chain.motor[i, i]
         for j in range(i - 1, -1, -1):
             fx, fy, fz = to_parent(work, j + 1, fx, fy, fz)
             nx, ny, nz = to_parent(work, j + 1, nx, ny, nz)
-            p = chain.translation[j + 1]
+            p = work[j + 1, PLACE : PLACE + 3]
             nx, ny, nz = (
                 nx + p[1] * fz - p[2] * fy,
                 ny + p[2] * fx - p[0] * fz,
                 nz + p[0] * fy - p[1] * fx,
             )
-            matrix[i, j] = nz + chain.motor[i, j]
+            matrix[i, j] = along_axis(chain, j, fz, nz) + chain.motor[i, j]
             matrix[j, i] = matrix[i, j]
         if i > 0:
-            _add_composite_to_parent(chain, i, work)
+            _add_composite_to_parent(i, work)
 
 
 @njit
-def _add_composite_to_parent(chain: Chain, i: int, work: FloatArray) -> None:
+def _add_composite_to_parent(i: int, work: FloatArray) -> None:
     """Add the composite inertia that joint i carries to that of joint i-1 (see `moved_body`)."""
     body, into = work[i, _COMPOSITE : _COMPOSITE + 10], work[i - 1, _COMPOSITE : _COMPOSITE + 10]
-    p, mass = chain.translation[i], body[MASS]
+    p, mass = work[i, PLACE : PLACE + 3], body[MASS]
     hx, hy, hz = to_parent(work, i, body[MX], body[MY], body[MZ])
     # Columns of R I, then rows of (R I) R^T.
     ax, ay, az = to_parent(work, i, body[IXX], body[IXY], body[IXZ])

@@ -14,11 +14,17 @@ from lpv_core.serial_arm.chain import (
     MX,
     MY,
     MZ,
+    PLACE,
     Chain,
     FloatArray,
 )
-from lpv_core.serial_arm.dynamics.frames import add_wrench_to_parent, set_rotations, to_child
-from lpv_core.support.jit import njit
+from lpv_core.serial_arm.dynamics.frames import (
+    add_wrench_to_parent,
+    along_axis,
+    set_frames,
+    to_child,
+)
+from lpv_core.support.jit import njit_in_place as njit
 
 _FORCE, _MOMENT = 9, 12
 
@@ -68,19 +74,19 @@ def inverse_dynamics(
     chain : Chain
         The arm.
     q, v, a : ndarray, shape (n,)
-        Positions, rates, accelerations [rad], [rad/s], [rad/s2].
+        Positions, rates, accelerations [rad], [rad/s], [rad/s2]; of prismatic joints with m.
     work : ndarray
         From `workspace`.
     torque : ndarray, shape (n,)
-        Written: tau without friction [N m].
+        Written: tau without friction [N m], [N].
     """
     n = q.shape[0]
-    set_rotations(chain, q, work)
+    set_frames(chain, q, work)
     wx, wy, wz, sx, sy, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     # The base accelerates upwards instead of the bodies falling.
     ax, ay, az = -chain.gravity[0], -chain.gravity[1], -chain.gravity[2]
     for i in range(n):
-        px, py, pz = chain.translation[i, 0], chain.translation[i, 1], chain.translation[i, 2]
+        px, py, pz = work[i, PLACE], work[i, PLACE + 1], work[i, PLACE + 2]
         cx, cy, cz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
         ax, ay, az = to_child(
             work, i,
@@ -89,15 +95,18 @@ def inverse_dynamics(
             az + sx * py - sy * px + wx * cy - wy * cx)  # fmt: skip
         wx, wy, wz = to_child(work, i, wx, wy, wz)
         sx, sy, sz = to_child(work, i, sx, sy, sz)
-        sx, sy, sz = sx + wy * v[i], sy - wx * v[i], sz + a[i]
-        wz += v[i]
+        if not chain.prismatic[i]:
+            sx, sy, sz = sx + wy * v[i], sy - wx * v[i], sz + a[i]
+            wz += v[i]
+        else:
+            ax, ay, az = ax + 2.0 * wy * v[i], ay - 2.0 * wx * v[i], az + a[i]
         _body_wrench(chain, i, (wx, wy, wz), (sx, sy, sz), (ax, ay, az), work)
     for i in range(n - 1, -1, -1):
-        torque[i] = work[i, _MOMENT + 2]
+        torque[i] = along_axis(chain, i, work[i, _FORCE + 2], work[i, _MOMENT + 2])
         for j in range(n):
             torque[i] += chain.motor[i, j] * a[j]
         if i > 0:
-            add_wrench_to_parent(chain, i, work, _FORCE, _MOMENT)
+            add_wrench_to_parent(i, work, _FORCE, _MOMENT)
 
 
 @njit

@@ -4,10 +4,10 @@ tau = Y(q, v, a) phi, p = Y_p(q, v) phi and C^T v - g = Y_f(q, v) phi, with phi 
 row by row.  Rotors and friction, which are linear too, are not part of phi.
 """
 
-from lpv_core.serial_arm.chain import MX, Chain, FloatArray
-from lpv_core.serial_arm.dynamics.frames import set_rotations, to_child, to_parent
+from lpv_core.serial_arm.chain import MX, PLACE, Chain, FloatArray
+from lpv_core.serial_arm.dynamics.frames import along_axis, set_frames, to_child, to_parent
 from lpv_core.serial_arm.dynamics.momentum import set_velocities
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 _RATE, _SPEED, _FALL = 15, 18, 21
 _W, _S, _A = 9, 12, 15
@@ -66,16 +66,12 @@ def _unit_wrench(
 
 @njit
 def _wrench_to_parent(
-    chain: Chain,
-    i: int,
-    work: FloatArray,
-    force: tuple[float, float, float],
-    moment: tuple[float, float, float],
+    i: int, work: FloatArray, force: tuple[float, float, float], moment: tuple[float, float, float]
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """A wrench about frame i's origin, about that of frame i-1."""
     f = to_parent(work, i, force[0], force[1], force[2])
     m = to_parent(work, i, moment[0], moment[1], moment[2])
-    p = (chain.translation[i, 0], chain.translation[i, 1], chain.translation[i, 2])
+    p = (work[i, PLACE], work[i, PLACE + 1], work[i, PLACE + 2])
     lever = _cross(p, f)
     return f, (m[0] + lever[0], m[1] + lever[1], m[2] + lever[2])
 
@@ -85,19 +81,22 @@ def _set_accelerations(
     chain: Chain, q: FloatArray, v: FloatArray, a: FloatArray, work: FloatArray
 ) -> None:
     """Write rates, angular and linear accelerations (less free fall) of each joint frame."""
-    set_rotations(chain, q, work)
+    set_frames(chain, q, work)
     w, s = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     u = (-chain.gravity[0], -chain.gravity[1], -chain.gravity[2])
     for i in range(q.shape[0]):
-        p = (chain.translation[i, 0], chain.translation[i, 1], chain.translation[i, 2])
+        p = (work[i, PLACE], work[i, PLACE + 1], work[i, PLACE + 2])
         twist, swirl = _cross(s, p), _cross(w, _cross(w, p))
         u = to_child(
             work, i, u[0] + twist[0] + swirl[0], u[1] + twist[1] + swirl[1],
             u[2] + twist[2] + swirl[2])  # fmt: skip
         w = to_child(work, i, w[0], w[1], w[2])
         s = to_child(work, i, s[0], s[1], s[2])
-        s = (s[0] + w[1] * v[i], s[1] - w[0] * v[i], s[2] + a[i])
-        w = (w[0], w[1], w[2] + v[i])
+        if not chain.prismatic[i]:
+            s = (s[0] + w[1] * v[i], s[1] - w[0] * v[i], s[2] + a[i])
+            w = (w[0], w[1], w[2] + v[i])
+        else:
+            u = (u[0] + 2.0 * w[1] * v[i], u[1] - 2.0 * w[0] * v[i], u[2] + a[i])
         for k in range(3):
             work[i, _W + k], work[i, _S + k], work[i, _A + k] = w[k], s[k], u[k]
 
@@ -129,9 +128,9 @@ def regressor(
         for k in range(10):
             force, moment = _unit_wrench(k, w, s, u)
             for i in range(j, -1, -1):
-                matrix[i, 10 * j + k] = moment[2]
+                matrix[i, 10 * j + k] = along_axis(chain, i, force[2], moment[2])
                 if i > 0:
-                    force, moment = _wrench_to_parent(chain, i, work, force, moment)
+                    force, moment = _wrench_to_parent(i, work, force, moment)
 
 
 @njit
@@ -182,17 +181,24 @@ def momentum_regressor(
             moment = _unit(k - MX) if 0 < k < 4 else (0.0, 0.0, 0.0)
             mass = 1.0 if k == 0 else 0.0
             for i in range(j, -1, -1):
-                momentum[i, 10 * j + k] = angular[2]
-                force[i, 10 * j + k] = (
-                    work[i, _RATE + 1] * angular[0]
-                    - work[i, _RATE] * angular[1]
-                    + work[i, _SPEED + 1] * linear[0]
-                    - work[i, _SPEED] * linear[1]
-                    + moment[0] * work[i, _FALL + 1]
-                    - moment[1] * work[i, _FALL]
-                )
+                momentum[i, 10 * j + k] = along_axis(chain, i, linear[2], angular[2])
+                if not chain.prismatic[i]:
+                    force[i, 10 * j + k] = (
+                        work[i, _RATE + 1] * angular[0]
+                        - work[i, _RATE] * angular[1]
+                        + work[i, _SPEED + 1] * linear[0]
+                        - work[i, _SPEED] * linear[1]
+                        + moment[0] * work[i, _FALL + 1]
+                        - moment[1] * work[i, _FALL]
+                    )
+                else:
+                    force[i, 10 * j + k] = (
+                        work[i, _RATE + 1] * linear[0]
+                        - work[i, _RATE] * linear[1]
+                        + mass * work[i, _FALL + 2]
+                    )
                 if i > 0:
-                    linear, angular = _wrench_to_parent(chain, i, work, linear, angular)
+                    linear, angular = _wrench_to_parent(i, work, linear, angular)
                     h = to_parent(work, i, moment[0], moment[1], moment[2])
-                    p = chain.translation[i]
+                    p = work[i, PLACE : PLACE + 3]
                     moment = (h[0] + mass * p[0], h[1] + mass * p[1], h[2] + mass * p[2])

@@ -1,1 +1,0 @@
-"""Decisions on faults: alarm, kind, magnitude."""

@@ -1,1 +1,0 @@
-"""Residuals of the sensors and the tests on them."""

@@ -1,0 +1,58 @@
+"""Whether matrix inequalities hold: by eigenvalues, and in exact rational arithmetic."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True)
+class Check:
+    """One inequality."""
+
+    name: str  # what it is
+    margin: float  # largest eigenvalue, or another figure that must be negative
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is satisfied; NaN is not."""
+        return self.margin < 0.0
+
+
+def symmetric_part(matrix: np.ndarray) -> np.ndarray:
+    """(M + M^T)/2: what an inequality on a numerically unsymmetric matrix is about."""
+    return 0.5 * (matrix + matrix.T)
+
+
+def largest_eigenvalue(matrix: np.ndarray) -> float:
+    """Largest eigenvalue of a symmetric matrix; negative if M < 0 holds, NaN if M is not finite."""
+    if not np.isfinite(matrix).all():
+        return np.nan
+    return float(np.linalg.eigvalsh(symmetric_part(np.asarray(matrix)))[-1])
+
+
+def exact(values: ArrayLike) -> np.ndarray:
+    """Array of fractions that equal the given floats."""
+    return np.vectorize(Fraction, otypes=[object])(np.asarray(values))
+
+
+def is_positive_definite(matrix: np.ndarray) -> bool:
+    """Sylvester's criterion by symmetric elimination over the fractions."""
+    rest = exact(matrix)
+    if not np.array_equal(rest, rest.T):
+        return False
+    for k in range(len(rest)):
+        pivot = rest[k, k]
+        if pivot <= 0:
+            return False
+        for i in range(k + 1, len(rest)):
+            if rest[i, k] != 0:
+                rest[i, k:] = rest[i, k:] - rest[k, k:] * (rest[i, k] / pivot)
+    return True
+
+
+def is_negative(matrix: np.ndarray) -> bool:
+    """Whether sym(matrix) < 0."""
+    matrix = exact(matrix)
+    return is_positive_definite(-(matrix + matrix.T))
