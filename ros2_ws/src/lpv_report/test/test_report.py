@@ -201,7 +201,8 @@ def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_ar
     assert onset == pytest.approx(0.8, abs=0.003)
     assert line[1] == last.kind
     assert line[2:6] == [f'{onset:.3f}', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
-    assert line[6] == f'{last.size:+.3f}'
+    estimate = load_run(run).get('fault_estimate', 'estimate')[-1, 0]
+    assert line[6] == f'{estimate:+.3f}', 'the fault now, not at its alarm'
     assert float(line[8]) == pytest.approx(0.3, abs=0.1)
     assert 'Missed' not in text(page)
     assert 'no false alarms, no faults missed' in text(page)

@@ -72,10 +72,15 @@ def transforms(arm: SerialArm, q: Sequence[float] | FloatArray) -> list[Transfor
         if arm.joints[i].is_prismatic:
             place, turned = origin + orientation.apply(float(q[i]) * axis), orientation
         else:
-            place, turned = origin, orientation * Rotation.from_rotvec(float(q[i]) * axis)
+            place, turned = origin, orientation * Rotation.from_rotvec(_turn(q[i]) * axis)
         result.append((names[i], names[i + 1], tuple(place), tuple(turned.as_quat())))
     result.append((names[-2], TIP, tuple(arm.tip), (0.0, 0.0, 0.0, 1.0)))
     return result
+
+
+def _turn(angle: float) -> float:
+    """An angle within (-pi, pi]: of larger ones the digits of a turn are lost."""
+    return math.remainder(float(angle), 2.0 * math.pi)
 
 
 def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:

@@ -212,6 +212,14 @@ class Bank:
         """Last kinematic row of a joint and its variance [rad], [rad2]; None without one."""
         return self._kinematics.last(joint)
 
+    def way(self, joint: int, count: int) -> tuple[float, float] | None:
+        """How far the rate sensor of a joint says that it went while its reading rested.
+
+        Way in the last ``count`` intervals and its standard deviation [rad]; None without a rate
+        of its own.
+        """
+        return self._kinematics.way(joint, count)
+
     def note_jump(self, joint: int, time: float, size: tuple[float, float], reading: float) -> None:
         """A reading jumped, and the jump was taken out: it may have been a scale error's.
 
@@ -575,6 +583,13 @@ class KinematicRows:
         if not self._independent[joint] or len(self._rows) == 0:
             return None
         return float(self._rows[-1, joint]), self._variance_of_last(joint, 1)
+
+    def way(self, joint: int, count: int) -> tuple[float, float] | None:
+        """As of `Bank.way`."""
+        rows = self._rows[-max(count, 1) :, joint]
+        if not self._independent[joint] or not self.trusted[joint] or len(rows) == 0:
+            return None
+        return -float(rows.sum()), float(np.sqrt(self._variance_of_last(joint, len(rows))))
 
     def explained(self, joint: int, count: int) -> float:
         """What a reading that rests explains of the last rows: all of it."""

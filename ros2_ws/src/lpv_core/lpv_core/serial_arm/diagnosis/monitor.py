@@ -594,6 +594,9 @@ class SerialMonitor:
         else:
             size, sigma = one.size, one.sigma
         last = float(self.sampler.time[-1])
+        if kind == 'stuck':
+            way = self.bank.way(i, round((last - one.begin) / self.plan.interval))
+            size, sigma = way or (size, sigma)  # a rate of its own tells how far the joint went
         blocks = self._blocks(len(self.estimator) + 1)
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, i]))
         self._filters[i] = begin_filter(i, kind, (one.begin, last), size, sigma, origin)
