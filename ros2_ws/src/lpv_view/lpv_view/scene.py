@@ -100,7 +100,7 @@ class Scene:
         """
         found = []
         for name in ('true', 'estimated'):
-            if (q := arms.get(name)) is None:
+            if (q := arms.get(name)) is None or not np.isfinite(q).all():
                 continue
             frames: list[Transform] = [(BASE, f'{name}/{BASE}', (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))]
             frames += [

@@ -32,6 +32,8 @@ class View:
     def good(self, kind):
         """A message of a kind with the next stamp."""
         message = sized(kind(), 2)
+        if hasattr(message, 'tip_position'):
+            message.tip_position = [0.0] * 3
         self._stamp += 2_000_000
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._stamp, 10**9)
         arm = self.node._model._arm

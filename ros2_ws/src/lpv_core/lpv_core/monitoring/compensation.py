@@ -131,12 +131,13 @@ def fill_answers(
         step = _step(work, stamps[k], flags.fading, flags.sample_time)
         for i in range(known.fault.shape[0]):
             grown = elapsed * known.rate[i]
-            fault, confirmed, drift = known.fault[i] + grown, 0.0, 0.0
+            fault, confirmed, drift, growth = known.fault[i] + grown, 0.0, 0.0, 0.0
             if known.is_error[i]:
                 confirmed = fault if known.is_level[i] else known.removed[i] + grown
-                drift = known.rate[i] if known.is_derived[i] else 0.0
+                growth = known.rate[i]
+                drift = growth if known.is_derived[i] else 0.0
             measured = samples[k, 0, i], samples[k, 1, i]
-            _correct(work, i, measured, (confirmed, drift), known.limit[i], step)
+            _correct(work, i, measured, (confirmed, drift, growth), known.limit[i], step)
             work.estimate[i] = work.position[i] + work.applied[i] - fault
             rows.estimate[k, i], rows.bound[k, i] = fault, known.bound[i]
             rows.threshold[k, i], rows.state[k, i] = known.threshold[i], known.state[i]
@@ -185,13 +186,16 @@ def _correct(
     work: Compensation,
     i: int,
     measured: tuple[float, float],
-    fault: tuple[float, float],
+    fault: tuple[float, float, float],
     limit: float,
     step: tuple[float, bool, float],
 ) -> None:
-    """Reading and rate of a sensor without the fault; a jump is carried on by the rate."""
+    """Reading and rate of a sensor without the fault; a jump is carried on by the rate.
+
+    ``fault``: of the reading [rad], of the rate, and at which the first one grows [rad/s].
+    """
     interval, follows, fading = step
-    most = (fading + abs(fault[1])) * interval
+    most = (fading + abs(fault[2])) * interval
     work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)
     position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
     largest = limit + 2.0 * interval * abs(work.change[i])
