@@ -41,7 +41,7 @@ SPEC = {
     },
 }
 # The arm is stopped, and led back to its path.
-STOPS = {'fault.kind': 'rate_bias', 'fault.size': 0.4, 'fault.duration': 1.5}
+STOPS = {'fault.kind': 'dropout', 'fault.duration': 0.5}
 SIGNALS = {
     'position': ('ground_truth', 'position'),
     'velocity': ('ground_truth', 'velocity'),
