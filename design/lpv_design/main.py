@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lpv_core.support.errors import ConfigError, LpvError
+from lpv_core.support.options import declare
 from lpv_core.support.resources import bringup_file
 
 if TYPE_CHECKING:
@@ -15,43 +16,18 @@ if TYPE_CHECKING:
     from lpv_design.guarantee import Guarantee
 
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
-_SERIAL_HELP = {
-    'bandwidth': 'distance of the three poles of every joint from zero [rad/s]; default 10',
-    'model_error': "relative error of each link's mass and inertia; default: as the arm file "
-    'states, or 0.05',
-    'rate_share': 'region: share of all velocity limits at once; without, as large as possible',
-}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        '--arm',
-        required=True,
-        metavar='ARM',
-        help='arm file, or name of a shipped arm (paper, real_arm, ur10, panda)',
-    )
-    parser.add_argument(
-        '--requirement',
-        metavar='REQUIREMENT',
-        help='requirement file, or name of a shipped one (paper, paper_literal, '
-        "real_arm); without, the one with the arm's name",
-    )
-    serial = parser.add_argument_group(
-        'arms without an lpv region: certificate of computed torque (docs/tracking.md)'
-    )
-    for name, value in (('bandwidth', 10.0), ('model_error', None), ('rate_share', 0.0)):
-        serial.add_argument(
-            f'--{name.replace("_", "-")}', type=float, default=value, help=_SERIAL_HELP[name]
-        )
-    parser.add_argument(
-        '--proof',
-        action='store_true',
-        help='also prove the inequalities in exact rational arithmetic',
-    )
-    parser.add_argument(
-        '--out', required=True, metavar='GAINS.yaml', help='parameter file to write'
-    )
+OPTIONS = """
+--arm ARM!                 arm file, or name of a shipped arm (paper, real_arm, ur10, panda)
+--requirement REQUIREMENT  requirement file, or name of a shipped one (paper, paper_literal,
+                           real_arm); without, the one with the arm's name
+--proof                    also prove the inequalities in exact rational arithmetic
+--out GAINS.yaml!          parameter file to write
+# arms without an lpv region: certificate of computed torque (docs/tracking.md)
+--bandwidth=10.0           distance of the three poles of every joint from zero [rad/s]
+--model-error SHARE:float  relative error of each link's mass and inertia; default: as the arm file
+                           states, or 0.05
+--rate-share=0.0           region: share of all velocity limits at once; 0: as large as possible
+"""
 
 
 def run(
@@ -138,7 +114,7 @@ def _print_proof(results: dict[str, bool]) -> bool:
 def main(argv: list[str] | None = None) -> int:
     """Entry point of ``ros2 run lpv_design design``."""
     parser = argparse.ArgumentParser(prog='design', description=__doc__)
-    add_arguments(parser)
+    declare(parser, OPTIONS)
     return run(parser.parse_args(argv))
 
 

@@ -7,7 +7,7 @@ import optuna
 import pytest
 import yaml
 
-from lpv_cli.campaigns.tune import healthy
+from lpv_cli.commands.tune import healthy
 from lpv_cli.main import main
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError

@@ -3,49 +3,23 @@
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.urdf_chain import read_urdf_chain
+from lpv_core.serial_arm.urdf_text import read_urdf_text
 from lpv_core.support.errors import ConfigError
-
-if TYPE_CHECKING:
-    from lpv_core.serial_arm.description import SerialArm
+from lpv_core.support.resources import bringup_file
 
 _MOVING = ('revolute', 'continuous', 'prismatic', 'planar', 'floating')
 
 
-def add_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """Declare the choice."""
-    arm = parser.add_mutually_exclusive_group(required=True) if required else parser
-    arm.add_argument('--urdf', help='URDF of the arm (xacro expanded)')
-    if required:
-        arm.add_argument('--arm', help='arm file')
-    parser.add_argument(
-        '--joints',
-        nargs='+',
-        metavar='JOINT',
-        help='joints of the arm, with spaces or commas; all others of the URDF are locked',
-    )
-    parser.add_argument(
-        '--lock',
-        action='append',
-        default=[],
-        metavar='JOINT[=VALUE]',
-        help="hold a joint of the URDF, as a gripper's (at 0) [rad], [m]",
-    )
-    parser.add_argument(
-        '--tip', metavar='LINK', help='last link of the arm: its joints are those on the way to it'
-    )
-
-
-def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
+def chosen_arm(arguments: argparse.Namespace) -> SerialArm:
     """Arm of the arguments."""
-    from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-
     if not arguments.urdf:
-        from lpv_core.serial_arm.arm_file import load_arm
-        from lpv_core.support.resources import bringup_file
-
         return load_arm(bringup_file('arms', arguments.arm))
     root = _read(arguments.urdf)
     moving = {str(j.get('name')): j for j in root.findall('joint') if j.get('type') in _MOVING}
@@ -61,7 +35,7 @@ def chosen_arm(arguments: argparse.Namespace) -> 'SerialArm':
     return read_urdf_chain(arguments.urdf, locked, None if tip else joints or None, tip)
 
 
-def with_stated_friction(arm: 'SerialArm', urdf: str) -> 'SerialArm':
+def with_stated_friction(arm: SerialArm, urdf: str) -> SerialArm:
     """The arm with the friction that ``<dynamics>`` of its URDF states."""
     found = {j.get('name'): j.find('dynamics') for j in _read(urdf).iter('joint')}
     joints = []
@@ -69,18 +43,13 @@ def with_stated_friction(arm: 'SerialArm', urdf: str) -> 'SerialArm':
         dynamics = found.get(joint.name)
         if dynamics is not None:
             viscous, coulomb = (_number(dynamics, key) for key in ('damping', 'friction'))
-            joint = replace(
-                joint, friction=replace(joint.friction, viscous=viscous, coulomb=coulomb)
-            )
+            friction = replace(joint.friction, viscous=viscous, coulomb=coulomb)
+            joint = replace(joint, friction=friction)
         joints.append(joint)
     return replace(arm, joints=tuple(joints))
 
 
 def _read(path: str) -> ElementTree.Element:
-    from pathlib import Path
-
-    from lpv_core.serial_arm.urdf_text import read_urdf_text
-
     return ElementTree.fromstring(read_urdf_text(Path(path)).text)
 
 
@@ -111,10 +80,7 @@ def _end(joint: ElementTree.Element, side: str) -> str:
 
 
 def _refuse_others(
-    root: ElementTree.Element,
-    kept: Sequence[str],
-    moving: dict[str, ElementTree.Element],
-    source: str,
+    root: ElementTree.Element, kept: Sequence[str], moving: dict[str, Any], source: str
 ) -> None:
     """ConfigError that says how to leave out joints that no arm has, and fingers that slide."""
     ways = [_way_to(root, _end(moving[name], 'child')) for name in kept]

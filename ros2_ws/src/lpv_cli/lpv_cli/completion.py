@@ -9,19 +9,12 @@ from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import executable, shipped_files
 
 _PROGRAMS = {
-    'lpv_arm_sim': 'simulator',
-    'lpv_bag': 'recorder',
-    'lpv_tracker': 'tracker',
-    'lpv_uio': 'uio',
-}
+    'lpv_arm_sim': 'simulator', 'lpv_bag': 'recorder', 'lpv_tracker': 'tracker', 'lpv_uio': 'uio',
+}  # fmt: skip
 _KINDS = {
-    'arm': 'arms',
-    'columns': 'columns',
-    'gains': 'gains',
-    'requirement': 'requirements',
-    'scenario': 'scenarios',
-    'spec': 'campaigns',
-}
+    'arm': 'arms', 'columns': 'columns', 'gains': 'gains', 'requirement': 'requirements',
+    'scenario': 'scenarios', 'spec': 'campaigns',
+}  # fmt: skip
 """Folder of shipped files by argument."""
 
 
@@ -36,28 +29,23 @@ def complete(build_parser: Callable[..., Any], commands: Collection[str]) -> Non
     argcomplete.autocomplete(build_parser(chosen), exclude=['-h', '--help'])
 
 
-def completed(action: argparse.Action, completer: Callable[..., Any]) -> None:
-    """Give an argument its completer, where argcomplete looks for it."""
-    action.completer = completer  # type: ignore[attr-defined]
-
-
 def complete_by_name(parser: argparse.ArgumentParser) -> None:
-    """Complete arguments that take a file with the names of shipped ones."""
+    """Give arguments that name a shipped file, a package or a program their completers."""
+    completers = {dest: _shipped(kind) for dest, kind in _KINDS.items()}
+    completers |= {'package': lambda **_: list(_PROGRAMS), 'program': _programs}
     for action in parser._actions:
-        if action.dest in _KINDS:
-            completed(action, shipped(_KINDS[action.dest]))
+        if action.dest in completers:
+            action.completer = completers[action.dest]  # type: ignore[attr-defined]
 
 
-def shipped(kind: str) -> Callable[..., Any]:
+def _shipped(kind: str) -> Callable[..., Any]:
     """Completer: names of shipped files, and YAML files here."""
 
     def names(prefix: str, **_: object) -> list[str]:
         import argcomplete
 
-        return [
-            *_shipped_names(kind),
-            *argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix),
-        ]
+        here = argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix)
+        return [*_shipped_names(kind), *here]
 
     return names
 
@@ -73,13 +61,7 @@ def _shipped_names(kind: str) -> list[str]:
         return []
 
 
-def packages(**_: object) -> list[str]:
-    """Completer: packages with nodes."""
-    return list(_PROGRAMS)
-
-
-def programs(parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """Completer: the programs of the package that was typed."""
+def _programs(parsed_args: argparse.Namespace, **_: object) -> list[str]:
     try:
         folder = executable(parsed_args.package, _PROGRAMS[parsed_args.package]).parent
     except (KeyError, LpvError):

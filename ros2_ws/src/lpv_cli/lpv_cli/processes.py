@@ -41,26 +41,18 @@ def ended_by_signals() -> Iterator[None]:
         raise SystemExit(128 + number)
 
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    changed = [number for number, handler in before.items() if handler != signal.SIG_IGN]
-    for number in changed:
+    before = {number: handler for number, handler in before.items() if handler != signal.SIG_IGN}
+    for number in before:
         signal.signal(number, end)
     try:
         yield
     finally:
-        for number in changed:
-            signal.signal(number, before[number])
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Graph:
-    """A set of nodes that live and end together.
-
-    Parameters
-    ----------
-    log_dir : pathlib.Path
-        Receives one log file a node.
-    domain_id : int
-        ROS_DOMAIN_ID of the run.
-    """
+    """A set of nodes that live and end together, each with its log in a folder."""
 
     def __init__(self, log_dir: Path, domain_id: int) -> None:
         self._log_dir = Path(log_dir)
@@ -76,7 +68,7 @@ class Graph:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def start(self, name: str, command: list[str]) -> NodeProcess:
+    def start(self, name: str, command: list[Any]) -> NodeProcess:
         """Start a node."""
         process = subprocess.Popen(
             [str(part) for part in command],
@@ -92,10 +84,9 @@ class Graph:
         return node
 
     def _pump(self, node: NodeProcess) -> None:
-        with open(node.log, 'w', encoding='utf-8') as log:
+        with open(node.log, 'w', encoding='utf-8', buffering=1) as log:
             for line in node.process.stdout or ():
                 log.write(line)
-                log.flush()
                 self.lines.put((node.name, line.rstrip()))
 
     def check(self, finite: NodeProcess | None = None) -> None:
@@ -103,7 +94,9 @@ class Graph:
         for node in self.nodes:
             code = node.process.poll()
             if code is not None and not (node is finite and code == 0):
-                raise NodeFailure(f'{node.name} ended with code {code}:\n{_tail(node.log)}')
+                log = node.log.read_text(encoding='utf-8') if node.log.exists() else '(no log)'
+                end = '\n'.join(log.splitlines()[-15:])
+                raise NodeFailure(f'{node.name} ended with code {code}:\n{end}')
 
     def stop(self, patience: float = 15.0) -> dict[str, Any]:
         """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
@@ -115,21 +108,10 @@ class Graph:
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
                 running = [n for n in group if n.process.poll() is None]
                 for node in running:
-                    _signal(node, number)
+                    with contextlib.suppress(ProcessLookupError):
+                        os.killpg(node.process.pid, number)
                 deadline = time.monotonic() + patience
                 for node in running:
                     with contextlib.suppress(subprocess.TimeoutExpired):
                         node.process.wait(max(0.0, deadline - time.monotonic()))
         return {node.name: node.process.poll() for node in self.nodes}
-
-
-def _signal(node: NodeProcess, number: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(node.process.pid, number)
-
-
-def _tail(path: Path, count: int = 15) -> str:
-    try:
-        return '\n'.join(path.read_text(encoding='utf-8').splitlines()[-count:])
-    except OSError:
-        return '(no log)'

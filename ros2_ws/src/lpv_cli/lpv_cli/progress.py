@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
 
 _SILENT, _EVERY = 1.5, 5.0
 """When a command first says what it does, and how often how far it is [s]."""
@@ -66,70 +65,45 @@ def _stop_spinner() -> None:
 
 @contextmanager
 def bar(
-    console: 'Console', name: str, total: float, done: float = 0, unit: str = '', note: str = ''
-) -> Iterator[tuple['Progress', Callable[..., None]]]:
-    """Bar of a work; yields it, and a function that sets what is done and the note behind it."""
-    global _bars
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    console: 'Console', name: str, total: float, done: float = 0, unit: str = ''
+) -> Iterator[Callable[..., None]]:
+    """Bar of a work; yields a function that sets what is done and the note behind it.
 
-    form = '.1f' if unit else '.0f'
-    count = f'{{task.completed:{form}}}/{{task.total:{form}}} {unit}'
+    Of a work that is counted, what is finished is kept when it is interrupted.
+    """
+    global _bars
+    from rich import progress as rich
+
+    count = '{:.1f}/{:.1f} ' + unit if unit else '{:.0f}/{:.0f}'
     _stop_spinner()
     _bars += 1
     said = time.monotonic()
-    with Progress(
-        TextColumn('{task.description}'),
-        BarColumn(),
-        TextColumn(count),
-        TimeElapsedColumn(),
-        TextColumn('left'),
-        TimeRemainingColumn(),
-        TextColumn('{task.fields[note]}'),
-        console=console,
-    ) as progress:
-        task = progress.add_task(name, total=total, note=note)
-        progress.update(task, completed=done)
+    columns = [
+        rich.TextColumn('{task.description}'), rich.BarColumn(),
+        rich.TextColumn('{task.fields[count]}'), rich.TimeElapsedColumn(),
+        rich.TextColumn('left'), rich.TimeRemainingColumn(), rich.TextColumn('{task.fields[note]}'),
+    ]  # fmt: skip
+    with rich.Progress(*columns, console=console) as progress:
+        task = progress.add_task(name, total=total, note='', count='')
 
-        def show(completed: float, note: str = note) -> None:
+        def show(completed: float, note: str = '') -> None:
             nonlocal said
-            progress.update(task, completed=completed, note=note)
+            text = count.format(completed, total)
+            progress.update(task, completed=completed, note=note, count=text)
             if not console.is_terminal and time.monotonic() - said > _EVERY:
                 said = time.monotonic()
-                text = f'  {name}: {completed:{form}} of {total:{form}} {unit} {note}'
-                console.print(text.rstrip(), highlight=False)
+                line = f'  {name}: {text.replace("/", " of ")}  {note}'
+                console.print(line.rstrip(), highlight=False)
 
         try:
-            yield progress, show
+            show(done)
+            yield show
+        except KeyboardInterrupt:
+            if not unit:
+                console.print('finished work is kept; run the same command again to resume')
+            raise
         finally:
             _bars -= 1
-
-
-@contextmanager
-def counted(
-    console: 'Console', name: str, total: int, done: int, note: str = ''
-) -> Iterator[Callable[..., None]]:
-    """Bar of a work whose finished part is kept when it is interrupted.
-
-    Yields a function that advances the bar, by 1 if not said, and may change the note behind it.
-    """
-    with bar(console, name, total, done, note=note) as (_, show):
-
-        def advance(count: int = 1, note: str = note) -> None:
-            nonlocal done
-            done += count
-            show(done, note)
-
-        try:
-            yield advance
-        except KeyboardInterrupt:
-            console.print('finished work is kept; run the same command again to resume')
-            raise
 
 
 @contextmanager
@@ -154,23 +128,3 @@ def fitted(text: str, width: int) -> str:
         parts = textwrap.wrap(line, width, subsequent_indent=indent) if len(line) > width else []
         lines.append('\n'.join(parts) + '\n' if parts else line)
     return ''.join(lines)
-
-
-@contextmanager
-def steps(console: 'Console', name: str, total: int) -> Iterator[Callable[[str], None]]:
-    """Bar of a work of a few steps; yields a function that says what is done next."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(name, total=total)
-        begun = False
-
-        def begin(step: str) -> None:
-            nonlocal begun
-            progress.update(task, description=f'{name}: {step}', advance=int(begun))
-            begun = True
-            if not console.is_terminal:
-                console.print(f'{name}: {step}')
-
-        yield begin

@@ -71,6 +71,11 @@ class AlarmPair:
     second: Episode | None
     same: bool
 
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor."""
+        return next(episode.sensor for episode in (self.first, self.second) if episode)
+
 
 @dataclass
 class Comparison:

@@ -113,7 +113,9 @@ def _sizes(record: RunRecord) -> list[Row]:
 
 
 def print_table(rows: list[Row], console: Console | None = None) -> None:
-    """Show a table on the terminal."""
+    """Show a table on the terminal, if it has rows."""
+    if not rows:
+        return
     with_paper = any(row.paper is not None for row in rows)
     title = 'mean squared errors over the run (MISE, eq. (70)): smaller is better'
     table = Table(title=title if any(r.is_error for r in rows) else None, box=box.SIMPLE_HEAD)

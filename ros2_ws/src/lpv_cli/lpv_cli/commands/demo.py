@@ -7,70 +7,31 @@ import re
 import shutil
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
 
 from lpv_cli.needs import require_ros
 from lpv_cli.processes import Graph, NodeFailure, ended_by_signals
 from lpv_cli.progress import bar
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from lpv_core.serial_arm.description import SerialArm
-    from lpv_core.simulation.scenario import Scenario
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.simulation.scenario import Scenario, load_scenario
+from lpv_core.support.resources import bringup_file, executable, shipped_files
+from lpv_core.uio.certificate.gains import save_gains
+from lpv_core.uio.planar import planar_model
 
 NAMESPACE = '/lpv'
-COMPENSATION = ('off', 'confirmed', 'always')
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
 _SILENCE = 900.0
 """Longest time without progress before the run is given up [s]; the first start compiles."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('--arm', default='paper', help='shipped arm or arm file (paper)')
-    parser.add_argument(
-        '--requirement',
-        default='paper',
-        help='shipped requirement or file (paper); arms without an lpv region need none',
-    )
-    parser.add_argument(
-        '--scenario',
-        help="shipped scenario or scenario file (two_faults, or that of the arm's name)",
-    )
-    parser.add_argument(
-        '--mode',
-        choices=('lockstep', 'realtime'),
-        default='lockstep',
-        help='step on /clock as fast as the transport allows, reproducibly, or '
-        'run on the wall clock (lockstep)',
-    )
-    parser.add_argument(
-        '--compensation',
-        choices=COMPENSATION,
-        default='confirmed',
-        help='position in the tracking loop (confirmed)',
-    )
-    parser.add_argument('--seed', type=int, default=-1, help="seed instead of the scenario's")
-    parser.add_argument('--out', default='out/demo', help='folder for everything (out/demo)')
-    parser.add_argument(
-        '--domain-id',
-        type=int,
-        help="ROS_DOMAIN_ID of the run; otherwise the environment's, or one of its own",
-    )
-
-
 def run(arguments: argparse.Namespace) -> int:
-    """Design gains where the arm's kind has some, run the graph, write and show the report.
+    """Design gains where the arm has a region, run the graph, write and show the report.
 
     Exit code: 0; 1 if a node failed or the design is infeasible.
     """
-    from rich.console import Console
-
-    from lpv_core.serial_arm.arm_file import load_arm
-    from lpv_core.simulation.scenario import load_scenario
-    from lpv_core.support.resources import bringup_file
-
     require_ros()
     console = Console(soft_wrap=True, highlight=False)
     # Files first, and what needs time only when they are right.
@@ -81,15 +42,20 @@ def run(arguments: argparse.Namespace) -> int:
     files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
     scenario = load_scenario(files['scenario'])
     scenario.path(arm)
-    out = _fresh_folder(arguments.out)
-    gains = _gains(arm, arguments.requirement if is_designed else None, out, console)
-    if gains is None and is_designed:
-        return 1
-    files |= {'gains': gains} if gains else {}
-    if not is_designed:
+    out = Path(arguments.out).resolve()
+    for part in ('bag', 'report', 'log'):  # an earlier run's results, and nothing else
+        shutil.rmtree(out / part, ignore_errors=True)
+    out.mkdir(parents=True, exist_ok=True)
+    if is_designed:
+        gains = _designed(arm, arguments.requirement, out, console)
+        if gains is None:
+            return 1
+    else:
         from lpv_core.simulation.precompile import precompile
 
+        gains = _shipped(arm, console)
         precompile(arguments.arm)  # kept after the first time
+    files |= {'gains': gains} if gains else {}
     try:
         _run_graph(arguments, files, out, scenario, console)
     except NodeFailure as error:
@@ -106,33 +72,21 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _fresh_folder(name: str) -> Path:
-    """The output folder, emptied of an earlier run's results and of nothing else."""
-    out = Path(name).resolve()
-    for part in ('bag', 'report', 'log'):
-        shutil.rmtree(out / part, ignore_errors=True)
-    out.mkdir(parents=True, exist_ok=True)
-    return out
-
-
-def _gains(arm: 'SerialArm', requirement: str | None, out: Path, console: 'Console') -> Path | None:
-    """Gains for the arm: designed for a requirement, or shipped if they are certified for it."""
-    from lpv_core.support.resources import shipped_files
-    from lpv_core.uio.certificate.gains import save_gains
+def _shipped(arm: SerialArm, console: Console) -> Path | None:
+    """The shipped gains of the arm, if they are certified for it."""
     from lpv_report.certificate import examine
 
-    if requirement is None:
-        text = f'arm {arm.name!r} is tracked by computed torque'
-        file = shipped_files('gains').get(arm.name)
-        if file is not None and examine(file, arm).holds:
-            console.print(f'{text}; the certificate of its loop holds')
-            return file
-        # Changed by the user, or of another version: the demo runs without.
-        console.print(
-            f'{text}; its loop has no certificate: lpv design --arm {arm.name} writes one'
-        )
-        return None
-    from lpv_core.uio.planar import planar_model
+    text, file = f'arm {arm.name!r} is tracked by computed torque', shipped_files('gains')
+    if arm.name in file and examine(file[arm.name], arm).holds:
+        console.print(f'{text}; the certificate of its loop holds')
+        return file[arm.name]
+    # Changed by the user, or of another version: the demo runs without.
+    console.print(f'{text}; its loop has no certificate: lpv design --arm {arm.name} writes one')
+    return None
+
+
+def _designed(arm: SerialArm, requirement: str, out: Path, console: Console) -> Path | None:
+    """Gains that are designed for a requirement; None where there are none."""
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
@@ -146,8 +100,7 @@ def _gains(arm: 'SerialArm', requirement: str | None, out: Path, console: 'Conso
     save_gains(result.gains, out / 'gains.yaml', '\n'.join(result.lines))
     checks = len(result.gains.certificate['margins'])
     console.print(f'  all {checks} checks of the certificate hold')
-    for line in result.lines[checks:]:
-        console.print(f'  {line}')
+    console.print(*(f'  {line}' for line in result.lines[checks:]), sep='\n')
     return out / 'gains.yaml'
 
 
@@ -155,7 +108,6 @@ def _commands(
     arguments: argparse.Namespace, files: dict[str, Path], out: Path
 ) -> dict[str, list[Any]]:
     """Programs of the graph with their arguments, in the order in which they start."""
-    from lpv_core.support.resources import executable
 
     def program(package: str, name: str, **values: Any) -> list[Any]:
         line = [executable(package, name), '--ros-args', '-r', f'__ns:={NAMESPACE}']
@@ -168,14 +120,13 @@ def _commands(
     arm = {'arm_file': files['arm'], 'await_recorders': 1}
     scenario = {'scenario_file': files['scenario']}
     recorded = {'gains_file': files['gains']} if 'gains' in files else {}
-    moved = {**arm, **scenario}
+    end = {'shutdown_at_end': True, 'seed': arguments.seed}
+    compensation = {'compensation': arguments.compensation}
     return {
         'recorder': program('lpv_bag', 'recorder', output=out / 'bag', **recorded, **scenario),
         'uio': program('lpv_uio', 'uio', **arm),
-        'tracker': program('lpv_tracker', 'tracker', **moved, compensation=arguments.compensation),
-        'simulator': program(
-            'lpv_arm_sim', 'simulator', **moved, shutdown_at_end=True, seed=arguments.seed
-        ),
+        'tracker': program('lpv_tracker', 'tracker', **arm, **scenario, **compensation),
+        'simulator': program('lpv_arm_sim', 'simulator', **arm, **scenario, **end),
     }
 
 
@@ -183,16 +134,14 @@ def _run_graph(
     arguments: argparse.Namespace,
     files: dict[str, Path],
     out: Path,
-    scenario: 'Scenario',
-    console: 'Console',
+    scenario: Scenario,
+    console: Console,
 ) -> None:
     domain = arguments.domain_id
     if domain is None:
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
-    console.print(
-        f'running {scenario.name!r} ({scenario.duration:g} s, {arguments.mode}) with '
-        f'ROS_DOMAIN_ID {domain} ...'
-    )
+    what = f'{scenario.name!r} ({scenario.duration:g} s, {arguments.mode})'
+    console.print(f'running {what} with ROS_DOMAIN_ID {domain} ...')
     with ended_by_signals(), Graph(out / 'log', domain) as graph:
         for name, command in _commands(arguments, files, out).items():
             graph.start(name, command)
@@ -203,10 +152,10 @@ def _run_graph(
         raise NodeFailure(f'nodes ended with codes {bad}; their logs are in {out / "log"}')
 
 
-def _follow(graph: Graph, duration: float, console: 'Console') -> None:
+def _follow(graph: Graph, duration: float, console: Console) -> None:
     """Show progress and alarms until the simulator has finished; the others then miss it."""
     simulator, last, done = graph.nodes[-1], time.monotonic(), 0.0
-    with bar(console, 'scenario', duration, unit='s') as (progress, show):
+    with bar(console, 'scenario', duration, unit='s') as show:
         while simulator.process.poll() is None or not graph.lines.empty():
             try:
                 name, line = graph.lines.get(timeout=0.2)
@@ -220,7 +169,7 @@ def _follow(graph: Graph, duration: float, console: 'Console') -> None:
                 last, done = time.monotonic(), float(found.group(1))
                 show(done)
             elif 'ALARM' in line or 'alarm ' in line:
-                progress.console.print(f'  {line.split("]: ", 1)[-1]}')
-            elif not progress.finished and ('ERROR' in line or 'FATAL' in line):
-                progress.console.print(f'  {name}: {line}')
+                console.print(f'  {line.split("]: ", 1)[-1]}')
+            elif done < duration and ('ERROR' in line or 'FATAL' in line):
+                console.print(f'  {name}: {line}')
     graph.check(finite=simulator)

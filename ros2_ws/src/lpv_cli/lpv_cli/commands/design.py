@@ -11,22 +11,11 @@ if TYPE_CHECKING:
     from lpv_design.guarantee import Guarantee
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    design.add_arguments(parser)
-    parser.add_argument(
-        '--map',
-        metavar='MAP.png',
-        help='picture to write: smallest fault that is always detected, over the region',
-    )
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Design, report, write."""
 
     def draw(found: 'Guarantee', arm: 'ArmParameters') -> None:
-        # Only here: a design without a picture need not wait for plotting.
-        from lpv_report.figures import draw_region
+        from lpv_report.figures import draw_region  # a design without a picture does not wait
 
         draw_region(found, arm, arguments.map)
         print(f'map written to {arguments.map}')

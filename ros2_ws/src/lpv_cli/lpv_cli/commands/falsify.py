@@ -5,17 +5,7 @@ import sys
 from pathlib import Path
 
 from lpv_campaign.falsify.attack import Attacker, Finding
-from lpv_campaign.falsify.search import (
-    BAG,
-    LONGEST,
-    SCENARIO,
-    read_attack,
-    repeat,
-    search,
-    write_worst,
-)
-from lpv_cli.completion import shipped
-from lpv_cli.options import number
+from lpv_campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
 from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import ConfigError
@@ -27,18 +17,6 @@ from lpv_core.uio.planar import planar_model
 EXIT_CROSSED = 1
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    arm = parser.add_argument('--arm', required=True, help='arm file, or name of a shipped arm')
-    arm.completer = shipped('arms')  # type: ignore[attr-defined]
-    parser.add_argument('--gains', help='gains file, or name of a shipped one; two-link arms only')
-    number(parser, '--evaluations', 20_000, 'runs')
-    number(parser, '--duration', 6.0, 'of a run [s]')
-    number(parser, '--seed', 0, 'of the search')
-    parser.add_argument('--repeat', metavar=SCENARIO, help='only run this attack again')
-    parser.add_argument('--out', default='out/falsify', help='folder (default: %(default)s)')
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the worst run, and say whether a threshold was crossed."""
     arm = load_arm(bringup_file('arms', arguments.arm))
@@ -46,10 +24,6 @@ def run(arguments: argparse.Namespace) -> int:
         attack, duration = read_attack(arguments.repeat)
         attacker = _attacker(arm, arguments.gains, duration)
         return _conclude(attacker, [repeat(attacker, attack, arguments.repeat)])
-    if arguments.evaluations < 1 or not 0.0 < arguments.duration <= LONGEST:
-        raise ConfigError(
-            '--evaluations, --duration', f'must be positive, and at most {LONGEST:g} s'
-        )
     attacker = _attacker(arm, arguments.gains, arguments.duration)
     found = search(attacker, arguments.evaluations, arguments.seed, _show)
     write_worst(attacker, found[0], arguments.out)
@@ -82,9 +56,7 @@ def _conclude(attacker: Attacker, found: list[Finding]) -> int:
             print(f'{name}: no threshold that says anything')
     print(f'alarms: in {sum(one.blamed for one in found)} of {len(found)} runs')
     crossed, i = worst.ratio >= 1.0, worst.sensor
-    print(
-        f'{"CROSSED" if crossed else "no crossing"} in {len(found)} runs: {names[i]} '
-        f'reached {worst.ratio:.3f} of its threshold, {worst.thresholds[i]:.4f} rad, at '
-        f'{worst.times[i]:.2f} s'
-    )
+    print(f'{"CROSSED" if crossed else "no crossing"} in {len(found)} runs: {names[i]} reached '
+          f'{worst.ratio:.3f} of its threshold, {worst.thresholds[i]:.4f} rad, at '
+          f'{worst.times[i]:.2f} s')  # fmt: skip
     return EXIT_CROSSED if crossed else 0

@@ -4,12 +4,10 @@ import argparse
 import os
 import sys
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lpv_cli import arm_choice
-from lpv_cli.options import flag, number
-from lpv_cli.progress import steps
 from lpv_core.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,95 +16,8 @@ if TYPE_CHECKING:
     from lpv_identify.recordings.recording import Recording
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        'recordings',
-        nargs='+',
-        metavar='BAG|CSV',
-        help='recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv',
-    )
-    arm_choice.add_arguments(parser)
-    parser.add_argument('--out', help='arm file to write')
-    parser.add_argument('--report', metavar='DIR', help='folder for the report with pictures')
-    _add_arm_arguments(parser)
-    _add_recording_arguments(parser)
-    number(
-        parser,
-        '--train-share',
-        0.6,
-        'share of each recording that is fitted, the rest is held back',
-    )
-    flag(parser, '--refit', 'write the parameters of a fit to all samples, after the test')
-    parser.add_argument(
-        '--test',
-        action='append',
-        default=[],
-        metavar='BAG|CSV',
-        help='recording to test on, instead of the part held back',
-    )
-    task = parser.add_mutually_exclusive_group()
-    flag(
-        task,
-        '--calibrate',
-        'the arm of --arm is known: find noise, steps and rates of its sensors and the torque '
-        'that its model misses, from some 10 s of any healthy motion; parameters stay',
-    )
-    flag(task, '--payload', 'the arm of --arm is known: find mass and centre of its tool only')
-    parser.add_argument(
-        '--known-mass',
-        type=float,
-        metavar='KG',
-        help='with --payload: mass of the tool, by which the scale of the arm is corrected',
-    )
-
-
-def _add_arm_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--name', help="name of the arm (the URDF's)")
-    parser.add_argument(
-        '--base-rpy',
-        nargs=3,
-        type=float,
-        metavar=('ROLL', 'PITCH', 'YAW'),
-        help='how the base is mounted, z up if not given [rad]',
-    )
-    parser.add_argument(
-        '--effort-unit',
-        choices=('Nm', 'A'),
-        help='unit of the efforts; A: gains are estimated (Nm)',
-    )
-    parser.add_argument(
-        '--gain',
-        nargs='+',
-        type=float,
-        metavar='K',
-        help='joint torque per unit of effort, one for all joints or one each',
-    )
-    weight = parser.add_mutually_exclusive_group()
-    flag(
-        weight,
-        '--without-gravity',
-        'efforts do not contain the torque that holds the weight (found from the data)',
-    )
-    flag(weight, '--with-gravity', 'efforts contain it, whatever the data say')
-
-
-def _add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--topic', help='topic of the joint states, if there are several')
-    parser.add_argument(
-        '--second-encoder',
-        action='append',
-        default=[],
-        metavar='JOINT=NAME',
-        help='second position sensor of a joint, as a joint of the messages or a CSV column',
-    )
-    parser.add_argument('--columns', help='column map of CSV files (a YAML file or a shipped one)')
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
-    if not 0.2 <= arguments.train_share <= 0.9:
-        raise ConfigError('--train-share', 'must lie within [0.2, 0.9]')
     # Threads of linear algebra on matrices as small as these wait for each other.
     for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
         os.environ.setdefault(name, '1')
@@ -133,16 +44,31 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.calibrate:
         return _calibrate(arguments, arm, recordings)
     from lpv_identify.estimation.identification import STEPS, Options, identify
+    from lpv_identify.results.summary import table
 
     tests = [read(path) for path in arguments.test]
     options = Options(
         arguments.train_share, arguments.refit, arguments.without_gravity or arguments.with_gravity
     )
-    with steps(console, 'identifying', STEPS) as step:
+    with console.status('identifying') as status:
+        number = count(1)
+
+        def step(text: str) -> None:
+            said = f'identifying, {next(number)} of {STEPS}: {text}'
+            status.update(said)
+            if not console.is_terminal:
+                console.print(said)
+
         result = identify(arm, recordings, options, tests, step)
-    _print(result)
+    print(table(result))
+    for text in result.warnings:
+        print(f'warning: {text}', file=sys.stderr)
     result = _with_second_encoders(arguments, result, columns)
-    _write(arguments, result)
+    _save(result.arm, arguments)
+    if arguments.report:
+        from lpv_identify.results.report import write_report
+
+        print(f'report: {write_report(result, Path(arguments.report))}')
     return 0
 
 
@@ -174,7 +100,9 @@ def _pair(text: str) -> tuple[str, str]:
 
 def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     """The arm that the fit starts from."""
-    arm, gains = arm_choice.chosen_arm(arguments), arguments.gain
+    from lpv_cli.arm_choice import chosen_arm
+
+    arm, gains = chosen_arm(arguments), arguments.gain
     changes: dict[str, Any] = {'name': arguments.name or arm.name}
     if arguments.base_rpy:
         changes['base_orientation'] = tuple(arguments.base_rpy)
@@ -206,24 +134,17 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
         print(f'warning: {text}', file=sys.stderr)
     result, what = with_payload(arm, found), 'arm with its tool'
     if arguments.known_mass is not None:
-        if not arguments.known_mass > 0.0:
-            raise ConfigError('--known-mass', 'must be greater than 0')
         from lpv_identify.estimation.gains import rescaled
 
         factor = arguments.known_mass / found.mass
         result, what = rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
-    if arguments.out:
-        from lpv_core.serial_arm.arm_file import save_arm
-
-        save_arm(result, arguments.out)
-        print(f'{what} written to {arguments.out}')
+    _save(result, arguments, what)
     return 0
 
 
 def _calibrate(
     arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']
 ) -> int:
-    from lpv_core.serial_arm.arm_file import save_arm
     from lpv_identify.estimation.mistakes import find_mistakes
     from lpv_identify.estimation.torque_error import calibrate
     from lpv_identify.results.summary import calibration_table
@@ -232,27 +153,13 @@ def _calibrate(
     print(calibration_table(found))
     for text in (*found.warnings, *(m.text for m in find_mistakes(arm, recordings))):
         print(f'warning: {text}', file=sys.stderr)
-    if arguments.out:
-        save_arm(found.arm, arguments.out)
-        print(f'arm file: {arguments.out}')
+    _save(found.arm, arguments)
     return 0
 
 
-def _print(result: 'Identification') -> None:
-    from lpv_identify.results.summary import table
-
-    print(table(result))
-    for text in result.warnings:
-        print(f'warning: {text}', file=sys.stderr)
-
-
-def _write(arguments: argparse.Namespace, result: 'Identification') -> None:
+def _save(arm: 'SerialArm', arguments: argparse.Namespace, what: str = 'arm file') -> None:
     if arguments.out:
         from lpv_core.serial_arm.arm_file import save_arm
 
-        save_arm(result.arm, arguments.out)
-        print(f'arm file: {arguments.out}')
-    if arguments.report:
-        from lpv_identify.results.report import write_report
-
-        print(f'report: {write_report(result, Path(arguments.report))}')
+        save_arm(arm, arguments.out)
+        print(f'{what} written to {arguments.out}')

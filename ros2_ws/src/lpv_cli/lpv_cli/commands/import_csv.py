@@ -8,19 +8,6 @@ from lpv_bag.run.csv_import import import_csv, load_column_map
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('csv', help='file with a header line and one sample a line')
-    parser.add_argument(
-        '--columns',
-        required=True,
-        help='column map: a YAML file, or the name of a shipped one (real_arm)',
-    )
-    parser.add_argument('--out', required=True, help='bag to create')
-    parser.add_argument('--topic', default='/joint_states', help='topic (/joint_states)')
-    parser.add_argument('--delimiter', default=',', help='between cells (comma)')
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Import."""
     columns = load_column_map(bringup_file('columns', arguments.columns))

@@ -7,13 +7,17 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from lpv_cli import arm_choice
+from lpv_core.serial_arm.arm_file import load_arm, save_arm
+from lpv_core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
+from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
-
-if TYPE_CHECKING:
-    from lpv_core.serial_arm.description import SerialArm
+from lpv_core.support.resources import bringup_file
+from lpv_core.uio.model.kinematics import forward
+from lpv_core.uio.planar import is_planar, planar_model
 
 FILES = ('arm.yaml', 'requirement.yaml', 'scenario.yaml')
 _TEMPLATES = Path(__file__).resolve().parents[1] / 'templates'
@@ -23,18 +27,9 @@ _MODEL_ERROR = 0.02
 """Of the file of a planar arm, until its user knows better."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        'folder', nargs='?', default='.', help='where the files are written (this folder)'
-    )
-    parser.add_argument('--name', help="name of the arm (the URDF's, or my_arm)")
-    arm_choice.add_arguments(parser, required=False)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Write the files, read them again, and say what to do next."""
-    folder, name = Path(arguments.folder), arguments.name
+    folder, name = Path(arguments.folder or '.'), arguments.name
     for path in (folder / file for file in FILES):
         if path.exists():
             raise ConfigError('folder', f'{path} exists already: nothing was written')
@@ -51,11 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     return _write(folder, replace(arm, urdf=urdf))
 
 
-def _example() -> 'SerialArm':
+def _example() -> SerialArm:
     """The paper's arm with encoders at the joints."""
-    from lpv_core.serial_arm.arm_file import load_arm
-    from lpv_core.support.resources import bringup_file
-
     arm = load_arm(bringup_file('arms', 'paper'))
     joints = tuple(
         replace(joint, sensors=replace(joint.sensors, name=f'{joint.name}_encoder'))
@@ -64,11 +56,8 @@ def _example() -> 'SerialArm':
     return replace(arm, joints=joints, sensor_matrix=None)
 
 
-def _with_region(arm: 'SerialArm') -> 'SerialArm':
+def _with_region(arm: SerialArm) -> SerialArm:
     """A planar arm with the region that gains are designed for; others as they are."""
-    from lpv_core.serial_arm.description import LpvRegion, Uncertainty
-    from lpv_core.uio.planar import is_planar
-
     if len(arm.joints) == 2 and not any(arm.tip):
         # A URDF without a frame at its tip: the link ends twice as far as its centre of mass.
         link = arm.joints[1].link
@@ -80,11 +69,8 @@ def _with_region(arm: 'SerialArm') -> 'SerialArm':
     return replace(arm, lpv=region, uncertainty=Uncertainty(0.0, 0.3, _MODEL_ERROR))
 
 
-def _write(folder: Path, arm: 'SerialArm') -> int:
+def _write(folder: Path, arm: SerialArm) -> int:
     """Write the files, read them again, and say what comes next."""
-    from lpv_core.serial_arm.arm_file import load_arm, save_arm
-    from lpv_core.simulation.scenario import load_scenario
-
     folder.mkdir(parents=True, exist_ok=True)
     file, requirement, scenario = (folder / name for name in FILES)
     values = {'name': arm.name, 'sensor': arm.sensor_names[0]}
@@ -110,15 +96,14 @@ def _write(folder: Path, arm: 'SerialArm') -> int:
     return 0
 
 
-def _joint_waypoints(arm: 'SerialArm') -> str:
+def _joint_waypoints(arm: SerialArm) -> str:
     """There and back about the middle of the joints' ranges, as lines of YAML."""
     lines = []
+    low, high = np.array([joint.range for joint in arm.joints]).T
+    turn = np.minimum(0.2 * (high - low), _LARGEST_TURN)
     for time, side in ((0.5, 0.0), (4.0, 1.0), (8.0, -1.0), (11.5, 0.0)):
-        places = []
-        for low, high in (joint.range for joint in arm.joints):
-            turn = min(0.2 * (high - low), _LARGEST_TURN)
-            places.append(f'{0.5 * (low + high) + side * turn:.4f}')
-        lines.append(f'    - {{t: {time}, joints: [{", ".join(places)}]}}')
+        places = ', '.join(f'{place:.4f}' for place in 0.5 * (low + high) + side * turn)
+        lines.append(f'    - {{t: {time}, joints: [{places}]}}')
     return '\n'.join(lines)
 
 
@@ -126,13 +111,8 @@ def _filled(name: str, values: dict[str, str]) -> str:
     return Template((_TEMPLATES / name).read_text(encoding='utf-8')).substitute(values)
 
 
-def _planar_waypoints(arm: 'SerialArm') -> str:
+def _planar_waypoints(arm: SerialArm) -> str:
     """There and back within the region, as lines of YAML."""
-    import numpy as np
-
-    from lpv_core.uio.model.kinematics import forward
-    from lpv_core.uio.planar import planar_model
-
     planar = planar_model(arm)
     # Kinematics counts q1 from the x-axis, angles of the links count from the upper vertical.
     middle = math.pi / 2 if planar.sign > 0 else -math.pi / 2

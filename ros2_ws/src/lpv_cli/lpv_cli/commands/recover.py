@@ -11,28 +11,8 @@ from rich.table import Table
 
 from lpv_bag.errors import BagError
 from lpv_bag.rosbag.recovery import Recovery, recover
-from lpv_bag.rosbag.writing import PRESETS
 
 NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('bag', help='rosbag2 directory with MCAP files, or one MCAP file')
-    parser.add_argument(
-        '--out',
-        help='bag to create; without, BAG_recovered if BAG is damaged, and nothing if it is not',
-    )
-    parser.add_argument(
-        '--preset',
-        choices=tuple(PRESETS),
-        default='zstd_fast',
-        help='compression of the new bag (zstd_fast)',
-    )
-    parser.epilog = (
-        'Exit codes: 0 every message was recovered, 3 something was lost, 1 nothing '
-        'can be read, 2 wrong arguments. BAG itself is never changed.'
-    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -66,19 +46,16 @@ def _recover_into(bag: Path, out: Path, preset: str) -> Recovery:
 
 def _show(result: Recovery, out: Path | None) -> None:
     console = Console(soft_wrap=True, highlight=False, markup=False)
-    for text in result.damages:
-        console.print(f'  {text}')
     table = Table('topic', 'recovered', 'lost', box=None, header_style='')
     for name, topic in sorted(result.topics.items()):
         lost = f'at least {topic.lost}' if result.end_missing and topic.lost else str(topic.lost)
         table.add_row(name, str(topic.recovered), lost)
-    console.print(table)
+    console.print(*(f'  {text}' for text in result.damages), table, sep='\n')
     if result.attachments:
         console.print(f'{result.attachments} attachments were left out')
     if result.end_missing:
-        console.print(
-            f'the recording was not finished: what came after {result.end / 1e9:.3f} s is lost'
-        )
+        end = f'{result.end / 1e9:.3f} s'
+        console.print(f'the recording was not finished: what came after {end} is lost')
     elif result.nothing_lost:
         console.print('nothing was lost' if result.damages else 'the bag is whole')
     console.print(f'bag  {out}' if out is not None else 'nothing was written')

@@ -3,35 +3,17 @@
 import argparse
 from pathlib import Path
 
+from rich.console import Console
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('bag', help='rosbag2 directory or MCAP file')
-    parser.add_argument(
-        '--arm',
-        help='arm file, or name of a shipped arm; if not given, the one that the gains '
-        'describe, or the shipped one that the recorded messages name',
-    )
-    parser.add_argument(
-        '--gains', help='gains file that the run was answered with; the one in the bag if not given'
-    )
-    parser.add_argument(
-        '--scenario',
-        help='scenario whose path and obstacle are drawn; the one in the bag if not given',
-    )
-    parser.add_argument('--out', default='out/report', help='folder for the report')
+from lpv_core.simulation.scenario import load_scenario
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
+from lpv_report.certificate import find_arm_and_gains
+from lpv_report.run import load, planned_path, print_table, write
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the report and show its table."""
-    from rich.console import Console
-
-    from lpv_core.simulation.scenario import load_scenario
-    from lpv_core.support.errors import ConfigError
-    from lpv_core.support.resources import bringup_file
-    from lpv_report.certificate import find_arm_and_gains
-    from lpv_report.run import load, planned_path, print_table, write
-
     arm, gains, source = find_arm_and_gains(arguments.bag, arguments.arm, arguments.gains)
     path = None
     if arguments.scenario:
@@ -44,13 +26,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.gains and proof.problem:
         raise ConfigError('--gains', proof.problem)
     result = write(found, arguments.out)
-    console = Console(soft_wrap=True, highlight=False)
-    if result.table:
-        print_table(result.table)
+    print_table(result.table)
     if proof.problem:
         said = f'certificate not known: {proof.problem}'
     else:
         said = 'holds' if proof.holds else f'does NOT hold: {"; ".join(proof.failed)}'
         said = f'{source}: the certificate {said}'
-    console.print(f'gains   {said}\nreport  {result.html}')
+    Console(soft_wrap=True, highlight=False).print(f'gains   {said}\nreport  {result.html}')
     return 0

@@ -2,33 +2,16 @@
 
 import argparse
 
-from lpv_cli.options import flag
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('gains', help='gains file as written by lpv design')
-    parser.add_argument(
-        '--arm',
-        help='arm that the gains are to be used with: file or name of a '
-        'shipped one; without, the arm that the file itself describes',
-    )
-    flag(parser, '--proof', 'also prove the inequalities in exact rational arithmetic')
+from lpv_cli.progress import wrapped
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.support.errors import ConfigError
+from lpv_core.support.resources import bringup_file
+from lpv_report.certificate import load_certified
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Rebuild and judge every inequality.
-
-    Exit code: 0; 1 if an inequality does not hold.
-    """
-    from lpv_cli.progress import wrapped
-    from lpv_core.serial_arm.arm_file import load_arm
-    from lpv_core.support.errors import ConfigError
-    from lpv_core.support.resources import bringup_file
-    from lpv_report.certificate import load_certified
-
-    found = load_certified(arguments.gains)
-    name = arguments.arm
+    """Rebuild and judge every inequality; 1 if one does not hold."""
+    found, name = load_certified(arguments.gains), arguments.arm
     arm = load_arm(bringup_file('arms', name)) if name else found.arm()
     if arm is None:
         raise ConfigError('--arm', 'is needed: the gains do not describe theirs', arguments.gains)

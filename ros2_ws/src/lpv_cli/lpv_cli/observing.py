@@ -1,4 +1,4 @@
-"""What observes, and what of a bag is read: arguments that several commands share."""
+"""What observes, and what of a bag is read: of several commands."""
 
 import argparse
 from pathlib import Path
@@ -18,68 +18,18 @@ from lpv_core.support.resources import bringup_file
 from lpv_core.uio.certificate.gains import Gains, load_gains
 from lpv_core.uio.model.arm import ArmParameters
 from lpv_core.uio.planar import planar_model
-
-
-def add_diagnosis(parser: argparse._ActionsContainer) -> None:
-    """Declare the arguments that say what observes."""
-    parser.add_argument(
-        '--arm',
-        help='arm file, or name of a shipped arm; the one that the gains '
-        'were designed for, or that the bag names, if not given',
-    )
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        '--gains', help='gains file of this arm, or name of shipped ones; those in the bag if any'
-    )
-    source.add_argument(
-        '--requirement',
-        help='requirement to design gains for, a file or a '
-        "shipped one; without both, the shipped one of the arm's name",
-    )
-    parser.add_argument(
-        '--parameters',
-        help='parameter file of the node, for its diagnosis, initial_samples and max_gap',
-    )
-
-
-def add_reading(parser: argparse._ActionsContainer) -> None:
-    """Declare the arguments that say what of a bag is read."""
-    parser.add_argument(
-        '--from',
-        dest='start',
-        type=float,
-        metavar='S',
-        help='leave out what is before this time, counted from the first message of the bag [s]',
-    )
-    parser.add_argument(
-        '--to',
-        dest='end',
-        type=float,
-        metavar='S',
-        help='leave out what is at this time or later [s]',
-    )
-    parser.add_argument('--topic', help='topic of the measurements, where there are several')
-    parser.add_argument(
-        '--effort-topic',
-        help='topic of torques to use in place of the measured '
-        'efforts: TorqueCommand, JointState, Float64MultiArray, JointTrajectory',
-    )
-    parser.add_argument(
-        '--torque-source',
-        choices=('effort', 'command'),
-        default='effort',
-        help='torques as measured, or the recorded commands (effort)',
-    )
+from lpv_report.certificate import beside_bag, named_arm
 
 
 def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptions:
-    """What `add_reading` declares, as the replay takes it."""
+    """What of a bag is read, as the replay takes it."""
+    given = vars(arguments)
     return ReplayOptions(
-        topic=arguments.topic,
-        effort_topic=arguments.effort_topic,
-        start=arguments.start,
-        end=arguments.end,
-        torque_from_command=arguments.torque_source == 'command',
+        topic=given['topic'],
+        effort_topic=given['effort_topic'],
+        start=given['from'],
+        end=given['to'],
+        torque_from_command=given['torque_source'] == 'command',
         **others,
     )
 
@@ -112,8 +62,6 @@ def arm_and_gains(
 
 def _of_bag(bag: Path) -> tuple[str, Gains | None]:
     """Arm that the gains in a bag, or the recorded answers, name, and the gains; '' without."""
-    from lpv_report.certificate import beside_bag, named_arm  # only here: help must not wait
-
     file = beside_bag(bag, GAINS_NAME)
     if file is not None and serial_parameters(file) is None:
         gains = load_gains(file)

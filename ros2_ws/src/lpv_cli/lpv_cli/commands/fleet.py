@@ -7,15 +7,8 @@ from rich.console import Console
 
 from lpv_campaign.execution.archive import Archive, archive_text, find_bags
 from lpv_campaign.execution.execute import ResultsFolder
-from lpv_cli.campaigns.campaign import add_execution, check_workers, execute
-from lpv_cli.options import flag
-from lpv_cli.replaying.observing import (
-    add_diagnosis,
-    add_reading,
-    arm_and_gains,
-    diagnosis_parameters,
-    reading_options,
-)
+from lpv_cli.commands.campaign import execute
+from lpv_cli.observing import arm_and_gains, diagnosis_parameters, reading_options
 from lpv_core.support.errors import ConfigError
 from lpv_core.uio.certificate.conditions import require
 from lpv_core.uio.planar import planar_model
@@ -24,23 +17,8 @@ FAILED = 3
 """Exit code where a bag could not be read."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        'archive',
-        metavar='DIR',
-        help='every rosbag2 bag below this folder is replayed; code 3 says that one could not be '
-        'read',
-    )
-    flag(parser, '--healthy', 'the arms were healthy: all alarms are false')
-    add_execution(parser, 'out/fleet/NAME')
-    add_diagnosis(parser)
-    add_reading(parser)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Replay what has not been replayed, show and write the statistics."""
-    check_workers(arguments)
     console, root = Console(soft_wrap=True, highlight=False), Path(arguments.archive)
     out = arguments.out or Path('out') / 'fleet' / (root.resolve().name or 'root')
     folder = ResultsFolder(out, 'bags')

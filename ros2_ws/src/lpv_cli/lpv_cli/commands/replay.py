@@ -12,17 +12,9 @@ from lpv_bag.replay.injected_faults import InjectedFault, judge
 from lpv_bag.replay.replay import Replay, ReplayResult
 from lpv_bag.replay.writer import MARK
 from lpv_bag.rosbag.output_folder import GAINS_NAME
-from lpv_bag.rosbag.writing import PRESETS
 from lpv_bag.run.streams import RecordedAlarm
-from lpv_cli.options import flag
-from lpv_cli.replaying.observing import (
-    add_diagnosis,
-    add_reading,
-    arm_and_gains,
-    diagnosis_parameters,
-    reading_options,
-)
-from lpv_cli.replaying.publish import add_publishing, publish
+from lpv_cli.needs import require_ros
+from lpv_cli.observing import arm_and_gains, diagnosis_parameters, reading_options
 from lpv_core.monitoring.alarm_text import COUNTER_TEXT, describe
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.serial_arm.description import SerialArm
@@ -30,51 +22,17 @@ from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.simulation.scenario import parse_faults
 from lpv_core.support.config import Section, read_yaml
+from lpv_core.support.discovery import stay_local
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
 from lpv_core.uio.certificate.gains import save_gains
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('bag', help='rosbag2 directory, MCAP or sqlite3 file')
-    add_diagnosis(parser)
-    parser.add_argument(
-        '--out',
-        default='out/replay',
-        help='bag to write (out/replay); an earlier result of this command is replaced',
-    )
-    parser.add_argument('--report', help='folder for a report of the new bag')
-    add_reading(parser)
-    parser.add_argument(
-        '--inject',
-        '--faults',
-        metavar='FAULTS',
-        help='YAML file whose list of '
-        'faults is added to the measurements: shows what would be found',
-    )
-    flag(
-        parser,
-        '--estimates-only',
-        'write estimates, alarms and diagnostics alone; otherwise all topics are copied, too',
-    )
-    parser.add_argument(
-        '--compression',
-        choices=tuple(PRESETS),
-        default='zstd_fast',
-        help='of the new bag (zstd_fast)',
-    )
-    add_publishing(parser)
-
-
 def run(arguments: argparse.Namespace) -> int:
-    """Replay, report, show what was found.
-
-    Exit code: 0; 1 if the design is infeasible.
-    """
+    """Replay, report, show what was found; 1 if the design is infeasible."""
     console = Console(soft_wrap=True, highlight=False)
     if arguments.publish:
-        return publish(arguments, console)
+        return _publish(arguments, console)
     out = Path(arguments.out).resolve()
     _check_out(out, Path(arguments.bag).resolve())
     arm, gains = arm_and_gains(arguments, console)
@@ -88,13 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
         injector = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
     shutil.rmtree(out, ignore_errors=True)
     begin = time.perf_counter()
+    options = reading_options(
+        arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
+    )
     result = Replay(
-        monitor,
-        reading_options(
-            arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
-        ),
-        injector,
-        lambda event, time: console.print(_alarm_line(event, time)),
+        monitor, options, injector, lambda event, time: console.print(_alarm_line(event, time))
     ).run(arguments.bag, out)
     if gains is not None:
         save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
@@ -104,6 +60,21 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f'bag     {out}')
     if arguments.report:
         _report(arguments, arm, out, console)
+    return 0
+
+
+def _publish(arguments: argparse.Namespace, console: Console) -> int:
+    """The bag into the live graph."""
+    stay_local()
+    require_ros()
+    from lpv_bag.replay.player import Player
+
+    given = vars(arguments)
+    player = Player(
+        given['bag'], given['topics'], given['topic'], given['rate'], given['loop'],
+        given['clock_rate'], given['wait'], (given['from'], given['to']),
+    )  # fmt: skip
+    console.print(f'{player.run(console.print)} messages published')
     return 0
 
 
@@ -149,9 +120,8 @@ def show_injected(found: list[InjectedFault], console: Console) -> None:
 def _summary(
     result: ReplayResult, monitor: SerialSensorMonitor, seconds: float, console: Console
 ) -> None:
-    console.print(
-        f'{result.measurements} measurements, {len(result.events)} alarm events, {seconds:.2f} s'
-    )
+    counts = f'{result.measurements} measurements, {len(result.events)} alarm events'
+    console.print(f'{counts}, {seconds:.2f} s')
     for name, count in vars(monitor.counters).items():
         if count:
             console.print(f'  {count} {COUNTER_TEXT[name]}')
@@ -165,9 +135,7 @@ def _report(arguments: argparse.Namespace, arm: SerialArm, out: Path, console: C
     folder = Path(arguments.report).resolve()
     if folder == out:
         raise ConfigError('--report', 'must be another folder than the bag')
-    report = write_report(
-        out, folder, arm, title=f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
-    )
-    if report.table:
-        print_table(report.table, console)
+    title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
+    report = write_report(out, folder, arm, title=title)
+    print_table(report.table, console)
     console.print(f'report  {report.html}')

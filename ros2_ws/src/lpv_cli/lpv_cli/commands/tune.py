@@ -1,6 +1,7 @@
 """``lpv tune``: search the weights of a design by campaigns of runs, with Optuna."""
 
 import argparse
+import contextlib
 import copy
 import json
 import math
@@ -21,8 +22,6 @@ from scipy import stats
 from lpv_campaign.execution.execute import chunks_of, software, worker_pool
 from lpv_campaign.plan.campaign import Campaign, resolve
 from lpv_campaign.plan.spec import NO_FAULT
-from lpv_cli.campaigns.campaign import add_execution, check_workers
-from lpv_cli.options import number
 from lpv_core.monitoring.parameters import DiagnosisParameters
 from lpv_core.support.config import read_yaml, sha256_of
 from lpv_core.support.errors import ConfigError
@@ -36,42 +35,16 @@ from lpv_design.solve import InfeasibleError
 
 EXIT_NOTHING = 1
 COSTS = {
-    'detection_delay': 2.0,
-    'missed': 1.0,
-    'unstable': 1.0,
-    'fault_rms_before': 0.5,
-    'fault_rms_during': 0.5,
-    'tracking_rms_during': 0.5,
-}
+    'detection_delay': 2.0, 'missed': 1.0, 'unstable': 1.0, 'fault_rms_before': 0.5,
+    'fault_rms_during': 0.5, 'tracking_rms_during': 0.5,
+}  # fmt: skip
 """Weights of the figures that a cost is made of, unless --cost says otherwise."""
 _RATES, _LEAST_RATE = ('missed', 'unstable', 'wrong_alarms', 'false_alarms'), 0.05
 """Figures that may be zero before the search, and what they count over then."""
 _TOLERANCE, _LEAST_GAIN, _RESAMPLES = 0.02, 0.02, 2000
-_MOST_TRIALS = 10_000
 _DIAGNOSIS = {'sigmas': 3.0, 'hours_between_false_alarms': 1.0, 'probability_of_wrong_name': 1e-6}
 """Least values: below its bound a threshold means nothing, whatever a campaign says."""
 _FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        'campaign', help='campaign of an arm with designed gains, file or shipped name; its first '
-        'design is what the search begins from'
-    )  # fmt: skip
-    parser.add_argument(
-        '--search', action='append', required=True, metavar='FIELD=LOW:HIGH',
-        help='number of the requirement (observer.decay, controller.FIELD[0]) or of the diagnosis '
-        '(diagnosis.sigmas) to search, on a logarithmic scale; may be repeated',
-    )  # fmt: skip
-    parser.add_argument(
-        '--cost', action='append', metavar='COLUMN=WEIGHT',
-        help='column of the results whose mean counts, and its weight; may be repeated '
-        f'({", ".join(f"{name}={weight:g}" for name, weight in COSTS.items())})',
-    )  # fmt: skip
-    number(parser, '--trials', 40, 'designs to try')
-    number(parser, '--seed', 1, 'of the search')
-    add_execution(parser, 'out/tune/NAME')
 
 
 class _Bench:
@@ -87,20 +60,18 @@ class _Bench:
         self.arm = self.campaign.arm
         if not self.campaign.designed:
             raise ConfigError('arm', f'{self.arm.name} has no lpv region: no design to tune')
-        self._planar = planar_model(self.arm)
+        self.planar = planar_model(self.arm)
         if len(self.campaign.spec.designs) > 1 or 'sample_time' in self.campaign.spec.factors:
             raise ConfigError('designs', 'must be one, at one sample time')
-        name = self.campaign.spec.designs[0]
-        near = path.parent / name
-        self._requirement = load_requirement(near if near.is_file() else name)
+        near = path.parent / self.campaign.spec.designs[0]
+        self._requirement = load_requirement(near if near.is_file() else near.name)
         self._data = read_yaml(self._requirement.source)
         self.ranges = dict(self._range(text) for text in arguments.search)
         self.base = {name: self._value(name) for name in self.ranges}
         for name, (low, high) in self.ranges.items():
             if not low <= self.base[name] <= high:
-                raise ConfigError(
-                    f'--search {name}', f'must hold {self.base[name]:g}, as it is now'
-                )
+                reason = f'must hold {self.base[name]:g}, as it is now'
+                raise ConfigError(f'--search {name}', reason)
         self.weights = dict(map(_weight, arguments.cost)) if arguments.cost else COSTS
 
     def _range(self, text: str) -> tuple[str, tuple[float, float]]:
@@ -116,23 +87,20 @@ class _Bench:
 
     def _value(self, name: str) -> float:
         match = _FIELD.fullmatch(name)
-        part: Any = None
         if match:
-            is_own = match[1] == 'diagnosis'
-            part = DiagnosisParameters() if is_own else getattr(self._requirement, match[1])
-        value = getattr(part, match[2], None) if match else None
-        if isinstance(value, tuple) and len(set(value)) == 1 and match and not match[3]:
-            return float(value[0])  # one for all
-        if isinstance(value, tuple) and match and match[3] and int(match[3]) < len(value):
-            return float(value[int(match[3])])
-        if isinstance(value, float) and match and not match[3]:
-            return value
-        known = [
-            f'{kind}.{field.name}'
-            for kind in ('observer', 'controller')
-            for field in fields(getattr(self._requirement, kind))
-        ]
-        raise ConfigError(f'--search {name}', 'is no number of ' + ', '.join(known))
+            part, field, index = match.groups()
+            owner = DiagnosisParameters() if part == 'diagnosis' else getattr(
+                self._requirement, part)  # fmt: skip
+            value = getattr(owner, field, None)
+            if isinstance(value, tuple) and index and int(index) < len(value):
+                return float(value[int(index)])
+            if isinstance(value, tuple) and not index and len(set(value)) == 1:
+                return float(value[0])  # one for all
+            if isinstance(value, float) and not index:
+                return value
+        parts = ((kind, getattr(self._requirement, kind)) for kind in ('observer', 'controller'))
+        known = ', '.join(f'{kind}.{field.name}' for kind, part in parts for field in fields(part))
+        raise ConfigError(f'--search {name}', f'is no number of {known}')
 
     def content(self, values: dict[str, float]) -> dict[str, Any]:
         """Content of the requirement file with given values."""
@@ -153,8 +121,8 @@ class _Bench:
         """Certified gains; InfeasibleError or ConfigError where there are none."""
         key = tuple(values.items())
         if key not in self._designed:
-            gains = design(self._planar, parse_requirement(self.content(values), self.name)).gains
-            require(self._planar, gains, self.name)
+            gains = design(self.planar, parse_requirement(self.content(values), self.name)).gains
+            require(self.planar, gains, self.name)
             self._designed[key] = gains
         return self._designed[key]
 
@@ -220,13 +188,9 @@ def healthy(rows: list[dict[str, Any]]) -> tuple[float, int]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Search, validate, write.
-
-    Exit code: 0; 1 if no trial is certified and keeps all limits.
-    """
-    if not 1 <= arguments.trials <= _MOST_TRIALS:
-        raise ConfigError('--trials', f'must lie within 1 and {_MOST_TRIALS}')
-    check_workers(arguments)
+    """Search, validate, write; 1 if no trial is certified and keeps all limits."""
+    if not arguments.search:
+        raise ConfigError('--search', 'is needed: FIELD=LOW:HIGH')
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     console = Console(soft_wrap=True, highlight=False)
     with worker_pool(arguments.workers, arguments.scheduler) as execute:
@@ -240,7 +204,7 @@ def run(arguments: argparse.Namespace) -> int:
             console.print('nothing is changed: no trial is certified and keeps all limits')
             return EXIT_NOTHING
         lowest = (1.0 + _TOLERANCE) * min(trial.values[0] for trial in good)
-        near = [trial for trial in good if trial.values[0] <= lowest]
+        near = (trial for trial in good if trial.values[0] <= lowest)
         picked = min(near, key=lambda trial: (trial.values[1], trial.number))
         console.print('validating the picked trial on other runs ...')
         result = _validate(bench, picked.params, arguments.seed)
@@ -257,8 +221,7 @@ def run(arguments: argparse.Namespace) -> int:
     if accepted:
         _write(bench, picked.params, folder)
     _draw(study, folder)
-    for path in sorted(folder.iterdir()):
-        console.print(f'written: {path}')
+    console.print(*(f'written: {path}' for path in sorted(folder.iterdir())), sep='\n')
     return 0
 
 
@@ -350,10 +313,10 @@ def _write(bench: _Bench, values: dict[str, float], folder: Path) -> None:
     for name, data in content.items():
         text = '# Found by lpv tune.\n' + yaml.safe_dump(data, sort_keys=False)
         (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
-    found = design(planar_model(bench.arm), load_requirement(folder / 'requirement.yaml'))
+    found = design(bench.planar, load_requirement(folder / 'requirement.yaml'))
     lines = [f'Gains for arm {bench.arm.name!r}, found by lpv tune.', *found.lines]
     save_gains(found.gains, folder / 'gains.yaml', '\n'.join(lines))
-    require(planar_model(bench.arm), load_gains(folder / 'gains.yaml'), 'gains.yaml')
+    require(bench.planar, load_gains(folder / 'gains.yaml'), 'gains.yaml')
 
 
 def _draw(study: optuna.Study, folder: Path) -> None:
@@ -364,23 +327,19 @@ def _draw(study: optuna.Study, folder: Path) -> None:
     import matplotlib.pyplot as plt
     from optuna.visualization import matplotlib as plots
 
-    def cost(trial: Any) -> float:
-        return trial.values[0]
-
+    shown: Any = {'target': lambda trial: trial.values[0], 'target_name': 'cost'}
     evaluator = optuna.importance.PedAnovaImportanceEvaluator
+    pictures: dict[str, Callable[[], Any]] = {
+        'front': lambda: plots.plot_pareto_front(study, target_names=['cost', 'score']),
+        'history': lambda: plots.plot_optimization_history(study, **shown),
+        'importance': lambda: plots.plot_param_importances(study, evaluator=evaluator(), **shown),
+        'slices': lambda: plots.plot_slice(study, **shown),
+    }
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')  # these plots are called experimental
-        for name, draw in (
-            ('front', lambda: plots.plot_pareto_front(study, target_names=['cost', 'score'])),
-            ('history', lambda: plots.plot_optimization_history(
-                study, target=cost, target_name='cost')),
-            ('importance', lambda: plots.plot_param_importances(
-                study, evaluator=evaluator(), target=cost, target_name='cost')),
-            ('slices', lambda: plots.plot_slice(study, target=cost, target_name='cost')),
-        ):  # fmt: skip
-            try:
+        for name, draw in pictures.items():
+            # Too few trials say nothing.
+            with contextlib.suppress(ValueError, RuntimeError, ZeroDivisionError):
                 draw()
-            except (ValueError, RuntimeError, ZeroDivisionError):
-                continue  # too few trials to say anything
-            plt.savefig(folder / f'{name}.png', dpi=100, bbox_inches='tight')
+                plt.savefig(folder / f'{name}.png', dpi=100, bbox_inches='tight')
             plt.close('all')

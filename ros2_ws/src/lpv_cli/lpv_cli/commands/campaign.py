@@ -11,63 +11,18 @@ from lpv_campaign.execution.execute import ResultsFolder, chunks_of, worker_pool
 from lpv_campaign.execution.run_metrics import figures
 from lpv_campaign.execution.runs import plan_run
 from lpv_campaign.plan.campaign import Campaign, resolve
-from lpv_cli.options import flag
-from lpv_cli.progress import counted
+from lpv_cli.progress import bar
 from lpv_core.support.config import read_yaml
 from lpv_core.support.errors import ConfigError, LpvError
 from lpv_core.support.resources import bringup_file
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        'spec',
-        help='campaign file (YAML) or name of a shipped one; or a folder of results: its report '
-        'is written again, or with --run one of its runs as a bag',
-    )
-    add_execution(parser, 'out/campaign/NAME')
-    flag(parser, '--no-report', 'put the results together, and write no report')
-    parser.add_argument(
-        '--run',
-        type=int,
-        dest='number',
-        metavar='N',
-        help='do this run again, and write it as the bag that --bag names',
-    )
-    parser.add_argument('--bag', metavar='FOLDER', help='bag of the run to write')
-
-
-def add_execution(parser: argparse.ArgumentParser, out: str) -> None:
-    """Declare where results go, and who computes them."""
-    parser.add_argument(
-        '--out',
-        help=f'folder of the results ({out}); where it holds a part of them, the rest is done',
-    )
-    parser.add_argument(
-        '--workers',
-        type=int,
-        help='processes on this machine; 0: this process only (default: one per core)',
-    )
-    parser.add_argument(
-        '--scheduler',
-        metavar='ADDRESS',
-        help='Dask scheduler to use instead, e.g. tcp://127.0.0.1:8786',
-    )
-
-
-def check_workers(arguments: argparse.Namespace) -> None:
-    """ConfigError for a number of workers that makes no sense."""
-    if arguments.workers is not None and not 0 <= arguments.workers <= 1024:
-        raise ConfigError('--workers', f'must lie within 0 and 1024, got {arguments.workers}')
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Run what is missing, and put the results together."""
-    check_workers(arguments)
     console = Console(soft_wrap=True, highlight=False)
     is_folder = Path(arguments.spec).is_dir()
     campaign, folder = _open(arguments)
-    if arguments.number is not None or arguments.bag is not None:
+    if arguments.run is not None or arguments.bag is not None:
         return _run_to_bag(arguments, campaign, folder, console)
     if is_folder and arguments.out is not None:
         raise ConfigError('--out', 'goes with a campaign file, not with a folder of results')
@@ -132,14 +87,15 @@ def execute(
         return failed
     with (
         worker_pool(arguments.workers, arguments.scheduler) as do,
-        counted(console, name, total, total - left) as advance,
+        bar(console, name, total, total - left) as show,
     ):
         for chunk, rows in do(work, missing):
             if any(row.get('error') for row in rows):
                 failed += rows
             else:
                 folder.add(chunk, rows)
-            advance(len(rows))
+            left -= len(rows)
+            show(total - left)
     return failed
 
 
@@ -149,7 +105,7 @@ def _run_to_bag(
     """Simulate a run again, compare its figures with the results, write its bag."""
     from lpv_campaign.execution.run_to_bag import differences, write_run_bag
 
-    number, runs = arguments.number, campaign.spec.runs
+    number, runs = arguments.run, campaign.spec.runs
     if number is None or arguments.bag is None:
         raise ConfigError(
             '--run', 'and --bag must be given together: which run, and the bag to write'
@@ -173,11 +129,10 @@ def _run_to_bag(
         )
     bag = arguments.bag
     write_run_bag(plan, run, bag)
-    files = f'--arm {bag}/arm.yaml'
+    files = f'{bag} --arm {bag}/arm.yaml'
     gains = f' --gains {bag}/gains.yaml' if plan.gains is not None else ''
-    console.print(f'bag     {bag}')
-    console.print(f'report  lpv report {bag} {files} --scenario {bag}/scenario.yaml')
-    console.print(f'replay  lpv replay {bag} {files}{gains} --parameters {bag}/parameters.yaml')
+    console.print(f'bag     {bag}\nreport  lpv report {files} --scenario {bag}/scenario.yaml')
+    console.print(f'replay  lpv replay {files}{gains} --parameters {bag}/parameters.yaml')
     if plan.delay or plan.loss:
         console.print(
             'The graph does not repeat this run: it has neither delayed commands nor lost samples.'

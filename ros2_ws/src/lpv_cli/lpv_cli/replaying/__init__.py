@@ -1,1 +1,0 @@
-"""``lpv replay``, and the arguments that it shares with other commands."""
