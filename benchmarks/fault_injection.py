@@ -134,6 +134,8 @@ class Subject:
     gains: Gains | None = None  # of the unknown-input observer, where one was designed
     # simulated alone: other streams, by the kind of the cell
     others: Mapping[str, Callable[[int], Stream]] = field(default_factory=dict)
+    # what a driver makes of readings, faults included: rounding, rates
+    driver: Callable[[Stream], Stream] | None = None
 
     def has(self, kind: Kind) -> bool:
         """Whether the arm can show a kind."""
@@ -607,14 +609,13 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
     rng = np.random.default_rng([seed, zlib.crc32(label.encode()), k])
     n = len(subject.arm.joints)
     stream = subject.others.get(kind.kind, subject.streams)(turn)
-    if cell.rates == 'derived' and subject.part == 'simulated':
+    is_derived = cell.rates == 'derived' and subject.driver is None
+    driver = subject.driver or (lambda one: one)
+    if is_derived and subject.part == 'simulated':
         stream = derived(stream)
     if kind.healthy:
-        return (
-            subject,
-            Window(disturb(stream, kind, cell.rates == 'derived', rng), [], np.zeros((0, n))),
-            False,
-        )
+        healthy = driver(disturb(stream, kind, is_derived, rng))
+        return subject, Window(healthy, [], np.zeros((0, n))), False
     limit = second_limit(kind, subject.arm)
     lead, together = LEAD, bool(turn % 2)
     if kind.from_start:
@@ -646,8 +647,8 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
         if together:
             faults[0] = replace(faults[0], end=stop)
         faults.append(Injected(j, onset + later, stop, sign))
-    injected = inject(window, kind, faults, cell.rates == 'derived', matrix, rng)
-    return subject, injected, together
+    injected = inject(window, kind, faults, is_derived, matrix, rng)
+    return subject, replace(injected, stream=driver(injected.stream)), together
 
 
 def _begin(

@@ -59,9 +59,9 @@ def blocks():
     return np.array(rows)[PER_INTERVAL : PER_INTERVAL * (len(rows) // PER_INTERVAL)]
 
 
-def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), frictions=None):
+def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), drives=None):
     directions = np.zeros((0, 3, 10)) if directions is None else directions
-    balance = new_balance(chain, directions, np.ones(3), frictions)
+    balance = new_balance(chain, directions, np.ones(3), drives)
     balance.reference[:] = reference
     rows = np.empty((len(blocks) // PER_INTERVAL - 1, *balance.rows.shape))
     fill_balances(balance, blocks, PER_INTERVAL, rows)
@@ -99,13 +99,15 @@ def test_columns_of_friction_are_exact(blocks, group, field):
 
 def test_columns_of_parameter_directions_are_exact(blocks):
     chain = compile_chain(shoulder_arm())
-    factor = np.random.default_rng(0).normal(size=(5, 42))
-    directions, frictions = parameter_directions(chain, factor, np.full(3, 2.0))
-    rows = rows_of(chain, blocks, directions, frictions=frictions)
-    friction = chain.friction.copy()
-    friction[:, :4] += 0.5 * frictions[0]
+    factor = np.random.default_rng(0).normal(size=(5, 45))
+    factor[:, 36:39] = 0.0  # friction by load would multiply gains
+    directions, drives = parameter_directions(chain, factor, np.full(3, 2.0))
+    rows = rows_of(chain, blocks, directions, drives=drives)
+    friction, louder = chain.friction.copy(), blocks.copy()
+    friction[:, :4] += 0.5 * drives[0, :, :4]
+    louder[:, 6:9] *= 1.0 + 0.5 * drives[0, :, 4]
     moved = chain._replace(inertial=chain.inertial + 0.5 * directions[0], friction=friction)
-    change = rows_of(moved, blocks)[:, :, 0] - rows[:, :, 0]
+    change = rows_of(moved, louder)[:, :, 0] - rows[:, :, 0]
     np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(GROUPS)], atol=1e-10)
 
 
@@ -116,9 +118,9 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     arm = replace(shoulder_arm(), covariance=covariance, uncertainty=Uncertainty())
     chain = compile_chain(arm)
     factor = parameter_factor(arm, chain)
-    directions, frictions = parameter_directions(chain, factor, np.full(3, 2.0))
+    directions, drives = parameter_directions(chain, factor, np.full(3, 2.0))
     assert len(directions) == 1
-    assert frictions[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
+    assert drives[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
 
 
 def test_column_of_a_torque_gain_is_the_torque(blocks):
@@ -206,3 +208,10 @@ def test_given_residuals_that_are_larger_at_rest_then_noise_in_motion_stays_smal
     learn_noise(window, null)
     np.testing.assert_allclose(null.rest, 4.0, rtol=0.3)
     np.testing.assert_allclose(null.noise, null.expected, rtol=0.3)
+
+
+@pytest.mark.parametrize(('unit', 'known'), [('N m', 0.0), ('A', 0.04)])
+def test_given_currents_then_gains_of_drives_may_be_wrong_as_masses_may(unit, known):
+    arm = replace(shoulder_arm(), effort_unit=unit, uncertainty=Uncertainty(0.0, 0.0, 0.04))
+    gains = parameter_factor(arm, compile_chain(arm))[:, 42:]
+    assert np.abs(gains).max(0) == pytest.approx(np.full(3, known))

@@ -22,8 +22,8 @@ GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coul
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
 of a healthy arm are the columns from `OFFSET` on."""
 DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
-VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART = range(4)
-"""Columns of `Balance.frictions`, as those of `Chain.friction`."""
+VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART, GAIN_PART = range(5)
+"""Columns of `Balance.drives`: those of `Chain.friction`, and the gain."""
 LENGTH, EPOCH = range(2)
 """Entries of `Balance.clock`."""
 SLOW_RATE = 0.1
@@ -65,8 +65,9 @@ class Balance(NamedTuple):
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
         Scratch.
-    frictions : ndarray, shape (k, n, 4)
-        What belongs to ``directions`` of viscous, Coulomb, load-dependent friction and offset.
+    drives : ndarray, shape (k, n, 5)
+        What belongs to ``directions`` of viscous, Coulomb, load-dependent friction, offset and
+        relative gain.
     to_joints : ndarray, shape (n, n)
         S^-1 of y = S q + f: faults are those of sensors, rows those of joints.
     """
@@ -85,7 +86,7 @@ class Balance(NamedTuple):
     rigid: FloatArray
     work: FloatArray
     vectors: FloatArray
-    frictions: FloatArray
+    drives: FloatArray
     to_joints: FloatArray
 
 
@@ -98,7 +99,7 @@ def new_balance(
     chain: Chain,
     directions: FloatArray,
     derived: FloatArray,
-    frictions: FloatArray | None = None,
+    drives: FloatArray | None = None,
     to_joints: FloatArray | None = None,
 ) -> Balance:
     """Empty balances.
@@ -111,8 +112,8 @@ def new_balance(
         Possible errors of the inertial parameters.
     derived : ndarray, shape (n,)
         1 where a rate is derived from the encoder, else 0.
-    frictions : ndarray, shape (k, n, 4), optional
-        Possible errors of friction that go with those of the inertial parameters; none by default.
+    drives : ndarray, shape (k, n, 5), optional
+        Possible errors of drives that go with those of the inertial parameters; none by default.
     to_joints : ndarray, shape (n, n), optional
         S^-1 of y = S q + f; 1 by default.
 
@@ -123,7 +124,7 @@ def new_balance(
     """
     n = joint_count(chain)
     size = (n, column_count(n, len(directions)))
-    along = np.zeros((len(directions), n, 4)) if frictions is None else frictions
+    along = np.zeros((len(directions), n, 5)) if drives is None else drives
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
@@ -221,9 +222,10 @@ def add_block(
             chain.prismatic)  # fmt: skip
         carried_momentum(along, rate, balance.work, p_by, force_by)
         for j in range(n):
-            column, part = 1 + 8 * n + k, balance.frictions[k, j]
+            column, part = 1 + 8 * n + k, balance.drives[k, j]
             dry = part[COULOMB_PART] + part[LOAD_PART] * abs(torque[j])
             lost = part[VISCOUS_PART] * rate[j] + part[OFFSET_PART]
+            lost -= part[GAIN_PART] * torque[j]
             if dry != 0.0:
                 lost += dry * smooth_sign(rate[j], chain.friction[j, SLOPE])
             put(balance, column, j, (p_by[j], force_by[j] - lost), weight)
@@ -415,7 +417,7 @@ def residuals(
         chain, balance.directions, balance.reference, balance.derived,
         np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
         np.zeros(2), np.zeros((2, n)), _no_rates(n), balance.rigid, balance.work.copy(),
-        balance.vectors.copy(), balance.frictions, balance.to_joints)  # fmt: skip
+        balance.vectors.copy(), balance.drives, balance.to_joints)  # fmt: skip
     result, length = np.zeros((intervals - 1, n)), 0.0
     for k in range(intervals * per_interval):
         block = blocks[k]

@@ -369,10 +369,10 @@ class OffsetEstimator:
         self.joints = n = len(arm.joints)
         speed = np.array([min(joint.limits.velocity, _FAST) for joint in arm.joints])
         missed = model_error(arm) * typical_torque(chain)
-        directions, frictions = parameter_directions(chain, parameter_factor(arm, chain), speed)
+        directions, drives = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
         self.balance: Balance = new_balance(
-            chain, directions, derived, frictions, arm.sensors_to_joints()
+            chain, directions, derived, drives, arm.sensors_to_joints()
         )
         self.prior = np.concatenate(
             [*_priors(arm, chain.friction, missed), np.ones(len(directions))]

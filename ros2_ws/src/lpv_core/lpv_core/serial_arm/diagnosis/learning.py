@@ -58,7 +58,7 @@ def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     """
     n, chain, null = estimator.joints, compile_chain(arm), estimator.level
     inverse = np.linalg.inv(np.triu(null.factor))
-    along = estimator.balance.frictions[:, :, [OFFSET_PART, VISCOUS_PART, COULOMB_PART]]
+    along = estimator.balance.drives[:, :, [OFFSET_PART, VISCOUS_PART, COULOMB_PART]]
     along = along.transpose(2, 1, 0).reshape(3 * n, -1)
     sigma = np.linalg.norm(inverse[n : 4 * n] + along @ inverse[4 * n :], axis=1)
     change = (null.mean[n : 4 * n] + along @ null.mean[4 * n :]).reshape(3, n)

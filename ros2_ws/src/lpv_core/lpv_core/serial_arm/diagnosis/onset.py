@@ -299,8 +299,8 @@ def _learned_friction(balance: Balance, null: Posterior) -> FloatArray:
     for i in range(n):
         friction[i, WET] += null.mean[(VISCOUS - OFFSET) * n + i]
         friction[i, DRY] += null.mean[(COULOMB - OFFSET) * n + i]
-        for k in range(balance.frictions.shape[0]):
-            part, share = balance.frictions[k, i], null.mean[4 * n + k]
+        for k in range(balance.drives.shape[0]):
+            part, share = balance.drives[k, i], null.mean[4 * n + k]
             friction[i, WET] += share * part[VISCOUS_PART]
             friction[i, DRY] += share * part[COULOMB_PART]
     return friction

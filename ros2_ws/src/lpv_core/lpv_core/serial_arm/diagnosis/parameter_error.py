@@ -26,7 +26,7 @@ _NEGLIGIBLE = 0.005
 
 
 def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
-    """Square root F of the covariance F^T F of inertial parameters and friction.
+    """Square root F of the covariance F^T F of inertial parameters, friction and gains of drives.
 
     Parameters
     ----------
@@ -37,17 +37,21 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (rows, 14 n)
-        Columns: 10 inertial parameters of each link; viscous, Coulomb and load-dependent friction
-        and offsets of all joints.  The last four rows are the unknown payload: mass, and its
-        place by `PAYLOAD_PLACE`.
+    ndarray, shape (rows, 15 n)
+        Columns: 10 inertial parameters of each link; viscous, Coulomb and load-dependent friction,
+        offsets and relative gains of all joints.  Rows of the unknown payload: mass, and its place
+        by `PAYLOAD_PLACE`.  Where efforts are no torques, gains of drives are known as well as
+        masses are; those that were identified hold for the arm as it was, not for its load.
     """
     n = joint_count(chain)
     if arm.covariance is not None:
         factor = np.array(arm.covariance.factor)
-        rows = [np.delete(factor, np.arange(10 * n, 11 * n), 1)]  # all but the rotors
+        identified = np.delete(factor, np.arange(10 * n, 11 * n), 1)  # all but the rotors
+        rows = [_with_drives(identified, n)]
     else:
-        rows = [_without_friction(relative_factor(chain, model_error(arm)))]
+        rows = [_with_drives(relative_factor(chain, model_error(arm)), n)]
+    if arm.effort_unit != 'N m':
+        rows.append(np.hstack([np.zeros((n, 14 * n)), model_error(arm) * np.eye(n)]))
     mass = arm.uncertainty.payload
     if mass > 0.0:
         load = np.zeros((4, n, 10))
@@ -55,7 +59,7 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
         load[0, -1] = at_tip
         for k in range(3):
             load[1 + k, -1, MX + k] = PAYLOAD_PLACE * mass
-        rows.append(_without_friction(load.reshape(4, -1)))
+        rows.append(_with_drives(load.reshape(4, -1), n))
     return np.vstack(rows)
 
 
@@ -117,10 +121,9 @@ def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
     return np.sqrt(parts @ rate**2)
 
 
-def _without_friction(factor: FloatArray) -> FloatArray:
-    """The same rows, for inertial parameters and friction."""
-    n = factor.shape[1] // 10
-    return np.hstack([factor, np.zeros((len(factor), 4 * n))])
+def _with_drives(factor: FloatArray, n: int) -> FloatArray:
+    """The same rows, with columns of the drives that they leave as they are."""
+    return np.hstack([factor, np.zeros((len(factor), 15 * n - factor.shape[1]))])
 
 
 def relative_factor(chain: Chain, relative: float) -> FloatArray:
@@ -168,7 +171,7 @@ def parameter_directions(
     ----------
     chain : Chain
         The arm.
-    factor : ndarray, shape (rows, 14 n)
+    factor : ndarray, shape (rows, 15 n)
         F of `parameter_factor`.
     speed : ndarray, shape (n,)
         Usual rates [rad/s].
@@ -177,9 +180,9 @@ def parameter_directions(
 
     Returns
     -------
-    tuple of ndarray, shapes (k, n, 10) and (k, n, 4)
-        Inertial parameters and friction (columns of `Chain.friction`) of independent directions of
-        standard deviation one.
+    tuple of ndarray, shapes (k, n, 10) and (k, n, 5)
+        Inertial parameters, and friction (columns of `Chain.friction`) with relative gains, of
+        independent directions of standard deviation one.
     """
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)
@@ -188,11 +191,10 @@ def parameter_directions(
         rate = speed * rng.uniform(-1.0, 1.0, n)
         force = model.momentum_regressor(q, rate)[1]
         forces.append(force)
-        load = np.abs(force @ chain.inertial.ravel())
+        load = force @ chain.inertial.ravel()
         sign = 2.0 / np.pi * np.arctan(chain.friction[:, SLOPE] * rate)
-        frictions.append(
-            -np.hstack([np.diag(one) for one in (rate, sign, load * sign, 1.0 + 0.0 * rate)])
-        )
+        drives = rate, sign, np.abs(load) * sign, 1.0 + 0.0 * rate, load
+        frictions.append(-np.hstack([np.diag(one) for one in drives]))
     usual = np.sqrt(np.mean([(force @ chain.inertial.ravel()) ** 2 for force in forces], axis=0))
     usual = np.maximum(usual, 0.01 * usual.max() + 1e-9)
     effects = np.array([
@@ -201,7 +203,7 @@ def parameter_directions(
     right = np.linalg.svd(effects.reshape(-1, len(factor)), full_matrices=False)[2]
     sizes = np.sqrt(((effects @ right.T) ** 2).mean(0)).max(0)
     found = right[:limit][sizes[:limit] > _NEGLIGIBLE] @ factor
-    friction = found[:, 10 * n :].reshape(-1, 4, n).transpose(0, 2, 1)
+    friction = found[:, 10 * n :].reshape(-1, 5, n).transpose(0, 2, 1)
     return (
         np.ascontiguousarray(found[:, : 10 * n].reshape(-1, n, 10)), np.ascontiguousarray(friction)
     )  # fmt: skip
