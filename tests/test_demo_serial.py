@@ -11,6 +11,7 @@ import ros
 from places import BRINGUP
 
 from lpv_bag.run.record import load_run
+from lpv_cli.main import main
 from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.scenario import load_scenario
@@ -58,6 +59,7 @@ def test_given_the_bag_of_a_serial_arm_when_read_then_the_true_arm_stayed_on_its
     error = record.get('ground_truth', 'position') - record.get('reference', 'position')
     assert error.shape[1] == 6 and len(error) >= 1500
     assert np.abs(error).max() < 0.02
+    assert main(['compare', str(demo[0] / 'bag'), str(demo[0] / 'bag'), '--exact']) == 0
 
 
 def test_given_one_scenario_when_run_in_the_graph_and_offline_then_torques_are_the_same(demo):

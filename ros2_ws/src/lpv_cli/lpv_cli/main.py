@@ -11,6 +11,7 @@ from lpv_cli.options import COMMANDS
 from lpv_cli.progress import announced
 from lpv_core.support.errors import LpvError
 from lpv_core.support.options import declare
+from lpv_core.support.resources import bringup_file
 
 
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
@@ -42,6 +43,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with waiting or nullcontext():
             arguments = build_parser(chosen).parse_args(argv)
+            if getattr(arguments, 'arm', None) and chosen != 'doctor':
+                _load_arm(arguments.arm)  # before all that takes its time
             module = importlib.import_module(f'lpv_cli.{COMMANDS[arguments.command].module}')
             code: int = module.run(arguments)
             return code
@@ -54,6 +57,13 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print('interrupted', file=sys.stderr)
         return 130
+
+
+def _load_arm(name: str) -> None:
+    # Not for help, which needs no NumPy.
+    from lpv_core.serial_arm.arm_file import load_arm
+
+    load_arm(bringup_file('arms', name))
 
 
 if __name__ == '__main__':

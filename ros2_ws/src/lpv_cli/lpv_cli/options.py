@@ -287,7 +287,8 @@ bag        rosbag2 directory with MCAP files, or one MCAP file
 bag              first bag: recorded, or a result of lpv replay
 other            second bag, of the same measurements; what one bag does not hold (after lpv replay
                  --estimates-only) is taken from the other
---arm=paper      arm file, or name of a shipped arm
+--arm ARM        arm file, or name of a shipped arm; that of the gains in the first bag, or the shipped
+                 one that its messages name, if not given
 --out FOLDER     folder for comparison.json and pictures
 --json           print JSON in place of tables
 --mise=0.05      tolerated relative change of mean squared errors

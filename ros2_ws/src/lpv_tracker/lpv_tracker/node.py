@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from lpv_core.control.computed_torque import BANDWIDTH
 from lpv_core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
-from lpv_core.control.path_follower import PathFollower
+from lpv_core.control.path_follower import APPROACH_SPEED, PathFollower
 from lpv_core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, make_controller
 from lpv_core.control.watchdog import (
     STOP_TEXT,
@@ -100,7 +100,7 @@ SPECS = (
     ),
     fixed(
         'approach_speed',
-        0.5,
+        APPROACH_SPEED,
         'fastest joint rate on the way to the path, where the arm starts '
         'or goes on elsewhere [rad/s]',
         0.01,

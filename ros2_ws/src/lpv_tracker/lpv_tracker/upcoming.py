@@ -45,8 +45,7 @@ class UpcomingReferences:
         even = self._last is not None and stamp - self._last == self._period
         self._last = stamp
         over = self._first is None or stamp >= self._first + _AHEAD * self._period
-        # On the way to the path the two are the same but for rounding.
-        if even and over and self._follower.is_on_path:
+        if even and over:
             self._first = stamp
             _fill(self._block, self._follower.ahead(stamp + self._period * np.arange(_AHEAD)))
         if self._first is not None:

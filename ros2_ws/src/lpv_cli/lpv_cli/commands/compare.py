@@ -11,10 +11,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.formatting import number
-from lpv_core.support.resources import bringup_file
+from lpv_report.certificate import find_arm_and_gains
 from lpv_report.comparison import (
     AlarmPair,
     Comparison,
@@ -29,7 +28,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare, show, write; 3 if the runs differ."""
     names = [field.name for field in fields(Tolerances)]
     chosen = {name: 0.0 if arguments.exact else getattr(arguments, name) for name in names}
-    tolerances, arm = Tolerances(**chosen), load_arm(bringup_file('arms', arguments.arm))
+    tolerances = Tolerances(**chosen)
+    arm, _, _ = find_arm_and_gains(arguments.bag, arguments.arm, None)
     pair = load_pair(arguments.bag, arguments.other, arm)
     result = compare_runs(*pair, arm, tolerances)
     text = json.dumps(result.as_dict(), indent=1, allow_nan=False)

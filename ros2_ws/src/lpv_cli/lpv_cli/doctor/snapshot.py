@@ -84,12 +84,7 @@ def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
         shot.publishers[topic] = _endpoints(node.get_publishers_info_by_topic(topic))
         shot.subscriptions[topic] = _endpoints(node.get_subscriptions_info_by_topic(topic))
     _listen(node, shot)
-    questions = [
-        question
-        for name in shot.ours()
-        if not name.endswith('/view')  # it has no lifecycle
-        for question in _questions(node, name)
-    ]
+    questions = [question for name in shot.ours() for question in _questions(node, name)]
     futures: dict[int, Any] = {}  # of requests that were sent, once their service was found
     end = time.monotonic() + seconds
     while time.monotonic() < end:

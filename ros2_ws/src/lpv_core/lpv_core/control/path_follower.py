@@ -1,11 +1,15 @@
 """References along a path for an arm that is not where the path is: approach, then follow."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lpv_core.control.path import Reference, TimedPath
 from lpv_core.support.timestamps import NANOSECONDS
 
+APPROACH_SPEED = 0.5
+"""Fastest joint rate on the way to a path, unless another one is asked for [rad/s]."""
 _NEAR = 0.05
 """A start this near to the path needs no approach [rad]: noise and a resting controller's error are
 smaller, and torques stay small."""
@@ -33,13 +37,14 @@ class PathFollower:
         Fastest joint rate of an approach [rad/s].
     """
 
-    def __init__(self, path: TimedPath, speed: float = 0.5) -> None:
+    def __init__(self, path: TimedPath, speed: float = APPROACH_SPEED) -> None:
         self._path, self._speed = path, speed
         self.reset()
 
     def reset(self) -> None:
         """Return to the start of the path."""
         self._start: int | None = None  # stamp of the first reference since the last stop [ns]
+        self._last = 0  # of the last reference [ns]
         self._reached = 0.0  # time on the path's clock [s]
 
     def stop(self, stamp: int | None = None) -> None:
@@ -50,8 +55,8 @@ class PathFollower:
         stamp : int, optional
             Of the last reference that was followed, where they were taken from `ahead` [ns].
         """
-        if stamp is not None and self._start is not None:
-            time = (stamp - self._start) / NANOSECONDS - self._approach
+        if self._start is not None:
+            time = self._time(self._last if stamp is None else stamp)
             if time >= 0.0:
                 self._reached = float(self._progress(np.array([time]))[0][0])
         self._start = None
@@ -60,11 +65,6 @@ class PathFollower:
     def running(self) -> bool:
         """Whether references are being given: neither stopped nor yet to start."""
         return self._start is not None
-
-    @property
-    def is_on_path(self) -> bool:
-        """Whether the path itself is followed: the present start has no approach and no ramp."""
-        return self._approach == 0.0 and self._ramp == 0.0
 
     def reference(self, stamp: int, position: ArrayLike) -> Reference:
         """Reference at a time.
@@ -81,17 +81,14 @@ class PathFollower:
         Reference
             Of one time.
         """
-        start = self._start
-        if start is None:
-            start = stamp
+        if self._start is None:
             self._restart(stamp, np.asarray(position, float))
-        time = (stamp - start) / NANOSECONDS
-        if time < self._approach:
-            return self._approach_at(time / self._approach)
-        return self._follow(time - self._approach)
+        self._last = stamp
+        rows = self.ahead(np.array([stamp]))
+        return Reference(rows.position[0], rows.velocity[0], rows.acceleration[0], rows.tip[0])
 
     def ahead(self, stamps: np.ndarray) -> Reference:
-        """References at many times after the present start, as `reference` gives them one by one.
+        """References at many times after the present start, those of `reference` bit for bit.
 
         Parameters
         ----------
@@ -103,7 +100,7 @@ class PathFollower:
         Reference
             Of m times.
         """
-        time = (stamps - self._start) / NANOSECONDS - self._approach
+        time = self._time(stamps)
         result = self._on_path(*self._progress(np.maximum(time, 0.0)))
         approaching = np.flatnonzero(time < 0.0)
         if len(approaching):
@@ -112,6 +109,10 @@ class PathFollower:
             for name in _FIELDS:
                 getattr(result, name)[approaching] = getattr(references, name)
         return result
+
+    def _time(self, stamps: Any) -> Any:
+        """Time after the approach [s] at stamps [ns]."""
+        return (stamps - self._start) / NANOSECONDS - self._approach
 
     def _restart(self, stamp: int, position: np.ndarray) -> None:
         self._start, self._from = stamp, self._reached
@@ -122,40 +123,33 @@ class PathFollower:
         # The peak rate of the quintic is 15/8 of its mean.
         self._approach = max(1.875 * distance / self._speed, _SHORTEST) if distance > _NEAR else 0.0
 
-    def _approach_at(self, share: float | np.ndarray) -> Reference:
-        """Between where the arm was found and the path, at a share of the approach's time."""
-        left = 1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-        rate = -30.0 * (share * (1.0 - share)) ** 2 / self._approach
-        bend = -60.0 * share * (1.0 - share) * (1.0 - 2.0 * share) / self._approach**2
+    def _approach_at(self, share: np.ndarray) -> Reference:
+        """Between where the arm was found and the path, at shares of the approach's time."""
+        # Products: a power of an array may round otherwise than one of its elements.
+        left = 1.0 - share * share * share * (10.0 - 15.0 * share + 6.0 * share * share)
+        rest = share * (1.0 - share)
+        rate = -30.0 * rest * rest / self._approach
+        bend = -60.0 * rest * (1.0 - 2.0 * share) / (self._approach * self._approach)
         position = self._path.sample(self._from).position + left * self._offset
         tip = self._path.tip(position)
         return Reference(position, rate * self._offset, bend * self._offset, tip)
-
-    def _follow(self, time: float) -> Reference:
-        """Along the path, at a time after the approach [s]."""
-        if time >= self._ramp:
-            self._reached = self._from + (time - 0.5 * self._ramp)
-            return self._path.sample(self._reached)
-        progress = [float(v[0]) for v in self._progress(np.array([time]))]
-        self._reached = progress[0]
-        return self._on_path(*progress)
 
     def _progress(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time on the path's clock [s] after the approach, its pace [1], the pace's rate [1/s]."""
         ramp = self._ramp
         share = np.minimum(time / ramp, 1.0) if ramp else np.ones_like(time)
-        on_ramp = self._from + ramp * (share**3 - 0.5 * share**4)
+        on_ramp = self._from + ramp * share * share * share * (1.0 - 0.5 * share)
         reached = np.where(share < 1.0, on_ramp, self._from + (time - 0.5 * ramp))
         change = 6.0 * share * (1.0 - share) / ramp if ramp else np.zeros_like(time)
-        return reached, share**2 * (3.0 - 2.0 * share), change
+        return reached, share * share * (3.0 - 2.0 * share), change
 
-    def _on_path(self, reached: ArrayLike, pace: ArrayLike, change: ArrayLike) -> Reference:
+    def _on_path(self, reached: np.ndarray, pace: np.ndarray, change: np.ndarray) -> Reference:
         """References at times of the path's clock that runs at a changing pace."""
         on_path = self._path.sample(reached)
-        pace, change = np.asarray(pace)[..., None], np.asarray(change)[..., None]
+        pace, change = pace[:, None], change[:, None]
         return Reference(
             on_path.position,
             pace * on_path.velocity,
-            pace**2 * on_path.acceleration + change * on_path.velocity,
+            pace * pace * on_path.acceleration + change * on_path.velocity,
             on_path.tip,
         )

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lpv_core.control.path import Reference, TimedPath
-from lpv_core.control.path_follower import PathFollower
+from lpv_core.control.path_follower import APPROACH_SPEED, PathFollower
 from lpv_core.support.timestamps import NANOSECONDS
 
 
@@ -18,6 +18,8 @@ class PathReferences:
         [s].
     count : int
         Number of samples m.
+    speed : float, optional
+        Fastest joint rate of an approach [rad/s].
 
     Attributes
     ----------
@@ -27,24 +29,25 @@ class PathReferences:
         [m].
     """
 
-    def __init__(self, path: TimedPath, sample_time: float, count: int) -> None:
-        self._follower = PathFollower(path)
+    def __init__(
+        self, path: TimedPath, sample_time: float, count: int, speed: float = APPROACH_SPEED
+    ) -> None:
+        self._follower = PathFollower(path, speed)
         # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
         times = np.rint(np.arange(count) * sample_time * NANOSECONDS)
         self._stamps = times.astype(np.int64)
         self._period = sample_time
-        whole = path.sample(self._stamps / NANOSECONDS)
-        self.motion = np.empty((count, 3, whole.position.shape[-1]))
-        self.tip = np.empty(whole.tip.shape)
-        self._set(0, whole)
+        start = path.sample(0.0)
+        self.motion = np.empty((count, 3, len(start.position)))
+        self.tip = np.empty((count, len(start.tip)))
+        self._set(0, start)
 
     def restart(self, first: int, position: np.ndarray) -> None:
         """From row ``first`` on, references of a loop that starts, or goes on after a stop."""
         if self._follower.running:
             self._follower.stop(round((first - 1) * self._period * NANOSECONDS))
         self._follower.reference(int(self._stamps[first]), position)
-        if first > 0 or not self._follower.is_on_path:
-            self._set(first, self._follower.ahead(self._stamps[first:]))
+        self._set(first, self._follower.ahead(self._stamps[first:]))
 
     def _set(self, first: int, reference: Reference) -> None:
         self.motion[first:, 0] = reference.position

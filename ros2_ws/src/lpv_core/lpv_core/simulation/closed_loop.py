@@ -20,6 +20,7 @@ from lpv_core.control.computed_torque import (
     computed_torque,
 )
 from lpv_core.control.estimate_check import limit_correction, new_correction
+from lpv_core.control.path_follower import APPROACH_SPEED
 from lpv_core.control.path_references import PathReferences
 from lpv_core.control.tracking import (
     COMPENSATION,
@@ -533,7 +534,8 @@ def run_closed_loop(
     simulator = ArmSimulator(arm, scenario, substeps)
     monitor = SerialSensorMonitor('loop', arm, parameters, gains, observer)
     controller = make_controller(arm, gains, bandwidth)
-    references = PathReferences(scenario.path(arm), arm.sample_time, count)
+    speed = min(APPROACH_SPEED, *arm.velocity_limit)
+    references = PathReferences(scenario.path(arm), arm.sample_time, count, speed)
     plant = _Plant(
         simulator.chain,
         simulator.constants,

@@ -60,8 +60,8 @@ export function showFrame(frame, alarms, hello) {
   mark(byId('trust'), 'badge', frame.safe_stop && live.torque_command ? ['error', 'safe stop']
     : frame.trustworthy ? ['ok', 'trustworthy'] : ['error', 'not trustworthy']);
   byId('trust').hidden = frame.trustworthy == null || silent;
-  mark(byId('stops'), 'badge', ['warn', `${stops.count} safe stop${stops.count > 1 ? 's' : ''}`]);
-  byId('stops').title = `the last: ${stops.last}`;
+  mark(byId('stops'), 'badge', ['warn',
+    `${stops.count} safe stop${stops.count > 1 ? 's, the last' : ''}: ${stops.last}`]);
   byId('stops').hidden = !stops.count;
   byId('clock').hidden = sample.t == null;
   put(byId('clock'), time(sample.t));
@@ -116,12 +116,12 @@ function showVerdict(frame, alarms, hello, silent) {
     verdict('stale', '◌', 'No diagnosis', ' The observer sends no fault estimates.');
   } else if (states.includes('WARN')) {
     verdict('warn', '▲', 'Something may be wrong', ' Above a threshold, not confirmed.');
-  } else if (states.some((state) => state === 'STALE' || state === 'NOT_DIAGNOSABLE')) {
-    const names = hello.sensors.filter((_, i) => states[i] !== 'OK').join(', ');
-    verdict('stale', '?', 'No alarm, but not all can be diagnosed', ` ${names}`);
   } else if (stops.recent) {
     verdict('warn', '▲', 'No sensor fault, but the arm was stopped',
       ` ${stops.count} safe stops so far; the last: ${stops.last}`);
+  } else if (states.some((state) => state === 'STALE' || state === 'NOT_DIAGNOSABLE')) {
+    const names = hello.sensors.filter((_, i) => states[i] !== 'OK').join(', ');
+    verdict('stale', '?', 'No alarm, but not all can be diagnosed', ` ${names}`);
   } else {
     verdict('ok', '✓', 'No sensor fault', ' All estimates are below their thresholds.');
   }
