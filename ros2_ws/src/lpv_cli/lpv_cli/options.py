@@ -287,7 +287,7 @@ bag        rosbag2 directory with MCAP files, or one MCAP file
 bag              first bag: recorded, or a result of lpv replay
 other            second bag, of the same measurements; what one bag does not hold (after lpv replay
                  --estimates-only) is taken from the other
---arm ARM        arm file, or name of a shipped arm; that of the gains in the first bag, or the shipped
+--arm ARM        arm file, or name of a shipped arm; that of the first bag's gains, or the shipped
                  one that its messages name, if not given
 --out FOLDER     folder for comparison.json and pictures
 --json           print JSON in place of tables
