@@ -1,7 +1,6 @@
 """Arm and gains of a run, and what the certificate of these gains proves of this arm."""
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -152,34 +151,26 @@ def find_arm_and_gains(
     source = file.name + ('' if gains else ' of the bag') if file else ''
     if arm:
         return load_arm(bringup_file('arms', arm)), file, source
-    described = _unless_ours(lambda: load_certified(file).arm() if file else None, bool(gains))
+    try:
+        described = load_certified(file).arm() if file else None
+    except ConfigError:
+        if gains:
+            raise
+        described = None  # a damaged file in a bag must not stand in the way of a report
     if described is not None:
         return described, file, source
     name = named_arm(bag)
     shipped = shipped_files('arms').get(name)
     if shipped is None:
-        what = f'the bag is of arm {name!r}, which is not a shipped one' if name else (
-            'the bag holds neither gains nor answers of the diagnosis'
-        )  # fmt: skip
-        example = name or 'my_arm'
-        raise ConfigError(
-            '--arm',
-            f'is needed: {what}; e.g. lpv report BAG --arm {example}.yaml --gains gains.yaml',
-        )
+        what = 'the bag holds neither gains nor answers of the diagnosis'
+        if name:
+            what = f'the bag is of arm {name!r}, which is not a shipped one'
+        example = f'lpv report BAG --arm {name or "my_arm"}.yaml --gains gains.yaml'
+        raise ConfigError('--arm', f'is needed: {what}; e.g. {example}')
     if file is None and name in shipped_files('gains'):
         file = shipped_files('gains')[name]
         source = f'shipped gains of arm {name!r}, which the messages name'
     return load_arm(shipped), file, source
-
-
-def _unless_ours(read: Callable[[], SerialArm | None], given: bool) -> SerialArm | None:
-    """A damaged gains file in a bag must not stand in the way of a report; a given one must."""
-    try:
-        return read()
-    except ConfigError:
-        if given:
-            raise
-        return None
 
 
 def named_arm(bag: str | Path) -> str:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from lpv_bag.errors import BagError
@@ -16,6 +17,7 @@ from lpv_core.serial_arm.description import SerialArm
 from lpv_core.support.errors import LpvError
 from lpv_report.history import Episode, episodes
 from lpv_report.page import finite
+from lpv_report.style import INK, PALE, SENSOR, SETTINGS, legend_above, png, thin
 from lpv_report.table import make_table
 
 # Stream, field, what it is called, unit; flags are compared by the share that differs.
@@ -76,6 +78,11 @@ class AlarmPair:
         """Name of the sensor."""
         return next(episode.sensor for episode in (self.first, self.second) if episode)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        both = (e and {**asdict(e), 'delay': e.delay} for e in (self.first, self.second))
+        return {**dict(zip(('first', 'second'), both)), 'same': self.same}
+
 
 @dataclass
 class Comparison:
@@ -106,23 +113,14 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
         names = ('common', 'only_first', 'only_second', 'complete')
-        alarms = [
-            {
-                name: e and {**asdict(e), 'delay': e.delay}
-                for name, e in (('first', pair.first), ('second', pair.second))
-            }
-            | {'same': pair.same}
-            for pair in self.alarms
-        ]
-        return finite(
-            {
-                'same': self.same,
-                'answers': {name: getattr(self, name) for name in names},
-                'figures': [vars(f) for f in self.figures],
-                'differences': [vars(f) for f in self.differences],
-                'alarms': alarms,
-            }
-        )
+        found = {
+            'same': self.same,
+            'answers': {name: getattr(self, name) for name in names},
+            'figures': [vars(figure) for figure in self.figures],
+            'differences': [vars(figure) for figure in self.differences],
+            'alarms': [pair.as_dict() for pair in self.alarms],
+        }
+        return finite(found)
 
 
 def load_pair(bag: str | Path, other: str | Path, arm: SerialArm) -> tuple[RunRecord, RunRecord]:
@@ -229,12 +227,11 @@ def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmP
     shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
     for alarm in episodes(first):
         near = [
-            other
-            for other in left
+            other for other in left
             if other.sensor_index == alarm.sensor_index
             and alarm.raised <= _end(other) + shift + _SLACK
             and other.raised + shift <= _end(alarm) + _SLACK
-        ]
+        ]  # fmt: skip
         other = min(near, key=lambda o: abs(o.raised + shift - alarm.raised), default=None)
         if other is not None:
             left.remove(other)
@@ -257,10 +254,6 @@ def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: fl
 
 def draw_comparison(first: RunRecord, second: RunRecord, arm: SerialArm, out: Path) -> None:
     """Write pictures of the fault estimates of both runs, and of how far they are apart."""
-    import matplotlib.pyplot as plt
-
-    from lpv_report.style import INK, PALE, SENSOR, SETTINGS, legend_above, png, thin
-
     if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
         return
     times = [first.seconds(record.stamps['fault_estimate']) for record in (first, second)]

@@ -16,18 +16,8 @@ from matplotlib.figure import Figure
 
 from lpv_bag.run.streams import RunRecord
 from lpv_core.serial_arm.diagnosis.alarms import SensorState
-from lpv_report.history import (
-    BRAKED,
-    INCONSISTENT,
-    NO_COMMAND,
-    SAFE_STOP,
-    TOO_FAST,
-    UNSAFE,
-    intervals,
-    starting,
-    tip_positions,
-    true_faults,
-)
+from lpv_report import history
+from lpv_report.history import intervals, starting, tip_positions, true_faults
 from lpv_report.style import (
     BAND,
     HATCHED,
@@ -54,40 +44,29 @@ STATES: tuple[tuple[SensorState, str, dict[str, Any]], ...] = (
     (SensorState.OK, 'watched, no fault', {'facecolor': '#e4e9ee'}),
     (SensorState.WARN, 'suspected', {'facecolor': '#f0c05a'}),
     (SensorState.ERROR, 'alarm', {'facecolor': ALARM}),
-    (
-        SensorState.NOT_DIAGNOSABLE,
-        'not diagnosable',
-        {**HATCHED, 'facecolor': PAPER, 'linewidth': 0},
-    ),
+    (SensorState.NOT_DIAGNOSABLE, 'not diagnosable',
+     {**HATCHED, 'facecolor': PAPER, 'linewidth': 0}),
     (SensorState.STALE, 'no data', {'facecolor': BAND}),
-)
+)  # fmt: skip
 """States of a sensor, their names and looks: bars and legend are drawn from the same entry."""
 _LINES = {
-    INCONSISTENT: SOFT,
-    UNSAFE: '#a5456f',
-    SAFE_STOP: INK,
-    BRAKED: '#7a5c2e',
-    NO_COMMAND: BAND,
-    TOO_FAST: '#d01c3b',
+    history.INCONSISTENT: SOFT,
+    history.UNSAFE: '#a5456f',
+    history.SAFE_STOP: INK,
+    history.BRAKED: '#7a5c2e',
+    history.NO_COMMAND: BAND,
+    history.TOO_FAST: '#d01c3b',
 }
 _WIDTH, _HALF = 8.6, 0.32
-_DASHED = (0, (4, 2.5))
 
 
 def draw_all(run: 'Run') -> Iterator[tuple[str, Figure]]:
     """Draw everything that a run has to show; each figure is closed when the next one is wanted."""
-    for name, make in (
-        ('timeline', timeline),
-        ('path', path),
-        ('faults', faults),
-        ('measured', measured),
-        ('states', states),
-        ('torques', torques),
-    ):
+    for make in (timeline, path, faults, measured, states, torques):
         with plt.rc_context(SETTINGS):
             figure = make(run)
             if figure is not None:
-                yield name, figure
+                yield make.__name__, figure
                 plt.close(figure)
 
 
@@ -273,18 +252,39 @@ def faults(run: 'Run') -> Figure | None:
     return figure
 
 
-def measured(run: 'Run') -> Figure:
+def _of_joints(
+    record: RunRecord,
+    columns: tuple[tuple[str, str, tuple[tuple[Any, ...], ...]], ...],
+    height: float,
+) -> Figure | None:
+    """A row a joint: for each column the field's name, its unit, and curves of it."""
+    count, drawn = len(columns), False
+    figure, axes = _axes(len(record.joint_names), count, height)
+    for i, row in enumerate(axes):
+        title = record.joint_names[i]
+        for axis, (name, unit, curves) in zip(row, columns):
+            for stream, field, look, colours, label in curves:
+                drawn |= _draw(axis, record, (stream, field, i), **look(colours[i], label))
+            axis.set_ylabel(f'{name} [{unit}]')
+            _finish(axis, record, title if count > 1 else f'Joint {i + 1}: {title}')
+    if drawn:
+        return figure
+    plt.close(figure)
+    return None
+
+
+def measured(run: 'Run') -> Figure | None:
     """Fig. 6: measured joint positions, with faults, and their references."""
-    record = run.record
-    figure, axes = _axes(len(record.joint_names), height=2.4)
-    for i, axis in enumerate(axes[:, 0]):
-        _draw(axis, record, ('reference', 'position', i), **_wide(PALE[i], 'reference'))
-        _draw(axis, record, ('joint_states', 'position', i), **_fine(SENSOR[i], 'measured'))
-        dashed = {**_fine(INK, 'true'), 'linestyle': _DASHED}
-        _draw(axis, record, ('ground_truth', 'position', i), **dashed)
-        axis.set_ylabel('position [rad]')
-        _finish(axis, record, f'Joint {i + 1}: {record.joint_names[i]}')
-    return figure
+
+    def dashed(color: str, label: str) -> dict[str, Any]:
+        return {**_fine(color, label), 'linestyle': (0, (4, 2.5))}
+
+    curves = (
+        ('reference', 'position', _wide, PALE, 'reference'),
+        ('joint_states', 'position', _fine, SENSOR, 'measured'),
+        ('ground_truth', 'position', dashed, [INK] * len(PALE), 'true'),
+    )
+    return _of_joints(run.record, (('position', 'rad', curves),), 2.4)
 
 
 def states(run: 'Run') -> Figure | None:
@@ -294,31 +294,21 @@ def states(run: 'Run') -> Figure | None:
         return None
     has_truth = 'ground_truth' in record.streams
     truth, label = ('ground_truth', 'true') if has_truth else ('joint_states', 'measured')
-    figure, axes = _axes(len(record.joint_names), 2, height=2.0)
-    for i, row in enumerate(axes):
-        for axis, field, unit in zip(row, ('position', 'velocity'), ('rad', 'rad/s')):
-            _draw(axis, record, (truth, field, i), **_wide(PALE[i], label))
-            _draw(axis, record, ('state_estimate', field, i), **_fine(SENSOR[i], 'estimate'))
-            axis.set_ylabel(f'{field} [{unit}]')
-            _finish(axis, record, record.joint_names[i])
-    return figure
+    columns = tuple(
+        (field, unit, ((truth, field, _wide, PALE, label),
+                       ('state_estimate', field, _fine, SENSOR, 'estimate')))
+        for field, unit in (('position', 'rad'), ('velocity', 'rad/s'))
+    )  # fmt: skip
+    return _of_joints(record, columns, 2.0)
 
 
 def torques(run: 'Run') -> Figure | None:
     """Fig. 8: torques of all joints."""
-    record, drawn = run.record, False
-    figure, axes = _axes(len(record.joint_names), height=2.2)
-    for i, axis in enumerate(axes[:, 0]):
-        effort = _wide(PALE[i], 'measured effort')
-        drawn |= _draw(axis, record, ('joint_states', 'effort', i), **effort)
-        command = _fine(SENSOR[i], 'command')
-        drawn |= _draw(axis, record, ('torque_command', 'torque', i), **command)
-        axis.set_ylabel('torque [N m]')
-        _finish(axis, record, f'Joint {i + 1}: {record.joint_names[i]}')
-    if drawn:
-        return figure
-    plt.close(figure)
-    return None
+    curves = (
+        ('joint_states', 'effort', _wide, PALE, 'measured effort'),
+        ('torque_command', 'torque', _fine, SENSOR, 'command'),
+    )
+    return _of_joints(run.record, (('torque', 'N m', curves),), 2.2)
 
 
 def draw_region(found: 'Guarantee', arm: 'ArmParameters', file: str | Path) -> None:

@@ -104,44 +104,32 @@ def episodes(record: RunRecord) -> list[Episode]:
     that event.
     """
     faults = true_faults(record)
-    closed: list[Episode] = []
-    running: dict[int, Episode] = {}
+    found: list[Episode] = []
+    running: dict[int, int] = {}  # place of the episode of each sensor
     for event in record.alarms:
-        episode = running.pop(event.sensor_index, None)
-        if episode is None or event.event == AlarmEvent.RAISED:
-            closed += [episode] if episode is not None else []
-            episode = _start(record, event, faults)
+        place = running.pop(event.sensor_index, None)
+        if place is None or event.event == AlarmEvent.RAISED:
+            place = len(found)
+            found.append(_start(record, event, faults))
         if event.event == AlarmEvent.CLEARED:
-            closed.append(replace(episode, cleared=record.seconds(event.stamp)))
+            changes: dict[str, Any] = {'cleared': record.seconds(event.stamp)}
         else:
-            latest = {
-                name: getattr(event, name) for name in ('kind', 'confidence', 'size', 'bound')
-            }
-            running[event.sensor_index] = replace(episode, **latest)
-    found = [_with_estimates(record, e) for e in (*closed, *running.values())]
+            running[event.sensor_index] = place
+            changes = {n: getattr(event, n) for n in ('kind', 'confidence', 'size', 'bound')}
+        found[place] = replace(found[place], **changes)
+    found = [_with_estimates(record, episode) for episode in found]
     return sorted(found, key=lambda e: (e.raised, e.sensor_index))
 
 
 def _start(record: RunRecord, event: RecordedAlarm, faults: list[Interval] | None) -> Episode:
     raised = record.seconds(event.detected)
-    begun = [
-        f.start
-        for f in faults or ()
-        if f.sensor_index == event.sensor_index and f.start <= raised <= f.end
-    ]
+    mine = [f.start for f in faults or ()
+            if f.sensor_index == event.sensor_index and f.start <= raised <= f.end]  # fmt: skip
+    true_onset = None if faults is None else mine[-1] if mine else math.nan
     return Episode(
-        event.sensor,
-        event.sensor_index,
-        record.seconds(event.onset),
-        raised,
-        None,
-        event.size,
-        event.bound,
-        math.nan,
-        event.kind,
-        event.confidence,
-        None if faults is None else begun[-1] if begun else math.nan,
-    )
+        event.sensor, event.sensor_index, record.seconds(event.onset), raised, None, event.size,
+        event.bound, math.nan, event.kind, event.confidence, true_onset,
+    )  # fmt: skip
 
 
 def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
@@ -168,15 +156,10 @@ def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
 def missed_faults(record: RunRecord, found: list[Episode]) -> list[Interval]:
     """True faults during which no alarm was raised or active; none without ground truth."""
     return [
-        fault
-        for fault in true_faults(record) or []
-        if not any(
-            e.sensor_index == fault.sensor_index
-            and e.raised <= fault.end
-            and (e.cleared is None or e.cleared > fault.start)
-            for e in found
-        )
-    ]
+        fault for fault in true_faults(record) or []
+        if not any(e.sensor_index == fault.sensor_index and e.raised <= fault.end
+                   and (e.cleared is None or e.cleared > fault.start) for e in found)
+    ]  # fmt: skip
 
 
 # ------------------------------------------------------------------ phases
@@ -211,21 +194,23 @@ def phases(
     ``reports`` is what the nodes said on /diagnostics, of the observer, the tracking and the
     drives; times that come from there are as exact as these: once a second, and with every alarm.
     """
-    said = {
-        what: _while(record, reports.get('observer', ()), begin)
-        for what, begin in (
-            (INCONSISTENT, 'inconsistent'),
-            (UNSAFE, 'a confirmed fault cannot be compensated'),
+    observer = reports.get('observer', ())
+    unsafe = _while(record, observer, 'a confirmed fault cannot be compensated')
+    confused = _united([*_while(record, observer, INCONSISTENT), *_of_alarms(record)])
+    _, time, rates = _rates(record)
+    fast = intervals((np.abs(rates) > np.asarray(arm.velocity_limit)).any(axis=1), time)
+    found = [
+        Phase(what, '', start, end)
+        for what, spans in (
+            (INCONSISTENT, confused),
+            (UNSAFE, unsafe),
+            (NO_COMMAND, _without_commands(record)),
+            (TOO_FAST, [(part.start, part.end) for part in fast]),
         )
-    }
-    said[INCONSISTENT] = _united([*said[INCONSISTENT], *_of_alarms(record)])
-    found = [Phase(what, '', *span) for what, spans in said.items() for span in spans]
+        for start, end in spans
+    ]
     found += _safe_stops(record, reports.get('tracking', ()))
     found += _brakes(record, reports.get('drives', ()))
-    found += [Phase(NO_COMMAND, '', *span) for span in _without_commands(record)]
-    _, time, rates = _rates(record)
-    fast = (np.abs(rates) > np.asarray(arm.velocity_limit)).any(axis=1)
-    found += [Phase(TOO_FAST, '', part.start, part.end) for part in intervals(fast, time)]
     states = record.get('fault_estimate', 'state')
     if states is not None:
         stamps = record.stamps['fault_estimate']

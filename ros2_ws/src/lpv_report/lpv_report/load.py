@@ -86,15 +86,6 @@ def analyse(
 ) -> Run:
     """What a record says: alarms, misses, phases, motion, table."""
     alarms = episodes(record)
-    return Run(
-        record,
-        arm,
-        title,
-        certificate,
-        alarms,
-        missed_faults(record, alarms),
-        phases(record, arm, reports),
-        motion(record, arm),
-        make_table(record, arm),
-        path,
-    )
+    missed, found = missed_faults(record, alarms), phases(record, arm, reports)
+    table, moved = make_table(record, arm), motion(record, arm)
+    return Run(record, arm, title, certificate, alarms, missed, found, moved, table, path)

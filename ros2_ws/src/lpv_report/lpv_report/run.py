@@ -1,6 +1,5 @@
 """The page of a recorded run: what was loaded is drawn and written."""
 
-import base64
 import math
 import platform
 import time
@@ -19,22 +18,10 @@ from lpv_core.support.timestamps import NANOSECONDS
 from lpv_report.certificate import Certificate
 from lpv_report.figures import draw_all
 from lpv_report.history import BRAKED, INCONSISTENT, SAFE_STOP, TOO_FAST, UNSAFE, listed, starting
-from lpv_report.load import Run, analyse, load, planned_path
-from lpv_report.page import environment
+from lpv_report.load import Run, load
+from lpv_report.page import embedded, environment
 from lpv_report.style import png
-from lpv_report.table import Row, print_table
-
-__all__ = [
-    'ReportResult',
-    'Run',
-    'analyse',
-    'content',
-    'load',
-    'planned_path',
-    'print_table',
-    'write',
-    'write_report',
-]
+from lpv_report.table import Row
 
 _CALENDAR = 946684800 * NANOSECONDS
 """Stamps after the year 2000 are dates, others count from the start of something [ns]."""
@@ -63,9 +50,9 @@ class ReportResult:
 class Tile(NamedTuple):
     """A figure on top of the page."""
 
-    name: str  # what it is
-    value: str  # the figure
-    note: str = ''  # a remark
+    name: str
+    value: str
+    note: str = ''
     look: str = ''  # '', good, bad or warn
 
 
@@ -87,12 +74,11 @@ def write(run: Run, out: str | Path) -> ReportResult:
     out.mkdir(parents=True, exist_ok=True)
     pictures, figures = [], {}
     for name, figure in draw_all(run):
-        data = png(figure)
         pictures.append(out / f'{name}.png')
-        pictures[-1].write_bytes(data)
-        figures[name] = {'caption': _CAPTIONS[name], 'data': base64.b64encode(data).decode()}
+        pictures[-1].write_bytes(data := png(figure))
+        figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
     templates = environment(Path(__file__).parent)
-    templates.filters.update(number=_number, share=_share)
+    templates.filters['number'] = _number
     page = templates.get_template('report.html').render(**content(run), figures=figures)
     html = out / 'report.html'
     html.write_text(page.lstrip(), encoding='utf-8')
@@ -101,10 +87,6 @@ def write(run: Run, out: str | Path) -> ReportResult:
 
 def _number(value: float | None, form: str) -> str:
     return form % value if value is not None and math.isfinite(value) else '-'
-
-
-def _share(value: float) -> str:
-    return f'{100.0 * value:.1f} %'
 
 
 def content(run: Run) -> dict[str, Any]:
@@ -189,15 +171,10 @@ def _verdict(run: Run) -> str:
         wrong = sum(alarm.false_alarm for alarm in run.alarms)
         missed = _count(len(run.missed), 'fault')
         parts.append(f'{_count(wrong, "false alarm")}, {missed} missed')
-    now = [
-        f'{a.sensor} {a.size:+.3f} rad (bound {a.bound:.3f})'
-        for a in run.alarms
-        if a.cleared is None
-    ]
-    if now:
+    lasting = (a for a in run.alarms if a.cleared is None)
+    if now := [f'{a.sensor} {a.size:+.3f} rad (bound {a.bound:.3f})' for a in lasting]:
         parts.append(f'error at the end of the run: {", ".join(now)}')
-    brakes = [phase for phase in run.phases if phase.what == BRAKED]
-    if brakes:
+    if brakes := [phase for phase in run.phases if phase.what == BRAKED]:
         reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))
         parts.append(f'the drives braked {_count(len(brakes), "time")} ({reasons})')
     stops = _count(sum(phase.what == SAFE_STOP for phase in run.phases), 'safe stop')

@@ -21,44 +21,19 @@ INK, SOFT, GRID, BAND = '#1b2733', '#5b6774', '#dde2e8', '#c3cad2'
 PAPER = '#ffffff'
 
 SETTINGS: Any = {
-    'font.family': 'DejaVu Sans',
-    'font.size': 9.0,
-    'axes.titlesize': 9.5,
-    'axes.labelsize': 9.0,
-    'legend.fontsize': 8.5,
-    'xtick.labelsize': 8.5,
-    'ytick.labelsize': 8.5,
-    'axes.titleweight': 'bold',
-    'axes.titlelocation': 'left',
-    'axes.spines.top': False,
-    'axes.spines.right': False,
-    'axes.grid': True,
-    'axes.axisbelow': True,
-    'grid.color': GRID,
-    'grid.linewidth': 0.8,
-    'grid.alpha': 1.0,
-    'axes.edgecolor': SOFT,
-    'axes.linewidth': 0.8,
-    'xtick.color': SOFT,
-    'ytick.color': SOFT,
-    'xtick.labelcolor': INK,
-    'ytick.labelcolor': INK,
-    'axes.labelcolor': INK,
-    'axes.titlecolor': INK,
-    'text.color': INK,
-    'figure.facecolor': PAPER,
-    'axes.facecolor': 'none',
-    'legend.frameon': False,
-    'lines.linewidth': 1.2,
-    'lines.solid_capstyle': 'round',
-    'hatch.linewidth': 0.7,
-    'hatch.color': SOFT,
-    'axes.formatter.use_mathtext': True,
-    'axes.unicode_minus': True,
-    'figure.constrained_layout.use': True,
-    'figure.constrained_layout.h_pad': 0.06,
+    'font.family': 'DejaVu Sans', 'font.size': 9.0, 'axes.titlesize': 9.5, 'axes.labelsize': 9.0,
+    'legend.fontsize': 8.5, 'xtick.labelsize': 8.5, 'ytick.labelsize': 8.5,
+    'axes.titleweight': 'bold', 'axes.titlelocation': 'left', 'axes.spines.top': False,
+    'axes.spines.right': False, 'axes.grid': True, 'axes.axisbelow': True, 'grid.color': GRID,
+    'grid.linewidth': 0.8, 'grid.alpha': 1.0, 'axes.edgecolor': SOFT, 'axes.linewidth': 0.8,
+    'xtick.color': SOFT, 'ytick.color': SOFT, 'xtick.labelcolor': INK, 'ytick.labelcolor': INK,
+    'axes.labelcolor': INK, 'axes.titlecolor': INK, 'text.color': INK, 'figure.facecolor': PAPER,
+    'axes.facecolor': 'none', 'legend.frameon': False, 'lines.linewidth': 1.2,
+    'lines.solid_capstyle': 'round', 'hatch.linewidth': 0.7, 'hatch.color': SOFT,
+    'axes.formatter.use_mathtext': True, 'axes.unicode_minus': True,
+    'figure.constrained_layout.use': True, 'figure.constrained_layout.h_pad': 0.06,
     'figure.constrained_layout.w_pad': 0.05,
-}
+}  # fmt: skip
 _POINTS = 1500
 SPARSE: dict[str, Any] = {'handlelength': 1.7, 'columnspacing': 1.3, 'handletextpad': 0.5}
 """Spacing of legends that stand in one row."""
@@ -69,16 +44,14 @@ def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
     size = len(values) // _POINTS
     if size < 3:
         return time, values
-    bins = np.array_split(np.arange(len(values)), _POINTS)
     kept = {0, len(values) - 1}
-    for part in bins:
+    for part in np.array_split(np.arange(len(values)), _POINTS):
         chunk = values[part]
-        if np.isnan(chunk).all():
-            kept.add(part[0])
-        else:
-            # A NaN among numbers marks a gap's border, which must not be bridged.
+        gaps = np.isnan(chunk)
+        if not gaps.all():
             kept.update((part[np.nanargmin(chunk)], part[np.nanargmax(chunk)]))
-            kept.update(part[np.isnan(chunk)][:1])
+        # A NaN among numbers marks a gap's border, which must not be bridged.
+        kept.update(part[gaps][:1])
     index = np.array(sorted(kept))
     return time[index], values[index]
 

@@ -14,17 +14,9 @@ from lpv_core.support.errors import ConfigError
 from lpv_core.uio.planar import planar_model
 
 PAPER = {
-    'x1': 0.006,
-    'x2': 0.002,
-    'x3': 0.024,
-    'x4': 0.047,
-    'f1': 0.006,
-    'f2': 0.002,
-    'y1': 0.034,
-    'y2': 0.053,
-    'e_t1': 0.003,
-    'e_t2': 0.007,
-}
+    'x1': 0.006, 'x2': 0.002, 'x3': 0.024, 'x4': 0.047, 'f1': 0.006, 'f2': 0.002,
+    'y1': 0.034, 'y2': 0.053, 'e_t1': 0.003, 'e_t2': 0.007,
+}  # fmt: skip
 """MISE of Table 2 of the paper; states and tracking in absolute angles."""
 _TABLE_1 = ((10.0, 1.0, 0.5, 0.83), (5.0, 1.0, 0.5, 0.41))
 """Mass [kg], length, centre of mass [m] and inertia about it [kg m2] of the paper's links."""

@@ -20,7 +20,8 @@ from lpv_report.history import (
     episodes,
     phases,
 )
-from lpv_report.run import analyse, content
+from lpv_report.load import analyse
+from lpv_report.run import content
 from lpv_report.table import PAPER, Row, is_paper_arm, make_table, print_table
 
 STEP = 2_000_000

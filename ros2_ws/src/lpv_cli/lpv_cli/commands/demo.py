@@ -62,7 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f'[red]lpv demo: {error}')
         return 1
     console.print('writing the report ...')
-    from lpv_report.run import load, planned_path, print_table, write
+    from lpv_report.load import load, planned_path
+    from lpv_report.run import write
+    from lpv_report.table import print_table
 
     path = planned_path(files['scenario'], arm)
     title = f'Scenario {scenario.name}, arm “{arm.name}”'

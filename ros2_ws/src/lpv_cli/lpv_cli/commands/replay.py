@@ -130,7 +130,8 @@ def _summary(
 
 
 def _report(arguments: argparse.Namespace, arm: SerialArm, out: Path, console: Console) -> None:
-    from lpv_report.run import print_table, write_report
+    from lpv_report.run import write_report
+    from lpv_report.table import print_table
 
     folder = Path(arguments.report).resolve()
     if folder == out:

@@ -9,7 +9,9 @@ from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.resources import bringup_file
 from lpv_report.certificate import find_arm_and_gains
-from lpv_report.run import load, planned_path, print_table, write
+from lpv_report.load import load, planned_path
+from lpv_report.run import write
+from lpv_report.table import print_table
 
 
 def run(arguments: argparse.Namespace) -> int:
