@@ -9,17 +9,10 @@ from rich.console import Console
 from lpv_bag.run.node_reports import NodeReport
 from lpv_bag.run.streams import RecordedAlarm, RunRecord
 from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv_report import history
 from lpv_report.certificate import Certificate
 from lpv_report.figures import STATES, timeline
-from lpv_report.history import (
-    BRAKED,
-    INCONSISTENT,
-    NO_COMMAND,
-    SAFE_STOP,
-    TOO_FAST,
-    episodes,
-    phases,
-)
+from lpv_report.history import INCONSISTENT, TOO_FAST, episodes, phases
 from lpv_report.load import analyse
 from lpv_report.run import content
 from lpv_report.table import PAPER, Row, is_paper_arm, make_table, print_table
@@ -85,7 +78,7 @@ def test_given_commands_that_stay_away_when_reported_then_the_silence_is_told(pa
         name: values[kept] for name, values in record.streams['torque_command'].items()
     }
     found = [(p.what, p.start, p.end) for p in phases(record, paper_arm, {})]
-    assert found == [(NO_COMMAND, 0.198, 0.4), (NO_COMMAND, 0.798, 0.998)]
+    assert found == [(history.NO_COMMAND, 0.198, 0.4), (history.NO_COMMAND, 0.798, 0.998)]
 
 
 def alarm(time, event=AlarmEvent.UPDATED, kind=INCONSISTENT, size=0.1, sensor=0):
@@ -148,14 +141,8 @@ def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_have_the_s
 ):
     state = np.repeat([[int(s)] for s, _, _ in STATES], COUNT // len(STATES), axis=0)
     zeros = np.zeros((COUNT, 2))
-    record = run(
-        fault_estimate={
-            'estimate': zeros,
-            'bound': zeros,
-            'threshold': zeros,
-            'state': np.hstack([state, state[::-1]]),
-        }
-    )
+    known = dict.fromkeys(('estimate', 'bound', 'threshold'), zeros)
+    record = run(fault_estimate={**known, 'state': np.hstack([state, state[::-1]])})
     figure = timeline(analyse(record, paper_arm, {}, Certificate()))
     bars = {}
     for bar in figure.axes[0].collections:
@@ -179,7 +166,9 @@ def test_given_another_arm_when_tabulated_then_the_paper_has_no_column(paper_arm
     zeros = np.zeros((COUNT, 2))
     streams = {name: {'position': zeros, 'velocity': zeros} for name in ('state_estimate',)}
     record = run(ground_truth={'position': zeros, 'velocity': zeros, 'fault': zeros}, **streams)
-    assert [row.paper for row in make_table(record, other)] == [None] * 4
+    table = make_table(record, other)
+    assert [row.paper for row in table] == [None] * 4
+    assert [row.signal for row in table] == ['joint1', 'joint2'] * 2
     assert all(row.paper for row in make_table(record, paper_arm))
 
 
@@ -209,8 +198,8 @@ def test_given_what_drives_and_tracker_report_when_reported_then_stops_have_thei
     record = run(torque_command={'torque': np.zeros((COUNT, 2)), 'safe_stop': stops})
     values = page(record, paper_arm, reports)
     assert [(p.what, p.start, p.end, p.note) for p in values['phases']] == [
-        (BRAKED, 0.2, 0.5, 'safe stop'),
-        (SAFE_STOP, 0.2, 0.5, 'the observer is silent'),
-        (BRAKED, 0.5, 0.998, 'a joint is faster than its velocity limit'),
+        (history.BRAKED, 0.2, 0.5, 'safe stop'),
+        (history.SAFE_STOP, 0.2, 0.5, 'the observer is silent'),
+        (history.BRAKED, 0.5, 0.998, 'a joint is faster than its velocity limit'),
     ]
     assert 'the drives braked 2 times (safe stop, a joint is faster' in values['verdict']

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 import socket
 from contextlib import contextmanager
 
@@ -56,12 +57,8 @@ class Viewer:
             message = json.loads((await self.ws.receive(timeout=10.0)).data)
             assert message['op'] == 'advertise'
             self.channels.update({c['id']: c for c in message['channels']})
-        await self.ws.send_json(
-            {
-                'op': 'subscribe',
-                'subscriptions': [{'id': 100 + i, 'channelId': i} for i in self.channels],
-            }
-        )
+        wanted = [{'id': 100 + i, 'channelId': i} for i in self.channels]
+        await self.ws.send_json({'op': 'subscribe', 'subscriptions': wanted})
         return info
 
     async def next(self):
@@ -102,32 +99,25 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
             await asyncio.sleep(0.2)
             running.send('/lpv/arm_markers', scene.markers(arms, stamp), stamp)
             running.send('/tf', scene.tree(arms, stamp), stamp)
-            running.send_band(
-                {'estimate': [0.1, 0.2], 'bound': [0.3, 0.3], 'threshold': [0.4, 0.5]}, stamp
-            )
+            band = {'estimate': [0.1, 0.2], 'bound': [0.3, 0.3], 'threshold': [0.4, 0.5]}
+            running.send_band(band, stamp)
             return viewer.channels, [await viewer.next() for _ in range(3)]
 
     with bridge(paper_arm) as (running, port):
         channels, received = asyncio.run(session(running, port))
     by_topic = {c['topic']: c for c in channels.values()}
     for topic, (msgtype, _) in TOPICS.items():
-        channel = by_topic[topic]
-        assert (channel['schemaName'], channel['encoding'], channel['schemaEncoding']) == (
-            msgtype,
-            'cdr',
-            'ros2msg',
-        )
+        found = [by_topic[topic][key] for key in ('schemaName', 'encoding', 'schemaEncoding')]
+        assert found == [msgtype, 'cdr', 'ros2msg']
     messages = {topic: (time, data) for topic, time, data in received}
     assert {time for time, _ in messages.values()} == {stamp}
     markers = decode(by_topic['/lpv/arm_markers'], messages['/lpv/arm_markers'][1]).markers
     assert {m.ns for m in markers} == {'true', 'estimated'}
     assert [(m.header.stamp.sec, m.header.stamp.nanosec) for m in markers] == [(12, 34)] * 4
     tree = decode(by_topic['/tf'], messages['/tf'][1]).transforms
-    assert [t.child_frame_id for t in tree] == [
-        f'{arm}/{link}'
-        for arm in ('true', 'estimated')
-        for link in ('base_link', 'link1', 'link2', 'tip')
-    ]
+    links = ('base_link', 'link1', 'link2', 'tip')
+    frames = [f'{arm}/{link}' for arm in ('true', 'estimated') for link in links]
+    assert [t.child_frame_id for t in tree] == frames
     band = json.loads(messages['/lpv/fault_band'][1])
     assert band['upper'] == pytest.approx([0.4, 0.5])
     assert band['threshold_low'] == [-0.4, -0.5]
@@ -205,19 +195,6 @@ def test_given_the_layout_when_read_then_every_topic_in_it_is_forwarded():
     made = {'arm_markers', 'robot_description', 'true_robot_description', 'fault_band'}
     known = {'/lpv/' + name for name in made | {t.name for t in LISTENED}} | {'/diagnostics'}
     file = PACKAGES / 'lpv_view' / 'layout' / 'lpv_foxglove.json'
-    named = set()
-
-    def walk(value):
-        if isinstance(value, dict):
-            named.update(key for key in value if key.startswith('/'))
-            for part in value.values():
-                walk(part)
-        elif isinstance(value, list):
-            for part in value:
-                walk(part)
-        elif isinstance(value, str) and value.startswith('/'):
-            named.add(value.split('.')[0])
-
-    walk(json.loads(file.read_text()))
+    named = {name.split('.')[0] for name in re.findall(r'"(/[^" ]*)"', file.read_text())}
     assert len(named) >= 8
     assert named <= known

@@ -16,28 +16,23 @@ from places import BRINGUP
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 aiohttp = pytest.importorskip('aiohttp')
 
+from hostile import node_of  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from test_view_foxglove import Viewer, connect, decode  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from lpv_core.export.urdf import arm_urdf  # noqa: E402
+from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_msgs.srv import ClearFaults  # noqa: E402
+from lpv_view.node import ViewNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
 ARM = BRINGUP / 'arms' / 'paper.yaml'
-FLAGS = (
-    '--headless',
-    '--no-sandbox',
-    '--disable-gpu',
-    '--disable-quic',
-    '--no-first-run',
-    '--disable-background-networking',
-    '--disable-component-update',
-    '--disable-sync',
-)
+FLAGS = '--headless --no-sandbox --disable-gpu --disable-quic --no-first-run'
+FLAGS += ' --disable-background-networking --disable-component-update --disable-sync'
 BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
 
 
@@ -91,6 +86,33 @@ def scenario_file(folder):
     return path
 
 
+@pytest.mark.parametrize(
+    ('parameters', 'told'),
+    [
+        ({}, 'arm_file: must be set'),
+        ({'arm_file': ARM, 'scenario_file': '/no/x.yaml'}, 'neither a file nor shipped'),
+        ({'arm_file': ARM, 'address': '192.0.2.1'}, r'cannot listen on 192\.0\.2\.1'),
+    ],
+)
+def test_given_a_view_that_cannot_start_when_set_up_then_it_says_why(parameters, told):
+    with (
+        pytest.raises(ConfigError, match=told),
+        node_of(ViewNode, 'view', foxglove_port=0, port=0, **parameters),
+    ):
+        pass
+
+
+def test_given_a_view_that_cannot_start_when_run_then_it_ends_with_code_1_and_no_traceback(
+    tmp_path,
+):
+    with ros.graph(tmp_path) as graph:
+        node = graph.start('view', ros.command('view', f'arm_file:={ARM}', 'port:=70000'))
+        assert node.process.wait(60) == 1
+        graph.stop()
+    log = (tmp_path / 'view.log').read_text()
+    assert 'port' in log and 'Traceback' not in log, log
+
+
 @pytest.fixture(scope='module')
 def gains_file(paper_gains, tmp_path_factory):
     path = tmp_path_factory.mktemp('gains') / 'gains.yaml'
@@ -108,16 +130,9 @@ def live(gains_file, tmp_path_factory):
     folder, domain = tmp_path_factory.mktemp('live'), ros.next_domain()
     scenario = scenario_file(folder)
     with ros.graph(folder / 'log', domain) as graph:
-        graph.start(
-            'view',
-            ros.command(
-                'view',
-                f'arm_file:={ARM}',
-                f'scenario_file:={scenario}',
-                'port:=0',
-                f'foxglove_port:={free_port()}',
-            ),
-        )
+        files = f'arm_file:={ARM}', f'scenario_file:={scenario}'
+        ports = 'port:=0', f'foxglove_port:={free_port()}'
+        graph.start('view', ros.command('view', *files, *ports))
         running = Running(graph, domain, folder / 'log')
         running.foxglove = running.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)')
         steps = start(graph, gains_file, scenario)
@@ -149,7 +164,7 @@ def browser(tmp_path_factory):
         started = driver.chromium.launch_persistent_context(
             str(tmp_path_factory.mktemp('profile')),
             executable_path=BROWSER,
-            args=list(FLAGS),
+            args=FLAGS.split(),
             headless=True,
             viewport={'width': 1280, 'height': 900},
         )
@@ -161,10 +176,8 @@ def browser(tmp_path_factory):
 def page(live, browser):
     """The page; it must neither complain nor load anything from elsewhere."""
     complaints, asked = [], []
-    tab = browser.new_page()
-    tab.on(
-        'console', lambda m: complaints.append(m.text) if m.type in ('error', 'warning') else None
-    )
+    tab, bad = browser.new_page(), ('error', 'warning')
+    tab.on('console', lambda m: complaints.append(m.text) if m.type in bad else None)
     tab.on('pageerror', lambda error: complaints.append(str(error)))
     tab.on('request', lambda request: asked.append(request.url))
     tab.goto(live.page)
@@ -246,20 +259,9 @@ def test_given_a_page_when_the_connection_breaks_then_it_says_so_and_comes_back(
 
 
 def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_and_their_data(live):
-    wanted = {
-        f'/lpv/{name}'
-        for name in (
-            'joint_states',
-            'state_estimate',
-            'fault_estimate',
-            'torque_command',
-            'ground_truth',
-            'reference',
-            'arm_markers',
-            'robot_description',
-            'fault_band',
-        )
-    } | {'/tf', '/diagnostics'}
+    names = 'joint_states state_estimate fault_estimate torque_command ground_truth reference'
+    names += ' arm_markers robot_description fault_band'
+    wanted = {f'/lpv/{name}' for name in names.split()} | {'/tf', '/diagnostics'}
 
     async def listen():
         seen = {}
@@ -280,12 +282,12 @@ def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_an
     state = decode(channels['/lpv/state_estimate'], data)
     assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
     assert np.isfinite(state.position).all()
-    faults = decode(channels['/lpv/fault_estimate'], seen['/lpv/fault_estimate'][1])
-    assert list(faults.sensor_names) == ['link1_angle', 'link2_angle']
-    assert (
-        '<robot name="paper">'
-        in decode(channels['/lpv/robot_description'], seen['/lpv/robot_description'][1]).data
+    faults, description = (
+        decode(channels[name], seen[name][1])
+        for name in ('/lpv/fault_estimate', '/lpv/robot_description')
     )
+    assert list(faults.sensor_names) == ['link1_angle', 'link2_angle']
+    assert '<robot name="paper">' in description.data
 
 
 def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_description(
@@ -311,12 +313,8 @@ def test_given_a_view_that_others_may_see_when_opened_then_its_buttons_need_the_
     live, tmp_path, request
 ):
     with ros.graph(tmp_path, live.domain) as graph:
-        graph.start(
-            'view',
-            ros.command(
-                'view', f'arm_file:={ARM}', 'address:=0.0.0.0', 'port:=0', 'foxglove_port:=0'
-            ),
-        )
+        ports = 'address:=0.0.0.0', 'port:=0', 'foxglove_port:=0'
+        graph.start('view', ros.command('view', f'arm_file:={ARM}', *ports))
         shown = Running(graph, live.domain, tmp_path, r'(http://\S+/)#token=')
         log = text(tmp_path / 'view.log')
         token = re.search(r'need the token (\S+)', log).group(1)
@@ -350,23 +348,3 @@ def try_token(page, address, token):
     assert page.url == address, 'the token is gone from the address bar'
     assert not page.is_visible('#token-form')
     page.close()
-
-
-@pytest.mark.parametrize(
-    ('parameters', 'told'),
-    [
-        ((), 'arm_file: must be set'),
-        ((f'arm_file:={ARM}', 'port:=70000'), 'port'),
-        ((f'arm_file:={ARM}', 'address:=192.0.2.1'), r'cannot listen on 192\.0\.2\.1'),
-    ],
-)
-def test_given_a_view_that_cannot_start_when_run_then_it_says_why_and_ends_with_code_1(
-    tmp_path, parameters, told
-):
-    with ros.graph(tmp_path) as graph:
-        node = graph.start('view', ros.command('view', 'foxglove_port:=0', *parameters))
-        assert node.process.wait(60) == 1
-        graph.stop()
-    log = (tmp_path / 'view.log').read_text()
-    assert re.search(told, log), log
-    assert 'Traceback' not in log, log

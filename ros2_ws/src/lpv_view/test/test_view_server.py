@@ -18,6 +18,10 @@ from lpv_view.server import LARGEST_MESSAGE, ViewServer  # noqa: E402
 
 TOKEN = 'a token of this test'
 INJECT = {'type': 'inject', 'id': 5, 'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3}
+HANDSHAKE = (
+    b'GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n'
+    b'Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n'
+)
 
 
 class Served:
@@ -57,17 +61,14 @@ def talk(served, messages, headers=None, replies=None):
     """Send messages (text or dict), collect as many replies; the last is a close code if closed."""
 
     async def conversation():
-        received = []
+        received, url = [], served.url + '/ws'
         async with (
             aiohttp.ClientSession() as session,
-            session.ws_connect(served.url + '/ws', headers=headers) as ws,
+            session.ws_connect(url, headers=headers) as ws,
         ):
             for message in messages:
-                await (
-                    ws.send_bytes(message)
-                    if isinstance(message, bytes)
-                    else ws.send_str(message if isinstance(message, str) else json.dumps(message))
-                )
+                message = json.dumps(message) if isinstance(message, dict) else message
+                await (ws.send_bytes if isinstance(message, bytes) else ws.send_str)(message)
             while len(received) < (len(messages) if replies is None else replies):
                 message = await ws.receive(timeout=10.0)
                 if message.type != aiohttp.WSMsgType.TEXT:
@@ -92,20 +93,8 @@ def get(served, path='/', **headers):
 
 def test_given_the_page_when_fetched_then_all_of_it_comes_from_here_with_strict_headers(paper_arm):
     with serve(paper_arm) as served:
-        pages = {
-            path: get(served, path)
-            for path in (
-                '/',
-                '/view.css',
-                '/icon.svg',
-                '/view.js',
-                '/arm.js',
-                '/chart.js',
-                '/link.js',
-                '/panels.js',
-                '/theme.js',
-            )
-        }
+        scripts = [f'{name}.js' for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')]
+        pages = {p: get(served, f'/{p}') for p in ('', 'view.css', 'icon.svg', *scripts)}
         for path in ('/nothing', '/../access.py', '/static/view.js'):
             status, headers, _ = get(served, path)
             assert status == 404 and 'Content-Security-Policy' in headers
@@ -168,15 +157,8 @@ def test_given_another_address_when_a_button_is_pressed_then_the_token_is_needed
     access = Access('0.0.0.0', TOKEN)
     with serve(paper_arm, access) as served:
         assert get(served)[0] == 200
-        refused, wrong, granted, done = talk(
-            served,
-            [
-                INJECT,
-                {'type': 'token', 'token': '\ud800'},
-                {'type': 'token', 'token': TOKEN},
-                INJECT,
-            ],
-        )
+        tokens = [{'type': 'token', 'token': token} for token in ('\ud800', TOKEN)]
+        refused, wrong, granted, done = talk(served, [INJECT, *tokens, INJECT])
         assert not refused['ok'] and 'token' in refused['message']
         assert not wrong['ok'] and granted['ok'] and done['ok']
         assert len(served.commands) == 1
@@ -206,31 +188,16 @@ def test_given_no_token_when_bound_elsewhere_then_a_random_one_is_made():
 
 
 @pytest.mark.parametrize(
-    ('address', 'token', 'named'),
-    [
-        ('', '', 'address'),
-        ('example.org', '', 'address'),
-        ('1.2.3', '', 'address'),
-        ('0.0.0.0', 'short', 'token'),
-    ],
+    ('given', 'named'),
+    [('', 'address'), ('example.org', 'address'), ('1.2.3', 'address'), ('0.0.0.0 short', 'token')],
 )
-def test_given_an_address_or_token_that_will_not_do_when_set_up_then_it_is_named(
-    address, token, named
-):
+def test_given_an_address_or_token_that_will_not_do_when_set_up_then_it_is_named(given, named):
     with pytest.raises(ConfigError, match=named):
-        Access(address, token)
+        Access(*(given.split() or ['']))
 
 
 def test_given_nonsense_when_sent_then_each_message_gets_an_error_and_the_server_goes_on(paper_arm):
-    nonsense = [
-        '',
-        '{',
-        '[' * 4000,
-        'NaN',
-        b'\x00\xff',
-        '{"type": "inject"}',
-        json.dumps({**INJECT, 'size': 1e300}),
-    ]
+    nonsense = ['', '{', '[' * 4000, 'NaN', b'\x00\xff', '{"type": "inject"}', '{"size": 1e300}']
     with serve(paper_arm) as served:
         replies = talk(served, [*nonsense, INJECT])
         assert [r['type'] for r in replies] == ['error'] * len(nonsense) + ['reply']
@@ -270,14 +237,9 @@ def test_given_clients_when_frames_are_sent_then_all_get_them_after_their_welcom
 
 
 def test_given_a_client_that_reads_nothing_when_frames_are_sent_then_nobody_waits_for_it(paper_arm):
-    handshake = (
-        'GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n'
-        'Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n'
-        'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n'
-    )
     with serve(paper_arm) as served, socket.create_connection(('127.0.0.1', served.port)) as lazy:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        lazy.sendall(handshake.encode())
+        lazy.sendall(HANDSHAKE)
         served.welcome()
         frame = served.model.frame(0.0)
         big = {**frame, 'pad': 'x' * 100_000}
@@ -324,14 +286,10 @@ def test_given_a_port_that_is_taken_when_started_then_the_error_names_it(paper_a
 
 
 def test_given_silent_sockets_in_all_places_when_time_passes_then_others_get_in(paper_arm):
-    handshake = (
-        'GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n'
-        'Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n'
-    )
     with serve(paper_arm, max_clients=3, heartbeat=0.4) as served:
         silent = [socket.create_connection(('127.0.0.1', served.port)) for _ in range(3)]
         for one in silent:
-            one.sendall(handshake.encode())
+            one.sendall(HANDSHAKE)
             assert b'101' in one.recv(20)
         with pytest.raises(aiohttp.WSServerHandshakeError):
             talk(served, [INJECT])
