@@ -190,15 +190,11 @@ def test_given_a_signal_when_run_then_programs_are_told_once_and_killed_if_deaf(
     assert "escalating to 'SIGKILL'" in text
 
 
-@pytest.mark.ros
-@pytest.mark.slow
-def test_given_a_file_that_is_not_there_when_launched_then_its_error_ends_the_launch(tmp_path):
-    environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.next_domain()), ROS_LOG_DIR=str(tmp_path))
-    with Running('launch', FILES['pipeline'], 'scenario:=/no/x.yaml', env=environment) as launch:
+def test_given_a_process_that_all_others_need_when_it_fails_then_the_launch_ends(processes):
+    with processes(('exec sleep 600', {}), ('exit 2', {'ends_all': True})) as launch:
         code, text = launch.end()
     assert code == 1
-    assert "scenario: '/no/x.yaml' is neither a file nor shipped" in text
-    assert re.search(r'(tracker|simulator)-\d has ended: shutting down', text)
+    assert 'p-1 has ended: shutting down' in text
 
 
 @pytest.mark.ros
