@@ -31,14 +31,24 @@ class Swing:
             p * p * np.array([-0.605 * math.sin(1.1 * t), -0.867 * math.sin(1.7 * t)]),
         )
 
+    def torque(self, t):
+        """Of both links, such that the arm moves as it does."""
+        return np.array(inverse_dynamics(*np.concatenate(self.absolute(t)), self.c))
+
+    def outputs(self, t, fault=(0.0, 0.0)):
+        """Readings and rates of both sensors."""
+        theta, rate, _ = self.absolute(t)
+        s = self.joints.sensor_matrix
+        return np.concatenate([s @ theta + fault, s @ rate])
+
     def sample(self, t, dt=0.002, fault=(0.0, 0.0)):
+        """Positions, rates and efforts of the joints; the effort acted over the interval before."""
         theta, rate, _ = self.absolute(t)
         reading = self.joints.sensor_position(self.joints.joint_position(theta)) + fault
-        torque = inverse_dynamics(*np.concatenate(self.absolute(t - dt / 2)), self.c)
         return (
             self.joints.joint_from_sensor(reading),
             self.joints.joint_velocity(rate),
-            self.joints.joint_torque(np.array(torque)),
+            self.joints.joint_torque(self.torque(t - dt / 2)),
         )
 
     def position(self, t):

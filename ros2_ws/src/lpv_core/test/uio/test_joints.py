@@ -12,97 +12,64 @@ from lpv_core.uio.model.joints import JointMap
 PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
 
 
-@given(PAIR)
-def test_given_any_pair_when_converted_forth_and_back_then_it_is_unchanged(
-    paper_model, real_model, pair
-):
-    for arm in (paper_model, real_model):
-        joints = JointMap(arm)
-        for there, back in (
-            (joints.absolute_position, joints.joint_position),
-            (joints.absolute_velocity, joints.joint_velocity),
-            (joints.absolute_torque, joints.joint_torque),
-            (joints.sensor_position, joints.joint_from_sensor),
-        ):
-            np.testing.assert_allclose(back(there(pair)), pair, atol=1e-13)
-            np.testing.assert_allclose(there(back(pair)), pair, atol=1e-13)
+def conversions(joints):
+    """Each conversion, and the one back."""
+    names = ('absolute_position', 'absolute_velocity', 'absolute_torque', 'sensor_position')
+    back = ('joint_position', 'joint_velocity', 'joint_torque', 'joint_from_sensor')
+    return [(getattr(joints, a), getattr(joints, b)) for a, b in zip(names, back)]
 
 
 @given(PAIR, PAIR)
-def test_given_torques_and_rates_when_converted_then_the_power_is_the_same(
-    paper_model, torque, rate
+def test_given_any_pair_when_converted_then_it_comes_back_and_power_and_rates_are_the_same(
+    paper_model, real_model, pair, rate
 ):
-    joints = JointMap(paper_model)
-    absolute = joints.absolute_torque(torque) @ joints.absolute_velocity(rate)
-    assert absolute == pytest.approx(torque @ rate, abs=1e-12)
+    for arm in (paper_model, real_model):
+        joints, h = JointMap(arm), 1e-6
+        for there, back in conversions(joints):
+            np.testing.assert_allclose(back(there(pair)), pair, atol=1e-13)
+            np.testing.assert_allclose(there(back(pair)), pair, atol=1e-13)
+        absolute = joints.absolute_torque(pair) @ joints.absolute_velocity(rate)
+        assert absolute == pytest.approx(pair @ rate, abs=1e-12)
+        for position, matrix in (
+            (joints.absolute_position, np.eye(2)),
+            (joints.sensor_position, joints.sensor_matrix),
+        ):
+            moved = (position(pair + h * rate) - position(pair)) / h
+            np.testing.assert_allclose(moved, matrix @ joints.absolute_velocity(rate), atol=1e-7)
 
 
-def test_given_joint_torques_when_converted_then_q1_is_their_difference(paper_model):
-    np.testing.assert_array_equal(JointMap(paper_model).absolute_torque([5.0, 2.0]), [3.0, 2.0])
-
-
-def test_given_rates_when_positions_move_by_them_then_both_conversions_agree(arm):
-    joints, h = JointMap(arm), 1e-6
-    q, rate = np.array([0.3, -0.4]), np.array([1.1, 0.7])
-    moved = joints.absolute_position(q + h * rate) - joints.absolute_position(q)
-    np.testing.assert_allclose(moved / h, joints.absolute_velocity(rate), atol=1e-8)
-    moved = joints.sensor_position(q + h * rate) - joints.sensor_position(q)
-    rates = joints.sensor_matrix @ joints.absolute_velocity(rate)
-    np.testing.assert_allclose(moved / h, rates, atol=1e-8)
-
-
-def test_given_the_paper_arm_when_upright_then_q1_points_up_the_y_axis(paper_model):
-    joints = JointMap(paper_model)
-    np.testing.assert_allclose(joints.absolute_position([math.pi / 2, 0.0]), 0.0, atol=1e-15)
-    np.testing.assert_allclose(joints.absolute_position([0.0, 0.0]), -math.pi / 2)
-
-
-def test_given_the_real_arm_when_all_joints_are_zero_then_it_hangs_down(real_model):
-    np.testing.assert_allclose(JointMap(real_model).absolute_position([0.0, 0.0]), math.pi)
-    np.testing.assert_allclose(
-        JointMap(real_model).absolute_position([0.2, 0.3]), [math.pi + 0.2, math.pi + 0.5]
-    )
-
-
-def test_given_relative_encoders_when_encoder_1_is_wrong_then_both_absolute_angles_shift(
-    real_model,
+def test_given_both_arms_when_upright_or_hanging_then_zeros_and_torques_are_those_of_their_files(
+    paper_model, real_model
 ):
-    joints = JointMap(real_model)
-    reading = joints.sensor_position([0.4, -0.2])
-    wrong = joints.joint_from_sensor(reading + [0.3, 0.0])
-    shift = joints.absolute_position(wrong) - joints.absolute_position([0.4, -0.2])
-    np.testing.assert_allclose(shift, [0.3, 0.3], atol=1e-15)
-    wrong = joints.joint_from_sensor(reading + [0.0, 0.3])
-    shift = joints.absolute_position(wrong) - joints.absolute_position([0.4, -0.2])
-    np.testing.assert_allclose(shift, [0.0, 0.3], atol=1e-15)
+    upright, hanging = JointMap(paper_model), JointMap(real_model)
+    np.testing.assert_array_equal(upright.absolute_torque([5.0, 2.0]), [3.0, 2.0])
+    np.testing.assert_allclose(upright.absolute_position([math.pi / 2, 0.0]), 0.0, atol=1e-15)
+    np.testing.assert_allclose(upright.absolute_position([0.0, 0.0]), -math.pi / 2)
+    expected = [math.pi + 0.2, math.pi + 0.5]
+    np.testing.assert_allclose(hanging.absolute_position([0.2, 0.3]), expected)
 
 
-def test_given_relative_encoders_when_they_read_then_a_fault_stays_in_its_own_joint(real_model):
-    joints = JointMap(real_model)
-    wrong = joints.joint_from_sensor(joints.sensor_position([0.4, -0.2]) + [0.3, 0.0])
-    np.testing.assert_allclose(wrong, [0.7, -0.2], atol=1e-15)
-
-
-def test_given_absolute_sensors_when_sensor_1_is_wrong_then_only_its_own_angle_shifts(paper_model):
-    joints = JointMap(paper_model)
-    reading = joints.sensor_position([1.4, -0.2])
-    np.testing.assert_allclose(reading, joints.absolute_position([1.4, -0.2]), atol=1e-15)
-    wrong = joints.joint_from_sensor(reading + [0.3, 0.0])
-    np.testing.assert_allclose(wrong, [1.7, -0.5], atol=1e-15)
+@pytest.mark.parametrize(
+    ('name', 'fault', 'joint', 'absolute'),
+    [
+        ('real_model', (0.3, 0.0), (0.3, 0.0), (0.3, 0.3)),  # both links behind the encoder shift
+        ('real_model', (0.0, 0.3), (0.0, 0.3), (0.0, 0.3)),
+        ('paper_model', (0.3, 0.0), (0.3, -0.3), (0.3, 0.0)),
+    ],
+)
+def test_given_a_sensor_that_is_wrong_when_read_then_joints_and_links_shift_as_it_is_mounted(
+    request, name, fault, joint, absolute
+):
+    joints, q = JointMap(request.getfixturevalue(name)), np.array([0.4, -0.2])
+    wrong = joints.joint_from_sensor(joints.sensor_position(q) + fault)
+    np.testing.assert_allclose(wrong - q, joint, atol=1e-15)
+    shift = joints.absolute_position(wrong) - joints.absolute_position(q)
+    np.testing.assert_allclose(shift, absolute, atol=1e-15)
 
 
 def test_given_a_batch_when_converted_then_every_row_is_converted_alone(arm):
-    joints = JointMap(arm)
     batch = np.random.default_rng(1).normal(size=(4, 3, 2))
-    for method in (
-        joints.absolute_position,
-        joints.joint_position,
-        joints.absolute_torque,
-        joints.joint_torque,
-        joints.sensor_position,
-        joints.joint_from_sensor,
-        joints.absolute_velocity,
-        joints.joint_velocity,
-    ):
-        rows = np.array([[method(pair) for pair in row] for row in batch])
-        np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)
+    for pair in conversions(JointMap(arm)):
+        for method in pair:
+            rows = np.array([[method(pair) for pair in row] for row in batch])
+            np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)

@@ -17,36 +17,31 @@ from lpv_core.uio.unknown_input_observer import UnknownInputObserver
 pytestmark = pytest.mark.slow
 
 
-def measured(run):
-    """Arguments of `take_many` for a run."""
+def answers(run, arm, gains, observer, parts=1):
+    """Of a monitor that gets a run in some parts."""
+    monitor = SerialSensorMonitor('uio', arm, gains=gains, observer=observer)
+    rows = (run.measured, run.measured_velocity, run.effort)
     stamps = 1 + np.round(1e9 * run.time).astype(np.int64)
-    return stamps, run.measured, run.measured_velocity, run.effort
-
-
-@pytest.fixture
-def loaded(paper_arm, paper_gains):
-    """The paper's arm whose file states a payload, with gains that allow for it."""
-    arm = replace(paper_arm, uncertainty=replace(paper_arm.uncertainty, payload=0.3))
-    return arm, replace(paper_gains, arm_sha256=planar_model(arm).sha256())
+    return [
+        monitor.take_many(*part)
+        for part in zip(*(np.array_split(row, parts) for row in (stamps, *rows)))
+    ]
 
 
 @pytest.mark.parametrize('payload', [0.0, 0.3])
 @pytest.mark.parametrize('factors', [(1.05, 0.95), (0.95, 1.05), (1.05, 1.05)])
 def test_given_a_healthy_arm_inside_its_file_when_it_moves_then_errors_stay_in_the_bound(
-    loaded, two_faults, factors, payload
+    paper_arm, paper_gains, two_faults, factors, payload
 ):
-    arm, gains = loaded
-    scenario = replace(
-        two_faults, faults=(), duration=6.0, payload=payload,
-        mass_factors=factors, inertia_factors=factors, disturbance=False,
-    )  # fmt: skip
-    run = run_closed_loop(arm, scenario, gains)
-    monitor = SerialSensorMonitor('uio', arm, gains=gains, observer='uio')
-    answers = monitor.take_many(*measured(run))
-    assert answers.events == []
-    known = answers.fault.bound[500:]
+    arm = replace(paper_arm, uncertainty=replace(paper_arm.uncertainty, payload=0.3))
+    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())  # which allow for it
+    scenario = replace(two_faults, faults=(), duration=6.0, payload=payload, mass_factors=factors,
+                       inertia_factors=factors, disturbance=False)  # fmt: skip
+    (found,) = answers(run_closed_loop(arm, scenario, gains), arm, gains, 'uio')
+    assert found.events == []
+    known = found.fault.bound[500:]
     assert np.isfinite(known).all() and known.max() < 0.5
-    assert np.all(np.abs(answers.fault.estimate[500:]) <= known)
+    assert np.all(np.abs(found.fault.estimate[500:]) <= known)
 
 
 @pytest.mark.parametrize('sensor', [0, 1])
@@ -68,15 +63,28 @@ def test_given_the_tighter_of_two_observers_when_published_then_no_bound_is_larg
     paper_arm, paper_gains, two_faults
 ):
     run = run_closed_loop(paper_arm, replace(two_faults, faults=(), duration=3.0), paper_gains)
-    bounds = {
-        name: SerialSensorMonitor('uio', paper_arm, gains=paper_gains, observer=name)
-        .take_many(*measured(run))
-        .fault.bound
+    tightest, uio, horizon = (
+        answers(run, paper_arm, paper_gains, name)[0].fault.bound
         for name in ('tightest', 'uio', 'horizon')
-    }
-    least = np.minimum(bounds['uio'], bounds['horizon'])
-    np.testing.assert_allclose(bounds['tightest'][100:], least[100:], rtol=1e-12)
-    assert (bounds['uio'] < bounds['horizon']).any()
+    )
+    np.testing.assert_allclose(tightest[100:], np.minimum(uio, horizon)[100:], rtol=1e-12)
+    assert (uio < horizon).any()
+
+
+def test_given_a_fault_when_samples_come_in_parts_then_every_answer_is_the_same(
+    paper_arm, paper_gains, two_faults
+):
+    fault = Fault('link1_angle', 'bias', 0.0, size=0.4, duration=4.0)
+    scenario = replace(two_faults, faults=(fault,), duration=8.0)
+    run = run_closed_loop(paper_arm, scenario, paper_gains, compensation='off')
+    (whole,) = answers(run, paper_arm, paper_gains, 'tightest')
+    assert {event.sensor for _, event in whole.events} == {'link1_angle'}
+    for parts in (8, 571):
+        found = answers(run, paper_arm, paper_gains, 'tightest', parts)
+        assert [e for one in found for _, e in one.events] == [e for _, e in whole.events]
+        for name in ('estimate', 'bound', 'threshold'):
+            rows = np.concatenate([getattr(one.fault, name) for one in found])
+            np.testing.assert_array_equal(rows, getattr(whole.fault, name))
 
 
 def test_given_rates_that_are_derived_when_observed_then_nothing_is_certified(
@@ -86,22 +94,23 @@ def test_given_rates_that_are_derived_when_observed_then_nothing_is_certified(
     assert not UnknownInputObserver(real_arm, real_gains).certifies
 
 
-def test_given_gains_of_another_arm_when_constructed_then_they_are_refused(real_arm, paper_gains):
+def test_given_gains_of_another_arm_when_constructed_then_they_are_refused(
+    real_arm, paper_arm, paper_gains
+):
     for make in (UnknownInputObserver, lambda a, g: SerialSensorMonitor('uio', a, gains=g)):
-        with pytest.raises(ConfigError, match='gains.arm_sha256'):
+        with pytest.raises(ConfigError, match='gains.arm_sha256.*paper.*real_arm'):
             make(real_arm, paper_gains)
+        with pytest.raises(ConfigError, match='gains.arm_sha256'):
+            make(replace(paper_arm, gravity=9.81), paper_gains)
 
 
 def test_given_a_loop_with_gains_when_run_then_its_torques_are_those_of_the_designed_law(
     paper_arm, paper_gains, two_faults
 ):
     run = run_closed_loop(paper_arm, replace(two_faults, faults=(), duration=0.5), paper_gains)
-    law = make_controller(paper_arm, paper_gains)
-    path = two_faults.path(paper_arm)
-    for k in range(len(run.time)):
-        reference = path.sample(run.time[k])
-        position = run.compensated[k]
-        command = law.update(
-            reference, position, run.estimated_velocity[k], position, 0.002 if k else 0.0
-        )
+    law, path = make_controller(paper_arm, paper_gains), two_faults.path(paper_arm)
+    for k, (time, position, rate) in enumerate(
+        zip(run.time, run.compensated, run.estimated_velocity)
+    ):
+        command = law.update(path.sample(time), position, rate, position, 0.002 if k else 0.0)
         np.testing.assert_allclose(run.command[k], command.torque, rtol=1e-9, atol=1e-9)
