@@ -1,6 +1,5 @@
 """Whether rates are independent of the positions: made signals, and a real arm whose are not."""
 
-import csv
 import math
 from dataclasses import replace
 
@@ -9,9 +8,7 @@ import pytest
 from places import DATA
 from scipy.signal import butter, lfilter
 
-from lpv_core.serial_arm.arm_file import parse_arm, to_mapping
 from lpv_core.serial_arm.rate_independence import RATE_SOURCES, contradicts, rate_source
-from lpv_core.support.errors import ConfigError
 from lpv_core.uio.model.arm import arm_from_json
 
 COUNT = 1000
@@ -107,37 +104,19 @@ def test_given_lost_samples_when_tested_then_independent_rates_stay_independent(
 
 @pytest.mark.parametrize('joint', [1, 2])
 def test_given_the_recorded_arm_when_tested_then_its_rates_are_derived(joint):
-    with open(DATA / 'real_arm' / 'excerpt.csv', newline='') as file:
-        rows = list(csv.DictReader(file))
-    stamps = [round(1e9 * float(row['time'])) for row in rows]
-    position, rate = (
-        np.array([float(row[f'{name}_meas{joint}']) for row in rows]) for name in ('pos', 'vel')
-    )
+    rows = np.genfromtxt(DATA / 'real_arm' / 'excerpt.csv', delimiter=',', names=True)
+    stamps = np.round(1e9 * rows['time']).astype(int)
+    position, rate = rows[f'pos_meas{joint}'], rows[f'vel_meas{joint}']
     assert rate_source(stamps, position, rate).source == 'derived'
 
 
 @pytest.mark.parametrize('stated', RATE_SOURCES[:3])
 def test_given_what_is_stated_when_something_else_is_found_then_it_contradicts(stated):
-    assert {found for found in RATE_SOURCES if contradicts(stated, found)} == set(
-        RATE_SOURCES[:3]
-    ) - {stated}
-
-
-# ------------------------------------------------------------------ the arm file
+    against = {found for found in RATE_SOURCES if contradicts(stated, found)}
+    assert against == set(RATE_SOURCES[:3]) - {stated}
 
 
 def test_given_an_arm_with_other_rates_when_hashed_then_its_gains_still_fit(paper_model):
     derived = replace(paper_model, rates='derived')
     assert derived.sha256() == paper_model.sha256()
     assert arm_from_json(derived.to_json()) == derived
-
-
-def test_given_an_arm_file_when_rates_are_stated_then_they_are_read_or_refused(paper_arm):
-    data = to_mapping(paper_arm)
-    sensors = data['joints'][1]['sensors']
-    for stated in ('independent', 'derived', 'none'):
-        sensors['rates'] = stated
-        assert parse_arm(data).joints[1].sensors.rates == stated
-    sensors['rates'] = 'guessed'
-    with pytest.raises(ConfigError, match='sensors.rates'):
-        parse_arm(data)
